@@ -1,0 +1,1 @@
+"""postfx: post-processing of rendered image sequences."""

@@ -1,0 +1,37 @@
+"""Errors a user can mend. Each message is one line that names the file, the plane and the mend."""
+
+
+class PostfxError(Exception):
+    """Base of every error that postfx raises on purpose; the command line prints it as ``error: ...`` and exits 2."""
+
+
+class FrameError(PostfxError):
+    """A frame's planes do not fit together: size, channels or data type."""
+
+
+class SequenceError(PostfxError):
+    """A frame pattern or frame range cannot be understood, or matches no file."""
+
+
+class MissingFrameError(SequenceError):
+    """A frame of the range has no file."""
+
+
+class ReadError(PostfxError):
+    """A file cannot be read: broken, deep, or of an unknown format."""
+
+
+class MissingPlaneError(PostfxError):
+    """A plane that a pass needs is in none of the frame's files."""
+
+
+class ProfileError(PostfxError):
+    """A renderer profile is unknown, malformed or does not fit the file."""
+
+
+class WriteError(PostfxError):
+    """An output file cannot be written."""
+
+
+class OutputExistsError(WriteError):
+    """An output file is already there and neither overwriting nor skipping was asked for."""

@@ -1,0 +1,191 @@
+"""Frames as named planes: the one convention that everything after reading relies on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from postfx.errors import FrameError
+
+DEPTH_MISS = 1e10
+"""Depth of a pixel whose ray hit nothing."""
+
+ENCODINGS = ("scene-linear", "display-linear", "srgb")
+"""Meanings of the colour plane: light in the scene, light of a display 0..1, and the same through the sRGB curve."""
+
+
+class Role(StrEnum):
+    """What a plane means. `ROLES` holds channels, unit, space, range and direction of each."""
+
+    COLOUR = "colour"
+    ALPHA = "alpha"
+    DEPTH = "depth"
+    MOTION = "motion"
+    NORMAL = "normal"
+    DIFFUSE_ALBEDO = "diffuse_albedo"
+    SPECULAR_ALBEDO = "specular_albedo"
+    ROUGHNESS = "roughness"
+    SPECULAR_HIT_DISTANCE = "specular_hit_distance"
+    STRENGTH = "strength"
+    REACTIVE = "reactive"
+    OVERLAY = "overlay"
+
+
+class RoleInfo(NamedTuple):
+    """Convention of one role: channel count, unit, space, range and direction."""
+
+    channels: int
+    unit: str
+    space: str
+    range: str
+    direction: str
+
+
+_REFLECTANCE = "linear Rec.709"
+
+ROLES: Mapping[Role, RoleInfo] = {
+    Role.COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "none; premultiplied by alpha"),
+    Role.ALPHA: RoleInfo(1, "coverage", "none", "0..1", "0 transparent, 1 opaque"),
+    Role.DEPTH: RoleInfo(1, "scene units", "camera", "0..1e10", "along the view axis, away from the camera; miss 1e10"),
+    Role.MOTION: RoleInfo(2, "pixels of this frame", "image", "any", "previous minus current; x right, y down; no jitter"),
+    Role.NORMAL: RoleInfo(3, "none", "world", "-1..1", "facing the viewer; unit length not forced, zero at misses"),
+    Role.DIFFUSE_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "none"),
+    Role.SPECULAR_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "Fresnel towards the viewer"),
+    Role.ROUGHNESS: RoleInfo(1, "none", "linear (not squared)", "0..1", "0 mirror, 1 rough"),
+    Role.SPECULAR_HIT_DISTANCE: RoleInfo(1, "scene units", "world", "0..inf", "primary surface to the reflected hit"),
+    Role.STRENGTH: RoleInfo(1, "none", "none", "0..1", "0 leave as it is, 1 denoise fully"),
+    Role.REACTIVE: RoleInfo(1, "none", "none", "0..1", "0 use the history, 1 ignore it"),
+    Role.OVERLAY: RoleInfo(4, "radiance and coverage", "scene-linear Rec.709", "0..inf", "RGBA, premultiplied"),
+}
+
+
+@dataclass(frozen=True)
+class FrameSpec:
+    """Everything about a frame that passes are compiled for: size, planes (role -> channels) and colour encoding.
+
+    `planes` may be given as a mapping, as pairs or as roles; it is kept as pairs in the order of `Role`, so specs
+    compare and hash by meaning.
+    """
+
+    width: int
+    height: int
+    planes: tuple[tuple[Role, int], ...]
+    encoding: str = "scene-linear"
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise FrameError(f"frame size {self.width}x{self.height}: both sides must be at least 1 pixel")
+        if self.encoding not in ENCODINGS:
+            raise FrameError(f"unknown colour encoding '{self.encoding}': use one of {', '.join(ENCODINGS)}")
+        object.__setattr__(self, "planes", _ordered_planes(self.planes))
+
+    @property
+    def roles(self) -> tuple[Role, ...]:
+        """Roles of the planes, in the order of `Role`."""
+        return tuple(role for role, _ in self.planes)
+
+    def has(self, role: Role) -> bool:
+        """Whether the frame holds a plane of this role."""
+        return role in self.roles
+
+    def channels(self, role: Role) -> int:
+        """Channel count of a plane; FrameError when the frame does not hold it."""
+        for held, channels in self.planes:
+            if held == role:
+                return channels
+        raise FrameError(f"the frame has no plane '{role}': it has {', '.join(self.roles)}")
+
+
+def _ordered_planes(planes: Mapping[Role, int] | Iterable[Any]) -> tuple[tuple[Role, int], ...]:
+    items = planes.items() if isinstance(planes, Mapping) else [_pair(item) for item in planes]
+    held = {Role(role): int(channels) for role, channels in items}
+    for role, channels in held.items():
+        if channels != ROLES[role].channels:
+            raise FrameError(f"plane '{role}' has {channels} channels: it needs {ROLES[role].channels}")
+    return tuple((role, held[role]) for role in Role if role in held)
+
+
+def _pair(item: Any) -> tuple[Role, int]:
+    return (Role(item), ROLES[Role(item)].channels) if isinstance(item, str) else tuple(item)
+
+
+@dataclass
+class Frame:
+    """One image of a sequence: planes of one size plus what the passes must know about it.
+
+    Attributes:
+        planes: role -> float32 C-contiguous array (height, width, channels); units and directions are in `ROLES`.
+        number: frame number in its sequence.
+        jitter: sub-pixel sample position minus 0.5, pixels of this frame, x right, y down; (0, 0) when the samples
+            are spread over the pixel.
+        exposure: multiplier that the scene's author suggests for the tone mapper, or None.
+        reset: True at a cut: history must be dropped before this frame.
+        samples: samples per pixel, or None when unknown.
+        world_to_camera: 4x4 float64, row vectors (p_camera = p_world @ M), or None.
+        fov_x: horizontal field of view in degrees, or None.
+        metadata: header attributes to keep on writing, by EXR name; windows are kept under 'displayWindow' and
+            'dataWindow' as (x0, y0, x1, y1), bounds included.
+        source: file that the frame was read from, or None.
+        encoding: meaning of the colour plane, one of `ENCODINGS`.
+
+    Raises FrameError when a plane has a wrong shape, channel count or data type, or when sizes differ.
+    """
+
+    planes: dict[Role, np.ndarray]
+    number: int = 1
+    jitter: tuple[float, float] = (0.0, 0.0)
+    exposure: float | None = None
+    reset: bool = False
+    samples: int | None = None
+    world_to_camera: np.ndarray | None = None
+    fov_x: float | None = None
+    metadata: dict[str, Any] = field(default_factory=dict)
+    source: str | None = None
+    encoding: str = "scene-linear"
+
+    def __post_init__(self) -> None:
+        if not self.planes:
+            raise FrameError(f"frame {self._name()} has no planes")
+        self.planes = {Role(role): self._checked(Role(role), plane) for role, plane in self.planes.items()}
+        sizes = {plane.shape[:2] for plane in self.planes.values()}
+        if len(sizes) > 1:
+            raise FrameError(f"planes of frame {self._name()} differ in size: {self._sizes()}")
+        if self.world_to_camera is not None:
+            self.world_to_camera = np.asarray(self.world_to_camera, np.float64).reshape(4, 4)
+
+    @property
+    def spec(self) -> FrameSpec:
+        """Size, planes and encoding of this frame."""
+        height, width = next(iter(self.planes.values())).shape[:2]
+        return FrameSpec(width, height, {role: plane.shape[2] for role, plane in self.planes.items()}, self.encoding)
+
+    def __getitem__(self, role: Role) -> np.ndarray:
+        """Plane of a role, (height, width, channels); FrameError when the frame does not hold it."""
+        if role not in self.planes:
+            raise FrameError(f"frame {self._name()} has no plane '{role}': it has {', '.join(self.planes)}")
+        return self.planes[Role(role)]
+
+    def __contains__(self, role: object) -> bool:
+        return role in self.planes
+
+    def _checked(self, role: Role, plane: np.ndarray) -> np.ndarray:
+        if not isinstance(plane, np.ndarray) or not np.issubdtype(plane.dtype, np.floating):
+            kind = getattr(plane, "dtype", type(plane).__name__)
+            raise FrameError(f"plane '{role}' of frame {self._name()} is {kind}: give a NumPy array of floats")
+        channels = ROLES[role].channels
+        if plane.ndim == 2 and channels == 1:
+            plane = plane[:, :, None]
+        if plane.ndim != 3 or plane.shape[2] != channels or 0 in plane.shape:
+            expected = f"(height, width, {channels})"
+            raise FrameError(f"plane '{role}' of frame {self._name()} has shape {plane.shape}: it needs {expected}")
+        return np.ascontiguousarray(plane, np.float32)
+
+    def _name(self) -> str:
+        return f"{self.number} ({self.source})" if self.source else str(self.number)
+
+    def _sizes(self) -> str:
+        return ", ".join(f"{role} {plane.shape[1]}x{plane.shape[0]}" for role, plane in self.planes.items())
