@@ -1,0 +1,1 @@
+"""The passes: one file each, found through the entry-point group `postfx.passes`."""

@@ -1,0 +1,151 @@
+"""The contract of a pass: reflect, compile once a spec, encode every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from postfx.errors import FrameError, PostfxError
+from postfx.frame import ROLES, Frame, FrameSpec, Role
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from postfx.pipeline import Pipeline
+    from postfx.runtime import CommandBuffer, Device, Tensor
+
+
+class PassOptionError(PostfxError):
+    """A pass was given an option it does not know, or a value it cannot use."""
+
+
+class NotCompiledError(PostfxError):
+    """A pass was asked to encode a frame of a spec it was not compiled for."""
+
+
+@dataclass(frozen=True)
+class Reflection:
+    """What a pass does with a frame of one spec.
+
+    Attributes:
+        reads: planes it cannot do without.
+        may_read: planes it uses when they are there.
+        writes: planes it replaces or adds.
+        output: spec of the frame it leaves. Planes that are not in it are dropped, so a pass that changes the size
+            names only the planes that exist at the new size.
+    """
+
+    reads: tuple[Role, ...]
+    writes: tuple[Role, ...]
+    output: FrameSpec
+    may_read: tuple[Role, ...] = ()
+
+
+@dataclass
+class ResidentFrame:
+    """A frame whose planes are tensors on the device, on its way through the passes.
+
+    Attributes:
+        spec: size, planes and encoding of the frame as it is now.
+        tensors: role -> tensor (height, width, channels) float32, units and directions as in `postfx.frame.ROLES`.
+        number: frame number in its sequence.
+        jitter: sub-pixel sample position minus 0.5, pixels of the rendered frame, x right, y down.
+        exposure: multiplier actually used for this frame, > 0; colour times exposure is what the eye should see.
+        reset: True when history must be dropped before this frame.
+        samples, world_to_camera, fov_x, metadata: as in `postfx.frame.Frame`.
+    """
+
+    spec: FrameSpec
+    tensors: dict[Role, Tensor]
+    number: int = 1
+    jitter: tuple[float, float] = (0.0, 0.0)
+    exposure: float = 1.0
+    reset: bool = False
+    samples: int | None = None
+    world_to_camera: np.ndarray | None = None
+    fov_x: float | None = None
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, role: Role) -> Tensor:
+        """Tensor of a plane; FrameError when the frame does not hold it."""
+        if role not in self.tensors:
+            raise FrameError(f"frame {self.number} has no plane '{role}': it has {', '.join(self.tensors)}")
+        return self.tensors[role]
+
+    def __contains__(self, role: object) -> bool:
+        return role in self.tensors
+
+    def __iter__(self) -> Iterator[Role]:
+        return iter(self.tensors)
+
+    def get(self, role: Role) -> Tensor | None:
+        """Tensor of a plane, or None when the frame does not hold it."""
+        return self.tensors.get(role)
+
+    def set(self, role: Role, tensor: Tensor) -> None:
+        """Replace or add a plane: a float32 tensor (height, width, channels) that a recorded command writes."""
+        if tensor.dtype != "float32" or len(tensor.shape) != 3 or tensor.shape[2] != ROLES[role].channels:
+            expected = f"(height, width, {ROLES[role].channels}) float32"
+            raise FrameError(f"tensor '{tensor.name}' is {tensor.shape} {tensor.dtype}: plane '{role}' is {expected}")
+        self.tensors[role] = tensor
+
+
+class Pass:
+    """Base of all passes. A pass is compiled once for a spec and then encodes frame after frame.
+
+    Subclasses set `name` and `defaults`, and implement `reflect`, `compile` and `encode`; `compile` and `encode`
+    call `super()` first. A pass never reaches into another: planes are shared only through the frame.
+    """
+
+    name: ClassVar[str]
+    """The pass's name in the registry, on the command line and in timings."""
+
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    """Every option with its default value."""
+
+    def __init__(self, **options: Any) -> None:
+        unknown = sorted(set(options) - set(self.defaults))
+        if unknown:
+            valid = ", ".join(self.defaults) or "none"
+            raise PassOptionError(f"pass '{self.name}' has no option '{unknown[0]}': its options are {valid}")
+        self.options: Mapping[str, Any] = MappingProxyType({**self.defaults, **options})
+        self._spec: FrameSpec | None = None
+        self._alone: Pipeline | None = None
+
+    def reflect(self, spec: FrameSpec) -> Reflection:
+        """What the pass reads, may read and writes for frames of `spec`. Pure: depends on options and spec only."""
+        raise NotImplementedError
+
+    def skip(self, spec: FrameSpec) -> str | None:
+        """Why the pass would change nothing for frames of `spec`, as a short clause for the user; else None.
+
+        Asked before `reflect`, so a pass whose optional plane is absent answers here instead of failing.
+        """
+        return None
+
+    def compile(self, device: Device, spec: FrameSpec) -> None:
+        """Make pipeline states and heap tensors for frames of `spec`, and drop the history. Not called when skipped."""
+        self._spec = spec
+        self.reset()
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        """Record the work for one frame; touch no pixel. Replaces planes by `frame.set(role, tensor)`.
+
+        Raises NotCompiledError when the pass was not compiled for this frame's spec.
+        """
+        if self._spec != frame.spec:
+            state = "not compiled" if self._spec is None else "compiled for another spec"
+            raise NotCompiledError(f"pass '{self.name}' is {state}: call compile(device, frame.spec) before encode")
+
+    def reset(self) -> None:
+        """Drop the history: the next frame is treated as the first. Does nothing in passes without history."""
+
+    def __call__(self, frame: Frame) -> Frame:
+        """Run this pass alone on one frame, in a pipeline of its own that keeps the history between calls."""
+        if self._alone is None:
+            from postfx.pipeline import Pipeline
+
+            self._alone = Pipeline([self])
+        return self._alone(frame)
