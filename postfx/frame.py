@@ -51,7 +51,7 @@ ROLES: Mapping[Role, RoleInfo] = {
     Role.COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "none; premultiplied by alpha"),
     Role.ALPHA: RoleInfo(1, "coverage", "none", "0..1", "0 transparent, 1 opaque"),
     Role.DEPTH: RoleInfo(1, "scene units", "camera", "0..1e10", "along the view axis, away from the camera; miss 1e10"),
-    Role.MOTION: RoleInfo(2, "pixels of this frame", "image", "any", "previous minus current; x right, y down; no jitter"),
+    Role.MOTION: RoleInfo(2, "pixels of this frame", "image", "any", "previous - current; x right, y down; no jitter"),
     Role.NORMAL: RoleInfo(3, "none", "world", "-1..1", "facing the viewer; unit length not forced, zero at misses"),
     Role.DIFFUSE_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "none"),
     Role.SPECULAR_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "Fresnel towards the viewer"),

@@ -1,0 +1,139 @@
+"""Reading image files: which channels a file holds, and only the wanted ones as arrays.
+
+Single-part and multi-part OpenEXR files (half, float, scanline, tiled, mip-mapped) and Radiance HDR are read through
+OpenImageIO. Deep parts are refused. Every plane is brought to the display window: pixels outside the data window get
+a fill value, overscan is cut off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import OpenImageIO as oiio
+
+from postfx.errors import MissingFrameError, ReadError
+
+READABLE = (".exr", ".hdr")
+
+
+class Window(NamedTuple):
+    """Pixel rectangle, bounds included, y down."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @property
+    def width(self) -> int:
+        return self.x1 - self.x0 + 1
+
+    @property
+    def height(self) -> int:
+        return self.y1 - self.y0 + 1
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part (sub-image) of a file."""
+
+    index: int
+    name: str
+    view: str
+    channels: tuple[str, ...]
+    data: Window
+    display: Window
+    attributes: Mapping[str, Any]
+
+
+class ImageFile:
+    """An open file: `parts` says what is in it, `read` fetches channels. Use as a context manager.
+
+    Raises MissingFrameError when there is no such file, ReadError when it is broken, deep or of an unknown format.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        if self.path.suffix.lower() not in READABLE:
+            raise ReadError(f"{path}: not a scene-linear image: give OpenEXR (.exr) or Radiance (.hdr) files")
+        if not self.path.is_file():
+            raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with --frames")
+        self._input = oiio.ImageInput.open(str(self.path))
+        if self._input is None:
+            raise ReadError(f"{path}: cannot be opened: {_first_line(oiio.geterror())}; write the file again")
+        self.parts = self._scan()
+
+    def __enter__(self) -> ImageFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._input.close()
+
+    def read(self, part: Part, channels: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """Channels of a part as float32 arrays (height, width) of the display window.
+
+        `channels` maps each wanted name to the value for pixels outside the data window. ReadError when the file ends
+        early or its pixels cannot be decoded.
+        """
+        indices = [part.channels.index(name) for name in channels]
+        first, last = min(indices), max(indices)
+        pixels = self._input.read_image(part.index, 0, first, last + 1, oiio.FLOAT)
+        if pixels is None:
+            reason = _first_line(self._input.geterror())
+            raise ReadError(f"{self.path}: broken file: {reason}; render or copy this frame again")
+        pixels = pixels.reshape(part.data.height, part.data.width, last + 1 - first)
+        fills = channels.values()
+        return {
+            name: to_display_window(pixels[:, :, index - first], part, fill)
+            for name, index, fill in zip(channels, indices, fills, strict=True)
+        }
+
+    def _scan(self) -> tuple[Part, ...]:
+        parts, deep = [], []
+        while self._input.seek_subimage(len(parts) + len(deep), 0):
+            spec = self._input.spec()
+            (deep if spec.deep else parts).append(_part(len(parts) + len(deep), spec))
+        if not parts:
+            reason = "deep data is not supported: flatten it first, e.g. with oiiotool --flatten"
+            raise ReadError(f"{self.path}: {reason if deep else 'holds no image'}")
+        return tuple(parts)
+
+
+def to_display_window(pixels: np.ndarray, part: Part, fill: float) -> np.ndarray:
+    """(data height, data width) -> contiguous (display height, display width); pixels without data become `fill`."""
+    data, display = part.data, part.display
+    if data == display:
+        return np.ascontiguousarray(pixels)
+    result = np.full((display.height, display.width), fill, np.float32)
+    x0, x1 = max(data.x0, display.x0), min(data.x1, display.x1) + 1
+    y0, y1 = max(data.y0, display.y0), min(data.y1, display.y1) + 1
+    if x0 < x1 and y0 < y1:
+        inside = pixels[y0 - data.y0 : y1 - data.y0, x0 - data.x0 : x1 - data.x0]
+        result[y0 - display.y0 : y1 - display.y0, x0 - display.x0 : x1 - display.x0] = inside
+    return result
+
+
+def _part(index: int, spec: oiio.ImageSpec) -> Part:
+    attributes = {attribute.name: attribute.value for attribute in spec.extra_attribs}
+    return Part(
+        index=index,
+        name=str(attributes.get("oiio:subimagename", "")),
+        view=str(attributes.get("view", "")),
+        channels=tuple(spec.channelnames),
+        data=_window(spec.x, spec.y, spec.width, spec.height),
+        display=_window(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
+        attributes=attributes,
+    )
+
+
+def _window(x: int, y: int, width: int, height: int) -> Window:
+    return Window(x, y, x + width - 1, y + height - 1)
+
+
+def _first_line(message: str) -> str:
+    lines = [line for line in message.splitlines() if line.strip()]
+    return lines[0].strip() if lines else "unknown reason"
