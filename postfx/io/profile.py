@@ -1,0 +1,169 @@
+"""Renderer profiles: how a renderer names its planes and what its numbers mean, as data.
+
+A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys but `name` may be left out):
+
+    name = "studio"
+    title = "Our farm's names"
+    extends = "generic"                  # its planes and header keys come after ours
+    marker = "Combined.R"                # what precedes this channel name is {layer} below
+
+    [[detect]]                           # any of these tables suffices; all conditions in one must hold
+    header = { Software = "^Blender 5" } # regular expressions on header attributes
+    channels = ["{layer}Vector.X"]       # these channels must exist
+
+    [header]                             # header attributes, first one found counts
+    samples = ["cycles.{layer}samples"]
+
+    [camera]
+    fov_x = 50.0                         # degrees, when no header says it
+    column_vectors = true                # worldToCamera is stored for column vectors
+
+    [[plane]]
+    role = "motion"                      # a plane role of postfx
+    names = ["Vector", "velocity"]       # layer names in order of preference; "" is no layer, * matches anything
+    channels = ["XY", "RG"]              # channel letters in order of preference, or a list of whole names
+    scale = [1, -1]                      # value = (stored + offset) * scale
+    unit = "pixels"                      # motion: pixels, uv (0..1 of the image) or ndc (-1..1)
+    space = "world"                      # normals: world or camera
+    kind = "planar"                      # depth: planar, or ray for distance from the eye
+    miss = 0.0                           # depth: value of pixels that hit nothing
+    clamp = [0, 1]
+    enable = "where the renderer switches this plane on"
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, field, fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from postfx.errors import ProfileError
+from postfx.frame import ROLES, Role
+
+BUILTIN = Path(__file__).parent / "profiles"
+HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera")
+_CHOICES = {"unit": ("pixels", "uv", "ndc"), "space": ("world", "camera"), "kind": ("planar", "ray")}
+
+
+@dataclass(frozen=True)
+class PlaneRule:
+    """Where a plane may be found and how its stored values become the one convention."""
+
+    role: Role
+    names: tuple[str, ...]
+    channels: tuple[tuple[str, ...], ...]
+    scale: tuple[float, ...] = (1.0,)
+    offset: tuple[float, ...] = (0.0,)
+    unit: str = "pixels"
+    space: str = "world"
+    kind: str = "planar"
+    miss: float | None = None
+    clamp: tuple[float, float] | None = None
+    enable: str = ""
+
+    def candidates(self, layer: str) -> list[tuple[str, ...]]:
+        """Full channel names to look for, best first; `layer` replaces {layer}."""
+        names = [name.replace("{layer}", layer) for name in self.names]
+        return [tuple(_join(name, letter) for letter in letters) for name in names for letters in self.channels]
+
+
+@dataclass(frozen=True)
+class DetectRule:
+    """Conditions that must all hold for a file to be of a profile."""
+
+    header: tuple[tuple[str, str], ...] = ()
+    channels: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Profile:
+    """One renderer's conventions."""
+
+    name: str
+    title: str = ""
+    marker: str = ""
+    detect: tuple[DetectRule, ...] = ()
+    header: dict[str, tuple[str, ...]] = field(default_factory=dict, hash=False)
+    planes: tuple[PlaneRule, ...] = ()
+    fov_x: float | None = None
+    column_vectors: bool = False
+
+    def rules(self, role: Role) -> tuple[PlaneRule, ...]:
+        """Rules for a role, best first."""
+        return tuple(rule for rule in self.planes if rule.role == role)
+
+
+def profile_names() -> list[str]:
+    """Names of the built-in profiles, in the order of detection: the generic one last."""
+    names = sorted(path.stem for path in BUILTIN.glob("*.toml"))
+    return [name for name in names if name != "generic"] + ["generic"]
+
+
+@cache
+def load_profile(name: str) -> Profile:
+    """Built-in profile by name, or a user's own by the path of its TOML file; ProfileError when neither."""
+    path = BUILTIN / f"{name}.toml"
+    if not path.is_file():
+        path = Path(name)
+        if path.suffix != ".toml":
+            known = ", ".join(profile_names())
+            raise ProfileError(f"unknown profile '{name}': use one of {known}, or the path of a TOML file")
+    try:
+        return _parse(tomllib.loads(path.read_text("utf-8")), path)
+    except OSError as error:
+        raise ProfileError(f"{path}: profile cannot be read: {error.strerror or error}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ProfileError(f"{path}: profile is not valid TOML: {error}") from error
+
+
+def _parse(table: dict[str, Any], path: Path) -> Profile:
+    _refuse_unknown(table, ("name", "title", "extends", "marker", "detect", "header", "camera", "plane"), path)
+    base = load_profile(table["extends"]) if "extends" in table else Profile("")
+    camera = table.get("camera", {})
+    _refuse_unknown(camera, ("fov_x", "column_vectors"), path, "[camera]")
+    header = table.get("header", {})
+    _refuse_unknown(header, HEADER_KEYS, path, "[header]")
+    own = {key: tuple(names) for key, names in header.items()}
+    return Profile(
+        name=table.get("name", path.stem),
+        title=table.get("title", ""),
+        marker=table.get("marker", base.marker),
+        detect=tuple(_detect(rule, path) for rule in table.get("detect", [])),
+        header={key: own.get(key, ()) + base.header.get(key, ()) for key in HEADER_KEYS},
+        planes=tuple(_plane(rule, path) for rule in table.get("plane", [])) + base.planes,
+        fov_x=camera.get("fov_x", base.fov_x),
+        column_vectors=camera.get("column_vectors", base.column_vectors),
+    )
+
+
+def _detect(table: dict[str, Any], path: Path) -> DetectRule:
+    _refuse_unknown(table, ("header", "channels"), path, "[[detect]]")
+    return DetectRule(tuple(table.get("header", {}).items()), tuple(table.get("channels", ())))
+
+
+def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
+    where = f"[[plane]] role = \"{table.get('role', '')}\""
+    _refuse_unknown(table, [entry.name for entry in fields(PlaneRule)], path, where)
+    if table.get("role") not in list(Role):
+        raise ProfileError(f"{path}: {where}: unknown role: use one of {', '.join(Role)}")
+    for key, allowed in _CHOICES.items():
+        if table.get(key, allowed[0]) not in allowed:
+            raise ProfileError(f"{path}: {where}: {key} = {table[key]!r}: use one of {', '.join(allowed)}")
+    role, listed = Role(table["role"]), {"names", "channels", "scale", "offset", "clamp"}
+    channels = tuple(tuple(letters) for letters in table.get("channels", []))
+    if not channels or any(len(letters) != ROLES[role].channels for letters in channels):
+        raise ProfileError(f"{path}: {where}: each entry of channels needs {ROLES[role].channels} channels")
+    rest = {key: tuple(value) if key in listed else value for key, value in table.items() if key != "role"}
+    return PlaneRule(role, **{"names": ("",), **rest, "channels": channels})
+
+
+def _refuse_unknown(table: dict[str, Any], known: Any, path: Path, where: str = "profile") -> None:
+    unknown = sorted(set(table) - set(known))
+    if unknown:
+        raise ProfileError(f"{path}: {where}: unknown key '{unknown[0]}': use {', '.join(known)}")
+
+
+def _join(name: str, letter: str) -> str:
+    return f"{name}.{letter}" if name and letter else name + letter
