@@ -1,0 +1,173 @@
+"""HDRNet (Gharbi et al. 2017, "Deep Bilateral Learning for Real-Time Image Enhancement") with an HDR shaper.
+
+Colour comes in scene-linear Rec.709 and leaves sRGB-encoded in [0, 1]. Layout of all tensors here: (N, C, H, W).
+`slice_apply`, `lowres` and `smooth` are the definitions of the compute kernels of the same names in `postfx.kernels`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+LOWRES = 256  # side of the copy that the coefficients are computed on
+CELLS, DEPTH = 16, 8  # grid: 16 x 16 cells, 8 guide levels
+COEFFICIENTS = 12  # 3x4 affine colour matrix, row-major
+KNOTS = 16
+GUIDE_SIZE = 9 + 3 + 3 * KNOTS + 3 * KNOTS + 3 + 1  # matrix, bias, shifts, slopes, mix, mix bias
+
+TOE, WHITE = 2.0**-8, 2.0**8
+SHAPER = (TOE, 1.0 / math.log2(1.0 + WHITE / TOE))  # scene-linear values; 1.0 is reached at WHITE
+
+
+def shape(colour: torch.Tensor, params: torch.Tensor) -> torch.Tensor:
+    """log2(1 + exposure * x / toe) * scale, clipped to [0, 1]; NaN becomes 0. params: (exposure, toe, scale)."""
+    x = torch.where(colour > 0, colour, torch.zeros_like(colour)) * params[0]  # NaN compares false
+    return (torch.log2(1.0 + x / params[1]) * params[2]).clamp(0.0, 1.0)
+
+
+def default_params(exposure: float = 1.0) -> torch.Tensor:
+    return torch.tensor([exposure, *SHAPER], dtype=torch.float32)
+
+
+def area_weights(out_size: int, in_size: int | torch.Tensor, device: torch.device | None = None) -> torch.Tensor:
+    """(out_size, in_size) matrix of exact area averaging: overlap of each output cell with each input pixel."""
+    scale = torch.as_tensor(in_size, device=device).to(torch.float32) / out_size
+    start = torch.arange(out_size, device=device).to(torch.float32)[:, None] * scale
+    left = torch.arange(in_size, device=device).to(torch.float32)[None, :]
+    overlap = torch.minimum(left + 1, start + scale) - torch.maximum(left, start)
+    return overlap.clamp_min(0.0) / scale
+
+
+def lowres(colour: torch.Tensor, params: torch.Tensor) -> torch.Tensor:
+    """Shaped colour (N,3,H,W) averaged by area to (N,3,256,256): a log average, which fireflies barely move."""
+    h, w = colour.shape[-2:]
+    rows, columns = area_weights(LOWRES, h, colour.device), area_weights(LOWRES, w, colour.device)
+    return rows @ (shape(colour, params) @ columns.T)
+
+
+def guide_map(shaped: torch.Tensor, guide: torch.Tensor) -> torch.Tensor:
+    """Guide (N,1,H,W) in [0,1] from shaped colour: 3x3 matrix, a 16-knot curve a channel, mix, clip."""
+    matrix, bias, shifts, slopes, mix = guide[:-1].split([9, 3, 3 * KNOTS, 3 * KNOTS, 3])
+    shifts, slopes = shifts.view(3, KNOTS), slopes.view(3, KNOTS)
+    mapped = F.conv2d(shaped, matrix.view(3, 3, 1, 1), bias)
+    total = guide[-1]
+    for c in range(3):
+        curve = sum(slopes[c, k] * F.relu(mapped[:, c : c + 1] - shifts[c, k]) for k in range(KNOTS))
+        total = total + mix[c] * curve
+    return total.clamp(0.0, 1.0)
+
+
+def affine(coefficients: torch.Tensor, shaped: torch.Tensor) -> torch.Tensor:
+    """Apply (N,12,H,W) affine colour matrices to (N,3,H,W)."""
+    n, _, h, w = shaped.shape
+    m = coefficients.view(n, 3, 4, h, w)
+    return (m[:, :, :3] * shaped[:, None]).sum(2) + m[:, :, 3]
+
+
+def slice_apply(colour: torch.Tensor, params: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) -> torch.Tensor:
+    """Display colour (N,3,H,W) in [0,1]: trilinear look-up of grid (N,16,16,8,12) [y,x,level,coefficient], then affine."""
+    shaped = shape(colour, params)
+    n, _, h, w = shaped.shape
+    z = guide_map(shaped, guide)[:, 0] * 2 - 1
+    x = ((torch.arange(w, device=z.device, dtype=z.dtype) + 0.5) * (2.0 / w) - 1).expand(n, h, w)
+    y = ((torch.arange(h, device=z.device, dtype=z.dtype) + 0.5) * (2.0 / h) - 1)[:, None].expand(n, h, w)
+    where = torch.stack([x, y, z], -1)[:, None]
+    volume = grid.permute(0, 4, 3, 1, 2)
+    coefficients = F.grid_sample(volume, where, mode="bilinear", padding_mode="border", align_corners=False)
+    return affine(coefficients[:, :, 0], shaped).clamp(0.0, 1.0)
+
+
+def slice_apply_dense(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) -> torch.Tensor:
+    """The same without the last clip and without a gather, whose gradient on a GPU is a storm of atomic adds."""
+    n, _, h, w = shaped.shape
+    z = guide_map(shaped, guide) * DEPTH - 0.5
+    z = z.clamp(0.0, DEPTH - 1.0)
+    maps = F.interpolate(grid.permute(0, 3, 4, 1, 2).flatten(1, 2), size=(h, w), mode="bilinear", align_corners=False)
+    maps = maps.view(n, DEPTH, COEFFICIENTS, h, w)
+    return sum(affine(maps[:, k], shaped) * (1 - (z - k).abs()).clamp_min(0.0) for k in range(DEPTH))
+
+
+def smooth(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor) -> torch.Tensor:
+    """Exponential smoothing of the grid over time: keep[0] of the previous grid; 0 at the first frame and at cuts."""
+    return current + keep[0] * (previous - current)
+
+
+def _conv(cin: int, cout: int, stride: int = 1, bias: bool = True) -> nn.Conv2d:
+    return nn.Conv2d(cin, cout, 3, stride, 1, bias=bias)
+
+
+class Coefficients(nn.Module):
+    """(N,3,256,256) shaped low-resolution colour -> (N,16,16,8,12) grid of affine colour matrices."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.splat = nn.ModuleList([_conv(3, 8, 2), _conv(8, 16, 2), _conv(16, 32, 2), _conv(32, 64, 2)])
+        self.global_conv = nn.ModuleList([_conv(64, 64, 2), _conv(64, 64, 2)])
+        self.global_dense = nn.ModuleList([nn.Linear(1024, 256), nn.Linear(256, 128), nn.Linear(128, 64)])
+        self.local = nn.ModuleList([_conv(64, 64), _conv(64, 64, bias=False)])
+        self.head = nn.Conv2d(64, DEPTH * COEFFICIENTS, 1)
+        self._initialise()
+
+    def _initialise(self) -> None:
+        """He initialisation; the head starts near the identity matrix, which is already a sensible log picture."""
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d | nn.Linear):
+                nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+        nn.init.normal_(self.head.weight, std=0.01)
+        identity = torch.eye(3, 4).flatten()
+        self.head.bias.data.copy_(identity.repeat(DEPTH))
+
+    def forward(self, low: torch.Tensor) -> torch.Tensor:
+        x = low
+        for layer in self.splat:
+            x = F.relu(layer(x))
+        g = x
+        for layer in self.global_conv:
+            g = F.relu(layer(g))
+        g = g.flatten(1)
+        for i, layer in enumerate(self.global_dense):
+            g = layer(g) if i == 2 else F.relu(layer(g))
+        local = self.local[1](F.relu(self.local[0](x)))
+        grid = self.head(F.relu(local + g[:, :, None, None]))
+        return grid.unflatten(1, (DEPTH, COEFFICIENTS)).permute(0, 3, 4, 1, 2)
+
+
+class Guide(nn.Module):
+    """The guide's learned numbers as one flat vector: matrix 9, bias 3, shifts 48, slopes 48, mix 3, mix bias 1."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.matrix = nn.Parameter(torch.eye(3) + 1e-4 * torch.randn(3, 3))
+        self.bias = nn.Parameter(torch.zeros(3))
+        self.shifts = nn.Parameter(torch.linspace(0, 1, KNOTS + 1)[:-1].repeat(3, 1))
+        slopes = torch.zeros(3, KNOTS)
+        slopes[:, 0] = 1.0
+        self.slopes = nn.Parameter(slopes)
+        self.mix = nn.Parameter(torch.full((3,), 1 / 3))
+        self.mix_bias = nn.Parameter(torch.zeros(1))
+
+    def forward(self) -> torch.Tensor:
+        parts = (self.matrix, self.bias, self.shifts, self.slopes, self.mix, self.mix_bias)
+        return torch.cat([p.flatten() for p in parts])
+
+
+class HDRNet(nn.Module):
+    """482,080 parameters. `forward` is what is exported: lowres -> (grid, guide); the kernels do the rest."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.coefficients = Coefficients()
+        self.guide = Guide()
+
+    def forward(self, low: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return self.coefficients(low), self.guide()
+
+    def render(self, colour: torch.Tensor, params: torch.Tensor) -> torch.Tensor:
+        """Scene-linear (N,3,H,W) -> display (N,3,H,W) in [0,1], as the run-time does it."""
+        grid, guide = self(lowres(colour, params))
+        return slice_apply(colour, params, guide, grid)
