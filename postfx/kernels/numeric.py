@@ -1,0 +1,78 @@
+"""Small functions that compiled kernels inline."""
+import numpy as np
+from numba import njit
+
+inline = njit(nogil=True, cache=True, inline="always", error_model="numpy")
+compiled = njit(nogil=True, cache=True, error_model="numpy")
+# Reassociation lets the compiler use vector instructions; never for code that must see NaN or infinity.
+vectorised = njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+
+fast_inline = njit(nogil=True, cache=True, inline="always", error_model="numpy", fastmath=True)
+
+MAX_COLOUR = 1e4
+
+
+@inline
+def clamp(value, low, high):
+    """``value`` within [low, high]; a NaN becomes ``low``."""
+    return np.float32(min(max(low, value), high)) if value == value else np.float32(low)
+
+
+@fast_inline
+def log1p(x):
+    """log(1 + x) for x >= 0, relative error below 3e-6; branch-free, so that loops of it become vector code.
+
+    Mantissa polynomial of Cephes ``logf`` (Moshier), a series below 0.03 where 1 + x would round.
+    """
+    bits = np.float32(np.float32(1) + x).view(np.int32)
+    exponent = (bits - np.int32(0x3F3504F3)) >> np.int32(23)
+    m = np.int32(bits - (exponent << np.int32(23))).view(np.float32) - np.float32(1)
+    p = np.float32(7.0376836292e-2)
+    p = p * m + np.float32(-1.1514610310e-1)
+    p = p * m + np.float32(1.1676998740e-1)
+    p = p * m + np.float32(-1.2420140846e-1)
+    p = p * m + np.float32(1.4249322787e-1)
+    p = p * m + np.float32(-1.6668057665e-1)
+    p = p * m + np.float32(2.0000714765e-1)
+    p = p * m + np.float32(-2.4999993993e-1)
+    p = p * m + np.float32(3.3333331174e-1)
+    large = p * m * m * m - np.float32(0.5) * m * m + m + np.float32(exponent) * np.float32(0.6931471805599453)
+    fifth, quarter, third = np.float32(0.2), np.float32(0.25), np.float32(1 / 3)
+    small = x * (np.float32(1) - x * (np.float32(0.5) - x * (third - x * (quarter - x * fifth))))
+    return small if x < np.float32(0.03) else large
+
+
+@fast_inline
+def expm1(x):
+    """exp(x) - 1 for 0 <= x < 80, relative error below 2e-7; polynomial of Cephes ``expf`` (Moshier)."""
+    n = np.int32(x * np.float32(1.4426950408889634) + np.float32(0.5))
+    whole = np.float32(n)
+    r = (x - whole * np.float32(0.693359375)) + whole * np.float32(2.12194440e-4)
+    p = np.float32(1.9875691500e-4)
+    p = p * r + np.float32(1.3981999507e-3)
+    p = p * r + np.float32(8.3334519073e-3)
+    p = p * r + np.float32(4.1665795894e-2)
+    p = p * r + np.float32(1.6666665459e-1)
+    p = p * r + np.float32(5.0000001201e-1)
+    power = np.int32((n + np.int32(127)) << np.int32(23)).view(np.float32)
+    return (p * r * r + r) * power + (power - np.float32(1))
+
+
+@inline
+def log_encode(exposed):
+    """log(1 + x) of an exposed colour in [0, 1e4]."""
+    return log1p(min(max(np.float32(0), exposed), np.float32(MAX_COLOUR)))
+
+
+@inline
+def demodulation(diffuse_albedo, specular_albedo, y, x):
+    """Reflectance that colour is divided by at a pixel: see ``training.networks.ops.demodulation``."""
+    r = clamp(diffuse_albedo[y, x, 0] + specular_albedo[y, x, 0], np.float32(0), np.float32(4))
+    g = clamp(diffuse_albedo[y, x, 1] + specular_albedo[y, x, 1], np.float32(0), np.float32(4))
+    b = clamp(diffuse_albedo[y, x, 2] + specular_albedo[y, x, 2], np.float32(0), np.float32(4))
+    peak = max(r, g, b)
+    if peak < np.float32(0.005):
+        return np.float32(1), np.float32(1), np.float32(1)
+    floor = np.float32(0.15) * peak
+    bias = np.float32(0.01)
+    return max(r, floor) + bias, max(g, floor) + bias, max(b, floor) + bias

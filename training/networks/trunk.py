@@ -1,0 +1,80 @@
+"""U-Net that looks at a frame's features and says how to filter it: the machine-learning part of the upscaler."""
+from dataclasses import asdict, dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+HIDDEN = 8
+KERNEL = 25
+PHASES = 36
+# Channels of the fine head, in order: 5x5 kernel, 3x3 weights at four phases, history blend at four phases,
+# mix, distrust, importance, hidden state.
+FINE = KERNEL + PHASES + 4 + 3 + HIDDEN
+FEATURES = 27 + HIDDEN
+
+
+@dataclass(frozen=True)
+class TrunkConfig:
+    """Channels of the levels at 1/2, 1/4, 1/8 and 1/16 of the render size, and convolutions a level."""
+
+    widths: tuple[int, ...] = (64, 96, 128, 192)
+    depth: int = 2
+
+    def as_dict(self) -> dict:
+        return asdict(self)
+
+
+def weights_from(logits: Tensor) -> Tensor:
+    """Positive filter weights; bounded so that sums in half precision neither vanish nor overflow."""
+    return torch.exp(logits.clamp(-8, 8))
+
+
+class Block(nn.Sequential):
+    """3x3 convolutions with ReLU, no normalisation: half-precision friendly and cheap everywhere."""
+
+    def __init__(self, inputs: int, outputs: int, depth: int):
+        layers: list[nn.Module] = []
+        for i in range(depth):
+            layers += [nn.Conv2d(inputs if i == 0 else outputs, outputs, 3, padding=1), nn.ReLU()]
+        super().__init__(*layers)
+
+
+class Trunk(nn.Module):
+    """Features (N, 35, h, w), h and w multiples of 16 -> the heads, all activated.
+
+    ``fine`` (N, 76, h, w); ``level1`` .. ``level3`` (N, 26, h/2 .. h/8, w/2 .. w/8): 5x5 kernel and mix;
+    ``level4`` (N, 25, h/16, w/16): 5x5 kernel.
+    """
+
+    def __init__(self, config: TrunkConfig = TrunkConfig()):
+        super().__init__()
+        w, d = config.widths, config.depth
+        self.stem = nn.Conv2d(FEATURES, w[0], 4, stride=2, padding=1)
+        self.down = nn.ModuleList([Block(w[max(i - 1, 0)], w[i], 1 if i == 0 else d) for i in range(len(w))])
+        self.lift = nn.ModuleList([nn.Conv2d(w[i + 1], w[i], 1) for i in range(len(w) - 1)])
+        self.up = nn.ModuleList([Block(w[i], w[i], d) for i in range(len(w) - 1)])
+        self.heads = nn.ModuleList([nn.Conv2d(c, KERNEL + (i < len(w) - 1), 1) for i, c in enumerate(w)])
+        self.fine = nn.Conv2d(w[0], 4 * FINE, 1)
+        for head in (*self.heads, self.fine):
+            nn.init.normal_(head.weight, std=0.01)
+            nn.init.zeros_(head.bias)
+
+    def forward(self, features: Tensor) -> tuple[Tensor, ...]:
+        x = F.relu(self.stem(features))
+        skips = []
+        for i, block in enumerate(self.down):
+            x = block(F.max_pool2d(x, 2) if i else x)
+            skips.append(x)
+        levels = [weights_from(self.heads[-1](x))]
+        for i in reversed(range(len(self.up))):
+            x = self.up[i](skips[i] + F.interpolate(self.lift[i](x), scale_factor=2.0, mode="nearest"))
+            head = self.heads[i](x)
+            levels.append(torch.cat((weights_from(head[:, :KERNEL]), torch.sigmoid(head[:, KERNEL:])), 1))
+        return (self._fine(x), *reversed(levels))
+
+    def _fine(self, x: Tensor) -> Tensor:
+        fine = F.pixel_shuffle(self.fine(x), 2)
+        gates = KERNEL + PHASES
+        return torch.cat((weights_from(fine[:, :gates]), torch.sigmoid(fine[:, gates:gates + 7]),
+                          torch.tanh(fine[:, gates + 7:])), 1)
