@@ -37,7 +37,7 @@ class Window(NamedTuple):
         return self.y1 - self.y0 + 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Part:
     """One part (sub-image) of a file."""
 

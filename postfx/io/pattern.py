@@ -1,0 +1,135 @@
+"""Names of frame files: patterns with a frame number, and what is on the disk for them."""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import fileseq
+
+from postfx.errors import SequenceError
+
+PLANE = "{plane}"
+_NUMBER = re.compile(r"%(?:0(?P<printf>\d+))?d|(?P<hash>#+)|(?P<at>@+)|\$F(?P<houdini>\d*)|<F(?P<angle>\d*)>")
+_DIGITS = re.compile(r"\d+(?=\.[^.]*$)")
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """File name before and after the frame number, and the least count of digits; `digits` None: no number at all."""
+
+    prefix: str
+    suffix: str = ""
+    digits: int | None = None
+
+    @property
+    def numbered(self) -> bool:
+        return self.digits is not None
+
+    @property
+    def has_planes(self) -> bool:
+        """Whether every plane has a file of its own."""
+        return PLANE in self.prefix + self.suffix
+
+    def path(self, number: int, plane: str = "") -> Path:
+        """File of a frame (and of a plane, where every plane has its own)."""
+        name = self.prefix + self.suffix
+        if self.digits is not None:
+            sign = "-" if number < 0 else ""
+            name = f"{self.prefix}{sign}{abs(number):0{self.digits}d}{self.suffix}"
+        return Path(name.replace(PLANE, plane))
+
+    def plane_of(self, other: Pattern) -> str | None:
+        """Word that stands in another pattern where this one has {plane}; None when they differ elsewhere."""
+        regex = re.escape(self.prefix).replace(re.escape(PLANE), r"(?P<plane>[^./]+)", 1)
+        match = re.fullmatch(regex, other.prefix)
+        same = self.suffix == other.suffix and self.numbered == other.numbered
+        return match["plane"] if match and same else None
+
+    def found(self) -> dict[int, dict[str, Path]]:
+        """Frames on the disk: number -> plane word ('' where one file holds all planes) -> file."""
+        frames: dict[int, dict[str, Path]] = {}
+        regex = self._regex()
+        for name in sorted(glob.glob(self._glob())):
+            match = regex.fullmatch(name)
+            if match:
+                words = match.groupdict()
+                frames.setdefault(int(words.get("number") or 1), {})[words.get("plane") or ""] = Path(name)
+        return dict(sorted(frames.items()))
+
+    def _glob(self) -> str:
+        number = "*" if self.numbered else ""
+        return (glob.escape(self.prefix) + number + glob.escape(self.suffix)).replace(PLANE, "*")
+
+    def _regex(self) -> re.Pattern[str]:
+        number = rf"(?P<number>-?\d{{{self.digits},}})" if self.numbered else ""
+        name = re.escape(self.prefix) + number + re.escape(self.suffix)
+        name = name.replace(re.escape(PLANE), r"(?P<plane>[^./]+)", 1)
+        return re.compile(name.replace(re.escape(PLANE), r"(?P=plane)"))
+
+    def __str__(self) -> str:
+        return self.prefix + ("" if self.digits is None else "#" * max(self.digits, 1)) + self.suffix
+
+
+def parse_pattern(text: str) -> Pattern:
+    """Pattern of a file name that holds %04d, ####, @@@@, $F4 or <F4> once in its last part; else a single file.
+
+    SequenceError when a folder's name holds a frame number, or a name holds two.
+    """
+    folder, _, name = text.rpartition("/")
+    found = list(_NUMBER.finditer(name))
+    if len(found) > 1 or (folder and _NUMBER.search(folder)):
+        raise SequenceError(f"{text}: give the frame number once, in the file name")
+    if not found:
+        return Pattern(text)
+    start = len(text) - len(name)
+    prefix, suffix = text[: start + found[0].start()], text[start + found[0].end() :]
+    return Pattern(prefix, suffix, _digits(found[0]))
+
+
+def parse_frames(text: str) -> list[int]:
+    """Frame numbers of '1-100x2', '1,5,7-9' and the like, in the order given; SequenceError when malformed."""
+    try:
+        numbers = list(fileseq.FrameSet(text))
+    except (fileseq.ParseException, ValueError) as error:
+        raise SequenceError(f"--frames {text}: not a frame range: write it like 1-100, 1-100x2 or 1,5,8-12") from error
+    if not numbers:
+        raise SequenceError(f"--frames {text}: holds no frame")
+    return [int(number) for number in numbers]
+
+
+def number_in_name(path: Path) -> int | None:
+    """Frame number that ends a file's stem ('shot.0012.exr' -> 12), or None."""
+    match = _DIGITS.search(path.name)
+    return int(match.group()) if match else None
+
+
+def pattern_of(path: Path) -> Pattern:
+    """Pattern of the sequence that a file belongs to by its name; without a number when the name ends in none."""
+    match = _DIGITS.search(path.name)
+    if not match:
+        return Pattern(str(path))
+    before = len(str(path)) - len(path.name)
+    name = str(path)
+    return Pattern(name[: before + match.start()], name[before + match.end() :], len(match.group()))
+
+
+def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
+    """Sequences and single files of a folder that have one of the suffixes."""
+    found: dict[tuple[str, str], Pattern] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in suffixes and path.is_file():
+            pattern = pattern_of(path)
+            known = found.setdefault((pattern.prefix, pattern.suffix), pattern)
+            if pattern.numbered and pattern.digits < known.digits:
+                found[pattern.prefix, pattern.suffix] = pattern
+    return list(found.values())
+
+
+def _digits(match: re.Match[str]) -> int:
+    if match["hash"] or match["at"]:
+        return len(match.group())
+    return int(match["printf"] or match["houdini"] or match["angle"] or 1)

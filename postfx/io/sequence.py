@@ -1,0 +1,150 @@
+"""Sequences of frames on the disk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from os import PathLike
+from pathlib import Path
+
+from postfx.errors import MissingFrameError, SequenceError
+from postfx.frame import Frame, Role
+from postfx.io.aov import COLOUR_FILES, FrameFiles, is_plane_word
+from postfx.io.exr import READABLE
+from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, parse_pattern, pattern_of, patterns_in
+
+
+class Sequence:
+    """Frames of a pattern, a folder or a single file; iterating reads them one by one.
+
+    A frame that follows another frame than its predecessor on the disk is marked as a cut (`Frame.reset`), because its
+    motion vectors lead to a frame that was left out.
+
+    Attributes:
+        pattern: how the files are named.
+        numbers: frame numbers, in order of processing. Holes in what is on the disk are kept as numbers: reading such
+            a frame raises MissingFrameError.
+        warnings: what was odd about the files read so far, each once.
+    """
+
+    def __init__(
+        self,
+        source: str | PathLike[str],
+        frames: str | Iterable[int] | None = None,
+        profile: str | None = None,
+        planes: Iterable[Role] | None = None,
+    ) -> None:
+        self.pattern, named = _locate(str(source))
+        self.profile = profile
+        self.planes = None if planes is None else tuple(Role(role) for role in planes)
+        self.warnings: list[str] = []
+        self._found = self.pattern.found()
+        if not self._found:
+            raise SequenceError(f"{source}: no such file: check the folder and the frame pattern")
+        self._step = _step(list(self._found))
+        wanted = frames if frames is not None else named or self._on_disk()
+        self.numbers = tuple(parse_frames(wanted) if isinstance(wanted, str) else map(int, wanted))
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self.read(number) for number in self.numbers)
+
+    def files(self, number: int) -> dict[str, Path]:
+        """Plane word ('' where one file holds all planes) -> file of a frame; MissingFrameError when it has none."""
+        if number not in self._found:
+            path = self.pattern.path(number)
+            raise MissingFrameError(f"{path}: frame {number} is missing: render it or leave it out with --frames")
+        return self._found[number]
+
+    def open(self, number: int) -> FrameFiles:
+        """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
+        files = FrameFiles(self.files(number), self.profile)
+        self.warnings += [warning for warning in files.layout.warnings if warning not in self.warnings]
+        return files
+
+    def read(self, number: int, planes: Iterable[Role] | None = None) -> Frame:
+        """One frame with the wanted planes (None: those of the constructor, or all).
+
+        Raises MissingFrameError, MissingPlaneError or ReadError.
+        """
+        with self.open(number) as files:
+            frame = files.read(number, self.planes if planes is None else planes)
+        frame.reset = frame.reset or self._is_cut(number)
+        return frame
+
+    def _is_cut(self, number: int) -> bool:
+        position = self.numbers.index(number)
+        if position == 0 or self.numbers[position - 1] == number - self._step:
+            return False
+        warning = "frames are not consecutive: history is dropped where one was left out"
+        self.warnings += [] if warning in self.warnings else [warning]
+        return True
+
+    def _on_disk(self) -> list[int]:
+        numbers = list(self._found)
+        if any((number - numbers[0]) % self._step for number in numbers):
+            return numbers
+        return list(range(numbers[0], numbers[-1] + 1, self._step))
+
+
+def read_sequence(
+    pattern: str | PathLike[str],
+    frames: str | Iterable[int] | None = None,
+    profile: str | None = None,
+    planes: Iterable[Role] | None = None,
+) -> Sequence:
+    """Frames of a sequence, read one at a time while iterating.
+
+    Args:
+        pattern: file name with %04d, ####, @@@@ or $F4 for the frame number and, where every plane has its own file,
+            {plane} for the plane; or a folder; or a single file.
+        frames: '1-100x2', '1,5,8-12' or numbers; None for all that are on the disk.
+        profile: name of a built-in renderer profile or path of a TOML file; None to detect it.
+        planes: roles to read; None for all that are there.
+
+    Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError or ReadError.
+    """
+    return Sequence(pattern, frames, profile, planes)
+
+
+def _locate(source: str) -> tuple[Pattern, list[int] | None]:
+    """Pattern of a source, and the frame numbers where the source itself names one file."""
+    path = Path(source)
+    if path.is_dir():
+        return _folder_pattern(path), None
+    pattern = parse_pattern(source)
+    if pattern.numbered or pattern.has_planes:
+        return pattern, None
+    number = number_in_name(path)
+    return pattern_of(path), None if number is None else [number]
+
+
+def _folder_pattern(folder: Path) -> Pattern:
+    patterns = patterns_in(folder, READABLE)
+    if len(patterns) == 1:
+        return patterns[0]
+    if not patterns:
+        raise SequenceError(f"{folder}: holds no OpenEXR file")
+    together = _one_file_a_plane(patterns)
+    if together is None:
+        names = ", ".join(Path(str(pattern)).name for pattern in patterns[:4])
+        raise SequenceError(f"{folder}: holds {len(patterns)} sequences ({names}): name one of them")
+    return together
+
+
+def _one_file_a_plane(patterns: list[Pattern]) -> Pattern | None:
+    """Pattern with {plane} that fits all sequences of a folder, one of them the colour; None when there is none."""
+    for pattern in patterns:
+        folder, _, name = pattern.prefix.rpartition("/")
+        for word in COLOUR_FILES:
+            prefix = f"{folder}/{name.replace(word, PLANE)}"
+            together = Pattern(prefix, pattern.suffix, pattern.digits)
+            if word in name and all(is_plane_word(together.plane_of(other) or "") for other in patterns):
+                return together
+    return None
+
+
+def _step(numbers: list[int]) -> int:
+    """Least distance between neighbours."""
+    return min((after - before for before, after in zip(numbers, numbers[1:], strict=False)), default=1)
