@@ -50,6 +50,10 @@ class Sequence:
     def __iter__(self) -> Iterator[Frame]:
         return (self.read(number) for number in self.numbers)
 
+    def present(self) -> list[int]:
+        """Numbers of the frames on the disk, wanted or not."""
+        return list(self._found)
+
     def files(self, number: int) -> dict[str, Path]:
         """Plane word ('' where one file holds all planes) -> file of a frame; MissingFrameError when it has none."""
         if number not in self._found:

@@ -1,0 +1,68 @@
+"""Header attributes that outlive processing, and the types they are written with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import OpenImageIO as oiio
+
+from postfx.frame import Frame
+from postfx.io.exr import Window
+
+# What describes the input's storage, its samples or channels that are not written.
+_DROPPED = (
+    "blendermultichannel",
+    "compression",
+    "cryptomatte/",
+    "datawindow",
+    "displaywindow",
+    "fovcot",
+    "name",
+    "oiio:",
+    "openexr:",
+    "postfx:jitter",
+    "postfx:reset",
+    "postfx:spp",
+    "textureformat",
+    "thumbnail",
+    "tiff:",
+    "wrapmodes",
+)
+_SCENE_REFERRED = ("chromaticities", "colorinteropid", "postfx:exposure")
+_NAMED_TYPES = {"smpte:TimeCode": "timecode", "smpte:KeyCode": "keycode", "FramesPerSecond": "rational"}
+_TUPLE_TYPES = {(float, 9): "matrix33", (float, 16): "matrix", (float, 3): "vector", (int, 2): "vector2i"}
+_WORDS = {float: "float", int: "int", str: "string"}
+
+
+def kept_attributes(frame: Frame) -> dict[str, Any]:
+    """Header attributes to write with a frame: time code, camera, credits and the like.
+
+    Left out: what describes the input's storage, its jitter and sample count, and for a picture made for a display
+    whatever says that its colours are those of the scene.
+    """
+    dropped = _DROPPED if frame.encoding == "scene-linear" else _DROPPED + _SCENE_REFERRED
+    return {name: value for name, value in frame.metadata.items() if not name.lower().startswith(dropped)}
+
+
+def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
+    """Put attributes into an image's spec with the EXR types they had; values of other types are left out."""
+    for name, value in attributes.items():
+        kind = _NAMED_TYPES.get(name) or _type_of(value)
+        if kind:
+            spec.attribute(name, oiio.TypeDesc(kind), value)
+
+
+def scaled_window(frame: Frame, width: int, height: int) -> Window:
+    """Display window of an output of a size: the input's, with its origin scaled along."""
+    x0, y0, x1, y1 = frame.metadata.get("displayWindow", (0, 0, width - 1, height - 1))
+    x, y = round(x0 * width / (x1 - x0 + 1)), round(y0 * height / (y1 - y0 + 1))
+    return Window(x, y, x + width - 1, y + height - 1)
+
+
+def _type_of(value: Any) -> str:
+    if isinstance(value, tuple):
+        kinds = {type(item) for item in value}
+        kind = kinds.pop() if len(kinds) == 1 else None
+        return _TUPLE_TYPES.get((kind, len(value)), f"{_WORDS[kind]}[{len(value)}]" if kind in _WORDS else "")
+    return _WORDS.get(type(value), "")

@@ -1,0 +1,65 @@
+"""Which file each processed frame goes to, and what happens when it is already there."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+
+from postfx.errors import OutputExistsError, WriteError
+from postfx.io.pattern import Pattern, parse_pattern
+from postfx.io.sequence import Sequence
+from postfx.io.writer import is_complete, is_display_format
+
+
+class Existing(StrEnum):
+    """What to do with output files that are already there."""
+
+    REFUSE = "refuse"
+    OVERWRITE = "overwrite"
+    SKIP = "skip"
+
+
+class OutputFiles:
+    """Output files of a sequence.
+
+    `target` is a pattern with a frame number, a folder (input names are kept, as EXR), or one file for one frame.
+    Raises WriteError when the format is unknown, when several frames would share a file, or when an output would be
+    an input; OutputExistsError from `check`.
+    """
+
+    def __init__(self, target: str, sequence: Sequence, existing: Existing = Existing.REFUSE) -> None:
+        self.existing = existing
+        self._pattern = _output_pattern(target, sequence.pattern)
+        self.display = is_display_format(str(self._pattern))
+        if len(sequence) > 1 and not self._pattern.numbered:
+            stem, suffix = Path(target).stem, Path(target).suffix
+            raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like {stem}.####{suffix}")
+        self._refuse_inputs(sequence)
+
+    def path(self, number: int) -> Path:
+        """Output file of a frame."""
+        return self._pattern.path(number)
+
+    def check(self, numbers: tuple[int, ...]) -> None:
+        """OutputExistsError when a file is already there and is to be neither overwritten nor skipped."""
+        if self.existing is Existing.REFUSE:
+            for path in map(self.path, numbers):
+                if path.exists():
+                    raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")
+
+    def is_done(self, number: int, width: int, height: int) -> bool:
+        """Whether a frame may be skipped: its file is there, complete and of this size."""
+        return self.existing is Existing.SKIP and is_complete(self.path(number), width, height)
+
+    def _refuse_inputs(self, sequence: Sequence) -> None:
+        inputs = {path.resolve() for number in sequence.present() for path in sequence.files(number).values()}
+        for path in map(self.path, sequence.numbers):
+            if path.resolve() in inputs:
+                raise WriteError(f"{path}: is an input: write to another folder or name")
+
+
+def _output_pattern(target: str, source: Pattern) -> Pattern:
+    if not (target.endswith("/") or Path(target).is_dir() or not Path(target).suffix):
+        return parse_pattern(target)
+    name = Path(str(source)).name.replace("{plane}", "frame")
+    return parse_pattern(f"{target.rstrip('/')}/{Path(name).stem}.exr")
