@@ -27,7 +27,6 @@ class Clip:
     jitter: Tensor
     reference: Tensor
     exposure: float
-    depth_scale: float
 
 
 @dataclass
@@ -57,18 +56,16 @@ def load(path: Path, device: torch.device) -> Clip:
         jitter.append(data[f"{v}_jitter"].astype(np.float32))
     planes = torch.from_numpy(np.stack(stacked)).to(device).permute(0, 1, 4, 2, 3).contiguous()
     reference = torch.from_numpy(data["reference"]).to(device).permute(0, 3, 1, 2).contiguous()
-    depth = np.asarray(data[f"{variants[0]}_depth"][0], np.float32)
-    near = depth[depth < 1e9]
     return Clip(path.stem, planes, torch.from_numpy(np.stack(jitter)).to(device), reference,
-                grey_exposure(data["reference"][0]), float(np.median(near)) if near.size else 1.0)
+                grey_exposure(data["reference"][0]))
 
 
-def inputs_of(planes: Tensor, jitter: Tensor, exposure: Tensor, depth_scale: Tensor) -> Inputs:
+def inputs_of(planes: Tensor, jitter: Tensor, exposure: Tensor) -> Inputs:
     """Inputs of one frame from stacked planes (N, 16, h, w) float32; ``exposure`` (N, 1, 1, 1)."""
     split = dict(zip([name for name, _ in PLANES], planes.split([c for _, c in PLANES], 1), strict=True))
     split["colour"] = (torch.nan_to_num(split["colour"]).clamp(min=0) * exposure).clamp(max=1e4)
     split["depth"] = torch.exp2(split["depth"])
-    return Inputs(**split, jitter=jitter, depth_scale=depth_scale)
+    return Inputs(**split, jitter=jitter)
 
 
 class ClipPool:
@@ -106,16 +103,15 @@ class ClipPool:
 
 
 def collate(clips: list[Clip], variants: list[int], device: torch.device) -> tuple[Tensor, ...]:
-    """Stack to planes (N, T, 16, h, w), jitter (N, T, 2), reference (N, T, 3, H, W), exposure, depth scale."""
-    column = lambda values: torch.tensor(values, device=device, dtype=torch.float32)[:, None, None, None]  # noqa: E731
+    """Stack to planes (N, T, 16, h, w), jitter (N, T, 2), reference (N, T, 3, H, W) and exposure (N, 1, 1, 1)."""
     return (torch.stack([c.planes[v] for c, v in zip(clips, variants, strict=True)]).float(),
             torch.stack([c.jitter[v] for c, v in zip(clips, variants, strict=True)]),
             torch.stack([c.reference for c in clips]).float(),
-            column([c.exposure for c in clips]), column([c.depth_scale for c in clips]))
+            torch.tensor([c.exposure for c in clips], device=device, dtype=torch.float32)[:, None, None, None])
 
 
-def to_batch(planes: Tensor, jitter: Tensor, reference: Tensor, exposure: Tensor, depth_scale: Tensor) -> Batch:
-    frames = [inputs_of(planes[:, t], jitter[:, t], exposure, depth_scale) for t in range(planes.shape[1])]
+def to_batch(planes: Tensor, jitter: Tensor, reference: Tensor, exposure: Tensor) -> Batch:
+    frames = [inputs_of(planes[:, t], jitter[:, t], exposure) for t in range(planes.shape[1])]
     return Batch(frames, (reference * exposure[:, None]).clamp(0, 1e4).transpose(0, 1))
 
 
@@ -126,12 +122,11 @@ class Augment:
     stops: float = 1.5
     drop: float = 0.06
 
-    def __call__(self, planes: Tensor, jitter: Tensor, reference: Tensor, exposure: Tensor,
-                 depth_scale: Tensor) -> Batch:
+    def __call__(self, planes: Tensor, jitter: Tensor, reference: Tensor, exposure: Tensor) -> Batch:
         planes, jitter, reference = self._flip(planes.clone(), jitter.clone(), reference)
         planes, reference = self._permute_channels(planes, reference)
         exposure = exposure * torch.exp2((torch.rand_like(exposure) * 2 - 1) * self.stops)
-        batch = to_batch(planes, jitter, reference, exposure, depth_scale)
+        batch = to_batch(planes, jitter, reference, exposure)
         return Batch(self._drop_planes(batch.frames), batch.references)
 
     @staticmethod
@@ -166,8 +161,6 @@ class Augment:
                               (("depth",), self.drop), (("diffuse_albedo", "specular_albedo"), self.drop / 2)):
             if random.random() < chance:
                 lost.update({name: torch.full_like(getattr(first, name), ABSENT[name]) for name in names})
-        if "depth" in lost:
-            lost["depth_scale"] = torch.ones_like(first.depth_scale)
         return [replace(frame, **lost) for frame in frames]
 
 

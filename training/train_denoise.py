@@ -40,7 +40,7 @@ class ClipLoss(nn.Module):
         count = len(batch.frames)
         previous = None
         for t, inputs in enumerate(batch.frames):
-            keep = (torch.rand_like(inputs.depth_scale) >= self.reset).float() if t else torch.ones_like(inputs.depth_scale)
+            keep = (torch.rand_like(inputs.depth[:, :, :1, :1]) >= self.reset).float()
             with torch.autocast(inputs.colour.device.type, torch.bfloat16):
                 output, state, history = self.model(inputs, state.drop(keep))
             shown, target = ops.display(output), ops.display(batch.references[t])

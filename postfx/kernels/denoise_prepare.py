@@ -1,7 +1,7 @@
 """Kernels before the upscaler's network: follow motion, bring history to the current frame, fill the features.
 
-``params`` is float32 (8,): exposure, depth scale, jitter x, jitter y, fresh (0 drops the history), exposure gain
-since the previous frame, and two unused. ``state`` (h, w, 12) holds accumulated demodulated colour (3), effective
+``params`` is float32 (5,): exposure, jitter x, jitter y, fresh (0 drops the history) and the exposure's gain since
+the previous frame. ``state`` (h, w, 12) holds accumulated demodulated colour (3), effective
 sample count and hidden channels (8), colour already exposed; ``history`` (H, W, 3) is log(1 + exposed output).
 """
 import math
@@ -14,8 +14,27 @@ from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, demodulation, ex
 HIDDEN = 8
 FEATURES = 27 + HIDDEN
 MAX_COUNT = 32.0
-EXPOSURE, DEPTH_SCALE, JITTER_X, JITTER_Y, FRESH, GAIN = range(6)
+EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN = range(5)
 ZERO, ONE = np.float32(0), np.float32(1)
+
+
+@compiled
+def scale_rows(y0, y1, depth, scale):
+    """Harmonic mean depth of what was hit, 1 where nothing was; a single row, so one thread sums in one order."""
+    hits, near = 0, 0.0
+    for y in range(depth.shape[0]):
+        for x in range(depth.shape[1]):
+            z = depth[y, x, 0]
+            if 0 < z < 1e9:
+                hits += 1
+                near += 1 / max(z, np.float32(1e-6))
+    scale[0] = hits / near if hits else 1.0
+
+
+@inline
+def finite(value):
+    """Motion of a pixel; what no picture can have (NaN, infinity) is none."""
+    return value if -1e5 < value < 1e5 else ZERO
 
 
 @compiled
@@ -29,8 +48,8 @@ def dilate_rows(y0, y1, motion, depth, moved):
                 for i in range(max(0, x - 1), min(w, x + 2)):
                     if depth[j, i, 0] < near:
                         near, at_y, at_x = depth[j, i, 0], j, i
-            moved[y, x, 0] = motion[at_y, at_x, 0]
-            moved[y, x, 1] = motion[at_y, at_x, 1]
+            moved[y, x, 0] = finite(motion[at_y, at_x, 0])
+            moved[y, x, 1] = finite(motion[at_y, at_x, 1])
 
 
 @inline
@@ -116,11 +135,11 @@ def box_mean(warped, y, x, h, w, out):
 
 
 @compiled
-def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughness, depth, motion, moved, state,
-                 last_depth, warped, params, features, past):
+def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
+                 warped, depth_scale, params, features, past):
     """The network's input, padded to its size by repeating the edge, and the reprojected accumulation."""
     h, w = colour.shape[:2]
-    exposure, scale, fresh, gain = params[EXPOSURE], params[DEPTH_SCALE], params[FRESH], params[GAIN]
+    exposure, scale, fresh, gain = params[EXPOSURE], depth_scale[0], params[FRESH], params[GAIN]
     inverse_scale = np.float32(w) / np.float32(warped.shape[1])
     sample = np.empty(4 + HIDDEN, np.float32)
     mean = np.empty(3, np.float32)
@@ -149,18 +168,18 @@ def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughn
                 features[0, 6 + c, row, x] = log_encode(expm1(mean[c]) / factor[c])
                 features[0, 9 + c, row, x] = clamp(diffuse_albedo[y, x, c], ZERO, np.float32(2))
                 features[0, 12 + c, row, x] = clamp(specular_albedo[y, x, c], ZERO, np.float32(2))
-                features[0, 15 + c, row, x] = normal[y, x, c]
+                features[0, 15 + c, row, x] = clamp(normal[y, x, c], -ONE, ONE)
                 if row < h:
                     past[row, x, c] = kept
             if row < h:
                 past[row, x, 3] = sample[3]
-            features[0, 18, row, x] = roughness[y, x, 0]
-            features[0, 19, row, x] = scale / (scale + depth[y, x, 0])
+            features[0, 18, row, x] = clamp(roughness[y, x, 0], ZERO, ONE)
+            features[0, 19, row, x] = scale / (scale + clamp(depth[y, x, 0], ZERO, np.float32(1e10)))
             features[0, 21, row, x] = valid
             features[0, 22, row, x] = sample[3] / np.float32(MAX_COUNT)
             features[0, 23, row, x] = params[JITTER_X]
             features[0, 24, row, x] = params[JITTER_Y]
-            length = math.sqrt(motion[y, x, 0] * motion[y, x, 0] + motion[y, x, 1] * motion[y, x, 1])
+            length = math.sqrt(moved[y, x, 0] * moved[y, x, 0] + moved[y, x, 1] * moved[y, x, 1])
             features[0, 25, row, x] = log1p(np.float32(length)) / np.float32(4)
             features[0, 26, row, x] = inverse_scale
             for c in range(HIDDEN):
@@ -195,11 +214,12 @@ def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, past, fine,
                 state[y, x, 4 + c] = fine[0, 68 + c, y, x]
 
 
+SCALE = Kernel("denoise_scale", ("depth",), ("depth_scale",), scale_rows, ("depth_scale", 0))
 DILATE = Kernel("denoise_dilate", ("motion", "depth"), ("moved",), dilate_rows, ("moved", 0))
 HISTORY = Kernel("denoise_history", ("history", "moved", "params"), ("warped",), history_rows, ("warped", 0))
 FEATURE = Kernel("denoise_features",
-                 ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "moved",
-                  "state", "last_depth", "warped", "params"), ("features", "past"), feature_rows, ("features", 2))
+                 ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "moved", "state",
+                  "last_depth", "warped", "depth_scale", "params"), ("features", "past"), feature_rows, ("features", 2))
 ACCUMULATE = Kernel("denoise_accumulate",
                     ("colour", "diffuse_albedo", "specular_albedo", "past", "fine", "params"), ("next_state", "level"),
                     accumulate_rows, ("level", 1))

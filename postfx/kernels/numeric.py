@@ -1,15 +1,57 @@
-"""Small functions that compiled kernels inline."""
+"""How kernels are compiled, and the small functions that they inline."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
 import numpy as np
-from numba import njit
-
-inline = njit(nogil=True, cache=True, inline="always", error_model="numpy")
-compiled = njit(nogil=True, cache=True, error_model="numpy")
-# Reassociation lets the compiler use vector instructions; never for code that must see NaN or infinity.
-vectorised = njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-
-fast_inline = njit(nogil=True, cache=True, inline="always", error_model="numpy", fastmath=True)
+from numba import config, njit
 
 MAX_COLOUR = 1e4
+
+
+@cache
+def cache_folder() -> str:
+    """Where compiled kernels are kept: a folder named by the content of all kernel sources.
+
+    Numba's own index looks at one file's time stamp, so a constant changed in another file would leave wrong code.
+    """
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    for base in (home / "postfx", Path(tempfile.gettempdir()) / f"postfx-{os.getuid()}"):
+        folder = base / f"kernels-{digest.hexdigest()[:16]}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return str(folder)
+    return ""
+
+
+def kernel_jit(**options) -> Callable[[Callable], Callable]:
+    """Numba's decorator for kernels: no lock held, compiled code kept in ``cache_folder`` between runs."""
+
+    def decorate(function: Callable) -> Callable:
+        before, config.CACHE_DIR = config.CACHE_DIR, cache_folder()
+        try:
+            return njit(nogil=True, cache=bool(cache_folder()), error_model="numpy", **options)(function)
+        finally:
+            config.CACHE_DIR = before
+
+    return decorate
+
+
+inline = kernel_jit(inline="always")
+fast_inline = kernel_jit(inline="always", fastmath=True)
+compiled = kernel_jit()
+# Reassociation lets the compiler use vector instructions; never for code that must see NaN or infinity.
+vectorised = kernel_jit(fastmath=True)
 
 
 @inline

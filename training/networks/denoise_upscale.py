@@ -21,7 +21,7 @@ ALIGN = 16
 class Inputs:
     """A frame at render size (h, w), in the conventions of ``postfx.frame``; all NCHW float32.
 
-    ``colour`` is already multiplied by the exposure. ``depth_scale`` (N, 1, 1, 1) is a typical depth of the scene.
+    ``colour`` is already multiplied by the exposure; ``jitter`` is (N, 2).
     """
 
     colour: Tensor
@@ -32,7 +32,6 @@ class Inputs:
     depth: Tensor
     motion: Tensor
     jitter: Tensor
-    depth_scale: Tensor
 
 
 @dataclass(frozen=True)
@@ -55,6 +54,7 @@ class State:
 class Reprojected:
     """The state seen from the current frame."""
 
+    motion: Tensor
     output: Tensor
     inside: Tensor
     accumulated: Tensor
@@ -82,8 +82,8 @@ def reproject(inputs: Inputs, state: State) -> Reprojected:
     rest = ops.warp(torch.cat((state.accumulated, state.count, state.hidden), 1), motion) * valid
     depth = ops.warp(state.depth, motion, "nearest")
     change = (4 * torch.log(depth.clamp(min=1e-6) / inputs.depth.clamp(min=1e-6))).clamp(-1, 1) * valid
-    return Reprojected(output, ops.inside(fine_motion) * state.fresh, rest[:, :3], rest[:, 3:4], rest[:, 4:], change,
-                       valid)
+    return Reprojected(motion, output, ops.inside(fine_motion) * state.fresh, rest[:, :3], rest[:, 3:4], rest[:, 4:],
+                       change, valid)
 
 
 def features(inputs: Inputs, past: Reprojected, factor: Tensor) -> Tensor:
@@ -91,15 +91,15 @@ def features(inputs: Inputs, past: Reprojected, factor: Tensor) -> Tensor:
     n, _, h, w = inputs.colour.shape
     plane = inputs.colour.new_ones(n, 1, h, w)
     history = torch.expm1(F.adaptive_avg_pool2d(past.output, (h, w))) * past.valid
-    scale = past.output.shape[-1] / w
+    scale = ops.depth_scale(inputs.depth)
     return torch.cat((
         ops.log_encode(inputs.colour / factor), ops.log_encode(past.accumulated), ops.log_encode(history / factor),
-        inputs.diffuse_albedo.clamp(0, 2), inputs.specular_albedo.clamp(0, 2), inputs.normal, inputs.roughness,
-        inputs.depth_scale / (inputs.depth_scale + inputs.depth),
+        inputs.diffuse_albedo.clamp(0, 2), inputs.specular_albedo.clamp(0, 2), inputs.normal.clamp(-1, 1), inputs.roughness.clamp(0, 1),
+        scale / (scale + inputs.depth),
         past.depth_change, past.valid, past.count / MAX_COUNT,
         plane * inputs.jitter[:, :, None, None],
-        torch.log1p(inputs.motion.norm(dim=1, keepdim=True)) / 4,
-        plane / scale, past.hidden), 1)
+        torch.log1p(past.motion.norm(dim=1, keepdim=True)) / 4,
+        plane * (w / past.output.shape[-1]), past.hidden), 1)
 
 
 def accumulate(colour: Tensor, past: Reprojected, distrust: Tensor) -> tuple[Tensor, Tensor]:

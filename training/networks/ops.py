@@ -39,6 +39,13 @@ def dilate_motion(motion: Tensor, depth: Tensor) -> Tensor:
     return torch.where(near < 0.9 * depth, nearer, motion)
 
 
+def depth_scale(depth: Tensor) -> Tensor:
+    """Harmonic mean depth of what was hit, (N, 1, 1, 1); 1 where nothing was."""
+    hit = ((depth > 0) & (depth < 1e9)).to(depth.dtype)
+    near = (hit / depth.clamp(min=1e-6)).sum((1, 2, 3), keepdim=True)
+    return torch.where(near > 0, hit.sum((1, 2, 3), keepdim=True) / near.clamp(min=1e-12), torch.ones_like(near))
+
+
 def positions(motion: Tensor) -> tuple[Tensor, Tensor]:
     """Where each pixel was in the previous frame: x and y in pixels, (N, h, w)."""
     h, w = motion.shape[-2:]
