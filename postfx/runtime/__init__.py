@@ -1,0 +1,42 @@
+"""An ML command encoder over ONNX Runtime, named after Metal 4. See docs/runtime.md."""
+
+from postfx.runtime.arguments import ArgumentTable
+from postfx.runtime.commands import CommandBuffer
+from postfx.runtime.device import Device
+from postfx.runtime.encoders import ComputeEncoder, MachineLearningEncoder
+from postfx.runtime.errors import (
+    BindingError,
+    CommandError,
+    CommandTimeout,
+    DeviceError,
+    EncodingError,
+    HazardError,
+    ModelError,
+)
+from postfx.runtime.heap import Heap
+from postfx.runtime.library import Library, models_folder
+from postfx.runtime.states import Binding, CompiledComputeState, PipelineState, PortableComputeState
+from postfx.runtime.tensor import Tensor
+
+__all__ = [
+    "ArgumentTable",
+    "Binding",
+    "BindingError",
+    "CommandBuffer",
+    "CommandError",
+    "CommandTimeout",
+    "CompiledComputeState",
+    "ComputeEncoder",
+    "Device",
+    "DeviceError",
+    "EncodingError",
+    "HazardError",
+    "Heap",
+    "Library",
+    "MachineLearningEncoder",
+    "ModelError",
+    "PipelineState",
+    "PortableComputeState",
+    "Tensor",
+    "models_folder",
+]

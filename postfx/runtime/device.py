@@ -1,0 +1,147 @@
+"""The device: memory, threads, queue, and the states that run on it."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postfx.runtime.commands import CommandBuffer
+from postfx.runtime.errors import BindingError, DeviceError, ModelError
+from postfx.runtime.hazards import Hazards
+from postfx.runtime.heap import Heap
+from postfx.runtime.library import Library, models_folder
+from postfx.runtime.memory import address
+from postfx.runtime.placement import choose
+from postfx.runtime.queue import CommandQueue
+from postfx.runtime.session import Session
+from postfx.runtime.states import CompiledComputeState, PipelineState, PortableComputeState, State
+from postfx.runtime.tensor import Allocation, Tensor
+
+if TYPE_CHECKING:
+    from postfx.kernels.kernel import Kernel
+
+
+class Device:
+    """Where passes run.
+
+    Args:
+        name: 'cpu', 'cuda', 'cuda:1', or 'auto': CUDA where ONNX Runtime can really use it, else the CPU.
+        threads: CPU threads for kernels and networks; default: the cores that this process may use.
+        compiled_kernels: run kernels by their compiled rows (only and by default on the CPU) or, when False, by
+            their portable ONNX definitions.
+        kernels: library of the portable definitions; default: the `kernels` folder of the models that come with
+            postfx.
+
+    Raises DeviceError when the device is not available or an option does not fit it.
+    """
+
+    def __init__(
+        self,
+        name: str = "auto",
+        threads: int | None = None,
+        compiled_kernels: bool | None = None,
+        kernels: Library | None = None,
+    ) -> None:
+        if threads is not None and threads < 1:
+            raise DeviceError(f"a device needs at least 1 thread, not {threads}")
+        self.threads = threads or _usable_cores()
+        self._placement, self.memory = choose(name, self.threads)
+        self.name = name if name != "auto" else self._placement.memory
+        if compiled_kernels and not self.memory.host_visible:
+            raise DeviceError(f"compiled kernels run on the CPU only, not on {self.name}: leave compiled_kernels out")
+        self._compiled = self.memory.host_visible if compiled_kernels is None else compiled_kernels
+        self._kernels = kernels
+        self._encoders = itertools.count()
+        self.commit_lock = threading.Lock()
+        self.hazards = Hazards()
+        self.heap = Heap(self, self.memory)
+
+    def __repr__(self) -> str:
+        return f"Device('{self.name}', threads={self.threads})"
+
+    @cached_property
+    def queue(self) -> CommandQueue:
+        """The queue that committed commands run on."""
+        return CommandQueue(f"postfx {self.name}")
+
+    @cached_property
+    def thread_pool(self) -> ThreadPoolExecutor:
+        """Threads that help the queue's own thread with bands of kernels."""
+        return ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="postfx band")
+
+    def wrap(self, name: str, array: np.ndarray) -> Tensor:
+        """A tensor with a C-contiguous array's content: the same memory on the CPU, an upload elsewhere.
+
+        Counts as written. While commands use it the array must not be changed. Raises BindingError when the array is
+        not C-contiguous or of a type tensors cannot have.
+        """
+        if not array.flags.c_contiguous:
+            raise BindingError(f"array '{name}' is not C-contiguous: pass np.ascontiguousarray(array)")
+        if not self.memory.host_visible:
+            tensor = self.heap.tensor(name, array.shape, array.dtype.name)
+            tensor.upload(array)
+            return tensor
+        allocation = Allocation(name, address(array), array.nbytes, owner=array, writable=array.flags.writeable)
+        tensor = Tensor(self, name, array.shape, array.dtype.name, allocation)
+        self.hazards.mark_written(tensor)
+        return tensor
+
+    def pipeline_state(self, library: Library, name: str, dims: Mapping[str, int] | None = None) -> PipelineState:
+        """A network of a library, with its free dimensions fixed.
+
+        Args:
+            dims: free dimension name -> size.
+
+        Raises ModelError when the model is missing, damaged or cannot run here, or a dimension is left free.
+        """
+        fixed = {key: int(size) for key, size in (dims or {}).items()}
+        session = Session(library.load(name), name, self._placement, fixed)
+        for value in (*session.inputs, *session.outputs):
+            free = [str(size or "?") for size in value.shape if not isinstance(size, int)]
+            if free:
+                given = ", ".join(f"{key}={size}" for key, size in fixed.items()) or "none"
+                raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' free: dims were {given}")
+        return PipelineState(self, name, session, fixed)
+
+    def compute_state(self, kernel: Kernel) -> State:
+        """A kernel made ready: compiled rows on the CPU, its portable definition elsewhere.
+
+        Raises ModelError when the portable definition is needed and missing, or its bindings are not the kernel's.
+        """
+        if self._compiled:
+            return CompiledComputeState(self, kernel)
+        library = self._kernels or Library(models_folder() / "kernels")
+        session = Session(library.load(kernel.name), kernel.name, self._placement, {})
+        _check_portable(kernel, session)
+        return PortableComputeState(self, kernel, session)
+
+    def command_buffer(self, label: str) -> CommandBuffer:
+        """A new, empty command buffer."""
+        return CommandBuffer(self, label)
+
+    def next_encoder(self) -> int:
+        """A number for an encoder, rising in the order of recording."""
+        return next(self._encoders)
+
+
+def _usable_cores() -> int:
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+def _check_portable(kernel: Kernel, session: Session) -> None:
+    for values, names, what in ((session.inputs, kernel.reads, "inputs"), (session.outputs, kernel.writes, "outputs")):
+        found = sorted((value.name, value.dtype) for value in values)
+        if found != sorted((name, "float32") for name in names):
+            text = ", ".join(f"{name} {dtype}" for name, dtype in found)
+            raise ModelError(
+                f"portable definition of kernel '{kernel.name}' has the {what} {text}: "
+                f"they must be {', '.join(sorted(names))}, all float32"
+            )

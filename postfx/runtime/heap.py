@@ -1,0 +1,127 @@
+"""The heap: one arena from which all named tensors of a device are carved."""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from postfx.runtime.memory import ALIGNMENT, Chunk, Memory
+from postfx.runtime.tensor import Allocation, Tensor, size_in_bytes
+
+if TYPE_CHECKING:
+    from postfx.runtime.device import Device
+
+CHUNK = 64 << 20
+"""Smallest amount of memory asked from the system at once, bytes; untouched pages of it cost nothing on the host."""
+
+
+@dataclass
+class _Block:
+    """A chunk and the spans of it that are free, sorted and merged."""
+
+    chunk: Chunk
+    free: list[tuple[int, int]]
+
+    def best_fit(self, nbytes: int) -> int | None:
+        """Size of the smallest free span that holds `nbytes`."""
+        return min((end - start for start, end in self.free if end - start >= nbytes), default=None)
+
+    def take(self, nbytes: int, fit: int) -> int:
+        """Cut `nbytes` off the front of a span of `fit` bytes; returns the address."""
+        index = next(i for i, (start, end) in enumerate(self.free) if end - start == fit)
+        start, end = self.free[index]
+        self.free[index:index + 1] = [(start + nbytes, end)] if start + nbytes < end else []
+        return start
+
+    def put_back(self, start: int, end: int) -> None:
+        """Make [start, end) free again and merge it with its free neighbours."""
+        merged: list[tuple[int, int]] = []
+        for span in sorted([*self.free, (start, end)]):
+            if merged and merged[-1][1] == span[0]:
+                merged[-1] = (merged[-1][0], span[1])
+            else:
+                merged.append(span)
+        self.free = merged
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is carved from the chunk."""
+        return self.free == [(self.chunk.pointer, self.chunk.pointer + self.chunk.nbytes)]
+
+
+class Heap:
+    """The device's arena. A tensor's memory returns to it on `release()` or when the last view of it is dropped.
+
+    Memory is zeroed by nobody: reading a tensor before it is written or uploaded is a HazardError.
+    """
+
+    def __init__(self, device: Device, memory: Memory) -> None:
+        self._device = device
+        self._memory = memory
+        self._blocks: list[_Block] = []
+        self._returned: deque[tuple[int, int]] = deque()
+        self._live: weakref.WeakSet[Allocation] = weakref.WeakSet()
+        self._lock = threading.Lock()
+        self._used = 0
+        self._peak = 0
+
+    def tensor(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
+        """A new tensor of undefined content. `name` is what messages call it and need not be unique."""
+        nbytes = -(-max(1, size_in_bytes(shape, dtype)) // ALIGNMENT) * ALIGNMENT
+        with self._lock:
+            chunk, start = self._carve(nbytes)
+        allocation = Allocation(name, start, nbytes, owner=chunk)
+        # Finalizers may run in any thread and in the middle of anything, so they only leave a note.
+        allocation.on_release(self._returned.append, (start, start + nbytes))
+        self._live.add(allocation)
+        return Tensor(self._device, name, shape, dtype, allocation)
+
+    @property
+    def size(self) -> int:
+        """Bytes held from the system, used or free."""
+        with self._lock:
+            return sum(block.chunk.nbytes for block in self._blocks)
+
+    @property
+    def used(self) -> int:
+        """Bytes of the tensors that live now."""
+        with self._lock:
+            self._collect()
+            return self._used
+
+    @property
+    def peak(self) -> int:
+        """Most bytes that were in use at once."""
+        return self._peak
+
+    def tensors(self) -> list[tuple[str, int]]:
+        """Name and bytes of every tensor that lives now, largest first."""
+        held = [(allocation.name, allocation.nbytes) for allocation in self._live if not allocation.released]
+        return sorted(held, key=lambda item: (-item[1], item[0]))
+
+    def _carve(self, nbytes: int) -> tuple[Chunk, int]:
+        self._collect()
+        fits = [(block.best_fit(nbytes), index) for index, block in enumerate(self._blocks)]
+        found = min(((fit, index) for fit, index in fits if fit is not None), default=None)
+        block = self._blocks[found[1]] if found else self._grow(nbytes)
+        self._used += nbytes
+        self._peak = max(self._peak, self._used)
+        return block.chunk, block.take(nbytes, found[0] if found else block.chunk.nbytes)
+
+    def _grow(self, nbytes: int) -> _Block:
+        # Idle chunks were too small for this tensor; keeping them would hold the sum of all sizes ever used.
+        self._blocks = [block for block in self._blocks if not block.idle]
+        chunk = self._memory.allocate(max(nbytes, CHUNK))
+        self._blocks.append(_Block(chunk, [(chunk.pointer, chunk.pointer + chunk.nbytes)]))
+        return self._blocks[-1]
+
+    def _collect(self) -> None:
+        while self._returned:
+            start, end = self._returned.popleft()
+            for block in self._blocks:
+                if block.chunk.pointer <= start < block.chunk.pointer + block.chunk.nbytes:
+                    block.put_back(start, end)
+            self._used -= end - start

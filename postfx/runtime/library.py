@@ -1,0 +1,69 @@
+"""Model packages: folders of ONNX files with JSON cards."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from postfx.runtime.errors import ModelError
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def models_folder() -> Path:
+    """The folder of the models that come with postfx: inside an installed package, else beside it in a checkout."""
+    installed = _PACKAGE / "_models"
+    return installed if installed.is_dir() else _PACKAGE.parent / "models"
+
+
+class Library:
+    """The models of one or more folders: `<name>.onnx`, each with an optional card `<name>.json`.
+
+    Where two folders hold a model of the same name, the folder given first wins. Without a folder, the models that
+    come with postfx. Raises ModelError when a folder does not exist.
+    """
+
+    def __init__(self, *folders: str | Path) -> None:
+        self.folders = tuple(Path(folder) for folder in folders) or (models_folder(),)
+        for folder in self.folders:
+            if not folder.is_dir():
+                raise ModelError(f"model folder '{folder}' does not exist")
+
+    def names(self) -> tuple[str, ...]:
+        """Names of all models, sorted."""
+        return tuple(sorted({path.stem for folder in self.folders for path in folder.glob("*.onnx")}))
+
+    def path(self, name: str) -> Path:
+        """The model's file. Raises ModelError that lists the models there are."""
+        for folder in self.folders:
+            if (folder / f"{name}.onnx").is_file():
+                return folder / f"{name}.onnx"
+        where = ", ".join(str(folder) for folder in self.folders)
+        raise ModelError(f"no model '{name}' in {where}: there are {', '.join(self.names()) or 'none'}")
+
+    def card(self, name: str) -> dict[str, Any]:
+        """The model's card, empty when it has none. Raises ModelError when the card is not a JSON object."""
+        path = self.path(name).with_name(f"{name}.json")
+        if not path.is_file():
+            return {}
+        try:
+            card = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ModelError(f"card '{path}' cannot be read: {error}") from error
+        if not isinstance(card, dict):
+            raise ModelError(f"card '{path}' is not a JSON object")
+        return card
+
+    def load(self, name: str) -> bytes:
+        """The model's content. Raises ModelError when it is not the file whose `sha256` the card gives."""
+        path = self.path(name)
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise ModelError(f"model '{path}' cannot be read: {error}") from error
+        expected = self.card(name).get("sha256")
+        if expected is not None and hashlib.sha256(content).hexdigest() != expected:
+            raise ModelError(f"model '{path}' is not the file that its card describes (sha256 differs): get it again")
+        return content

@@ -1,0 +1,107 @@
+"""ONNX Runtime sessions: shared arena, fixed dimensions, bindings on raw pointers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import onnxruntime as ort
+
+from postfx.runtime.errors import ModelError
+from postfx.runtime.tensor import Tensor
+
+_ELEMENT_TYPES = {"float": "float32", "double": "float64"}
+_SAME_AS_REQUESTED = 1  # arena growth: never more than was asked for
+
+
+class Placement(NamedTuple):
+    """Where sessions run: ONNX Runtime's names of the provider and of the memory, and the CPU threads."""
+
+    provider: str
+    memory: str
+    index: int
+    threads: int
+
+
+class Value(NamedTuple):
+    """An input or output of a session; dimensions that are not fixed are symbols or None."""
+
+    name: str
+    shape: tuple[int | str | None, ...]
+    dtype: str
+
+
+class Session:
+    """One model ready to run, specialised for `dims` (free dimension name -> size)."""
+
+    def __init__(self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int]) -> None:
+        _register_shared_arena()
+        options = _options(placement, dims)
+        try:
+            self._session = ort.InferenceSession(model, options, providers=_providers(placement))
+        except Exception as error:
+            raise ModelError(f"model '{name}' cannot be made ready: {first_line(error)}") from error
+        if self._session.get_providers()[0] != placement.provider:
+            raise ModelError(f"model '{name}' cannot run on {placement.provider}: see ONNX Runtime's warning above")
+        self._placement = placement
+        self.inputs = [_value(item) for item in self._session.get_inputs()]
+        self.outputs = [_value(item) for item in self._session.get_outputs()]
+
+    def bind(self, inputs: Mapping[str, Tensor], outputs: Mapping[str, Tensor]) -> Callable[[], None]:
+        """A function that runs the model on these tensors where they lie."""
+        binding = self._session.io_binding()
+        memory, index = self._placement.memory, self._placement.index
+        for name, tensor in inputs.items():
+            binding.bind_input(name, memory, index, _element_type(tensor), tensor.shape, tensor.start)
+        for name, tensor in outputs.items():
+            binding.bind_output(name, memory, index, _element_type(tensor), tensor.shape, tensor.start)
+        return lambda: self._session.run_with_iobinding(binding)
+
+    def copy_bytes(self, source: tuple[str, int, int], target: tuple[str, int, int], nbytes: int) -> None:
+        """Run a copying model from one (memory, index, pointer) to another."""
+        binding = self._session.io_binding()
+        binding.bind_input(self.inputs[0].name, *source[:2], np.uint8, (nbytes,), source[2])
+        binding.bind_output(self.outputs[0].name, *target[:2], np.uint8, (nbytes,), target[2])
+        self._session.run_with_iobinding(binding)
+
+
+def first_line(error: BaseException) -> str:
+    """An error's first line, or its type when it has no text."""
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)
+
+
+@cache
+def _register_shared_arena() -> None:
+    """One allocator for all sessions of the process; private arenas hold each session's peak for ever."""
+    info = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
+    ort.create_and_register_allocator(info, ort.OrtArenaCfg({"arena_extend_strategy": _SAME_AS_REQUESTED}))
+
+
+def _options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOptions:
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = placement.threads
+    options.log_severity_level = 3
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.use_env_allocators", "1")
+    for name, size in dims.items():
+        options.add_free_dimension_override_by_name(name, size)
+    return options
+
+
+def _providers(placement: Placement) -> list:
+    if placement.provider == "CPUExecutionProvider":
+        return ["CPUExecutionProvider"]
+    return [(placement.provider, {"device_id": str(placement.index)}), "CPUExecutionProvider"]
+
+
+def _value(item: ort.NodeArg) -> Value:
+    match = re.fullmatch(r"tensor\((\w+)\)", item.type)
+    element = match[1] if match else item.type
+    return Value(item.name, tuple(item.shape), _ELEMENT_TYPES.get(element, element))
+
+
+def _element_type(tensor: Tensor) -> type:
+    return np.dtype(tensor.dtype).type

@@ -1,0 +1,145 @@
+"""States: a network or kernel made ready to run, with the bindings that it declares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from postfx.runtime.session import Session
+from postfx.runtime.tensor import Tensor
+
+if TYPE_CHECKING:
+    from postfx.kernels.kernel import Kernel
+    from postfx.runtime.device import Device
+
+MINIMUM_ROWS = 4
+"""Fewer rows than this are not worth a band of their own."""
+
+
+class Binding(NamedTuple):
+    """One argument of a network or kernel.
+
+    `shape` is None where a kernel leaves it open, and may hold symbols ('height', '2*width') in kernels only.
+    """
+
+    name: str
+    access: str
+    shape: tuple[int | str, ...] | None
+    dtype: str
+
+
+class State(Protocol):
+    """What an argument table is made for and an encoder dispatches."""
+
+    device: Device
+    command: str
+    stage: str
+    bindings: tuple[Binding, ...]
+
+    def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
+        """A function that runs the state on tensors given in the order of `bindings`; nothing is copied."""
+        ...
+
+
+class PipelineState:
+    """A network with fixed dimensions. Made by `Device.pipeline_state`."""
+
+    stage = "machine-learning"
+
+    def __init__(self, device: Device, name: str, session: Session, dims: dict[str, int]) -> None:
+        self.device = device
+        self.name = name
+        self.dims = dims
+        self.command = f"network '{name}'"
+        self.bindings = _session_bindings(session)
+        self._session = session
+
+    def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
+        """A function that runs the network on bound tensors."""
+        return _bind_session(self._session, self.bindings, tensors)
+
+
+class PortableComputeState:
+    """A kernel that runs by its portable ONNX definition. Made by `Device.compute_state`."""
+
+    stage = "compute"
+
+    def __init__(self, device: Device, kernel: Kernel, session: Session) -> None:
+        self.device = device
+        self.name = kernel.name
+        self.command = f"kernel '{kernel.name}'"
+        self.bindings = kernel_bindings(kernel)
+        self._session = session
+
+    def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
+        """A function that runs the portable definition on bound tensors."""
+        return _bind_session(self._session, self.bindings, tensors)
+
+
+class CompiledComputeState:
+    """A kernel that runs by its compiled rows, in bands over the device's threads. Made by `Device.compute_state`."""
+
+    stage = "compute"
+
+    def __init__(self, device: Device, kernel: Kernel) -> None:
+        self.device = device
+        self.name = kernel.name
+        self.command = f"kernel '{kernel.name}'"
+        self.bindings = kernel_bindings(kernel)
+        self._rows = kernel.rows
+        self._rows_of = [binding.name for binding in self.bindings].index(kernel.row_axis[0])
+        self._axis = kernel.row_axis[1]
+        _compile_rows(kernel, self.bindings)
+
+    def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
+        """A function that runs the rows on bound tensors."""
+        arrays = [tensor.host_view() for tensor in tensors]
+        count = tensors[self._rows_of].shape[self._axis]
+        return lambda: self._run(count, arrays)
+
+    def _run(self, count: int, arrays: list) -> None:
+        bands = max(1, min(self.device.threads, count // MINIMUM_ROWS))
+        edges = [count * band // bands for band in range(bands + 1)]
+        pool = self.device.thread_pool if bands > 1 else None
+        others: list[Future] = [pool.submit(self._rows, edges[i], edges[i + 1], *arrays) for i in range(1, bands)]
+        try:
+            self._rows(edges[0], edges[1], *arrays)
+        finally:
+            # The tensors must not be handed on while a band still writes them, whatever this band did.
+            failures = [future.exception() for future in others]
+        for failure in failures:
+            if failure is not None:
+                raise failure
+
+
+def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:
+    """Bindings of a kernel in argument order, all float32."""
+    named = [(name, "read") for name in kernel.reads] + [(name, "write") for name in kernel.writes]
+    shapes = {name: tuple(shape) for name, shape in kernel.shapes.items()}
+    return tuple(Binding(name, access, shapes.get(name), "float32") for name, access in named)
+
+
+def _compile_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
+    """Compile before the first frame when the ranks are known and `rows` is a Numba function."""
+    compile_for = getattr(kernel.rows, "compile", None)
+    if compile_for is None or any(binding.shape is None for binding in bindings):
+        return
+    from numba import types
+
+    arrays = [types.Array(types.float32, len(binding.shape), "C") for binding in bindings]
+    compile_for((types.int64, types.int64, *arrays))
+
+
+def _session_bindings(session: Session) -> tuple[Binding, ...]:
+    reads = [Binding(value.name, "read", value.shape, value.dtype) for value in session.inputs]
+    writes = [Binding(value.name, "write", value.shape, value.dtype) for value in session.outputs]
+    return tuple(reads + writes)
+
+
+def _bind_session(session: Session, bindings: tuple[Binding, ...], tensors: Sequence[Tensor]) -> Callable[[], None]:
+    bound = {binding.name: tensor for binding, tensor in zip(bindings, tensors, strict=True)}
+    return session.bind(
+        {binding.name: bound[binding.name] for binding in bindings if binding.access == "read"},
+        {binding.name: bound[binding.name] for binding in bindings if binding.access == "write"},
+    )

@@ -1,0 +1,175 @@
+"""Named tensors on a device, and the allocations they look at."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from postfx.runtime.errors import BindingError, DeviceError, HazardError
+from postfx.runtime.memory import view_at
+from postfx.runtime.ranges import Ranges
+
+if TYPE_CHECKING:
+    from postfx.runtime.device import Device
+
+DTYPES = ("float32", "float16", "float64", "int64", "int32", "int16", "int8", "uint8", "bool")
+"""Element types a tensor may have."""
+
+
+def size_in_bytes(shape: tuple[int, ...], dtype: str) -> int:
+    """Bytes of a contiguous tensor."""
+    return math.prod(shape) * np.dtype(dtype).itemsize
+
+
+class Allocation:
+    """A stretch of device memory that one tensor and its views share; `written` holds what is defined in it."""
+
+    def __init__(self, name: str, pointer: int, nbytes: int, owner: object, writable: bool = True) -> None:
+        self.name = name
+        self.pointer = pointer
+        self.nbytes = nbytes
+        self.owner = owner
+        self.writable = writable
+        self.released = False
+        self.written = Ranges()
+        self._finalizer: weakref.finalize | None = None
+
+    def on_release(self, action: Callable[..., None], *args: Any) -> None:
+        """Call `action(*args)` once, on release or when nothing refers to the allocation any more."""
+        self._finalizer = weakref.finalize(self, action, *args)
+        self._finalizer.atexit = False
+
+    def release(self) -> None:
+        """Give the memory back; every tensor that looks at it becomes unusable."""
+        self.released = True
+        if self._finalizer is not None:
+            self._finalizer()
+
+
+class Tensor:
+    """A contiguous tensor on a device.
+
+    Made by `device.heap.tensor` (undefined content) or `device.wrap` (content of a NumPy array).
+    """
+
+    def __init__(
+        self, device: Device, name: str, shape: tuple[int, ...], dtype: str, allocation: Allocation, offset: int = 0
+    ) -> None:
+        if dtype not in DTYPES:
+            raise BindingError(f"tensor '{name}' cannot be of type {dtype}: use one of {', '.join(DTYPES)}")
+        self._device = device
+        self.name = name
+        self.shape = tuple(int(size) for size in shape)
+        self.dtype = dtype
+        self.allocation = allocation
+        self.nbytes = size_in_bytes(self.shape, dtype)
+        self.start = allocation.pointer + offset
+        self.end = self.start + self.nbytes
+        self._host: np.ndarray | None = None
+
+    def __repr__(self) -> str:
+        return f"Tensor('{self.name}', {self.shape}, {self.dtype})"
+
+    @property
+    def device(self) -> Device:
+        """The device that holds the tensor."""
+        return self._device
+
+    @property
+    def released(self) -> bool:
+        """Whether the memory was given back."""
+        return self.allocation.released
+
+    @property
+    def array(self) -> np.ndarray:
+        """The tensor as a read-only NumPy view, without a copy; host memory only. Write by `upload` or `fill`.
+
+        Raises DeviceError where the host cannot see the memory, HazardError when a committed command that was not
+        waited for writes it or when nothing ever wrote it.
+        """
+        self._check_host_read()
+        view = self.host_view().view()
+        view.flags.writeable = False
+        return view
+
+    def download(self) -> np.ndarray:
+        """A NumPy copy of the content. Raises HazardError as `array` does."""
+        self._check_host_read()
+        copy = np.empty(self.shape, self.dtype)
+        if copy.nbytes:
+            self._device.memory.read(self.start, copy)
+        return copy
+
+    def upload(self, values: Any) -> None:
+        """Copy host values of exactly this shape into the tensor.
+
+        Raises HazardError while a recorded or committed command that was not waited for uses the memory: commands
+        run after commit, so they would see the new values.
+        """
+        source = np.asarray(values)
+        if source.shape != self.shape or not np.can_cast(source.dtype, self.dtype, "same_kind"):
+            given = f"{source.shape} {source.dtype}"
+            raise BindingError(f"upload of {given} to '{self.name}': the tensor is {self.shape} {self.dtype}")
+        self._check_host_write()
+        contiguous = np.ascontiguousarray(source, self.dtype).reshape(self.shape)
+        if contiguous.nbytes:
+            self._device.memory.write(self.start, contiguous)
+        self._device.hazards.mark_written(self)
+
+    def fill(self, value: float) -> None:
+        """Set every element to `value`. Raises HazardError as `upload` does."""
+        self.upload(np.broadcast_to(np.asarray(value, self.dtype), self.shape))
+
+    def view(self, name: str, shape: tuple[int, ...], offset: int = 0) -> Tensor:
+        """A tensor over part of the same memory: `shape` elements from element `offset` on, no copy."""
+        skipped = offset * np.dtype(self.dtype).itemsize
+        if offset < 0 or skipped + size_in_bytes(shape, self.dtype) > self.nbytes:
+            raise BindingError(f"view '{name}' {tuple(shape)} at {offset} does not fit into '{self.name}' {self.shape}")
+        inside = self.start - self.allocation.pointer + skipped
+        return Tensor(self._device, name, shape, self.dtype, self.allocation, inside)
+
+    def release(self) -> None:
+        """Give the memory back to the heap, or let go of a wrapped array; this tensor and its views become unusable.
+
+        Commands that were recorded with it and not yet committed are refused; running ones are not affected as long
+        as later work goes through the same device.
+        """
+        self.allocation.release()
+
+    def span(self) -> tuple[int, int]:
+        """The tensor's byte range inside its allocation."""
+        return self.start - self.allocation.pointer, self.end - self.allocation.pointer
+
+    def is_written(self) -> bool:
+        """Whether all of its content is defined."""
+        return self.nbytes == 0 or self.allocation.written.covers(*self.span())
+
+    def host_view(self) -> np.ndarray:
+        """Writable view for compiled kernels, made once; checks nothing but that the host can see the memory."""
+        if not self._device.memory.host_visible:
+            raise DeviceError(f"tensor '{self.name}' lives on {self._device.name}: use download() for a copy")
+        if self._host is None:
+            self._host = view_at(self.start, self.shape, self.dtype, self.allocation.owner)
+        return self._host
+
+    def _check_host_read(self) -> None:
+        self._check_alive()
+        self._device.hazards.check_host_read(self)
+        if not self.is_written():
+            message = f"'{self.name}' is read by the host, but no command wrote it and nothing was uploaded to it"
+            raise HazardError(message, "read before write", self.name, None, "host")
+
+    def _check_host_write(self) -> None:
+        self._check_alive()
+        if not self.allocation.writable:
+            raise BindingError(f"tensor '{self.name}' wraps a read-only array: it cannot be written")
+        self._device.hazards.check_host_write(self)
+
+    def _check_alive(self) -> None:
+        if self.released:
+            message = f"tensor '{self.name}' was released: make a new one"
+            raise HazardError(message, "released", self.name, None, "host")
