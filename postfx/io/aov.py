@@ -160,21 +160,27 @@ class _Header:
         names = [name.replace("{layer}", self._layout.layer) for name in self._layout.profile.header.get(key, ())]
         return next((self._layout.attributes[name] for name in names if name in self._layout.attributes), None)
 
-    def number(self, key: str) -> float | None:
+    def numbers(self, key: str, count: int) -> np.ndarray | None:
+        """Attribute of `count` numbers as float64; None when it is absent or something else."""
         try:
-            return None if self.value(key) is None else float(self.value(key))
+            numbers = np.asarray(self.value(key), np.float64).ravel()
         except (TypeError, ValueError):
             return None
+        return numbers if numbers.size == count and np.isfinite(numbers).all() else None
+
+    def number(self, key: str) -> float | None:
+        numbers = self.numbers(key, 1)
+        return None if numbers is None else float(numbers[0])
 
     def camera(self) -> Camera:
-        matrix, jitter = self.value("world_to_camera"), self.value("jitter")
+        matrix, jitter = self.numbers("world_to_camera", 16), self.numbers("jitter", 2)
         if matrix is not None:
-            matrix = np.asarray(matrix, np.float64).reshape(4, 4)
+            matrix = matrix.reshape(4, 4)
             matrix = matrix.T if self._layout.profile.column_vectors else matrix
         return Camera(
             world_to_camera=matrix,
             fov_x=self.number("fov_x") or self._layout.profile.fov_x,
-            jitter=(float(jitter[0]), float(jitter[1])) if jitter is not None else (0.0, 0.0),
+            jitter=(0.0, 0.0) if jitter is None else (float(jitter[0]), float(jitter[1])),
             pixel_aspect=float(self._layout.attributes.get("PixelAspectRatio", 1.0)) or 1.0,
         )
 

@@ -20,6 +20,7 @@ JPEG = (".jpg", ".jpeg")
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG)
 WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
 _BITS = {".tif": 16, ".tiff": 16}
+_STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
 _HALF_MAX = 65504.0
 
 
@@ -105,7 +106,7 @@ def _with_alpha(colour: np.ndarray, frame: Frame) -> np.ndarray:
 
 def _spec(frame: Frame, pixels: np.ndarray, path: Path, display: bool) -> oiio.ImageSpec:
     height, width, channels = pixels.shape
-    spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(str(pixels.dtype).replace("float16", "half")))
+    spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
     spec.channelnames = ("R", "G", "B", "A")[:channels]
     if display:
         spec.attribute("oiio:ColorSpace", "sRGB")

@@ -1,0 +1,82 @@
+"""Files and windows: what `ImageFile` reads, and how it says no."""
+
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from postfx.errors import MissingFrameError, ReadError
+from postfx.io.exr import ImageFile
+
+
+def test_reads_only_the_named_channels(write_exr, ramp):
+    channels = ramp("R", "G", "B", "Z")
+    with ImageFile(write_exr("a.exr", channels)) as file:
+        read = file.read(file.parts[0], {"Z": 0.0, "G": 0.0})
+    assert list(read) == ["Z", "G"]
+    np.testing.assert_array_equal(read["Z"], channels["Z"])
+    np.testing.assert_array_equal(read["G"], channels["G"])
+
+
+def test_multi_part_keeps_part_names(write_parts, ramp):
+    path = write_parts("a.exr", {"beauty": ramp("R", "G", "B"), "depth": ramp("Z")})
+    with ImageFile(path) as file:
+        assert [part.name for part in file.parts] == ["beauty", "depth"]
+        assert file.read(file.parts[1], {"Z": 0.0})["Z"].shape == (6, 8)
+
+
+def test_pixels_outside_the_data_window_get_the_fill_value(write_exr, ramp):
+    channels = ramp("Z")
+    path = write_exr("a.exr", channels, origin=(2, 1), display=(0, 0, 12, 9))
+    with ImageFile(path) as file:
+        depth = file.read(file.parts[0], {"Z": 7.0})["Z"]
+    assert depth.shape == (9, 12)
+    np.testing.assert_array_equal(depth[1:7, 2:10], channels["Z"])
+    assert depth[0, 0] == depth[8, 11] == 7.0
+
+
+def test_overscan_is_cut_off(write_exr, ramp):
+    channels = ramp("R")
+    path = write_exr("a.exr", channels, origin=(-2, -1), display=(0, 0, 4, 3))
+    with ImageFile(path) as file:
+        read = file.read(file.parts[0], {"R": 0.0})["R"]
+    np.testing.assert_array_equal(read, channels["R"][1:4, 2:6])
+
+
+def test_missing_file_is_named(tmp_path: Path):
+    with pytest.raises(MissingFrameError, match=r"nothing\.exr: no such file"):
+        ImageFile(tmp_path / "nothing.exr")
+
+
+def test_broken_header_is_named(tmp_path: Path):
+    (tmp_path / "broken.exr").write_bytes(b"not an image at all")
+    with pytest.raises(ReadError, match=r"broken\.exr: cannot be opened"):
+        ImageFile(tmp_path / "broken.exr")
+
+
+def test_shortened_file_is_named(write_exr, ramp):
+    path = write_exr("short.exr", ramp("R", "G", "B", height=64, width=64))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(ReadError, match=r"short\.exr: "), ImageFile(path) as file:
+        file.read(file.parts[0], {"R": 0.0})
+
+
+def test_deep_data_is_refused(tmp_path: Path):
+    path = str(tmp_path / "deep.exr")
+    spec = oiio.ImageSpec(2, 2, 1, "float")
+    spec.channelnames, spec.deep = ("Z",), True
+    deep = oiio.DeepData()
+    deep.init(spec)
+    output = oiio.ImageOutput.create(path)
+    assert output.open(path, spec)
+    assert output.write_deep_image(deep)
+    output.close()
+    with pytest.raises(ReadError, match=r"deep\.exr: deep data is not supported: flatten"):
+        ImageFile(Path(path))
+
+
+def test_display_pictures_are_refused(tmp_path: Path):
+    (tmp_path / "a.png").write_bytes(b"")
+    with pytest.raises(ReadError, match=r"a\.png: not a scene-linear image"):
+        ImageFile(tmp_path / "a.png")

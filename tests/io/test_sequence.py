@@ -1,0 +1,129 @@
+"""Patterns, ranges, folders and holes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.errors import MissingFrameError, SequenceError
+from postfx.frame import Role
+from postfx.io.pattern import parse_frames, parse_pattern
+from postfx.io.sequence import read_sequence
+
+
+@pytest.fixture
+def shot(write_exr, tmp_path: Path):
+    """Writes frames of one channel value each and gives their folder."""
+
+    def write(*numbers: int, name: str = "shot.{:04d}.exr") -> Path:
+        for number in numbers:
+            write_exr(name.format(number), {c: np.full((2, 3), number, np.float32) for c in "RGB"})
+        return tmp_path
+
+    return write
+
+
+@pytest.mark.parametrize("number", ["%04d", "####", "@@@@", "$F4", "<F4>"])
+def test_all_spellings_of_the_frame_number(shot, number):
+    frames = list(read_sequence(f"{shot(1, 2, 3)}/shot.{number}.exr"))
+    assert [frame.number for frame in frames] == [1, 2, 3]
+    assert [frame[Role.COLOUR][0, 0, 0] for frame in frames] == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "expected"),
+    [("a.%d.exr", "a.7.exr"), ("a.#.exr", "a.7.exr"), ("d/a_$F3.exr", "d/a_007.exr"), ("####.exr", "0007.exr")],
+)
+def test_padding(pattern, expected):
+    assert parse_pattern(pattern).path(7) == Path(expected)
+
+
+def test_negative_frames_keep_their_digits():
+    assert parse_pattern("a.####.exr").path(-3) == Path("a.-0003.exr")
+
+
+def test_two_numbers_in_a_name_are_refused():
+    with pytest.raises(SequenceError, match="give the frame number once"):
+        parse_pattern("a.####.%04d.exr")
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"), [("1-10x3", [1, 4, 7, 10]), ("1,5,7-9", [1, 5, 7, 8, 9]), ("3-1", [3, 2, 1])]
+)
+def test_frame_ranges(text, numbers):
+    assert parse_frames(text) == numbers
+
+
+@pytest.mark.parametrize("text", ["1-", "a-b", "", "1..5"])
+def test_malformed_ranges(text):
+    with pytest.raises(SequenceError, match="--frames"):
+        parse_frames(text)
+
+
+def test_a_hole_is_reported_by_name_when_it_is_reached(shot):
+    frames = iter(read_sequence(f"{shot(1, 2, 4)}/shot.####.exr"))
+    assert [next(frames).number, next(frames).number] == [1, 2]
+    with pytest.raises(MissingFrameError, match=r"shot\.0003\.exr: frame 3 is missing"):
+        next(frames)
+
+
+def test_frames_beyond_the_disk_are_reported(shot):
+    with pytest.raises(MissingFrameError, match=r"shot\.0005\.exr"):
+        list(read_sequence(f"{shot(1, 2)}/shot.####.exr", frames="5"))
+
+
+def test_a_sequence_on_twos_has_no_holes(shot):
+    frames = list(read_sequence(f"{shot(1, 3, 5, 7)}/shot.####.exr"))
+    assert [frame.number for frame in frames] == [1, 3, 5, 7]
+    assert not any(frame.reset for frame in frames)
+
+
+def test_leaving_frames_out_is_a_cut(shot):
+    sequence = read_sequence(f"{shot(1, 2, 3, 4, 5)}/shot.####.exr", frames="1-2,4-5")
+    assert [frame.reset for frame in sequence] == [False, False, True, False]
+    assert "history is dropped" in sequence.warnings[0]
+
+
+def test_folder_single_file_and_first_file(shot):
+    folder = shot(3, 4)
+    assert [frame.number for frame in read_sequence(folder)] == [3, 4]
+    assert [frame.number for frame in read_sequence(folder / "shot.0004.exr")] == [4]
+    assert [frame.number for frame in read_sequence(folder / "shot.0003.exr", frames="3-4")] == [3, 4]
+
+
+def test_single_file_without_number(write_exr, ramp):
+    assert [frame.number for frame in read_sequence(write_exr("still.exr", ramp("R", "G", "B")))] == [1]
+
+
+def test_folder_of_several_sequences_asks_for_one(shot):
+    shot(1, name="a.{:04d}.exr")
+    with pytest.raises(SequenceError, match=r"holds 2 sequences \(a\.####\.exr, b\.####\.exr\): name one"):
+        read_sequence(shot(1, name="b.{:04d}.exr"))
+
+
+def test_nothing_there(tmp_path):
+    with pytest.raises(SequenceError, match="no such file"):
+        read_sequence(tmp_path / "x.####.exr")
+    with pytest.raises(SequenceError, match="holds no OpenEXR file"):
+        read_sequence(tmp_path)
+
+
+@pytest.mark.parametrize("layout", ["{plane}.%04d.exr", "{plane}/shot.%04d.exr", "shot_{plane}.%04d.exr"])
+def test_one_file_a_plane(write_exr, tmp_path, ramp, layout):
+    colour, normal = ramp("R", "G", "B"), ramp("X", "Y", "Z")
+    for number in (1, 2):
+        write_exr(layout.replace("{plane}", "beauty") % number, colour)
+        write_exr(layout.replace("{plane}", "normal") % number, normal)
+        write_exr(layout.replace("{plane}", "depth") % number, {"R": np.full((6, 8), 5, np.float32)})
+    frames = list(read_sequence(f"{tmp_path}/{layout}"))
+    assert [frame.number for frame in frames] == [1, 2]
+    np.testing.assert_array_equal(frames[1][Role.NORMAL][:, :, 0], normal["X"])
+    np.testing.assert_array_equal(frames[1][Role.COLOUR][:, :, 0], colour["R"])
+    assert frames[1][Role.DEPTH][0, 0, 0] == 5
+
+
+def test_folder_with_one_file_a_plane(write_exr, tmp_path, ramp):
+    write_exr("beauty.0001.exr", ramp("R", "G", "B"))
+    write_exr("specular_albedo.0001.exr", ramp("R", "G", "B"))
+    (frame,) = read_sequence(tmp_path)
+    assert set(frame.planes) == {Role.COLOUR, Role.SPECULAR_ALBEDO}

@@ -1,0 +1,154 @@
+"""Written files: contents, metadata, completeness."""
+
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from postfx.errors import OutputExistsError, WriteError
+from postfx.frame import Frame, Role
+from postfx.io.output import Existing, OutputFiles
+from postfx.io.sequence import read_sequence
+from postfx.io.srgb import srgb_decode, srgb_encode
+from postfx.io.writer import is_complete, write_frame
+
+
+@pytest.fixture
+def frame() -> Frame:
+    rng = np.random.default_rng(1)
+    colour = rng.random((12, 16, 3), np.float32)
+    return Frame({Role.COLOUR: colour, Role.ALPHA: np.ones((12, 16, 1), np.float32)})
+
+
+def pixels_of(path: Path) -> np.ndarray:
+    image = oiio.ImageInput.open(str(path))
+    pixels = image.read_image(oiio.FLOAT)
+    image.close()
+    return pixels
+
+
+def test_srgb_is_inverted_and_has_the_standards_values():
+    codes = np.linspace(0, 1, 1001, dtype=np.float32)
+    np.testing.assert_allclose(srgb_encode(srgb_decode(codes)), codes, atol=2e-6)
+    assert srgb_encode(np.float32(0.18)) == pytest.approx(0.46135613, abs=1e-6)
+
+
+def test_exr_holds_linear_half_floats(frame, tmp_path):
+    path = write_frame(tmp_path / "new" / "a.exr", frame)
+    np.testing.assert_array_equal(pixels_of(path)[:, :, :3], frame[Role.COLOUR].astype(np.float16).astype(np.float32))
+    assert str(oiio.ImageInput.open(str(path)).spec().format) == "half"
+
+
+def test_values_beyond_half_stay_finite(frame, tmp_path):
+    frame.planes[Role.COLOUR][0, 0] = [1e9, np.inf, -np.inf]
+    assert pixels_of(write_frame(tmp_path / "a.exr", frame))[0, 0, :3].tolist() == [65504, 65504, -65504]
+
+
+def test_display_frames_are_decoded_for_exr(frame, tmp_path):
+    frame.encoding = "srgb"
+    written = pixels_of(write_frame(tmp_path / "a.exr", frame, half=False))
+    np.testing.assert_allclose(written[:, :, :3], srgb_decode(frame[Role.COLOUR]), atol=1e-6)
+
+
+@pytest.mark.parametrize(("suffix", "bits"), [(".png", 8), (".tif", 16)])
+def test_display_files_hold_codes(frame, tmp_path, suffix, bits):
+    frame.encoding = "srgb"
+    path = write_frame(tmp_path / f"a{suffix}", frame)
+    assert pixels_of(path).shape == (12, 16, 3)
+    np.testing.assert_allclose(pixels_of(path), frame[Role.COLOUR], atol=0.51 / (2**bits - 1))
+
+
+def test_jpeg_is_close(frame, tmp_path):
+    frame.encoding = "srgb"
+    frame.planes[Role.COLOUR][:] = 0.5
+    np.testing.assert_allclose(pixels_of(write_frame(tmp_path / "a.jpg", frame)), 0.5, atol=0.02)
+
+
+def test_transparent_pictures_keep_alpha(frame, tmp_path):
+    frame.planes[Role.ALPHA][:] = 0.5
+    frame.planes[Role.COLOUR][:] = 0.25
+    frame.encoding = "srgb"
+    with_alpha = pixels_of(write_frame(tmp_path / "a.png", frame))
+    np.testing.assert_allclose(with_alpha[0, 0], [0.25, 0.25, 0.25, 0.5], atol=0.005)
+
+
+def test_header_is_kept_and_windows_are_scaled(write_exr, tmp_path, ramp):
+    header = {"postfx__jitter": (0.25, -0.5), "postfx__fovX": 40.0, "worldToCamera": np.eye(4).ravel()}
+    source = write_exr("in.exr", ramp("R", "G", "B"), origin=(10, 20), display=(10, 20, 8, 6), Software="farm", **header)
+    with_header = next(iter(read_sequence(source, planes=[Role.COLOUR])))
+    assert with_header.jitter == (0.25, -0.5)
+    double = np.repeat(np.repeat(with_header[Role.COLOUR], 2, axis=0), 2, axis=1)
+    path = write_frame(tmp_path / "out.exr", Frame({Role.COLOUR: double}, metadata=with_header.metadata))
+    spec = oiio.ImageInput.open(str(path)).spec()
+    assert (spec.full_x, spec.full_y, spec.full_width, spec.full_height) == (20, 40, 16, 12)
+    assert spec.get_string_attribute("Software") == "farm"
+    assert spec.get_float_attribute("postfx:fovX") == 40
+    assert spec.getattribute("worldToCamera") == tuple(np.eye(4).ravel())
+    assert spec.getattribute("postfx:jitter") is None
+
+
+def test_time_code_and_chromaticities_survive(frame, tmp_path):
+    primaries = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
+    frame.metadata = {"smpte:TimeCode": (16909060, 0), "chromaticities": primaries}
+    spec = oiio.ImageInput.open(str(write_frame(tmp_path / "a.exr", frame))).spec()
+    assert spec.getattribute("smpte:TimeCode") == (16909060, 0)
+    assert spec.getattribute("chromaticities") == pytest.approx(primaries)
+    frame.encoding = "srgb"
+    spec = oiio.ImageInput.open(str(write_frame(tmp_path / "b.exr", frame))).spec()
+    assert spec.getattribute("chromaticities") is None
+
+
+def test_failing_to_write_leaves_nothing(frame, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WriteError, match=r"a\.exr: cannot be written"):
+        write_frame(tmp_path / "file" / "a.exr", frame)
+    (tmp_path / "a.exr").mkdir()
+    with pytest.raises(WriteError, match=r"a\.exr: cannot be written"):
+        write_frame(tmp_path / "a.exr", frame)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "file"]
+
+
+def test_unknown_format(frame, tmp_path):
+    with pytest.raises(WriteError, match=r"unknown format '\.webp': use \.exr"):
+        write_frame(tmp_path / "a.webp", frame)
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png", ".tif", ".jpg"])
+def test_shortened_outputs_are_not_complete(frame, tmp_path, suffix):
+    path = write_frame(tmp_path / f"a{suffix}", frame)
+    assert is_complete(path, 16, 12)
+    assert not is_complete(path, 32, 24)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert not is_complete(path, 16, 12)
+
+
+@pytest.fixture
+def sequence(write_exr, ramp):
+    first = write_exr("in/shot.0001.exr", ramp("R", "G", "B"))
+    write_exr("in/shot.0002.exr", ramp("R", "G", "B"))
+    return read_sequence(first.parent)
+
+
+def test_output_names(sequence, tmp_path):
+    assert OutputFiles(f"{tmp_path}/out.@@@@.png", sequence).path(2) == tmp_path / "out.0002.png"
+    assert OutputFiles(f"{tmp_path}/new", sequence).path(2) == tmp_path / "new/shot.0002.exr"
+
+
+def test_one_output_for_many_frames_is_refused(sequence, tmp_path):
+    with pytest.raises(WriteError, match=r"one file for 2 frames: write it like out\.####\.exr"):
+        OutputFiles(f"{tmp_path}/out.exr", sequence)
+
+
+def test_outputs_over_inputs_are_refused(sequence, tmp_path):
+    with pytest.raises(WriteError, match="is an input"):
+        OutputFiles(f"{tmp_path}/in/", sequence)
+
+
+def test_existing_outputs(sequence, frame, tmp_path):
+    write_frame(tmp_path / "out.0002.exr", frame)
+    with pytest.raises(OutputExistsError, match=r"out\.0002\.exr: is already there: give --overwrite"):
+        OutputFiles(f"{tmp_path}/out.####.exr", sequence).check((1, 2))
+    OutputFiles(f"{tmp_path}/out.####.exr", sequence, Existing.OVERWRITE).check((1, 2))
+    skipping = OutputFiles(f"{tmp_path}/out.####.exr", sequence, Existing.SKIP)
+    assert [skipping.is_done(number, 16, 12) for number in (1, 2)] == [False, True]
