@@ -181,7 +181,7 @@ class _Header:
             world_to_camera=matrix,
             fov_x=self.number("fov_x") or self._layout.profile.fov_x,
             jitter=(0.0, 0.0) if jitter is None else (float(jitter[0]), float(jitter[1])),
-            pixel_aspect=float(self._layout.attributes.get("PixelAspectRatio", 1.0)) or 1.0,
+            pixel_aspect=float(self._layout.attributes.get("pixelAspectRatio", 1.0)) or 1.0,
         )
 
 

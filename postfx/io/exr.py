@@ -19,6 +19,17 @@ from postfx.errors import MissingFrameError, ReadError
 
 READABLE = (".exr", ".hdr")
 
+EXR_NAMES = {
+    "Copyright": "owner",
+    "DateTime": "capDate",
+    "ExposureTime": "expTime",
+    "FramesPerSecond": "framesPerSecond",
+    "PixelAspectRatio": "pixelAspectRatio",
+    "smpte:TimeCode": "timeCode",
+    "smpte:KeyCode": "keyCode",
+}
+"""OpenImageIO's names of standard OpenEXR attributes -> OpenEXR's own, which are used everywhere else here."""
+
 
 class Window(NamedTuple):
     """Pixel rectangle, bounds included, y down."""
@@ -118,7 +129,9 @@ def to_display_window(pixels: np.ndarray, part: Part, fill: float) -> np.ndarray
 
 
 def _part(index: int, spec: oiio.ImageSpec) -> Part:
-    attributes = {attribute.name: attribute.value for attribute in spec.extra_attribs}
+    attributes = {EXR_NAMES.get(entry.name, entry.name): entry.value for entry in spec.extra_attribs}
+    if "framesPerSecond" in attributes:
+        attributes["framesPerSecond"] = _quotient(attributes["framesPerSecond"])
     return Part(
         index=index,
         name=str(attributes.get("oiio:subimagename", "")),
@@ -128,6 +141,11 @@ def _part(index: int, spec: oiio.ImageSpec) -> Part:
         display=_window(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
         attributes=attributes,
     )
+
+
+def _quotient(rational: Any) -> float:
+    numerator, denominator = rational if isinstance(rational, tuple) else (rational, 1)
+    return numerator / denominator if denominator else 0.0
 
 
 def _window(x: int, y: int, width: int, height: int) -> Window:

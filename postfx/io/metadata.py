@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import Any
 
 import OpenImageIO as oiio
 
 from postfx.frame import Frame
-from postfx.io.exr import Window
+from postfx.io.exr import EXR_NAMES, Window
 
 # What describes the input's storage, its samples or channels that are not written.
 _DROPPED = (
@@ -30,7 +31,8 @@ _DROPPED = (
     "wrapmodes",
 )
 _SCENE_REFERRED = ("chromaticities", "colorinteropid", "postfx:exposure")
-_NAMED_TYPES = {"smpte:TimeCode": "timecode", "smpte:KeyCode": "keycode", "FramesPerSecond": "rational"}
+_NAMED_TYPES = {"timeCode": "timecode", "keyCode": "keycode", "framesPerSecond": "rational"}
+_STORED_NAMES = {name: stored for stored, name in EXR_NAMES.items()}
 _TUPLE_TYPES = {(float, 9): "matrix33", (float, 16): "matrix", (float, 3): "vector", (int, 2): "vector2i"}
 _WORDS = {float: "float", int: "int", str: "string"}
 
@@ -49,8 +51,10 @@ def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
     """Put attributes into an image's spec with the EXR types they had; values of other types are left out."""
     for name, value in attributes.items():
         kind = _NAMED_TYPES.get(name) or _type_of(value)
+        if kind == "rational":
+            value = Fraction(value).limit_denominator(1001).as_integer_ratio()
         if kind:
-            spec.attribute(name, oiio.TypeDesc(kind), value)
+            spec.attribute(_STORED_NAMES.get(name, name), oiio.TypeDesc(kind), value)
 
 
 def scaled_window(frame: Frame, width: int, height: int) -> Window:

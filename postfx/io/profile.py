@@ -144,7 +144,7 @@ def _detect(table: dict[str, Any], path: Path) -> DetectRule:
 
 
 def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
-    where = f"[[plane]] role = \"{table.get('role', '')}\""
+    where = f"[[plane]] role = {table.get('role')!r}"
     _refuse_unknown(table, [entry.name for entry in fields(PlaneRule)], path, where)
     if table.get("role") not in list(Role):
         raise ProfileError(f"{path}: {where}: unknown role: use one of {', '.join(Role)}")

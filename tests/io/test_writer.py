@@ -75,7 +75,8 @@ def test_transparent_pictures_keep_alpha(frame, tmp_path):
 
 def test_header_is_kept_and_windows_are_scaled(write_exr, tmp_path, ramp):
     header = {"postfx__jitter": (0.25, -0.5), "postfx__fovX": 40.0, "worldToCamera": np.eye(4).ravel()}
-    source = write_exr("in.exr", ramp("R", "G", "B"), origin=(10, 20), display=(10, 20, 8, 6), Software="farm", **header)
+    window = {"origin": (10, 20), "display": (10, 20, 8, 6)}
+    source = write_exr("in.exr", ramp("R", "G", "B"), Software="farm", **window, **header)
     with_header = next(iter(read_sequence(source, planes=[Role.COLOUR])))
     assert with_header.jitter == (0.25, -0.5)
     double = np.repeat(np.repeat(with_header[Role.COLOUR], 2, axis=0), 2, axis=1)
@@ -88,15 +89,20 @@ def test_header_is_kept_and_windows_are_scaled(write_exr, tmp_path, ramp):
     assert spec.getattribute("postfx:jitter") is None
 
 
-def test_time_code_and_chromaticities_survive(frame, tmp_path):
+def test_standard_attributes_survive(frame, tmp_path):
     primaries = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
-    frame.metadata = {"smpte:TimeCode": (16909060, 0), "chromaticities": primaries}
-    spec = oiio.ImageInput.open(str(write_frame(tmp_path / "a.exr", frame))).spec()
-    assert spec.getattribute("smpte:TimeCode") == (16909060, 0)
-    assert spec.getattribute("chromaticities") == pytest.approx(primaries)
-    frame.encoding = "srgb"
-    spec = oiio.ImageInput.open(str(write_frame(tmp_path / "b.exr", frame))).spec()
-    assert spec.getattribute("chromaticities") is None
+    frame.metadata = {"timeCode": (16909060, 0), "chromaticities": primaries, "framesPerSecond": 24000 / 1001}
+    again = next(iter(read_sequence(write_frame(tmp_path / "a.exr", frame)))).metadata
+    assert again["timeCode"] == (16909060, 0)
+    assert again["framesPerSecond"] == pytest.approx(23.976, abs=1e-3)
+    assert again["chromaticities"] == pytest.approx(primaries)
+
+
+def test_display_pictures_drop_the_scenes_colour_space(frame, tmp_path):
+    frame.metadata, frame.encoding = {"chromaticities": (0.7, 0.3, 0.2, 0.8, 0.1, 0.0, 0.3, 0.3), "owner": "me"}, "srgb"
+    again = next(iter(read_sequence(write_frame(tmp_path / "b.exr", frame)))).metadata
+    assert "chromaticities" not in again
+    assert again["owner"] == "me"
 
 
 def test_failing_to_write_leaves_nothing(frame, tmp_path):
