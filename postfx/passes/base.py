@@ -25,6 +25,10 @@ class NotCompiledError(PostfxError):
     """A pass was asked to encode a frame of a spec it was not compiled for."""
 
 
+class PassContractError(PostfxError):
+    """A pass does not do what it declares: a fault of the pass, not of the frame."""
+
+
 @dataclass(frozen=True)
 class Reflection:
     """What a pass does with a frame of one spec.
@@ -51,7 +55,8 @@ class ResidentFrame:
         spec: size, planes and encoding of the frame as it is now.
         tensors: role -> tensor (height, width, channels) float32, units and directions as in `postfx.frame.ROLES`.
         number: frame number in its sequence.
-        jitter: sub-pixel sample position minus 0.5, pixels of the rendered frame, x right, y down.
+        jitter: sub-pixel sample position minus 0.5, pixels of the rendered frame, x right, y down. A pass whose
+            output is no longer jittered sets it to (0, 0).
         exposure: multiplier actually used for this frame, > 0; colour times exposure is what the eye should see.
         reset: True when history must be dropped before this frame.
         samples, world_to_camera, fov_x, metadata: as in `postfx.frame.Frame`.
@@ -140,7 +145,10 @@ class Pass:
             raise NotCompiledError(f"pass '{self.name}' is {state}: call compile(device, frame.spec) before encode")
 
     def reset(self) -> None:
-        """Drop the history: the next frame is treated as the first. Does nothing in passes without history."""
+        """Drop the history: the next frame is treated as the first. Does nothing in passes without history.
+
+        May be called at any time between frames, also before `compile`.
+        """
 
     def __call__(self, frame: Frame) -> Frame:
         """Run this pass alone on one frame, in a pipeline of its own that keeps the history between calls."""

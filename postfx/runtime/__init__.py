@@ -14,7 +14,7 @@ from postfx.runtime.errors import (
     ModelError,
 )
 from postfx.runtime.heap import Heap
-from postfx.runtime.library import Library, models_folder
+from postfx.runtime.library import Library
 from postfx.runtime.states import Binding, CompiledComputeState, PipelineState, PortableComputeState
 from postfx.runtime.tensor import Tensor
 
@@ -38,5 +38,4 @@ __all__ = [
     "PipelineState",
     "PortableComputeState",
     "Tensor",
-    "models_folder",
 ]

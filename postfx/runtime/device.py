@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postfx.paths import models_dir
 from postfx.runtime.commands import CommandBuffer
 from postfx.runtime.errors import BindingError, DeviceError, ModelError
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
-from postfx.runtime.library import Library, models_folder
+from postfx.runtime.library import Library
 from postfx.runtime.memory import address
 from postfx.runtime.placement import choose
 from postfx.runtime.queue import CommandQueue
@@ -117,7 +118,7 @@ class Device:
         """
         if self._compiled:
             return CompiledComputeState(self, kernel)
-        library = self._kernels or Library(models_folder() / "kernels")
+        library = self._kernels or Library(models_dir() / "kernels")
         session = Session(library.load(kernel.name), kernel.name, self._placement, {})
         _check_portable(kernel, session)
         return PortableComputeState(self, kernel, session)

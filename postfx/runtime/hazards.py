@@ -35,11 +35,13 @@ class Hazards:
 
     def opened(self, commands: CommandBuffer) -> None:
         """A buffer takes commands from now on."""
-        self._open.add(commands)
+        with self._lock:
+            self._open.add(commands)
 
     def closed(self, commands: CommandBuffer) -> None:
         """A buffer was committed or discarded."""
-        self._open.discard(commands)
+        with self._lock:
+            self._open.discard(commands)
 
     def commit(self, commands: CommandBuffer) -> None:
         """Check a buffer against itself and everything in flight, and put it in flight; HazardError leaves it out."""

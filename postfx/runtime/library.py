@@ -7,15 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from postfx.paths import models_dir
 from postfx.runtime.errors import ModelError
-
-_PACKAGE = Path(__file__).resolve().parent.parent
-
-
-def models_folder() -> Path:
-    """The folder of the models that come with postfx: inside an installed package, else beside it in a checkout."""
-    installed = _PACKAGE / "_models"
-    return installed if installed.is_dir() else _PACKAGE.parent / "models"
 
 
 class Library:
@@ -26,7 +19,7 @@ class Library:
     """
 
     def __init__(self, *folders: str | Path) -> None:
-        self.folders = tuple(Path(folder) for folder in folders) or (models_folder(),)
+        self.folders = tuple(Path(folder) for folder in folders) or (models_dir(),)
         for folder in self.folders:
             if not folder.is_dir():
                 raise ModelError(f"model folder '{folder}' does not exist")

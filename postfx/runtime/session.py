@@ -14,7 +14,6 @@ from postfx.runtime.errors import ModelError
 from postfx.runtime.tensor import Tensor
 
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
-_SAME_AS_REQUESTED = 1  # arena growth: never more than was asked for
 
 
 class Placement(NamedTuple):
@@ -77,7 +76,7 @@ def first_line(error: BaseException) -> str:
 def _register_shared_arena() -> None:
     """One allocator for all sessions of the process; private arenas hold each session's peak for ever."""
     info = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
-    ort.create_and_register_allocator(info, ort.OrtArenaCfg({"arena_extend_strategy": _SAME_AS_REQUESTED}))
+    ort.create_and_register_allocator(info, ort.OrtArenaCfg(0, -1, -1, -1))
 
 
 def _options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOptions:

@@ -1,0 +1,157 @@
+"""The flow of one frame through the passes: plan, encode, commit, wait."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from functools import cache
+
+from postfx.errors import FrameError
+from postfx.exposure import ExposureMeter
+from postfx.frame import Frame, FrameSpec, Role
+from postfx.passes.base import Pass, PassContractError, ResidentFrame
+from postfx.plan import Plan, Step, make_plan
+from postfx.runtime import CommandBuffer, Device, Tensor
+
+
+@cache
+def default_device() -> Device:
+    """The device of pipelines that are given none: one for the process."""
+    return Device("auto")
+
+
+class Pipeline:
+    """Runs passes on frame after frame and keeps their history between calls.
+
+    Args:
+        passes: in the order in which they run; those that would change nothing are skipped.
+        device: where to run; default: one device shared by the process.
+        exposure: 'auto', 'metadata' or a number of stops, see `postfx.exposure.ExposureMeter`.
+
+    Attributes:
+        plan: the plan of the last frame, None before the first.
+        timings: pass name -> milliseconds on the device, of the last frame.
+        exposure: multiplier used for the last frame; None before the first and when no pass ran.
+    """
+
+    def __init__(
+        self, passes: Sequence[Pass], device: Device | None = None, exposure: str | float = "auto"
+    ) -> None:
+        self.passes = tuple(passes)
+        self.device = device if device is not None else default_device()
+        self.plan: Plan | None = None
+        self.timings: dict[str, float] = {}
+        self.exposure: float | None = None
+        self._meter = ExposureMeter(exposure)
+
+    def __call__(self, frame: Frame) -> Frame:
+        """The frame after all passes; the given frame is not changed.
+
+        Planes that no pass touches are passed on as they are, unless a pass changed the size. Compiles when the
+        frame's spec is not the last one's, which drops the history. When a pass fails, the history is dropped and
+        the error is raised.
+        """
+        plan = self._planned(frame.spec)
+        if not plan.steps:
+            self.timings, self.exposure = {}, None
+            return dataclasses.replace(frame)
+        if frame.reset:
+            self._reset_passes()
+        self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
+        inputs = {role: self.device.wrap(role, frame[role]) for role in plan.planes}
+        resident = _resident(frame, plan.input, inputs, self.exposure)
+        try:
+            self._run(plan, resident)
+            return _finished(frame, plan, resident, inputs)
+        except BaseException:
+            self._reset_passes()
+            raise
+        finally:
+            for tensor in inputs.values():
+                tensor.release()
+
+    def explain(self, spec: FrameSpec | None = None) -> Plan:
+        """The plan for a spec, by default the last frame's. `print` it, or take `as_dict()` or `to_json()`."""
+        if spec is not None:
+            return make_plan(self.passes, spec)
+        if self.plan is None:
+            raise FrameError("there is no plan yet: give explain() a FrameSpec, or process a frame first")
+        return self.plan
+
+    def reset(self) -> None:
+        """Drop all history: the next frame is treated as the first of a sequence."""
+        self._meter.reset()
+        self._reset_passes()
+
+    def _planned(self, spec: FrameSpec) -> Plan:
+        if self.plan is None or self.plan.available != spec:
+            plan = make_plan(self.passes, spec)
+            if self.plan is None or self._specs(plan) != self._specs(self.plan):
+                self.plan = None
+                for step in plan.steps:
+                    step.instance.compile(self.device, step.input)
+            self.plan = plan
+        return self.plan
+
+    def _specs(self, plan: Plan) -> list[tuple[str, FrameSpec]]:
+        return [(step.name, step.input) for step in plan.steps]
+
+    def _reset_passes(self) -> None:
+        for instance in self.passes:
+            instance.reset()
+
+    def _run(self, plan: Plan, resident: ResidentFrame) -> None:
+        commands = self.device.command_buffer(f"frame {resident.number}")
+        try:
+            for step in plan.steps:
+                _encode(step, commands, resident)
+            commands.commit()
+        finally:
+            commands.discard()
+        commands.wait()
+        self.timings = {step.name: _milliseconds(commands, step.name) for step in plan.steps}
+
+
+def _resident(frame: Frame, spec: FrameSpec, tensors: dict[Role, Tensor], exposure: float) -> ResidentFrame:
+    return ResidentFrame(
+        spec=spec,
+        tensors=dict(tensors),
+        number=frame.number,
+        jitter=frame.jitter,
+        exposure=exposure,
+        reset=frame.reset,
+        samples=frame.samples,
+        world_to_camera=frame.world_to_camera,
+        fov_x=frame.fov_x,
+        metadata=frame.metadata,
+    )
+
+
+def _encode(step: Step, commands: CommandBuffer, resident: ResidentFrame) -> None:
+    """Let a pass record its work, then hold it to the output it declared."""
+    with commands.group(step.name):
+        step.instance.encode(commands, resident)
+    output = step.reflection.output
+    resident.tensors = {role: resident[role] for role in output.roles if role in resident}
+    wrong = [role for role in output.roles if role not in resident or not _fits(resident[role], role, output)]
+    if wrong:
+        raise PassContractError(f"pass '{step.name}' did not leave plane '{wrong[0]}' as its reflection declares")
+    resident.spec = output
+
+
+def _fits(tensor: Tensor, role: Role, spec: FrameSpec) -> bool:
+    return tensor.shape == (spec.height, spec.width, spec.channels(role))
+
+
+def _finished(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor]) -> Frame:
+    """The frame that comes out: new planes copied from the device, the others as they came in."""
+    same_size = (plan.output.width, plan.output.height) == (plan.available.width, plan.available.height)
+    unread = [role for role in plan.available.roles if role not in plan.planes and same_size]
+    planes = {role: frame[role] for role in unread}
+    for role, tensor in resident.tensors.items():
+        planes[role] = frame[role] if tensor is inputs.get(role) else tensor.download()
+    return dataclasses.replace(frame, planes=planes, encoding=plan.output.encoding, jitter=resident.jitter)
+
+
+def _milliseconds(commands: CommandBuffer, name: str) -> float:
+    return sum(elapsed for label, elapsed in commands.timings if label.startswith(f"{name}/"))

@@ -1,0 +1,181 @@
+"""The plan: which passes a frame needs, in what order, what must be read for them, and what is skipped and why."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from postfx.errors import MissingPlaneError
+from postfx.frame import FrameSpec, Role
+from postfx.passes.base import Pass, PassContractError, Reflection
+
+KEPT = (Role.COLOUR, Role.ALPHA)
+"""Planes that are wanted in the output even when no pass touches them."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One active pass: its name in this plan, the spec it gets, and what it declares for it."""
+
+    name: str
+    instance: Pass
+    input: FrameSpec
+    reflection: Reflection
+
+    @property
+    def uses(self) -> tuple[Role, ...]:
+        """Planes it reads here, optional ones included, in the order of `Role`."""
+        wanted = {*self.reflection.reads, *self.reflection.may_read}
+        return tuple(role for role in self.input.roles if role in wanted)
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """Something that is left out, and why."""
+
+    what: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What happens to frames of one spec.
+
+    Attributes:
+        available: spec of the frame as it is offered.
+        planes: roles that must be read, in the order of `Role`; everything else may stay in the file.
+        steps: active passes in order.
+        skipped: passes and planes that are left out, and why.
+        output: spec of the frame that comes out.
+    """
+
+    available: FrameSpec
+    planes: tuple[Role, ...]
+    steps: tuple[Step, ...]
+    skipped: tuple[Skipped, ...]
+    output: FrameSpec
+
+    @property
+    def input(self) -> FrameSpec:
+        """Spec of the frame once only the planes that are needed were read."""
+        return _restricted(self.available, self.planes)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The plan in plain types, as `to_json` writes it."""
+        return {
+            "input": _spec_dict(self.available),
+            "planes": [str(role) for role in self.planes],
+            "passes": [_step_dict(step) for step in self.steps],
+            "skipped": [{"what": item.what, "why": item.why} for item in self.skipped],
+            "output": _spec_dict(self.output),
+        }
+
+    def to_json(self) -> str:
+        """The plan as one JSON object."""
+        return json.dumps(self.as_dict(), indent=2)
+
+    def __str__(self) -> str:
+        lines = [("frame", _spec_text(self.available)), ("reads", _names(self.planes))]
+        lines += [(f"pass {number}", _step_text(step)) for number, step in enumerate(self.steps, 1)]
+        lines += [("skips", f"{item.what}: {item.why}") for item in self.skipped]
+        lines += [("output", _spec_text(self.output))]
+        return "\n".join(f"{head:<8}{text}" for head, text in lines)
+
+
+def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
+    """The plan for frames of `spec`, which may hold more planes than are needed.
+
+    Raises MissingPlaneError when a pass needs a plane that neither the frame nor an earlier pass provides,
+    PassContractError when a pass declares an output that cannot be.
+    """
+    steps: list[Step] = []
+    skipped: list[Skipped] = []
+    current = spec
+    for instance, name in zip(passes, _step_names(passes), strict=True):
+        reason = instance.skip(current)
+        if reason is not None:
+            skipped.append(Skipped(name, reason))
+            continue
+        step = Step(name, instance, current, instance.reflect(current))
+        _check(step, spec)
+        steps.append(step)
+        current = step.reflection.output
+    planes = _needed(spec, steps)
+    unread = [role for role in spec.roles if role not in planes]
+    skipped += [Skipped(f"plane '{role}'", "no pass reads it") for role in unread]
+    return _narrowed(Plan(spec, planes, tuple(steps), tuple(skipped), current))
+
+
+def _narrowed(plan: Plan) -> Plan:
+    """The same plan with specs that hold only the planes that are read, as the passes will see them."""
+    current = plan.input
+    steps = []
+    for step in plan.steps:
+        steps.append(Step(step.name, step.instance, current, step.instance.reflect(current)))
+        current = steps[-1].reflection.output
+    return Plan(plan.available, plan.planes, tuple(steps), plan.skipped, current)
+
+
+def _needed(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
+    needed: set[Role] = set()
+    provided: set[Role] = set()
+    for step in steps:
+        needed |= set(step.uses) - provided
+        provided |= set(step.reflection.writes)
+    needed |= set(KEPT) - provided
+    return tuple(role for role in spec.roles if role in needed)
+
+
+def _check(step: Step, spec: FrameSpec) -> None:
+    missing = [role for role in step.reflection.reads if not step.input.has(role)]
+    if missing:
+        dropped = "an earlier pass dropped it" if spec.has(missing[0]) else "the frame does not have it"
+        mend = "render it, name it in a profile, or leave the pass out"
+        raise MissingPlaneError(f"pass '{step.name}' needs plane '{missing[0]}', but {dropped}: {mend}")
+    output, writes = step.reflection.output, step.reflection.writes
+    kept = [role for role in output.roles if role not in writes]
+    invented = [role for role in kept if not step.input.has(role)]
+    if invented or not set(writes) <= set(output.roles):
+        raise PassContractError(f"pass '{step.name}' declares an output of other planes than it keeps and writes")
+    if kept and (output.width, output.height) != (step.input.width, step.input.height):
+        raise PassContractError(f"pass '{step.name}' changes the size but keeps plane '{kept[0]}' at the old one")
+
+
+def _step_names(passes: Sequence[Pass]) -> list[str]:
+    """Names of the passes; a second pass of the same name gets a number."""
+    plain = [instance.name for instance in passes]
+    counts = [plain[: index + 1].count(name) for index, name in enumerate(plain)]
+    return [name if count == 1 else f"{name} {count}" for name, count in zip(plain, counts, strict=True)]
+
+
+def _restricted(spec: FrameSpec, roles: Sequence[Role]) -> FrameSpec:
+    return FrameSpec(spec.width, spec.height, tuple(roles), spec.encoding)
+
+
+def _step_text(step: Step) -> str:
+    before, after = step.input, step.reflection.output
+    changes = [f"{before.width}x{before.height} -> {after.width}x{after.height}"]
+    changes = changes if (before.width, before.height) != (after.width, after.height) else []
+    changes += [f"{before.encoding} -> {after.encoding}"] if before.encoding != after.encoding else []
+    text = f"{step.name}: reads {_names(step.uses)}; writes {_names(step.reflection.writes)}"
+    return "; ".join([text, *changes])
+
+
+def _step_dict(step: Step) -> dict[str, Any]:
+    uses, writes = [str(role) for role in step.uses], [str(role) for role in step.reflection.writes]
+    return {"name": step.name, "reads": uses, "writes": writes, "output": _spec_dict(step.reflection.output)}
+
+
+def _spec_text(spec: FrameSpec) -> str:
+    return f"{spec.width}x{spec.height}, {spec.encoding}: {_names(spec.roles)}"
+
+
+def _spec_dict(spec: FrameSpec) -> dict[str, Any]:
+    planes = [str(role) for role in spec.roles]
+    return {"width": spec.width, "height": spec.height, "encoding": spec.encoding, "planes": planes}
+
+
+def _names(roles: Iterable[Role]) -> str:
+    return ", ".join(roles) or "nothing"
