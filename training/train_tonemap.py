@@ -84,6 +84,7 @@ def validate(net: HDRNet, packed: np.lib.npyio.NpzFile, params: torch.Tensor) ->
 def main() -> None:
     args = parser.parse_args()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    name = torch.cuda.get_device_name() if device.type == "cuda" else "CPU"
     torch.manual_seed(args.seed)
     torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
     out = Path(args.out)
@@ -118,6 +119,7 @@ def main() -> None:
                 print(json.dumps(row), flush=True)
                 log.write(json.dumps(row) + "\n")
                 state = {"weights": average.state_dict(), "look": str(packed["look"]), "args": vars(args), "log": row}
+                state |= {"torch": torch.__version__, "device": name, "data": [str(x) for x in packed["names"]]}
                 torch.save(state, out / "checkpoint.pt")
                 last, steps_since = elapsed, 0
                 sums.zero_()

@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-LOWRES = 256  # side of the copy that the coefficients are computed on
+SIDE = 256  # side of the copy that the coefficients are computed on
 CELLS, DEPTH = 16, 8  # grid: 16 x 16 cells, 8 guide levels
 COEFFICIENTS = 12  # 3x4 affine colour matrix, row-major
 KNOTS = 16
@@ -32,11 +32,11 @@ def default_params(exposure: float = 1.0) -> torch.Tensor:
     return torch.tensor([exposure, *SHAPER], dtype=torch.float32)
 
 
-def area_weights(out_size: int, in_size: int | torch.Tensor, device: torch.device | None = None) -> torch.Tensor:
+def area_weights(out_size: int, in_size: int, device: torch.device | None = None) -> torch.Tensor:
     """(out_size, in_size) matrix of exact area averaging: overlap of each output cell with each input pixel."""
-    scale = torch.as_tensor(in_size, device=device).to(torch.float32) / out_size
+    left = torch.arange(in_size, device=device).to(torch.float32)
+    scale = (left[-1] + 1) / out_size  # from a tensor, so that the exported graph keeps the size free
     start = torch.arange(out_size, device=device).to(torch.float32)[:, None] * scale
-    left = torch.arange(in_size, device=device).to(torch.float32)[None, :]
     overlap = torch.minimum(left + 1, start + scale) - torch.maximum(left, start)
     return overlap.clamp_min(0.0) / scale
 
@@ -44,7 +44,7 @@ def area_weights(out_size: int, in_size: int | torch.Tensor, device: torch.devic
 def lowres(colour: torch.Tensor, params: torch.Tensor) -> torch.Tensor:
     """Shaped colour (N,3,H,W) averaged by area to (N,3,256,256): a log average, which fireflies barely move."""
     h, w = colour.shape[-2:]
-    rows, columns = area_weights(LOWRES, h, colour.device), area_weights(LOWRES, w, colour.device)
+    rows, columns = area_weights(SIDE, h, colour.device), area_weights(SIDE, w, colour.device)
     return rows @ (shape(colour, params) @ columns.T)
 
 
@@ -53,10 +53,10 @@ def guide_map(shaped: torch.Tensor, guide: torch.Tensor) -> torch.Tensor:
     matrix, bias, shifts, slopes, mix = guide[:-1].split([9, 3, 3 * KNOTS, 3 * KNOTS, 3])
     shifts, slopes = shifts.view(3, KNOTS), slopes.view(3, KNOTS)
     mapped = F.conv2d(shaped, matrix.view(3, 3, 1, 1), bias)
-    total = guide[-1]
-    for c in range(3):
-        curve = sum(slopes[c, k] * F.relu(mapped[:, c : c + 1] - shifts[c, k]) for k in range(KNOTS))
-        total = total + mix[c] * curve
+    curves = torch.zeros_like(mapped)
+    for k in range(KNOTS):
+        curves = curves + slopes[:, k].view(1, 3, 1, 1) * F.relu(mapped - shifts[:, k].view(1, 3, 1, 1))
+    total = (curves * mix.view(1, 3, 1, 1)).sum(1, keepdim=True) + guide[-1]
     return total.clamp(0.0, 1.0)
 
 
@@ -68,7 +68,10 @@ def affine(coefficients: torch.Tensor, shaped: torch.Tensor) -> torch.Tensor:
 
 
 def slice_apply(colour: torch.Tensor, params: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) -> torch.Tensor:
-    """Display colour (N,3,H,W) in [0,1]: trilinear look-up of grid (N,16,16,8,12) [y,x,level,coefficient], then affine."""
+    """Display colour (N,3,H,W) in [0,1]: trilinear look-up of grid (N,16,16,8,12), then affine.
+
+    Grid axes: y, x, guide level, coefficient.
+    """
     shaped = shape(colour, params)
     n, _, h, w = shaped.shape
     z = guide_map(shaped, guide)[:, 0] * 2 - 1

@@ -1,0 +1,109 @@
+"""Exposure metering: one multiplier a frame, from the picture, from its header or fixed.
+
+Colour times the multiplier is what the tone mapper and the eye should see; mid grey is 0.18. Metering looks at this
+frame and the past only, so a sequence gives the same numbers in one run and frame by frame.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from postfx.errors import PostfxError
+from postfx.frame import Frame, Role
+from postfx.kernels.metering import block_means
+
+KEY = 0.18
+LIMITS_EV = (-16.0, 16.0)
+PERCENTILES = (2.0, 98.0)
+RANGE_EV = 9.0  # whatever lies deeper below the 98th percentile is just black
+BLACK = 2.0**-24  # mean luminance of a block that holds nothing: borders, misses
+BLOCK, MOST_BLOCKS = 8, 160
+BRIGHTEN_SECONDS, DARKEN_SECONDS = 1.0, 0.4  # an eye and a camera close faster than they open
+FRAMES_PER_SECOND = 24.0
+MODES = ("auto", "metadata")
+
+
+class ExposureError(PostfxError):
+    """The exposure asked for cannot be had."""
+
+
+def measure(colour: np.ndarray) -> float | None:
+    """EV that brings a picture to mid grey, or None when it is black.
+
+    colour: (height, width, 3) scene-linear Rec.709. The mean of log2 luminance over blocks of pixels, between the
+    2nd and the 98th percentile, is brought to log2(0.18); values more than 9 stops below the 98th percentile count
+    as 9 stops below. The result is limited to +-16 EV.
+    """
+    height, width = colour.shape[:2]
+    block = max(BLOCK, math.ceil(max(height, width) / MOST_BLOCKS))
+    means = np.empty((math.ceil(height / block), math.ceil(width / block)))
+    block_means(colour, block, means)
+    light = means[means > BLACK]
+    if light.size == 0:
+        return None
+    log = np.log2(light)
+    low, high = np.percentile(log, PERCENTILES)
+    inner = np.maximum(log[(log >= low) & (log <= high)], high - RANGE_EV)
+    return float(np.clip(math.log2(KEY) - inner.mean(), *LIMITS_EV))
+
+
+class ExposureMeter:
+    """Stateful exposure: call it with each frame in order, get the multiplier (> 0) to use for that frame.
+
+    mode: 'auto' meters each picture and follows it smoothly in EV, slower towards brighter (1 s) than towards
+    darker (0.4 s), at once at the first frame and at cuts (`frame.reset`); a black frame keeps the last value.
+    'metadata' takes `frame.exposure` and fails where there is none. A number is an EV: the multiplier is 2 ** EV.
+    """
+
+    def __init__(self, mode: str | float = "auto") -> None:
+        self.mode: str | float = mode if mode in MODES else _fixed_ev(mode)
+        self._ev: float | None = None
+
+    def reset(self) -> None:
+        """Forget the past: the next frame is metered as the first."""
+        self._ev = None
+
+    def __call__(self, frame: Frame) -> float:
+        """Multiplier for `frame`; ExposureError when the mode is 'metadata' and its header gives none."""
+        if self.mode == "metadata":
+            return _header_exposure(frame)
+        if self.mode == "auto":
+            return 2.0 ** self._follow(frame)
+        return 2.0 ** float(self.mode)
+
+    def _follow(self, frame: Frame) -> float:
+        wanted = measure(frame[Role.COLOUR])
+        if wanted is not None:
+            if self._ev is None or frame.reset:
+                self._ev = wanted
+            else:
+                self._ev += (wanted - self._ev) * _share(frame, wanted > self._ev)
+        return self._ev if self._ev is not None else 0.0
+
+
+def _share(frame: Frame, brighter: bool) -> float:
+    """How much of the way to the wanted EV one frame goes."""
+    rate = frame.metadata.get("framesPerSecond", FRAMES_PER_SECOND)
+    rate = float(rate) if isinstance(rate, int | float) and rate > 0 else FRAMES_PER_SECOND
+    return 1.0 - math.exp(-1.0 / (rate * (BRIGHTEN_SECONDS if brighter else DARKEN_SECONDS)))
+
+
+def _fixed_ev(mode: str | float) -> float:
+    try:
+        ev = float(mode)
+    except ValueError:
+        ev = math.nan
+    if not abs(ev) <= 64:
+        raise ExposureError(f"exposure '{mode}': use auto, metadata or a number of stops (EV) within -64..64")
+    return ev
+
+
+def _header_exposure(frame: Frame) -> float:
+    exposure, name = frame.exposure, frame.source or f"frame {frame.number}"
+    if exposure is None:
+        raise ExposureError(f"{name}: no exposure in its header (postfx:exposure): use --exposure auto or an EV number")
+    if not 0 < exposure < math.inf:
+        raise ExposureError(f"{name}: exposure {exposure} in its header is not a positive number: use --exposure auto")
+    return float(exposure)
