@@ -1,0 +1,110 @@
+"""One clip: a scene, a camera path, references and noisy variants of every frame."""
+
+from __future__ import annotations
+
+import gc
+from dataclasses import asdict, dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from training.sampling import FILTERS, Style, draw_styles, filter_table
+from training.scenes.build import BuiltScene
+from training.scenes.lights import Environments
+from training.scenes.motion import Camera
+from training.scenes.procedural import draft
+from training.scenes.real import RealScenes
+from training.scenes.views import choose_path
+from training.tracing import Film, Tracer
+
+AVERAGED = ("diffuse_albedo", "specular_albedo", "normal", "roughness")
+
+
+@dataclass(frozen=True)
+class ClipOptions:
+    """Sizes and counts; `scales` and `scale_chances` say how often each upscaling factor is drawn."""
+
+    width: int = 128
+    height: int = 128
+    frames: int = 8
+    variants: int = 3
+    reference_spp: int = 128
+    scales: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0)
+    scale_chances: tuple[float, ...] = (0.1, 0.1, 0.7, 0.1)
+    real_share: float = 0.25
+
+
+def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes, seed: int,
+              index: int) -> tuple[np.ndarray, list[dict], dict]:
+    """Reference (T, H, W, 3), variants and facts, as `save_clip` takes them; the same for the same seed and index."""
+    rng = np.random.default_rng([seed, index])
+    description, built, path, gain = _scene(tracer, options, maps, real, rng)
+    scale = float(rng.choice(options.scales, p=options.scale_chances))
+    pixel_filter = FILTERS[int(rng.random() < 0.35)]
+    styles = draw_styles(options.variants, options.frames, pixel_filter, rng)
+    size, output = (options.width, options.height), (round(options.width * scale), round(options.height * scale))
+    spp = options.reference_spp * description.reference_factor
+    table, references, variants = filter_table(pixel_filter), [], [[] for _ in styles]
+    for frame in range(options.frames):
+        built.move(frame, frame - 1)
+        camera, previous = path.at(frame), path.at(frame - 1)
+        references.append(gain * tracer.reference(built.scene, camera, output, table, spp, _seed(rng)))
+        for style, frames in zip(styles, variants, strict=True):
+            frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain, rng))
+    meta = {
+        "filter": pixel_filter, "gain": gain, "reference_spp": spp, "fov": path.fov, "camera": path.kind,
+        "amplitude": path.amplitude, "movers": len(description.movers), "options": asdict(options),
+        "to_world": [path.at(f).to_world.tolist() for f in range(options.frames)],
+    }
+    facts = {"scale": scale, "seed": index, "scene": description.name, "meta": meta}
+    stacked = [_stack(frames, style) for frames, style in zip(variants, styles, strict=True)]
+    del built
+    gc.collect()
+    return np.stack(references), stacked, facts
+
+
+def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int], style: Style,
+                frame: int, gain: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Colour and planes (H, W, C) of one noisy frame; `cameras` are this frame's and the previous one's.
+
+    Offline styles average the planes over the samples as renderers do, but depth is the first sample's, and so is
+    motion with the box filter (an average of both sides of an edge would belong to neither).
+    """
+    width, height = size
+    y, x = np.divmod(np.arange(width * height, dtype=np.float32), width)
+    offsets = style.offsets(frame, width * height, rng)
+    u, v = (x[:, None] + offsets[..., 0]) / width, (y[:, None] + offsets[..., 1]) / height
+    film = Film(mi.Float(u.ravel()), mi.Float(v.ravel()))
+    colour = tracer.radiance(built.scene, cameras[0], width / height, film, _seed(rng)).numpy().T
+    result = {"colour": gain * colour.reshape(height, width, style.spp, 3).mean(2)}
+    once = style.kind == "realtime"
+    if once:
+        film = Film(mi.Float(u[:, 0].copy()), mi.Float(v[:, 0].copy()))
+    for name, values in tracer.planes(built, *cameras, size, film).items():
+        samples = values.reshape(height, width, 1 if once else style.spp, *values.shape[1:])
+        mean = name in AVERAGED or (name == "motion" and style.kind == "blackman-harris")
+        result[name] = samples.mean(2) if mean else samples[:, :, 0]
+    return result
+
+
+def _scene(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes,
+           rng: np.random.Generator) -> tuple:
+    """Draw scenes until one has a view of use."""
+    while True:
+        drafted = real.draft(rng, maps) if real and rng.random() < options.real_share else draft(rng, maps)
+        built = BuiltScene(drafted.description)
+        built.move(3.5, 2.5)
+        chosen = choose_path(tracer, built, drafted.view, rng, options.width, drafted.near)
+        if chosen:
+            return drafted.description, built, *chosen
+        del built
+        gc.collect()
+
+
+def _seed(rng: np.random.Generator) -> int:
+    return int(rng.integers(1 << 31))
+
+
+def _stack(frames: list[dict], style: Style) -> dict:
+    planes = {name: np.stack([f[name] for f in frames]) for name in frames[0]}
+    return planes | {"jitter": style.jitter, "spp": style.spp, "style": style.kind}

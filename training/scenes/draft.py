@@ -1,0 +1,74 @@
+"""What procedural scenes share: a draft with its views, a pool of materials, placed and moving things."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from training.scenes import furniture, meshes, textures
+from training.scenes.build import Description
+from training.scenes.materials import Material, random_material
+from training.scenes.motion import object_path
+
+View = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass
+class Draft:
+    """A scene and how to draw a view of it: (eye, target)."""
+
+    description: Description
+    view: Callable[[np.random.Generator], View]
+    near: float = 0.3
+
+
+class Pool:
+    """A few materials shared by many things, so that a scene stays a few shapes."""
+
+    def __init__(self, d: Description, rng: np.random.Generator, count: int, **chances: float) -> None:
+        self.indices = [d.material(random_material(rng, **chances)) for _ in range(count)]
+        self.rng = rng
+
+    def slots(self) -> dict[str, int]:
+        names = ("main", "second", "third", "leaf")
+        return {name: int(self.rng.choice(self.indices)) for name in names}
+
+
+def place(d: Description, thing: furniture.Thing, slots: dict[str, int], matrix: np.ndarray, uv: float) -> None:
+    for mesh, slot in thing:
+        d.add(mesh.transformed(matrix).scaled_uvs(uv), slots[slot])
+
+
+def moving_thing(d: Description, rng: np.random.Generator, thing: furniture.Thing, slots: dict[str, int],
+                 home: np.ndarray, uv: float, metre: float = 1.0) -> None:
+    """Add a thing that slides, turns or tumbles; speeds from slow to fast, metres and radians a frame."""
+    height = max(mesh.vertices[:, 1].max() for mesh, _ in thing)
+    kind = rng.choice(["slide", "turn", "tumble", "both"])
+    speed = 0.02 * metre * np.exp(rng.normal(0, 0.9)) * (kind in ("slide", "both", "tumble"))
+    spin = float(np.clip(rng.normal(0, 0.12), -0.4, 0.4)) * (kind != "slide")
+    heading = rng.uniform(0, 2 * np.pi)
+    velocity = speed * np.array([np.cos(heading), 0, np.sin(heading)])
+    axis = rng.normal(0, 1, 3) if kind == "tumble" else np.array([0.0, 1, 0])
+    lift = 0.5 * height
+    raised = home + np.array([0, lift + (0.5 * height if kind == "tumble" else 0.0), 0])
+    d.movers.append(object_path(raised, velocity, axis, spin))
+    mover = len(d.movers) - 1
+    for mesh, slot in thing:
+        d.add(mesh.transformed(meshes.translation(0, -lift, 0)).scaled_uvs(uv), slots[slot], mover)
+
+
+def add_moving(d: Description, rng: np.random.Generator, home: np.ndarray, metre: float) -> None:
+    """Add a random moving thing with materials of its own; `metre` is the length of a metre in the scene's units."""
+    pool = Pool(d, rng, 2, gloss=0.4, metal=0.3)
+    thing = furniture.resized(furniture.pick(rng), metre * rng.uniform(0.3, 0.9))
+    moving_thing(d, rng, thing, pool.slots(), home, float(rng.choice([1, 3])) / metre, metre)
+
+
+def surface(rng: np.random.Generator, gloss: float) -> Material:
+    """A wall or floor: textured, never metal."""
+    albedo = textures.wood(rng) if rng.random() < 0.3 else textures.texture(rng, flat=0.3)
+    if rng.random() < gloss:
+        return Material("roughplastic", albedo, float(rng.uniform(0.2, 0.6) ** 2))
+    return Material("diffuse", albedo)

@@ -1,0 +1,96 @@
+"""Choosing a view that shows something, how bright to make it, and how fast the camera goes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import mitsuba as mi
+import numpy as np
+
+from training.scenes.build import BuiltScene
+from training.scenes.motion import Camera, CameraPath, target_speed
+from training.tracing import MISS_DEPTH, Film, Tracer
+
+GRID, PROBE_SPP = 24, 16
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A coarse look through a camera: luminance, depth, albedo (G*G, ...) and hit points."""
+
+    luminance: np.ndarray
+    depth: np.ndarray
+    albedo: np.ndarray
+    normal: np.ndarray
+    points: np.ndarray
+
+    @property
+    def hits(self) -> np.ndarray:
+        return self.depth < MISS_DEPTH / 2
+
+    def problem(self, near: float) -> str | None:
+        """Why the view is of no use, or None."""
+        if self.hits.mean() < 0.4:
+            return "mostly sky"
+        if np.percentile(self.depth, 4) < near:
+            return "too near a surface"
+        mean = self.luminance.mean()
+        if not np.isfinite(mean) or mean <= 1e-9:
+            return "black"
+        if (self.luminance < 0.003 * mean).mean() > 0.5:
+            return "mostly black"
+        plain = np.std(self.normal, axis=0).sum() + 2 * np.std(self.albedo, axis=0).sum()
+        return "nothing to see" if plain < 0.35 else None
+
+    def gain(self, rng: np.random.Generator) -> float:
+        """Factor that brings the geometric mean to a drawn level: median 0.2, mostly 0.07 to 0.6."""
+        level = np.exp(np.log(np.maximum(self.luminance, 1e-3 * self.luminance.mean() + 1e-12)).mean())
+        return float(0.2 * np.exp(rng.normal(0, 0.6)) / level)
+
+
+def probe(tracer: Tracer, built: BuiltScene, camera: Camera, seed: int) -> Probe:
+    centres = (np.arange(GRID) + 0.5) / GRID
+    u, v = (g.ravel().astype(np.float32) for g in np.meshgrid(centres, centres))
+    planes = tracer.planes(built, camera, camera, (GRID, GRID), Film(mi.Float(u), mi.Float(v)))
+    film = Film(mi.Float(np.repeat(u, PROBE_SPP)), mi.Float(np.repeat(v, PROBE_SPP)))
+    colour = tracer.radiance(built.scene, camera, 1.0, film, seed).numpy().T
+    luminance = (colour @ LUMINANCE).reshape(-1, PROBE_SPP).mean(1)
+    tangent = np.tan(np.radians(camera.fov) / 2)
+    local = np.stack([(1 - 2 * u) * tangent, (1 - 2 * v) * tangent, np.ones_like(u)], 1) * planes["depth"][:, None]
+    points = local @ camera.to_world[:3, :3].T + camera.to_world[:3, 3]
+    albedo = planes["diffuse_albedo"] + planes["specular_albedo"]
+    return Probe(luminance, planes["depth"], albedo, planes["normal"], points)
+
+
+def image_speed(path: CameraPath, points: np.ndarray, width: int) -> float:
+    """Median motion of world points on a square image of `width` pixels, pixels a frame, over three steps."""
+    steps = []
+    for frame in (1, 3, 5):
+        now, later = (path.at(frame + k).project(points, width, width) for k in (0, 1))
+        steps.append(np.nanmedian(np.linalg.norm(later - now, axis=1)))
+    return float(np.nanmean(steps))
+
+
+def choose_path(tracer: Tracer, built: BuiltScene, view: Callable, rng: np.random.Generator, width: int,
+                near: float = 0.3, attempts: int = 8) -> tuple[CameraPath, float] | None:
+    """A camera path and the gain for its frames, or None where no drawn view is of use."""
+    for _ in range(attempts):
+        eye, target = view(rng)
+        fov = float(rng.uniform(35, 80))
+        kind, direction = str(rng.choice(CameraPath.KINDS)), rng.uniform(-1, 1, 3)
+        path = CameraPath(eye, target, fov, kind, 0.0, direction, int(rng.integers(1 << 30)))
+        if np.linalg.norm((target - eye)[[0, 2]]) < 0.3:
+            continue
+        look = probe(tracer, built, path.at(0), int(rng.integers(1 << 31)))
+        if look.problem(near):
+            continue
+        if rng.random() < 0.15:
+            return path, look.gain(rng)
+        speed = image_speed(replace(path, amplitude=1.0), look.points[look.hits], width)
+        moving = replace(path, amplitude=float(np.clip(target_speed(rng) / max(speed, 1e-3), 0.01, 25.0)))
+        ends = [probe(tracer, built, moving.at(frame), int(rng.integers(1 << 31))) for frame in (0, 7)]
+        if not any(end.problem(0.5 * near) for end in ends):
+            return moving, look.gain(rng)
+    return None

@@ -1,0 +1,160 @@
+"""Light paths and first-hit planes of a built scene, through any sub-pixel positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from training.scenes.build import ROW, BuiltScene, anchors
+from training.scenes.materials import palette
+from training.scenes.motion import Camera
+
+MISS_DEPTH = 1e10
+
+
+@dataclass(frozen=True)
+class Film:
+    """Sample positions as fractions of the image, (N,) each: u to the right, v down."""
+
+    u: mi.Float
+    v: mi.Float
+
+
+class Tracer:
+    """Holds the integrator and what keeps kernels equal between scenes; one a process."""
+
+    def __init__(self, depth: int = 6) -> None:
+        self._integrator = mi.load_dict({"type": "path", "max_depth": depth})
+        self._keep = [*palette(), *anchors()]
+
+    def radiance(self, scene: mi.Scene, camera: Camera, aspect: float, film: Film, seed: int) -> mi.Color3f:
+        """Radiance (N samples) of independent light paths; `aspect` is width / height."""
+        count = dr.width(film.u)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(dr.opaque(mi.UInt32, seed & 0xFFFFFFFF), count)
+        ray = _rays(camera, aspect, film)
+        colour, _, _ = self._integrator.sample(scene, sampler, ray)
+        return mi.Color3f(dr.select(dr.isfinite(colour), colour, 0))
+
+    def reference(self, scene: mi.Scene, camera: Camera, size: tuple[int, int], table: np.ndarray, spp: int,
+                  seed: int, batch: int = 1 << 25) -> np.ndarray:
+        """(H, W, 3) float32 mean of `spp` samples a pixel, spread by the filter's inverse distribution `table`."""
+        width, height = size
+        total, left = np.zeros((height, width, 3), np.float32), spp
+        while left:
+            now = min(left, max(1, batch // (width * height)))
+            film = _spread(width, height, now, table, seed + 7919 * left)
+            colour = self.radiance(scene, camera, width / height, film, seed + 104729 * left)
+            sums = [dr.block_sum(channel, now).numpy() for channel in (colour.x, colour.y, colour.z)]
+            total += np.stack(sums, -1).reshape(height, width, 3)
+            left -= now
+        return total / spp
+
+    def planes(self, built: BuiltScene, camera: Camera, previous: Camera, size: tuple[int, int],
+               film: Film) -> dict[str, np.ndarray]:
+        """First-hit planes of every sample, (N,) or (N, C) float32; motion in pixels of an image of `size`."""
+        width, height = size
+        ray = _rays(camera, width / height, film)
+        si = built.scene.ray_intersect(ray)
+        hit = si.is_valid()
+        row = dr.reinterpret_array(mi.UInt32, si.shape)
+        row = dr.select(hit, row, 0)
+        f0, coloured, diffuse, roughness, emissive = _properties(built.properties, row, hit)
+        base = mi.Color3f(si.bsdf().eval_diffuse_reflectance(si, hit))
+        normal = dr.select(dr.dot(si.sh_frame.n, ray.d) > 0, -si.sh_frame.n, si.sh_frame.n)
+        specular = environment_brdf(f0 + coloured * base, roughness, dr.abs(dr.dot(normal, ray.d)))
+        lit = hit & (emissive < 0.5)
+        moved = _moved(built.motions, row, si.p)
+        motion_x, motion_y = _motion(previous, (width, height), film, hit, moved, ray.d)
+        axis = _column(camera.to_world, 2)
+        values = {
+            "diffuse_albedo": dr.select(lit, base * diffuse, 0),
+            "specular_albedo": dr.select(lit, specular, 0),
+            "normal": dr.select(hit, normal, 0),
+            "roughness": dr.select(lit, roughness, 1),
+            "depth": dr.select(hit, dr.dot(si.p - ray.o, axis), MISS_DEPTH),
+            "motion": mi.Vector2f(motion_x, motion_y),
+        }
+        dr.eval(values)
+        return {name: _rows(value) for name, value in values.items()}
+
+
+def environment_brdf(f0: mi.Color3f, roughness: mi.Float, cosine: mi.Float) -> mi.Color3f:
+    """Specular reflectance under uniform light (Karis 2014, "Physically based shading on mobile"), noise-free."""
+    x, y = 1 - roughness, 0.0425 - 0.0275 * roughness
+    z, w = 1.04 - 0.572 * roughness, -0.04 + 0.022 * roughness
+    a = dr.minimum(x * x, dr.exp2(-9.28 * cosine)) * x + y
+    return dr.clip(f0 * (z - 1.04 * a) + (w + 1.04 * a), 0, 1)
+
+
+def _rows(value: mi.Float) -> np.ndarray:
+    array = value.numpy()
+    return array if array.ndim == 1 else np.ascontiguousarray(array.T)
+
+
+def _opaque(value: float) -> mi.Float:
+    return dr.opaque(mi.Float, float(value))
+
+
+def _column(matrix: np.ndarray, column: int) -> mi.Vector3f:
+    return mi.Vector3f(*(_opaque(matrix[i, column]) for i in range(3)))
+
+
+def _rays(camera: Camera, aspect: float, film: Film) -> mi.RayDifferential3f:
+    tangent = _opaque(np.tan(np.radians(camera.fov) / 2))
+    x = (1 - 2 * film.u) * tangent
+    y = (1 - 2 * film.v) * tangent / _opaque(aspect)
+    left, up, forward, origin = (_column(camera.to_world, k) for k in range(4))
+    direction = dr.normalize(left * x + up * y + forward)
+    return mi.RayDifferential3f(mi.Point3f(origin), direction)
+
+
+def _spread(width: int, height: int, spp: int, table: np.ndarray, seed: int) -> Film:
+    """`spp` consecutive samples for each pixel, in row order, drawn from the filter's table."""
+    count = width * height * spp
+    pixel = dr.arange(mi.UInt32, count) // dr.opaque(mi.UInt32, spp)
+    rng = mi.PCG32(size=count, initstate=dr.opaque(mi.UInt64, seed))
+    lookup = mi.Float(table)
+    columns, rows = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
+    y = pixel // columns
+    x = pixel - y * columns
+    u = (mi.Float(x) + _offset(lookup, rng.next_float32())) / mi.Float(columns)
+    v = (mi.Float(y) + _offset(lookup, rng.next_float32())) / mi.Float(rows)
+    dr.eval(u, v)
+    return Film(u, v)
+
+
+def _offset(table: mi.Float, drawn: mi.Float) -> mi.Float:
+    position = drawn * (dr.width(table) - 1)
+    index = mi.UInt32(position)
+    low = dr.gather(mi.Float, table, index)
+    return dr.lerp(low, dr.gather(mi.Float, table, index + 1), position - mi.Float(index))
+
+
+def _properties(table: mi.Float, row: mi.UInt32, active: mi.Bool) -> tuple:
+    value = [dr.gather(mi.Float, table, row * ROW + k, active) for k in range(7)]
+    return mi.Color3f(*value[:3]), *value[3:]
+
+
+def _moved(motions: mi.Float, row: mi.UInt32, point: mi.Point3f) -> mi.Point3f:
+    m = [dr.gather(mi.Float, motions, row * 12 + k) for k in range(12)]
+    return mi.Point3f(*(m[4 * i] * point.x + m[4 * i + 1] * point.y + m[4 * i + 2] * point.z + m[4 * i + 3]
+                        for i in range(3)))
+
+
+def _motion(previous: Camera, size: tuple[int, int], film: Film, hit: mi.Bool, point: mi.Point3f,
+            direction: mi.Vector3f) -> tuple[mi.Float, mi.Float]:
+    """Previous minus current position in pixels; misses move as points at infinity."""
+    left, up, forward, origin = (_column(previous.to_world, k) for k in range(4))
+    tangent = _opaque(np.tan(np.radians(previous.fov) / 2))
+    columns, rows = _opaque(size[0]), _opaque(size[1])
+    offset = dr.select(hit, point - mi.Point3f(origin), mi.Point3f(direction))
+    depth = dr.dot(offset, forward)
+    scale = dr.select(depth > 1e-4, 0.5 * dr.rcp(depth * tangent), 0)
+    x = columns * (0.5 - dr.dot(offset, left) * scale) - columns * film.u
+    y = rows * 0.5 - columns * dr.dot(offset, up) * scale - rows * film.v
+    seen = depth > 1e-4
+    return dr.select(seen, x, 0), dr.select(seen, y, 0)
