@@ -13,13 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from postfx.errors import MissingPlaneError, ReadError
-from postfx.frame import Frame, Role
+from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.convert import Camera, convert, fill_value
 from postfx.io.exr import ImageFile, Part
 from postfx.io.profile import PlaneRule, Profile, load_profile, profile_names
 
 COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image", "noisy")
 """Words that stand for the colour plane where every plane has its own file."""
+
+REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""Chromaticities of red, green, blue and white (ITU-R BT.709-6, table 1)."""
 
 
 def is_plane_word(word: str) -> bool:
@@ -44,7 +47,11 @@ class Match(NamedTuple):
 
     @property
     def names(self) -> str:
-        return ", ".join(channel.name for channel in self.channels)
+        """Channel names, the common part once: 'albedo.R,G,B'."""
+        heads, tails = zip(*(channel.name.rpartition(".")[::2] for channel in self.channels), strict=True)
+        joined = ",".join(tails)
+        same = len(set(heads)) == 1
+        return (f"{heads[0]}.{joined}" if heads[0] else joined) if same else ", ".join(c.name for c in self.channels)
 
 
 @dataclass
@@ -95,6 +102,11 @@ class FrameFiles:
         """Channels by full name, letter case ignored and * matching anything; None unless all are there."""
         found = [self._find_one(name.lower()) for name in names]
         return tuple(found) if all(found) else None
+
+    def spec(self) -> FrameSpec:
+        """Size and planes of the frame; MissingPlaneError when there is no colour."""
+        display = self.match(Role.COLOUR).channels[0].part.display
+        return FrameSpec(display.width, display.height, tuple(self.layout.planes))
 
     def read(self, number: int, roles: Iterable[Role] | None = None) -> Frame:
         """Frame with the planes of `roles` (None: all that are there).
@@ -210,7 +222,18 @@ def _layout(files: FrameFiles, profile: Profile | None) -> Layout:
     for rule in profile.planes:
         if rule.role not in layout.planes:
             _match_rule(files, layout, rule)
+    layout.warnings += _colour_warnings(layout)
     return layout
+
+
+def _colour_warnings(layout: Layout) -> list[str]:
+    match, warnings = layout.planes.get(Role.COLOUR), []
+    if match and match.channels[0].part.overscan:
+        warnings.append("overscan outside the display window is cut off")
+    primaries = layout.attributes.get("chromaticities", REC709)
+    if np.size(primaries) == 8 and not np.allclose(primaries, REC709, atol=2e-3):
+        warnings.append("colours have other primaries than Rec.709 (chromaticities header): processed as they are")
+    return warnings
 
 
 def _match_rule(files: FrameFiles, layout: Layout, rule: PlaneRule) -> None:

@@ -60,6 +60,12 @@ class Part:
     display: Window
     attributes: Mapping[str, Any]
 
+    @property
+    def overscan(self) -> bool:
+        """Whether there are pixels outside the display window."""
+        data, display = self.data, self.display
+        return data.x0 < display.x0 or data.y0 < display.y0 or data.x1 > display.x1 or data.y1 > display.y1
+
 
 class ImageFile:
     """An open file: `parts` says what is in it, `read` fetches channels. Use as a context manager.

@@ -16,8 +16,8 @@ from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, pars
 class Sequence:
     """Frames of a pattern, a folder or a single file; iterating reads them one by one.
 
-    A frame that follows another frame than its predecessor on the disk is marked as a cut (`Frame.reset`), because its
-    motion vectors lead to a frame that was left out.
+    A frame read after another than its predecessor on the disk is marked as a cut (`Frame.reset`), because its motion
+    vectors lead to a frame that was left out.
 
     Attributes:
         pattern: how the files are named.
@@ -41,6 +41,7 @@ class Sequence:
         if not self._found:
             raise SequenceError(f"{source}: no such file: check the folder and the frame pattern")
         self._step = _step(list(self._found))
+        self._last: int | None = None
         wanted = frames if frames is not None else named or self._on_disk()
         self.numbers = tuple(parse_frames(wanted) if isinstance(wanted, str) else map(int, wanted))
 
@@ -48,7 +49,14 @@ class Sequence:
         return len(self.numbers)
 
     def __iter__(self) -> Iterator[Frame]:
+        self._last = None
         return (self.read(number) for number in self.numbers)
+
+    def before(self, number: int, count: int) -> list[int]:
+        """Up to `count` frames that lead to a frame without a hole between them, on the disk and in order."""
+        earlier = [number - self._step * distance for distance in range(count, 0, -1)]
+        holes = [index for index, candidate in enumerate(earlier) if candidate not in self._found]
+        return earlier[holes[-1] + 1 :] if holes else earlier
 
     def present(self) -> list[int]:
         """Numbers of the frames on the disk, wanted or not."""
@@ -78,8 +86,8 @@ class Sequence:
         return frame
 
     def _is_cut(self, number: int) -> bool:
-        position = self.numbers.index(number)
-        if position == 0 or self.numbers[position - 1] == number - self._step:
+        previous, self._last = self._last, number
+        if previous is None or previous == number - self._step:
             return False
         warning = "frames are not consecutive: history is dropped where one was left out"
         self.warnings += [] if warning in self.warnings else [warning]

@@ -175,3 +175,15 @@ def test_malformed_profiles_are_explained(tmp_path, text, message):
 def test_unknown_profile_lists_the_known():
     with pytest.raises(ProfileError, match="unknown profile 'maya': use one of .*cycles-5.*generic"):
         load_profile("maya")
+
+
+def test_overscan_warns(write_exr, ramp):
+    path = write_exr("a.exr", ramp("R", "G", "B"), origin=(-1, -1), display=(0, 0, 4, 4))
+    with open_files(path) as files:
+        assert files.layout.warnings == ["overscan outside the display window is cut off"]
+
+
+def test_channel_names_are_shown_short(write_exr, ramp):
+    with open_files(write_exr("a.exr", ramp("R", "G", "B", "albedo.R", "albedo.G", "albedo.B"))) as files:
+        shown = {role: match.names for role, match in files.layout.planes.items()}
+    assert shown == {Role.COLOUR: "R,G,B", Role.DIFFUSE_ALBEDO: "albedo.R,G,B"}

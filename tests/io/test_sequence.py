@@ -127,3 +127,10 @@ def test_folder_with_one_file_a_plane(write_exr, tmp_path, ramp):
     write_exr("specular_albedo.0001.exr", ramp("R", "G", "B"))
     (frame,) = read_sequence(tmp_path)
     assert set(frame.planes) == {Role.COLOUR, Role.SPECULAR_ALBEDO}
+
+
+def test_frames_before_a_frame_stop_at_a_hole(shot):
+    sequence = read_sequence(f"{shot(1, 3, 4, 5, 6)}/shot.####.exr", frames="6")
+    assert sequence.before(6, 2) == [4, 5]
+    assert sequence.before(6, 8) == [3, 4, 5]
+    assert sequence.before(3, 8) == []
