@@ -18,7 +18,7 @@ from torch import nn
 
 from training.looks import LOOKS
 from training.networks.hdrnet import SHAPER, SIDE, TOE, WHITE, HDRNet, default_params
-from training.networks.tonemap_kernels import Lowres, SliceApply, Smooth
+from training.networks.tonemap_kernels import EncodeSrgb, Lowres, SliceApply, Smooth
 
 OPSET = 20  # the first with 5-D GridSample
 MODELS = Path(__file__).resolve().parent.parent / "models"
@@ -71,6 +71,7 @@ def export_kernels(folder: Path) -> None:
     reads = ["colour", "params", "guide", "grid"]
     export(SliceApply(), (colour, params, guide, grid), reads, ["output"], folder / "slice_apply.onnx", image=True)
     export(Smooth(), (grid, grid, torch.ones(1)), ["previous", "current", "keep"], ["result"], folder / "smooth.onnx")
+    export(EncodeSrgb(), (colour, torch.ones(1)), ["colour", "exposure"], ["output"], folder / "encode_srgb.onnx", True)
 
 
 def card(checkpoint: dict[str, Any], tag: str, path: Path, quality: dict[str, Any]) -> dict[str, Any]:

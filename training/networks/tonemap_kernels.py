@@ -34,3 +34,13 @@ class Smooth(nn.Module):
 
     def forward(self, previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor) -> torch.Tensor:
         return hdrnet.smooth(previous, current, keep)
+
+
+class EncodeSrgb(nn.Module):
+    """colour (H,W,3) linear, exposure (1,) -> output (H,W,3): clip to [0, 1], then the curve of IEC 61966-2-1."""
+
+    def forward(self, colour: torch.Tensor, exposure: torch.Tensor) -> torch.Tensor:
+        x = colour * exposure
+        x = torch.where(x > 0, x, torch.zeros_like(x)).clamp_max(1.0)  # NaN compares false
+        bright = 1.055 * x.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
+        return torch.where(x <= 0.0031308, 12.92 * x, bright)
