@@ -22,13 +22,18 @@ AVERAGED = ("diffuse_albedo", "specular_albedo", "normal", "roughness")
 
 @dataclass(frozen=True)
 class ClipOptions:
-    """Sizes and counts; `scales` and `scale_chances` say how often each upscaling factor is drawn."""
+    """Sizes and counts; `scales` and `scale_chances` say how often each upscaling factor is drawn.
+
+    A reference takes as many samples as bring its error after x/(1+x) to about `reference_error`, within half and
+    three times `reference_spp`.
+    """
 
     width: int = 128
     height: int = 128
     frames: int = 8
     variants: int = 3
     reference_spp: int = 128
+    reference_error: float = 0.03
     scales: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0)
     scale_chances: tuple[float, ...] = (0.1, 0.1, 0.7, 0.1)
     real_share: float = 0.25
@@ -38,12 +43,13 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
               index: int) -> tuple[np.ndarray, list[dict], dict]:
     """Reference (T, H, W, 3), variants and facts, as `save_clip` takes them; the same for the same seed and index."""
     rng = np.random.default_rng([seed, index])
-    description, built, path, gain = _scene(tracer, options, maps, real, rng)
+    description, built, path, gain, look = _scene(tracer, options, maps, real, rng)
     scale = float(rng.choice(options.scales, p=options.scale_chances))
     pixel_filter = FILTERS[int(rng.random() < 0.35)]
     styles = draw_styles(options.variants, options.frames, pixel_filter, rng)
     size, output = (options.width, options.height), (round(options.width * scale), round(options.height * scale))
-    spp = options.reference_spp * description.reference_factor
+    wanted = look.samples_for(options.reference_error, gain)
+    spp = int(np.clip(wanted, options.reference_spp / 2, 3 * options.reference_spp)) // 16 * 16 or 1
     table, references, variants = filter_table(pixel_filter), [], [[] for _ in styles]
     for frame in range(options.frames):
         built.move(frame, frame - 1)
@@ -52,8 +58,8 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
         for style, frames in zip(styles, variants, strict=True):
             frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain, rng))
     meta = {
-        "filter": pixel_filter, "gain": gain, "reference_spp": spp, "fov": path.fov, "camera": path.kind,
-        "amplitude": path.amplitude, "movers": len(description.movers), "options": asdict(options),
+        "filter": pixel_filter, "gain": gain, "reference_spp": spp, "wanted_spp": wanted,
+        "fov": path.fov, "camera": path.kind, "amplitude": path.amplitude, "movers": len(description.movers), "options": asdict(options),
         "to_world": [path.at(f).to_world.tolist() for f in range(options.frames)],
     }
     facts = {"scale": scale, "seed": index, "scene": description.name, "meta": meta}

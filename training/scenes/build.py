@@ -33,7 +33,6 @@ class Description:
     environment: np.ndarray | None = None
     environment_turn: float = 0.0
     environment_gain: float = 1.0
-    reference_factor: int = 1
 
     def material(self, material: Material) -> int:
         self.materials.append(material)

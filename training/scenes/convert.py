@@ -95,7 +95,8 @@ def load_xml(path: Path) -> tuple[list[tuple[Mesh, str, list | None]], dict[str,
             emission = np.array(mi.traverse(shape.emitter())["radiance.value"]).ravel()[:3].tolist()
         shapes.append((mesh, name if name in materials else next(iter(materials)), emission))
     pose = np.array(mi.traverse(scene.sensors()[0])["to_world"].matrix).reshape(4, 4)
-    return shapes, materials, [{"eye": pose[:3, 3].tolist(), "target": (pose[:3, 3] + 4 * pose[:3, 2]).tolist()}]
+    reach = 0.4 * np.linalg.norm(np.ptp([s[0].vertices.mean(0) for s in shapes], axis=0)) + 1
+    return shapes, materials, [{"eye": pose[:3, 3].tolist(), "target": (pose[:3, 3] + reach * pose[:3, 2]).tolist()}]
 
 
 def _rectangle(shape: mi.Shape) -> Mesh:
@@ -141,9 +142,10 @@ def _with_texture(facts: dict, source: Path, folder: Path) -> dict:
 
 
 def y_up(loaded: tuple) -> tuple:
-    shapes, materials, _ = loaded
+    shapes, materials, cameras = loaded
     turn = np.eye(4)[[0, 2, 1, 3]] * np.array([[1], [1], [-1], [1]])
-    return [(m.transformed(turn), name, e) for m, name, e in shapes], materials, []
+    cameras = [{key: (turn[:3, :3] @ point).tolist() for key, point in camera.items()} for camera in cameras]
+    return [(m.transformed(turn), name, e) for m, name, e in shapes], materials, cameras
 
 
 def main() -> None:

@@ -35,7 +35,7 @@ class _Scene:
         self.low, self.high = (np.array(self.facts[key]) for key in ("low", "high"))
 
     def material(self, facts: dict, rng: np.random.Generator) -> Material:
-        if rng.random() < 0.15 and facts["kind"] != "dielectric":
+        if len(self.meshes) > 8 and rng.random() < 0.15 and facts["kind"] != "dielectric":
             return random_material(rng, metal=0.05)
         albedo = self.images[facts["texture"]] if facts.get("texture") else np.array(facts["albedo"], np.float32)
         albedo = albedo if albedo.ndim == 3 else albedo.reshape(1, 1, 3)
@@ -82,7 +82,6 @@ def _light(d: Description, scene: _Scene, rng: np.random.Generator, maps: Enviro
     """An environment for open scenes; a lamp or two inside closed ones, more seldom where they have lights."""
     if scene.facts["open"]:
         lights.set_environment(d, rng, maps, False, gain=float(rng.uniform(1, 5)))
-        d.reference_factor = 2 if scene.facts["indoor"] else 1
     if scene.facts["indoor"] and rng.random() < 0.6:
         metre = scene.facts["metre"]
         eye, target = _view(scene, rng)

@@ -94,7 +94,6 @@ def _light_room(d: Description, rng: np.random.Generator, maps: Environments, li
     w, h, depth = size
     if light in ("windows", "small", "both"):
         lights.set_environment(d, rng, maps, calm, gain=float(rng.uniform(2, 8)))
-        d.reference_factor = 2
     if light in ("ceiling", "both"):
         for _ in range(int(rng.integers(1, 3))):
             x, z = rng.uniform(-0.35, 0.35) * w, rng.uniform(-0.35, 0.35) * depth

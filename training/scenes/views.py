@@ -18,9 +18,10 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 @dataclass(frozen=True)
 class Probe:
-    """A coarse look through a camera: luminance, depth, albedo (G*G, ...) and hit points."""
+    """A coarse look: mean luminance and its variance a sample, depth, albedo, normal and hit points (G*G, ...)."""
 
     luminance: np.ndarray
+    variance: np.ndarray
     depth: np.ndarray
     albedo: np.ndarray
     normal: np.ndarray
@@ -49,6 +50,14 @@ class Probe:
         level = np.exp(np.log(np.maximum(self.luminance, 1e-3 * self.luminance.mean() + 1e-12)).mean())
         return float(0.2 * np.exp(rng.normal(0, 0.6)) / level)
 
+    def samples_for(self, error: float, gain: float) -> float:
+        """Samples a pixel for a root mean square error of `error` after the gain and x/(1+x), 0..1.
+
+        Variance is carried through the curve by its slope, gain / (1 + gain x)^2.
+        """
+        slope = gain / (1 + gain * self.luminance) ** 2
+        return float(np.minimum(self.variance * slope**2, 4.0).mean() / error**2)
+
 
 def probe(tracer: Tracer, built: BuiltScene, camera: Camera, seed: int) -> Probe:
     centres = (np.arange(GRID) + 0.5) / GRID
@@ -56,12 +65,12 @@ def probe(tracer: Tracer, built: BuiltScene, camera: Camera, seed: int) -> Probe
     planes = tracer.planes(built, camera, camera, (GRID, GRID), Film(mi.Float(u), mi.Float(v)))
     film = Film(mi.Float(np.repeat(u, PROBE_SPP)), mi.Float(np.repeat(v, PROBE_SPP)))
     colour = tracer.radiance(built.scene, camera, 1.0, film, seed).numpy().T
-    luminance = (colour @ LUMINANCE).reshape(-1, PROBE_SPP).mean(1)
+    samples = (colour @ LUMINANCE).reshape(-1, PROBE_SPP)
     tangent = np.tan(np.radians(camera.fov) / 2)
     local = np.stack([(1 - 2 * u) * tangent, (1 - 2 * v) * tangent, np.ones_like(u)], 1) * planes["depth"][:, None]
     points = local @ camera.to_world[:3, :3].T + camera.to_world[:3, 3]
     albedo = planes["diffuse_albedo"] + planes["specular_albedo"]
-    return Probe(luminance, planes["depth"], albedo, planes["normal"], points)
+    return Probe(samples.mean(1), samples.var(1, ddof=1), planes["depth"], albedo, planes["normal"], points)
 
 
 def image_speed(path: CameraPath, points: np.ndarray, width: int) -> float:
@@ -74,8 +83,8 @@ def image_speed(path: CameraPath, points: np.ndarray, width: int) -> float:
 
 
 def choose_path(tracer: Tracer, built: BuiltScene, view: Callable, rng: np.random.Generator, width: int,
-                near: float = 0.3, attempts: int = 8) -> tuple[CameraPath, float] | None:
-    """A camera path and the gain for its frames, or None where no drawn view is of use."""
+                near: float = 0.3, attempts: int = 8) -> tuple[CameraPath, float, Probe] | None:
+    """A camera path, the gain for its frames and a look from it, or None where no drawn view is of use."""
     for _ in range(attempts):
         eye, target = view(rng)
         fov = float(rng.uniform(35, 80))
@@ -87,10 +96,10 @@ def choose_path(tracer: Tracer, built: BuiltScene, view: Callable, rng: np.rando
         if look.problem(near):
             continue
         if rng.random() < 0.15:
-            return path, look.gain(rng)
+            return path, look.gain(rng), look
         speed = image_speed(replace(path, amplitude=1.0), look.points[look.hits], width)
         moving = replace(path, amplitude=float(np.clip(target_speed(rng) / max(speed, 1e-3), 0.01, 25.0)))
         ends = [probe(tracer, built, moving.at(frame), int(rng.integers(1 << 31))) for frame in (0, 7)]
         if not any(end.problem(0.5 * near) for end in ends):
-            return moving, look.gain(rng)
+            return moving, look.gain(rng), look
     return None
