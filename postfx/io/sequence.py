@@ -8,7 +8,8 @@ from pathlib import Path
 
 from postfx.errors import MissingFrameError, SequenceError
 from postfx.frame import Frame, Role
-from postfx.io.aov import COLOUR_FILES, FrameFiles, is_plane_word
+from postfx.io.aov import FrameFiles, is_plane_word
+from postfx.io.channels import COLOUR_FILES
 from postfx.io.exr import READABLE
 from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, parse_pattern, pattern_of, patterns_in
 

@@ -1,0 +1,57 @@
+"""Every channel of a frame's files under all the names it may be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from fnmatch import fnmatchcase
+from typing import NamedTuple
+
+from postfx.io.exr import ImageFile, Part
+
+COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image", "noisy")
+"""Words that stand for the colour plane where every plane has its own file."""
+
+
+class Channel(NamedTuple):
+    """One channel of one part of one of a frame's files."""
+
+    file: ImageFile
+    part: Part
+    name: str
+
+
+class ChannelIndex:
+    """Channels by full name: 'albedo.R' is channel R of part or file albedo, or a channel of that very name.
+
+    `files` maps a plane's word ('' where one file holds all planes) to its file. Letter case does not count. Parts of
+    another view than the first part's are left out.
+    """
+
+    def __init__(self, files: Mapping[str, ImageFile]) -> None:
+        self._channels: dict[str, Channel] = {}
+        for word, file in files.items():
+            for part in file.parts:
+                if part.view in ("", file.parts[0].view):
+                    self._add(word, file, part)
+
+    def find(self, names: Iterable[str]) -> tuple[Channel, ...] | None:
+        """Channels by full name, * matching anything; None unless all are there."""
+        found = [self._find_one(name.lower()) for name in names]
+        return tuple(found) if all(found) else None
+
+    def ending_in(self, name: str) -> Iterator[Channel]:
+        """Channels whose full name ends like this."""
+        return (channel for key, channel in self._channels.items() if key.endswith(name.lower()))
+
+    def _find_one(self, name: str) -> Channel | None:
+        if "*" not in name:
+            return self._channels.get(name)
+        return next((channel for key, channel in self._channels.items() if fnmatchcase(key, name)), None)
+
+    def _add(self, word: str, file: ImageFile, part: Part) -> None:
+        own_names = word == "" or word.lower() in COLOUR_FILES
+        for name in part.channels:
+            full = [name] if own_names or "." in name else []
+            full += [f"{part.name}.{name}"] if part.name else []
+            for key in full + ([f"{word}.{name}"] if word else []):
+                self._channels.setdefault(key.lower(), Channel(file, part, name))

@@ -1,0 +1,137 @@
+"""Where a frame's planes are among its channels, by the eyes of a renderer profile."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from postfx.frame import Role
+from postfx.io.channels import Channel, ChannelIndex
+from postfx.io.convert import Camera
+from postfx.io.profile import PlaneRule, Profile, load_profile, profile_names
+
+REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""Chromaticities of red, green, blue and white (ITU-R BT.709-6, table 1)."""
+
+
+class Match(NamedTuple):
+    """A plane that was found: the rule that fits and its channels."""
+
+    rule: PlaneRule
+    channels: tuple[Channel, ...]
+
+    @property
+    def names(self) -> str:
+        """Channel names, the common part once: 'albedo.R,G,B'."""
+        heads, tails = zip(*(channel.name.rpartition(".")[::2] for channel in self.channels), strict=True)
+        joined = ",".join(tails)
+        same = len(set(heads)) == 1
+        return (f"{heads[0]}.{joined}" if heads[0] else joined) if same else ", ".join(c.name for c in self.channels)
+
+
+@dataclass
+class Layout:
+    """What a frame's files hold, by the eyes of a profile."""
+
+    profile: Profile
+    layer: str
+    planes: dict[Role, Match]
+    camera: Camera
+    attributes: Mapping[str, Any]
+    warnings: list[str] = field(default_factory=list)
+
+
+class Header:
+    """Header attributes by the names that a profile gives them."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+
+    def value(self, key: str) -> Any:
+        names = [name.replace("{layer}", self._layout.layer) for name in self._layout.profile.header.get(key, ())]
+        return next((self._layout.attributes[name] for name in names if name in self._layout.attributes), None)
+
+    def numbers(self, key: str, count: int) -> np.ndarray | None:
+        """Attribute of `count` numbers as float64; None when it is absent or something else."""
+        try:
+            numbers = np.asarray(self.value(key), np.float64).ravel()
+        except (TypeError, ValueError):
+            return None
+        return numbers if numbers.size == count and np.isfinite(numbers).all() else None
+
+    def number(self, key: str) -> float | None:
+        numbers = self.numbers(key, 1)
+        return None if numbers is None else float(numbers[0])
+
+    def camera(self) -> Camera:
+        matrix, jitter = self.numbers("world_to_camera", 16), self.numbers("jitter", 2)
+        if matrix is not None:
+            matrix = matrix.reshape(4, 4)
+            matrix = matrix.T if self._layout.profile.column_vectors else matrix
+        return Camera(
+            world_to_camera=matrix,
+            fov_x=self.number("fov_x") or self._layout.profile.fov_x,
+            jitter=(0.0, 0.0) if jitter is None else (float(jitter[0]), float(jitter[1])),
+            pixel_aspect=float(self._layout.attributes.get("pixelAspectRatio", 1.0)) or 1.0,
+        )
+
+
+def make_layout(index: ChannelIndex, attributes: Mapping[str, Any], profile: Profile | None = None) -> Layout:
+    """Where the planes are, by a profile or, without one, by the first that fits."""
+    profile = profile or _detect(index, attributes)
+    layout = Layout(profile, _layer(index, profile), {}, Camera(), attributes)
+    layout.camera = Header(layout).camera()
+    for rule in profile.planes:
+        if rule.role not in layout.planes:
+            _match_rule(index, layout, rule)
+    layout.warnings += _colour_warnings(layout)
+    return layout
+
+
+def _colour_warnings(layout: Layout) -> list[str]:
+    match, warnings = layout.planes.get(Role.COLOUR), []
+    if match and match.channels[0].part.overscan:
+        warnings.append("overscan outside the display window is cut off")
+    primaries = layout.attributes.get("chromaticities", REC709)
+    if np.size(primaries) == 8 and not np.allclose(primaries, REC709, atol=2e-3):
+        warnings.append("colours have other primaries than Rec.709 (chromaticities header): processed as they are")
+    return warnings
+
+
+def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule) -> None:
+    channels = next(filter(None, map(index.find, rule.candidates(layout.layer))), None)
+    if channels is None:
+        return
+    match = Match(rule, channels)
+    if rule.role is Role.NORMAL and rule.space == "camera" and layout.camera.world_to_camera is None:
+        layout.warnings.append(f"normals {match.names} are in camera space and no worldToCamera header: not used")
+        return
+    if rule.role is Role.DEPTH and rule.kind == "ray" and layout.camera.fov_x is None:
+        layout.warnings.append(
+            f"depth {match.names} is distance from the eye, used as it is: give fov_x under [camera] in a profile"
+        )
+    layout.planes[rule.role] = match
+
+
+def _detect(index: ChannelIndex, attributes: Mapping[str, Any]) -> Profile:
+    profiles = [load_profile(name) for name in profile_names()]
+    return next((profile for profile in profiles if _fits(index, profile, attributes)), profiles[-1])
+
+
+def _fits(index: ChannelIndex, profile: Profile, attributes: Mapping[str, Any]) -> bool:
+    layer = _layer(index, profile)
+    return any(
+        all(re.search(pattern, str(attributes.get(name, ""))) for name, pattern in rule.header)
+        and index.find(name.replace("{layer}", layer) for name in rule.channels) is not None
+        for rule in profile.detect
+    )
+
+
+def _layer(index: ChannelIndex, profile: Profile) -> str:
+    """What precedes the profile's marker channel: 'ViewLayer.' of 'ViewLayer.Combined.R'; '' without a marker."""
+    found = next(index.ending_in(profile.marker), None) if profile.marker else None
+    return found.name[: -len(profile.marker)] if found else ""
