@@ -68,7 +68,7 @@ def find_conflict(records: Sequence[Record], first_new: int) -> Conflict | None:
         for conflict in _unordered(group, before)
         if conflict.second >= first_new
     ]
-    return min(found, key=lambda conflict: (conflict.second, conflict.first), default=None)
+    return min(found, key=lambda conflict: (conflict.second, conflict.first, conflict.kind), default=None)
 
 
 def _accesses(dispatches: Iterable[Dispatch]) -> list[Access]:

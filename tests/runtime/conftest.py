@@ -1,0 +1,60 @@
+"""Devices and models for the runtime's tests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postfx.runtime import ArgumentTable, Device, Library, PipelineState
+from tests import toys
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    return toys.make_library(tmp_path_factory.mktemp("models"))
+
+
+@pytest.fixture(scope="session")
+def kernels(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    return toys.make_kernels(tmp_path_factory.mktemp("kernels"))
+
+
+@pytest.fixture
+def device() -> Device:
+    return Device("cpu", threads=2)
+
+
+@pytest.fixture
+def double(device: Device, library: Library) -> PipelineState:
+    return device.pipeline_state(library, "double", {"height": 4, "width": 5})
+
+
+class Bench:
+    """A device with a network 'double' and a kernel 'add' on tensors of one size, to record short graphs with."""
+
+    def __init__(self, device: Device, library: Library) -> None:
+        self.device = device
+        self.network = device.pipeline_state(library, "double", {"height": 4, "width": 5})
+        self.kernel = device.compute_state(toys.ADD)
+
+    def tensor(self, name: str, filled: bool = False):
+        tensor = self.device.heap.tensor(name, (1, 4, 5))
+        if filled:
+            tensor.fill(1.0)
+        return tensor
+
+    def double(self, x, y) -> tuple[PipelineState, ArgumentTable]:
+        return self.network, ArgumentTable(self.network, {"x": x, "y": y})
+
+    def add(self, a, b, total):
+        return self.kernel, ArgumentTable(self.kernel, {"a": a, "b": b, "total": total})
+
+
+@pytest.fixture
+def bench(device: Device, library: Library) -> Bench:
+    return Bench(device, library)
+
+
+@pytest.fixture
+def ones() -> np.ndarray:
+    return np.ones((1, 4, 5), np.float32)
