@@ -1,0 +1,233 @@
+"""Encoders, commit, wait, errors and timings."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from postfx.kernels.kernel import Kernel
+from postfx.runtime import ArgumentTable, CommandError, CommandTimeout, EncodingError, HazardError
+
+
+def kernel_state(device, rows, name="test"):
+    return device.compute_state(Kernel(name, ("a",), ("b",), rows, ("b", 0)))
+
+
+def one_dispatch(device, rows, label="work", name="frame 1"):
+    """A buffer of one kernel on 8 rows, and its output."""
+    a, b = device.heap.tensor("a", (8,)), device.heap.tensor("b", (8,))
+    a.upload(np.arange(8.0))
+    state = kernel_state(device, rows)
+    commands = device.command_buffer(name)
+    with commands.compute_encoder(label) as encoder:
+        encoder.dispatch(state, ArgumentTable(state, {"a": a, "b": b}))
+    return commands, b
+
+
+def copy_rows(y0, y1, a, b):
+    b[y0:y1] = a[y0:y1]
+
+
+def fail_rows(y0, y1, a, b):
+    raise ZeroDivisionError("nothing to divide by\nsecond line")
+
+
+def test_commit_and_wait(device):
+    commands, b = one_dispatch(device, copy_rows)
+    commands.commit()
+    commands.wait(timeout=10)
+    assert np.array_equal(b.array, np.arange(8))
+
+
+def test_nothing_runs_before_commit_and_then_on_the_queues_thread(device):
+    seen = []
+    commands, _ = one_dispatch(device, lambda y0, y1, a, b: seen.append(threading.current_thread().name))
+    assert seen == []
+    commands.commit()
+    commands.wait(10)
+    assert "postfx cpu" in seen and threading.current_thread().name not in seen
+
+
+def test_wait_times_out_and_can_be_repeated(device):
+    gate = threading.Event()
+    commands, b = one_dispatch(device, lambda y0, y1, a, b: gate.wait(10))
+    commands.commit()
+    with pytest.raises(CommandTimeout, match="'frame 1' was not done after 0.05 s"):
+        commands.wait(timeout=0.05)
+    gate.set()
+    commands.wait(10)
+
+
+def test_error_names_label_command_and_cause(device):
+    commands, _ = one_dispatch(device, fail_rows, label="apply", name="frame 12")
+    commands.commit()
+    with pytest.raises(CommandError) as caught:
+        commands.wait(10)
+    assert str(caught.value) == "'apply' (kernel 'test') of 'frame 12' failed: nothing to divide by"
+    assert caught.value.label == "apply"
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+
+def test_error_in_another_band_is_reported(device):
+    def last_rows(y0, y1, a, b):
+        if y1 == 8:
+            fail_rows(y0, y1, a, b)
+
+    commands, _ = one_dispatch(device, last_rows)
+    commands.commit()
+    with pytest.raises(CommandError, match="nothing to divide by"):
+        commands.wait(10)
+
+
+def test_error_of_a_network_names_it(device, library):
+    state = device.pipeline_state(library, "pick")
+    index, picked = device.heap.tensor("index", (1,), "int64"), device.heap.tensor("picked", (1,))
+    table = ArgumentTable(state, {"index": index, "picked": picked})
+
+    def pick(which):
+        index.upload([which])
+        commands = device.command_buffer("frame")
+        with commands.machine_learning_encoder("look up") as encoder:
+            encoder.dispatch_network(state, table)
+        commands.commit()
+        commands.wait(10)
+        return picked.download()[0]
+
+    assert pick(1) == 20
+    with pytest.raises(CommandError, match=r"'look up' \(network 'pick'\) of 'frame' failed: .*out of data bounds"):
+        pick(7)
+    assert pick(2) == 30
+
+
+def test_what_a_failed_command_should_have_written_is_undefined(device):
+    commands, b = one_dispatch(device, fail_rows)
+    commands.commit()
+    with pytest.raises(CommandError):
+        commands.wait(10)
+    with pytest.raises(HazardError, match="no command wrote it"):
+        b.download()
+
+
+def test_commands_after_a_failed_one_do_not_run_on_its_output(device):
+    gate, ran = threading.Event(), []
+
+    def fail_late(y0, y1, a, b):
+        gate.wait(10)
+        fail_rows(y0, y1, a, b)
+
+    first, b = one_dispatch(device, fail_late)
+    first.commit()
+    state = kernel_state(device, lambda y0, y1, a, b: ran.append(1))
+    c = device.heap.tensor("c", (8,))
+    second = device.command_buffer("frame 2")
+    with second.compute_encoder("use") as encoder:
+        encoder.barrier(after="compute", before="compute")
+        encoder.dispatch(state, ArgumentTable(state, {"a": b, "b": c}))
+    second.commit()
+    gate.set()
+    with pytest.raises(CommandError, match="'b' was to be written by a command that failed"):
+        second.wait(10)
+    assert ran == []
+
+
+def test_the_queue_goes_on_after_an_error(device):
+    commands, _ = one_dispatch(device, fail_rows)
+    commands.commit()
+    with pytest.raises(CommandError):
+        commands.wait(10)
+    again, b = one_dispatch(device, copy_rows)
+    again.commit()
+    again.wait(10)
+    assert np.array_equal(b.array, np.arange(8))
+
+
+def test_buffers_run_in_the_order_of_commit(device):
+    order = []
+    buffers = []
+    for number in range(5):
+        def rows(y0, y1, a, b, number=number):
+            if y0 == 0:
+                order.append(number)
+        buffers.append(one_dispatch(device, rows)[0])
+    for commands in reversed(buffers):
+        commands.commit()
+    buffers[0].wait(10)
+    assert order == [4, 3, 2, 1, 0]
+
+
+def test_timings_per_encoder_with_groups(device):
+    a, b, c = (device.heap.tensor(name, (8,)) for name in "abc")
+    a.fill(1.0)
+    slow = kernel_state(device, lambda y0, y1, a, b: time.sleep(0.02))
+    commands = device.command_buffer("frame")
+    with commands.group("pass"), commands.compute_encoder("slow") as encoder:
+        for target in (b, c):
+            encoder.dispatch(slow, ArgumentTable(slow, {"a": a, "b": target}))
+    with commands.compute_encoder("fast") as encoder:
+        fast = kernel_state(device, copy_rows)
+        encoder.barrier(after="compute", before="compute")
+        encoder.dispatch(fast, ArgumentTable(fast, {"a": a, "b": b}))
+    commands.commit()
+    commands.wait(10)
+    (first, slow_ms), (second, fast_ms) = commands.timings
+    assert (first, second) == ("pass/slow", "fast")
+    assert 40 <= slow_ms and fast_ms < slow_ms
+
+
+def test_nothing_is_recorded_after_commit(device):
+    commands, _ = one_dispatch(device, copy_rows)
+    commands.commit()
+    with pytest.raises(EncodingError, match="'frame 1' is committed: record into a new command buffer"):
+        commands.compute_encoder("late")
+    with pytest.raises(EncodingError, match="is committed"):
+        commands.commit()
+    commands.wait(10)
+
+
+def test_nothing_is_recorded_by_an_ended_encoder(device):
+    commands = device.command_buffer("frame")
+    with commands.compute_encoder("prepare") as encoder:
+        pass
+    with pytest.raises(EncodingError, match="encoder 'prepare' has ended"):
+        encoder.barrier()
+
+
+def test_one_encoder_at_a_time(device):
+    commands = device.command_buffer("frame")
+    commands.compute_encoder("first")
+    with pytest.raises(EncodingError, match="'second' cannot begin: encoder 'first' is still open"):
+        commands.machine_learning_encoder("second")
+    with pytest.raises(EncodingError, match="cannot be committed: encoder 'first' is still open"):
+        commands.commit()
+
+
+def test_wait_before_commit_and_after_discard(device):
+    commands = device.command_buffer("frame")
+    with pytest.raises(EncodingError, match="it is open, commit it first"):
+        commands.wait(1)
+    commands.discard()
+    with pytest.raises(EncodingError, match="'frame' is discarded"):
+        commands.commit()
+
+
+def test_empty_buffer_is_fine(device):
+    commands = device.command_buffer("empty")
+    commands.commit()
+    commands.wait(10)
+    assert commands.timings == []
+
+
+@pytest.mark.parametrize(("masks", "message"), [
+    ({"after": "", "before": "compute"}, "no stage ''"),
+    ({"after": (), "before": "compute"}, "the after= stage mask is empty"),
+    ({"after": "compute", "before": []}, "the before= stage mask is empty"),
+    ({"after": "compute", "before": "blit"}, "no stage 'blit': stages are compute, machine-learning"),
+    ({"after": "compute"}, "give both after= and before=, or neither"),
+    ({"before": "compute"}, "give both after= and before=, or neither"),
+])
+def test_bad_stage_masks(device, masks, message):
+    commands = device.command_buffer("frame")
+    with commands.compute_encoder("prepare") as encoder:
+        with pytest.raises(EncodingError, match=message):
+            encoder.barrier(**masks)

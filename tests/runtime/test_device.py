@@ -1,0 +1,198 @@
+"""Devices: choice, kernels in bands and by their portable definitions, steady state, memory out of the host's sight."""
+
+import numpy as np
+import onnxruntime
+import pytest
+
+import postfx.runtime.device as device_module
+from postfx.kernels.kernel import Kernel
+from postfx.runtime import ArgumentTable, CompiledComputeState, Device, DeviceError, ModelError, PortableComputeState
+from postfx.runtime.provider_memory import ProviderMemory
+from postfx.runtime.session import Placement
+from tests import toys
+
+
+def run(device, state, arrays, output):
+    """Run a kernel on arrays of its reads; returns what it wrote."""
+    tensors = {name: device.wrap(name, array) for name, array in arrays.items()}
+    tensors |= {name: device.heap.tensor(name, shape) for name, shape in output.items()}
+    commands = device.command_buffer("test")
+    with commands.compute_encoder("kernel") as encoder:
+        encoder.dispatch(state, ArgumentTable(state, tensors))
+    commands.commit()
+    commands.wait(30)
+    return {name: tensors[name].download() for name in output}
+
+
+@pytest.fixture
+def remote(monkeypatch, kernels):
+    """A device whose memory the host cannot look at: the same path as on a GPU, on the CPU provider."""
+    placement = Placement("CPUExecutionProvider", "cpu", 0, 2)
+    monkeypatch.setattr(device_module, "choose", lambda name, threads: (placement, ProviderMemory(placement)))
+    return Device("auto", kernels=kernels)
+
+
+def test_default_threads_are_the_usable_cores():
+    assert Device("cpu").threads >= 1 and Device("cpu", threads=3).threads == 3
+
+
+def test_no_threads():
+    with pytest.raises(DeviceError, match="at least 1 thread"):
+        Device("cpu", threads=0)
+
+
+@pytest.mark.parametrize("name", ["gpu", "cpu:1", "cuda:x", ""])
+def test_unknown_device(name):
+    with pytest.raises(DeviceError, match=f"no device '{name}': use auto, cpu, cuda or cuda:N"):
+        Device(name)
+
+
+@pytest.mark.skipif("CUDAExecutionProvider" in onnxruntime.get_available_providers(), reason="ONNX Runtime has CUDA")
+def test_cuda_where_there_is_none():
+    with pytest.raises(DeviceError, match=r"'cuda' is not available: .* pip install 'postfx\[cuda\]'"):
+        Device("cuda")
+    assert Device("auto").name == "cpu"
+
+
+@pytest.mark.parametrize("rows", [1, 2, 7, 64, 1001])
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_bands_cover_every_row_once(rows, threads):
+    device = Device("cpu", threads=threads)
+    seen = []
+
+    def count(y0, y1, a, b):
+        seen.append((y0, y1))
+        b[y0:y1] = a[y0:y1] + 1
+
+    state = device.compute_state(Kernel("count", ("a",), ("b",), count, ("b", 0)))
+    a = np.arange(rows, dtype=np.float32)
+    assert np.array_equal(run(device, state, {"a": a}, {"b": (rows,)})["b"], a + 1)
+    edges = sorted(seen)
+    assert edges[0][0] == 0 and edges[-1][1] == rows and len(edges) <= threads
+    assert all(one[1] == other[0] for one, other in zip(edges, edges[1:], strict=False))
+
+
+def test_rows_may_lie_along_any_axis(device):
+    def double(y0, y1, a, b):
+        b[:, :, y0:y1] = 2 * a[:, :, y0:y1]
+
+    state = device.compute_state(Kernel("double", ("a",), ("b",), double, ("b", 2)))
+    a = np.random.default_rng(0).random((1, 3, 20, 4), np.float32)
+    assert np.array_equal(run(device, state, {"a": a}, {"b": a.shape})["b"], 2 * a)
+
+
+def test_declared_shapes_let_rows_be_compiled_before_the_first_frame(device):
+    from numba import njit
+
+    @njit(nogil=True)
+    def copy(y0, y1, a, b):
+        b[y0:y1] = a[y0:y1]
+
+    shapes = {"a": ("h", "w"), "b": ("h", "w")}
+    state = device.compute_state(Kernel("copy", ("a",), ("b",), copy, ("b", 0), shapes))
+    compiled = list(copy.signatures)
+    assert len(compiled) == 1
+    a = np.ones((9, 3), np.float32)
+    a.flags.writeable = False
+    run(device, state, {"a": a}, {"b": (9, 3)})
+    assert copy.signatures == compiled
+
+
+@pytest.mark.parametrize("kernel", [toys.ADD, toys.TWICE_AS_LARGE])
+def test_compiled_and_portable_kernels_agree(kernel, kernels):
+    random = np.random.default_rng(1)
+    arrays = {name: random.random((5, 7, 3), np.float32) for name in kernel.reads}
+    output = {name: (10, 14, 3) if name == "fine" else (5, 7, 3) for name in kernel.writes}
+    compiled = Device("cpu", threads=2)
+    portable = Device("cpu", threads=2, compiled_kernels=False, kernels=kernels)
+    states = compiled.compute_state(kernel), portable.compute_state(kernel)
+    assert isinstance(states[0], CompiledComputeState) and isinstance(states[1], PortableComputeState)
+    assert states[0].bindings == states[1].bindings
+    first, second = run(compiled, states[0], arrays, output), run(portable, states[1], arrays, output)
+    assert all(np.array_equal(first[name], second[name]) for name in output)
+
+
+def test_missing_portable_definition(kernels):
+    device = Device("cpu", compiled_kernels=False, kernels=kernels)
+    with pytest.raises(ModelError, match="no model 'blur'"):
+        device.compute_state(Kernel("blur", ("a",), ("b",), print, ("b", 0)))
+
+
+def test_portable_definition_with_other_bindings(kernels):
+    device = Device("cpu", compiled_kernels=False, kernels=kernels)
+    with pytest.raises(ModelError, match="kernel 'add' has the inputs a float32, b float32: they must be a, c"):
+        device.compute_state(Kernel("add", ("a", "c"), ("total",), print, ("total", 0)))
+
+
+def test_host_cannot_look_at_remote_memory(remote, ones):
+    tensor = remote.wrap("ones", ones)
+    ones[:] = 0.0
+    assert np.all(tensor.download() == 1.0)
+    with pytest.raises(DeviceError, match=r"use download\(\)"):
+        tensor.array.sum()
+
+
+def test_compiled_kernels_need_host_memory(remote):
+    with pytest.raises(DeviceError, match="compiled kernels run on the CPU only"):
+        Device("auto", compiled_kernels=True)
+
+
+def test_remote_tensors_take_part_of_a_chunk(remote):
+    first, second = remote.heap.tensor("first", (3, 5)), remote.heap.tensor("second", (3, 5))
+    first.fill(1.0)
+    second.upload(np.arange(15.0).reshape(3, 5))
+    row = second.view("row", (5,), offset=5)
+    row.upload(np.full(5, -1.0))
+    assert np.all(first.download() == 1.0)
+    assert np.array_equal(second.download(), [[0, 1, 2, 3, 4], [-1] * 5, [10, 11, 12, 13, 14]])
+
+
+def test_kernels_and_networks_on_remote_memory(remote, library):
+    random = np.random.default_rng(2)
+    a, b = random.random((2, 1, 4, 5), np.float32)
+    kernel = remote.compute_state(toys.ADD)
+    network = remote.pipeline_state(library, "double", {"height": 4, "width": 5})
+    total, y = remote.heap.tensor("total", (1, 4, 5)), remote.heap.tensor("y", (1, 4, 5))
+    commands = remote.command_buffer("frame")
+    with commands.compute_encoder("add") as encoder:
+        arguments = {"a": remote.wrap("a", a), "b": remote.wrap("b", b), "total": total}
+        encoder.dispatch(kernel, ArgumentTable(kernel, arguments))
+    with commands.machine_learning_encoder("double") as encoder:
+        encoder.barrier(after="compute", before="machine-learning")
+        encoder.dispatch_network(network, ArgumentTable(network, {"x": total, "y": y}))
+    commands.commit()
+    commands.wait(10)
+    assert np.array_equal(y.download(), (a + b) * 2)
+
+
+def test_networks_read_and_write_tensors_where_they_lie(bench, ones):
+    result = np.zeros_like(ones)
+    commands = bench.device.command_buffer("frame")
+    with commands.machine_learning_encoder("double") as encoder:
+        encoder.dispatch_network(*bench.double(bench.device.wrap("x", ones), bench.device.wrap("y", result)))
+    commands.commit()
+    commands.wait(10)
+    assert np.all(result == 2)
+
+
+def test_steady_state_takes_no_memory(bench):
+    x, y, z = bench.tensor("x", True), bench.tensor("y"), bench.tensor("z")
+    network, kernel = bench.double(x, y), bench.add(x, y, z)
+
+    def frame():
+        commands = bench.device.command_buffer("frame")
+        with commands.machine_learning_encoder("double") as encoder:
+            encoder.dispatch_network(*network)
+        with commands.compute_encoder("add") as encoder:
+            encoder.barrier(after="machine-learning", before="compute")
+            encoder.dispatch(*kernel)
+        commands.commit()
+        commands.wait(10)
+
+    frame()
+    before = bench.device.heap.used, bench.device.heap.peak, bench.device.heap.size
+    prepared = network[1].arguments(), kernel[1].arguments()
+    for _ in range(50):
+        frame()
+    assert (bench.device.heap.used, bench.device.heap.peak, bench.device.heap.size) == before
+    assert prepared[0] is network[1].arguments() and prepared[1] is kernel[1].arguments()
