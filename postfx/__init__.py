@@ -1,6 +1,56 @@
-"""postfx: post-processing of rendered image sequences."""
+"""postfx: post-processing of rendered image sequences: denoise, upscale, tone-map.
 
-from postfx.frame import Frame, FrameSpec, Role
-from postfx.paths import models_dir
+    import postfx
 
-__all__ = ["Frame", "FrameSpec", "Role", "models_dir"]
+    passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2)])
+    for frame in postfx.read_sequence("shot/noisy.####.exr"):
+        postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(frame))
+
+Everything public is named here and loaded on first use.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from postfx.errors import PostfxError
+    from postfx.frame import ROLES, Frame, FrameSpec, Role
+    from postfx.io.sequence import Sequence, read_sequence
+    from postfx.io.writer import write_frame
+    from postfx.passes.denoise_upscale import DenoiseUpscale
+    from postfx.passes.tonemap import ToneMap
+    from postfx.paths import models_dir
+    from postfx.pipeline import Pipeline
+    from postfx.runtime import Device, Library
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "DenoiseUpscale": "postfx.passes.denoise_upscale",
+    "Device": "postfx.runtime",
+    "Frame": "postfx.frame",
+    "FrameSpec": "postfx.frame",
+    "Library": "postfx.runtime",
+    "Pipeline": "postfx.pipeline",
+    "PostfxError": "postfx.errors",
+    "ROLES": "postfx.frame",
+    "Role": "postfx.frame",
+    "Sequence": "postfx.io.sequence",
+    "ToneMap": "postfx.passes.tonemap",
+    "models_dir": "postfx.paths",
+    "read_sequence": "postfx.io.sequence",
+    "write_frame": "postfx.io.writer",
+}
+
+__all__ = [*_HOMES, "__version__"]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'postfx' has no attribute '{name}'")
+    value = globals()[name] = getattr(import_module(_HOMES[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

@@ -1,0 +1,168 @@
+"""One `postfx run`: what to read, run and write, and the loop over the frames."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import time
+from typing import Any, NamedTuple
+
+from postfx.cli.progress import FrameProgress
+from postfx.cli.summary import Report
+from postfx.errors import WriteError
+from postfx.frame import FrameSpec
+from postfx.io.output import Existing, OutputFiles
+from postfx.io.sequence import Sequence
+from postfx.io.writer import write_frame
+from postfx.passes.base import Pass, PassOptionError
+from postfx.passes.registry import create
+from postfx.pipeline import Pipeline
+from postfx.plan import Skipped
+from postfx.runtime import Device
+
+RESUME_PREROLL = 8
+
+
+class Work(NamedTuple):
+    """A frame to process, and whether its result is written or only fills the history."""
+
+    number: int
+    write: bool
+
+
+class Job:
+    """Everything that the arguments of `postfx run` ask for.
+
+    Raises PostfxError when the arguments, the first frame or the outputs do not fit together.
+    """
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self.sequence = Sequence(arguments.input, arguments.frames, arguments.profile)
+        self.outputs = _outputs(arguments, self.sequence)
+        if self.outputs and not arguments.explain:
+            self.outputs.check(self.sequence.numbers)
+        self.left_out: list[Skipped] = []
+        device = Device(arguments.device, arguments.threads)
+        self.pipeline = Pipeline(self._passes(arguments), device, arguments.exposure)
+        self.plan = self.pipeline.explain(self._first_spec())
+        self._preroll = arguments.preroll
+        self._seconds = 0.0
+        self._frame_ms: list[float] = []
+        self._pass_ms: dict[str, list[float]] = {}
+        self._written: list[str] = []
+
+    def plan_dict(self) -> dict[str, Any]:
+        """The plan in plain types."""
+        plan = self.plan.as_dict()
+        plan["skipped"] += [dataclasses.asdict(item) for item in self.left_out]
+        return {**plan, "frames": len(self.sequence), "warnings": self.sequence.warnings}
+
+    def plan_text(self) -> str:
+        """The plan for people."""
+        lines = [str(self.plan)]
+        lines += [f"skips   {item.what}: {item.why}" for item in self.left_out]
+        return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
+
+    def run(self) -> None:
+        """Process all frames, one in memory at a time. Frames that were written stay when a later one fails."""
+        if self.outputs is None:
+            raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr")
+        begin = time.perf_counter()
+        try:
+            with FrameProgress(len(self.sequence)) as progress:
+                for work in self._schedule(self.outputs, progress):
+                    self._process(work, self.outputs, progress)
+        finally:
+            self._seconds = time.perf_counter() - begin
+
+    def report(self, failure: BaseException | None = None) -> Report:
+        """What happened so far."""
+        return Report(
+            frames=len(self._written),
+            wanted=len(self.sequence),
+            seconds=self._seconds,
+            frame_ms=self._frame_ms,
+            pass_ms=self._pass_ms,
+            skipped=[*self.plan.skipped, *self.left_out],
+            warnings=self.sequence.warnings,
+            outputs=self._written,
+            error=str(failure) or "interrupted" if failure is not None else None,
+        )
+
+    def _process(self, work: Work, outputs: OutputFiles, progress: FrameProgress) -> None:
+        frame = self.sequence.read(work.number, self.plan.planes)
+        begin = time.perf_counter()
+        result = self.pipeline(frame)
+        elapsed = (time.perf_counter() - begin) * 1000
+        if not work.write:
+            return
+        path = str(write_frame(outputs.path(work.number), result))
+        self._frame_ms.append(elapsed)
+        for name, milliseconds in self.pipeline.timings.items():
+            self._pass_ms.setdefault(name, []).append(milliseconds)
+        self._written.append(path)
+        progress.advance(path)
+
+    def _schedule(self, target: OutputFiles, progress: FrameProgress) -> list[Work]:
+        """Frames to process in order: those to write, and before each run of them those that fill the history."""
+        output = self.plan.output
+        works: list[Work] = []
+        for number in self.sequence.numbers:
+            if target.is_done(number, output.width, output.height):
+                self.left_out.append(Skipped(f"frame {number}", f"{target.path(number)} is there and complete"))
+                progress.skip()
+                continue
+            count = self._preroll_of(target)
+            scheduled = {work.number for work in works[-count - 1 :]}
+            leading = [before for before in self.sequence.before(number, count) if before not in scheduled]
+            works += [Work(before, False) for before in leading]
+            works.append(Work(number, True))
+        return works
+
+    def _preroll_of(self, target: OutputFiles) -> int:
+        if self._preroll is not None:
+            return self._preroll
+        return RESUME_PREROLL if target.existing is Existing.SKIP and self.plan.steps else 0
+
+    def _first_spec(self) -> FrameSpec:
+        with self.sequence.open(self.sequence.numbers[0]) as files:
+            return files.spec()
+
+    def _passes(self, arguments: argparse.Namespace) -> list[Pass]:
+        passes = []
+        if arguments.no_denoise:
+            self._refuse_denoise_options(arguments)
+            self.left_out.append(Skipped("denoise_upscale", "--no-denoise"))
+        else:
+            options = {"scale": arguments.scale, "model": arguments.model}
+            passes.append(create("denoise_upscale", **_given(options)))
+        reason = self._no_tonemap(arguments)
+        if reason:
+            self.left_out.append(Skipped("tonemap", reason))
+        else:
+            passes.append(create("tonemap", **_given({"model": arguments.tonemap or None})))
+        return passes
+
+    def _no_tonemap(self, arguments: argparse.Namespace) -> str | None:
+        if arguments.no_tonemap:
+            return "--no-tonemap"
+        if arguments.tonemap is None and not (self.outputs and self.outputs.display):
+            return "EXR output stays scene-linear; --tonemap changes that"
+        return None
+
+    def _refuse_denoise_options(self, arguments: argparse.Namespace) -> None:
+        for option, value in (("--scale", arguments.scale), ("--model", arguments.model)):
+            if value is not None:
+                raise PassOptionError(f"{option} is for the denoiser, which --no-denoise leaves out: give one of them")
+
+
+def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles | None:
+    existing = Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
+    existing = Existing.SKIP if arguments.skip_existing else existing
+    if arguments.output is None and not arguments.explain:
+        raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr")
+    return OutputFiles(arguments.output, sequence, existing) if arguments.output else None
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}

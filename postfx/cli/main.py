@@ -1,0 +1,55 @@
+"""`postfx VERB ...`: picks the verb and turns errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from postfx import __version__
+from postfx.cli import inspect, models, run
+from postfx.errors import PostfxError
+
+VERBS = (run, inspect, models)
+EXIT_ERROR = 2
+EXIT_INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command line; returns the exit code: 0 done, 2 something the user can mend, 130 interrupted."""
+    arguments = make_parser().parse_args(argv)
+    try:
+        return arguments.execute(arguments)
+    except PostfxError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_ERROR
+    except KeyboardInterrupt:
+        print("interrupted: finished frames are kept", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Parser of all verbs."""
+    parser = argparse.ArgumentParser(
+        prog="postfx",
+        description="Post-processing of rendered image sequences: denoise, upscale, tone-map.",
+        epilog="'postfx VERB --help' explains a verb and gives examples.",
+    )
+    parser.add_argument("--version", action="version", version=f"postfx {__version__}")
+    verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
+    for verb in VERBS:
+        name = verb.__name__.rpartition(".")[2]
+        added = verbs.add_parser(
+            name,
+            help=verb.HELP,
+            description=verb.DESCRIPTION,
+            epilog=verb.EXAMPLES,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        verb.add_arguments(added)
+        added.set_defaults(execute=verb.execute)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

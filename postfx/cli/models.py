@@ -1,0 +1,35 @@
+"""`postfx models`: the trained models that are installed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+HELP = "list the trained models"
+DESCRIPTION = "List the models that are installed, with what their cards say. PASS.TAG is used as --model TAG."
+EXAMPLES = """\
+examples:
+  postfx models
+  postfx models --json
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this verb's arguments."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object: model name -> card")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """List the models; returns the exit code."""
+    from postfx.paths import models_dir
+    from postfx.runtime import Library  # loads ONNX Runtime, which --help must not wait for
+
+    library = Library(models_dir())
+    cards = {name: library.card(name) for name in library.names()}
+    print(json.dumps(cards) if arguments.json else "\n".join(_line(name, card) for name, card in cards.items()))
+    return 0
+
+
+def _line(name: str, card: dict[str, Any]) -> str:
+    return f"{name:<28}{card.get('summary', '')}"

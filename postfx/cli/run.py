@@ -1,0 +1,108 @@
+"""`postfx run`: process a sequence."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from postfx.errors import PostfxError
+
+HELP = "denoise, upscale and tone-map a sequence"
+DESCRIPTION = """\
+Denoise, upscale and tone-map a rendered sequence.
+
+EXR output stays scene-linear unless --tonemap is given. PNG, JPEG and TIFF output is tone-mapped and display-encoded.
+INPUT is a file name with ####, %04d, @@@@ or $F4 for the frame number, a folder that holds one sequence, or a single
+file. Where every plane has a file of its own, put {plane} where their names differ: shot_{plane}.####.exr
+"""
+EXAMPLES = """\
+examples:
+  postfx run shot/noisy.####.exr -o out/clean.####.exr
+  postfx run shot/noisy.%04d.exr -o out/picture.%04d.png --frames 1-100x2
+  postfx run shot/ -o out/ --skip-existing --scale 1.5
+  postfx run shot/noisy.####.exr --explain
+
+exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 130 interrupted
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this verb's arguments."""
+    parser.add_argument("input", metavar="INPUT", help="frames to read")
+    parser.add_argument("-o", "--output", metavar="OUTPUT", help="files to write: a pattern, a folder or one file")
+    parser.add_argument("--frames", metavar="RANGE", help="frames to process, e.g. 1-100, 1-100x2 or 1,5,8-12")
+    existing = parser.add_mutually_exclusive_group()
+    existing.add_argument("--overwrite", action="store_true", help="replace output files that are there")
+    existing.add_argument("--skip-existing", action="store_true", help="keep complete output files that are there")
+    parser.add_argument(
+        "--preroll",
+        metavar="N",
+        type=_count,
+        help="frames to process without writing, before the first and after skipped ones, so that the passes have "
+        "their history (default: 8 with --skip-existing, else 0)",
+    )
+    _add_passes(parser.add_argument_group("passes"))
+    _add_reading(parser.add_argument_group("reading and running"))
+    reports = parser.add_argument_group("reports")
+    reports.add_argument("--explain", action="store_true", help="show what would run and what is skipped, then stop")
+    reports.add_argument("--json", action="store_true", help="print one JSON object on standard output at the end")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Process the sequence; returns the exit code."""
+    from postfx.cli.job import Job  # loads the runtime, which --help must not wait for
+
+    job = Job(arguments)
+    if arguments.explain:
+        print(json.dumps(job.plan_dict(), indent=2) if arguments.json else job.plan_text())
+        return 0
+    failure = None
+    try:
+        job.run()
+    except (PostfxError, KeyboardInterrupt) as error:
+        failure = error
+    report = job.report(failure)
+    print(report.summary(), file=sys.stderr)
+    if arguments.json:
+        print(json.dumps(report.as_dict()))
+    if failure:
+        raise failure
+    return 0
+
+
+def _add_passes(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--scale", type=float, metavar="S", help="output size over render size, 1 to 3 (default: 2)")
+    group.add_argument("--no-denoise", action="store_true", help="leave denoising and upscaling out")
+    group.add_argument("--model", metavar="TAG", help="denoiser to use; 'postfx models' lists them")
+    tonemap = group.add_mutually_exclusive_group()
+    tonemap.add_argument(
+        "--tonemap", nargs="?", const="", metavar="TAG", help="tone-map, with this look or the default one"
+    )
+    tonemap.add_argument("--no-tonemap", action="store_true", help="PNG, JPEG, TIFF: only clip and encode")
+    group.add_argument(
+        "--exposure",
+        default="auto",
+        metavar="auto|metadata|EV",
+        help="metered on the picture, from the header (postfx:exposure), or a number of stops (default: auto)",
+    )
+
+
+def _add_reading(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--profile", metavar="NAME|FILE", help="how the renderer names its planes (default: found from the file)"
+    )
+    group.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
+    group.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all cores)")
+
+
+def _count(text: str) -> int:
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0")
+    return int(text)
+
+
+def _positive(text: str) -> int:
+    if _count(text) < 1:
+        raise argparse.ArgumentTypeError("at least 1 is needed")
+    return int(text)

@@ -1,0 +1,86 @@
+"""What a run did, for people and for programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from postfx.plan import Skipped
+
+SHOWN_FRAMES = 3
+
+
+@dataclass(frozen=True)
+class Report:
+    """Result of a run.
+
+    Attributes:
+        frames: count of frames written in this run.
+        wanted: count of frames of the input.
+        seconds: wall time, reading and writing included.
+        frame_ms: milliseconds in the passes for each written frame, without reading and writing. The first one
+            includes the compilation.
+        pass_ms: pass name -> milliseconds on the device for each written frame.
+        skipped: passes, planes and frames that were left out, and why.
+        warnings: what was odd, each once.
+        outputs: paths that were written.
+        error: why the run ended early, or None.
+    """
+
+    frames: int
+    wanted: int
+    seconds: float
+    frame_ms: list[float]
+    pass_ms: dict[str, list[float]]
+    skipped: list[Skipped]
+    warnings: list[str]
+    outputs: list[str]
+    error: str | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The report in plain types."""
+        result = {
+            "frames": self.frames,
+            "seconds": round(self.seconds, 3),
+            "ms_per_frame": _spread(self.frame_ms),
+            "passes": {name: round(median(times), 3) for name, times in self.pass_ms.items()},
+            "skipped": [{"what": item.what, "why": item.why} for item in self.skipped],
+            "warnings": self.warnings,
+            "outputs": self.outputs,
+        }
+        return {**result, "error": self.error} if self.error else result
+
+    def summary(self) -> str:
+        """The report in a few lines."""
+        lines = [f"{self.frames} of {self.wanted} frames in {self.seconds:.1f} s{self._speed()}"]
+        lines += [f"ran      {name}: {median(times):.1f} ms a frame" for name, times in self.pass_ms.items()]
+        lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
+        lines += [f"warning  {warning}" for warning in self.warnings]
+        if self.outputs:
+            more = f" ... {self.outputs[-1]}" if self.frames > 1 else ""
+            lines.append(f"wrote    {self.outputs[0]}{more}")
+        return "\n".join(lines)
+
+    def _skipped_by_reason(self) -> list[tuple[str, str]]:
+        """Planes together, since they share a reason; of frames the first few."""
+        planes = [
+            item.what.removeprefix("plane ").strip("'") for item in self.skipped if item.what.startswith("plane ")
+        ]
+        frames = [item for item in self.skipped if item.what.startswith("frame ")]
+        passes = [item for item in self.skipped if not item.what.startswith(("plane ", "frame "))]
+        rows = [(item.what, item.why) for item in passes + frames[:SHOWN_FRAMES]]
+        rows += [("planes " + ", ".join(planes), "no pass reads them")] if planes else []
+        more = len(frames) - SHOWN_FRAMES
+        return rows + ([(f"{more} more frames", "likewise")] if more > 0 else [])
+
+    def _speed(self) -> str:
+        if not self.frame_ms:
+            return ""
+        return f", {self.frames / self.seconds:.2f} frames/s, {median(self.frame_ms):.0f} ms a frame in the passes"
+
+
+def _spread(times: list[float]) -> dict[str, float] | None:
+    if not times:
+        return None
+    return {"median": round(median(times), 3), "min": round(min(times), 3), "max": round(max(times), 3)}

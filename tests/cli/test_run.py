@@ -1,0 +1,165 @@
+"""`postfx run` without networks: files, options, reports and failures."""
+
+import json
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+COPY = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise")
+"""A run that changes no pixel."""
+
+
+def outputs(folder):
+    return sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+
+
+def pixels_of(path):
+    image = oiio.ImageInput.open(str(path))
+    pixels = image.read_image(oiio.FLOAT)
+    image.close()
+    return pixels
+
+
+def test_as_many_frames_out_as_in(postfx, shot, tmp_path):
+    shot(1, 2, 3)
+    done = postfx(*COPY)
+    assert (done.code, done.out) == (0, "")
+    assert outputs(tmp_path / "out") == ["shot.0001.exr", "shot.0002.exr", "shot.0003.exr"]
+    assert "3 of 3 frames" in done.err
+    assert "denoise_upscale: --no-denoise" in done.err
+    np.testing.assert_allclose(pixels_of(tmp_path / "out/shot.0002.exr")[:, :, 0].mean(), 2.5, atol=0.1)
+
+
+def test_json_report(postfx, shot):
+    shot(1, 2, 3, 4)
+    done = postfx(*COPY, "--frames", "1-4x2", "--json")
+    report = done.json
+    assert set(report) == {"frames", "seconds", "ms_per_frame", "passes", "skipped", "warnings", "outputs"}
+    assert report["frames"] == 2
+    assert report["outputs"] == ["out/shot.0001.exr", "out/shot.0003.exr"]
+    assert set(report["ms_per_frame"]) == {"median", "min", "max"}
+    assert {"what": "plane 'depth'", "why": "no pass reads it"} in report["skipped"]
+    assert {"what": "denoise_upscale", "why": "--no-denoise"} in report["skipped"]
+    assert any("history is dropped" in warning for warning in report["warnings"])
+
+
+def test_display_output_without_tone_mapping_is_clipped_and_encoded(postfx, write_image, tmp_path):
+    write_image("still.exr", {name: np.full((8, 8), value) for name, value in zip("RGB", (0.18, 1, 5), strict=True)})
+    assert postfx("run", "still.exr", "-o", "still.png", "--no-denoise", "--no-tonemap").code == 0
+    np.testing.assert_allclose(pixels_of(tmp_path / "still.png")[0, 0], [0.4614, 1, 1], atol=0.003)
+
+
+def test_explain_writes_nothing(postfx, shot, tmp_path):
+    shot(1)
+    done = postfx(*COPY, "--explain")
+    assert done.code == 0
+    assert "skips   plane 'depth': no pass reads it" in done.out
+    assert "tonemap: EXR output stays scene-linear" in done.out
+    assert json.loads(postfx(*COPY, "--explain", "--json").out)["frames"] == 1
+    assert outputs(tmp_path / "out") == []
+
+
+def test_existing_outputs_stop_the_run_before_it_starts(postfx, shot, tmp_path):
+    shot(1, 2)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/shot.0002.exr").write_text("mine")
+    done = postfx(*COPY)
+    assert done.code == 2
+    assert "error: out/shot.0002.exr: is already there: give --overwrite or --skip-existing" in done.err
+    assert outputs(tmp_path / "out") == ["shot.0002.exr"]
+
+
+def test_resume_keeps_complete_files_and_mends_broken_ones(postfx, shot, tmp_path):
+    shot(1, 2, 3)
+    assert postfx(*COPY).code == 0
+    kept, broken = tmp_path / "out/shot.0001.exr", tmp_path / "out/shot.0002.exr"
+    (tmp_path / "out/shot.0003.exr").unlink()
+    whole = broken.read_bytes()
+    broken.write_bytes(whole[: len(whole) // 2])
+    before = kept.stat().st_mtime_ns
+    report = postfx(*COPY, "--skip-existing", "--json").json
+    assert report["outputs"] == ["out/shot.0002.exr", "out/shot.0003.exr"]
+    assert {"what": "frame 1", "why": "out/shot.0001.exr is there and complete"} in report["skipped"]
+    assert kept.stat().st_mtime_ns == before
+    assert len(broken.read_bytes()) == len(whole)
+
+
+def test_overwrite(postfx, shot, tmp_path):
+    shot(1)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/shot.0001.exr").write_text("old")
+    assert postfx(*COPY, "--overwrite").code == 0
+    assert pixels_of(tmp_path / "out/shot.0001.exr").shape == (32, 48, 3)
+
+
+def test_missing_frame_in_the_middle_keeps_the_finished(postfx, shot, tmp_path):
+    shot(1, 2, 4)
+    done = postfx(*COPY, "--json")
+    assert done.code == 2
+    assert "error: in/shot.0003.exr: frame 3 is missing: render it or leave it out with --frames" in done.err
+    assert outputs(tmp_path / "out") == ["shot.0001.exr", "shot.0002.exr"]
+    assert done.json["frames"] == 2
+    assert done.json["error"].startswith("in/shot.0003.exr")
+
+
+def test_broken_file_in_the_middle_keeps_the_finished(postfx, shot, tmp_path):
+    third = shot(1, 2, 3) / "shot.0003.exr"
+    third.write_bytes(third.read_bytes()[:900])
+    done = postfx(*COPY)
+    assert done.code == 2
+    assert "error: in/shot.0003.exr: " in done.err
+    assert outputs(tmp_path / "out") == ["shot.0001.exr", "shot.0002.exr"]
+
+
+def test_plane_that_ends_in_the_middle_is_named(postfx, shot, write_image):
+    shot(1, 2, alpha=True)
+    write_image("in/shot.0002.exr", {name: np.ones((32, 48)) for name in "RGB"})
+    done = postfx(*COPY)
+    assert done.code == 2
+    assert "error: in/shot.0002.exr: no plane 'alpha'" in done.err
+
+
+def test_input_without_colour(postfx, write_image):
+    write_image("in/shot.0001.exr", {"depth.Z": np.ones((4, 4))})
+    done = postfx(*COPY)
+    assert done.code == 2
+    assert "error: in/shot.0001.exr: no plane 'colour': profile generic looks for R, G, B" in done.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--profile", "maya"), "unknown profile 'maya': use one of"),
+        (("--profile", "none.toml"), "none.toml: profile cannot be read"),
+        (("--frames", "1-"), "--frames 1-: not a frame range"),
+        (("--exposure", "bright"), "exposure 'bright'"),
+        (("--scale", "2"), "--scale is for the denoiser, which --no-denoise leaves out"),
+        (("-o", "out/shot.exr"), "one file for 2 frames: write it like shot.####.exr"),
+        (("-o", "out/shot.####.bmp"), "unknown format '.bmp': use .exr"),
+        (("-o", "in/"), "in/shot.0001.exr: is an input"),
+        (("-o", "in/shot.0001.exr/x.####.exr"), "x.0001.exr: cannot be written"),
+    ],
+)
+def test_mistakes_get_one_clear_line(postfx, shot, arguments, message):
+    shot(1, 2)
+    done = postfx(*COPY, *arguments)
+    assert done.code == 2
+    errors = [line for line in done.err.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1
+    assert message in errors[0]
+    assert "Traceback" not in done.err
+
+
+def test_missing_input_and_output(postfx, shot):
+    assert "error: nothing.####.exr: no such file" in postfx("run", "nothing.####.exr", "-o", "out/").err
+    shot(1)
+    assert "error: nowhere to write: give -o OUTPUT" in postfx("run", "in/shot.####.exr").err
+
+
+def test_unwritable_folder(postfx, shot, tmp_path):
+    shot(1)
+    (tmp_path / "out").write_text("a file where the folder should be")
+    done = postfx(*COPY)
+    assert done.code == 2
+    assert "error: out/shot.0001.exr: cannot be written" in done.err

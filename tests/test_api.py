@@ -1,0 +1,45 @@
+"""The public names, pinned: a change here is a change for users."""
+
+import subprocess
+import sys
+
+import pytest
+
+import postfx
+
+PUBLIC = [
+    "DenoiseUpscale",
+    "Device",
+    "Frame",
+    "FrameSpec",
+    "Library",
+    "Pipeline",
+    "PostfxError",
+    "ROLES",
+    "Role",
+    "Sequence",
+    "ToneMap",
+    "__version__",
+    "models_dir",
+    "read_sequence",
+    "write_frame",
+]
+
+
+def test_public_names():
+    assert sorted(postfx.__all__) == PUBLIC
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_every_public_name_is_there(name):
+    assert getattr(postfx, name) is not None
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(AttributeError, match="no attribute 'Denoise'"):
+        postfx.Denoise  # noqa: B018
+
+
+def test_importing_everything_needs_no_torch():
+    code = "import sys; sys.modules['torch'] = None; import postfx; [getattr(postfx, n) for n in postfx.__all__]"
+    subprocess.run([sys.executable, "-c", code], check=True)
