@@ -70,7 +70,9 @@ def export_kernels(folder: Path) -> None:
     export(Lowres(), (colour, params), ["colour", "params"], ["lowres"], folder / "lowres.onnx", image=True)
     reads = ["colour", "params", "guide", "grid"]
     export(SliceApply(), (colour, params, guide, grid), reads, ["output"], folder / "slice_apply.onnx", image=True)
-    export(Smooth(), (grid, grid, torch.ones(1)), ["previous", "current", "keep"], ["result"], folder / "smooth.onnx")
+    reads = ["previous", "current", "keep"]
+    # Two tensors, not one twice: the exporter would take equal arguments for one and the same.
+    export(Smooth(), (grid, grid.clone(), torch.ones(1)), reads, ["result"], folder / "smooth.onnx")
     export(EncodeSrgb(), (colour, torch.ones(1)), ["colour", "exposure"], ["output"], folder / "encode_srgb.onnx", True)
 
 

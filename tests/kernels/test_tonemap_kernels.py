@@ -1,0 +1,124 @@
+"""The tone mapper's kernels: compiled rows and portable ONNX definitions against the torch definitions."""
+
+from __future__ import annotations
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from postfx.kernels.encode_srgb import ENCODE_SRGB
+from postfx.kernels.kernel import Kernel
+from postfx.kernels.lowres import LOWRES
+from postfx.kernels.slice_apply import SLICE_APPLY
+from postfx.kernels.smooth import SMOOTH
+from postfx.paths import models_dir
+
+torch = pytest.importorskip("torch")
+
+from training.networks import hdrnet, tonemap_kernels  # noqa: E402
+
+TOLERANCE = 1e-4
+SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
+
+
+def hdr(height: int, width: int) -> np.ndarray:
+    """Colour over 20 stops with everything in it that a file should not hold."""
+    colour = np.exp2(np.random.default_rng(height).uniform(-12, 8, (height, width, 3))).astype(np.float32)
+    if height > 4:
+        colour[1, 1, 0], colour[2, 2, 1], colour[3, 3, 2], colour[4, 4, 0] = np.nan, np.inf, -np.inf, -3.0
+    return colour
+
+
+def arguments(kernel: Kernel, height: int, width: int) -> list[np.ndarray]:
+    """Inputs of a kernel, with a guide and grid that use every level and differ from cell to cell."""
+    random = np.random.default_rng(7)
+    torch.manual_seed(3)
+    guide = hdrnet.Guide()().detach().numpy() + random.normal(0, 0.05, 112)
+    values = {
+        "colour": hdr(height, width),
+        "params": np.array([1.7, *hdrnet.SHAPER]),
+        "exposure": np.array([0.6]),
+        "guide": guide,
+        "grid": random.normal(0, 0.4, (1, 16, 16, 8, 12)),
+        "previous": random.normal(0, 1, (1, 16, 16, 8, 12)),
+        "current": random.normal(0, 1, (1, 16, 16, 8, 12)),
+        "keep": np.array([0.3]),
+    }
+    return [np.ascontiguousarray(values[name], np.float32) for name in kernel.reads]
+
+
+DEFINITIONS = {
+    SLICE_APPLY: tonemap_kernels.SliceApply,
+    LOWRES: tonemap_kernels.Lowres,
+    SMOOTH: tonemap_kernels.Smooth,
+    ENCODE_SRGB: tonemap_kernels.EncodeSrgb,
+}
+CASES = [
+    pytest.param(kernel, height, width, id=f"{kernel.name}-{height}x{width}")
+    for kernel in DEFINITIONS
+    for height, width in (SIZES if "colour" in kernel.reads else SIZES[:1])
+]
+
+
+def by_definition(kernel: Kernel, inputs: list[np.ndarray]) -> np.ndarray:
+    with torch.no_grad():
+        return DEFINITIONS[kernel]()(*map(torch.from_numpy, inputs)).numpy()
+
+
+def by_rows(kernel: Kernel, inputs: list[np.ndarray], like: np.ndarray, bands: int) -> np.ndarray:
+    output = np.full_like(like, np.nan)
+    count = output.shape[kernel.row_axis[1]]
+    edges = [count * band // bands for band in range(bands + 1)]
+    for y0, y1 in zip(edges, edges[1:], strict=False):
+        kernel.rows(y0, y1, *inputs, output)
+    return output
+
+
+@pytest.mark.parametrize(("kernel", "height", "width"), CASES)
+def test_compiled_rows_match_the_definition(kernel: Kernel, height: int, width: int) -> None:
+    inputs = arguments(kernel, height, width)
+    wanted = by_definition(kernel, inputs)
+    assert np.isfinite(wanted).all()
+    np.testing.assert_allclose(by_rows(kernel, inputs, wanted, 1), wanted, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize(("kernel", "height", "width"), CASES)
+def test_portable_definition_matches(kernel: Kernel, height: int, width: int) -> None:
+    inputs = arguments(kernel, height, width)
+    session = onnxruntime.InferenceSession(models_dir() / "kernels" / f"{kernel.name}.onnx")
+    found = session.run(list(kernel.writes), dict(zip(kernel.reads, inputs, strict=True)))[0]
+    np.testing.assert_allclose(found, by_definition(kernel, inputs), atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("kernel", DEFINITIONS, ids=lambda kernel: kernel.name)
+def test_bands_give_the_same_bits_as_one_run(kernel: Kernel) -> None:
+    inputs = arguments(kernel, 67, 129)
+    wanted = by_definition(kernel, inputs)
+    np.testing.assert_array_equal(by_rows(kernel, inputs, wanted, 5), by_rows(kernel, inputs, wanted, 1))
+
+
+def test_lowres_of_a_flat_picture_is_flat_and_a_firefly_hardly_moves_it() -> None:
+    colour = np.full((540, 960, 3), 0.18, np.float32)
+    params = np.array([1.0, *hdrnet.SHAPER], np.float32)
+    low = np.empty((1, 3, 256, 256), np.float32)
+    LOWRES.rows(0, 256, colour, params, low)
+    flat = float(low[0, 0, 0, 0])
+    np.testing.assert_allclose(low, flat, atol=1e-5)
+    colour[100, 100] = 1e4
+    LOWRES.rows(0, 256, colour, params, low)
+    assert low.max() - flat < 0.2
+    assert (np.abs(low - flat) > 1e-5).sum() <= 3 * 4
+
+
+def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
+    current = np.random.default_rng(0).normal(size=(1, 16, 16, 8, 12)).astype(np.float32)
+    result = np.empty_like(current)
+    SMOOTH.rows(0, 16, np.full_like(current, np.nan), current, np.zeros(1, np.float32), result)
+    np.testing.assert_array_equal(result, current)
+
+
+def test_srgb_curve_at_known_points() -> None:
+    colour = np.repeat(np.float32([0.0, 0.0031308, 0.18, 0.5, 1.0, 7.0])[None, :, None], 3, 2)
+    output = np.empty_like(colour)
+    ENCODE_SRGB.rows(0, 1, colour, np.ones(1, np.float32), output)
+    np.testing.assert_allclose(output[0, :, 0], [0.0, 0.040450, 0.461356, 0.735357, 1.0, 1.0], atol=2e-6)

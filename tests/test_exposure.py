@@ -1,0 +1,136 @@
+"""Exposure metering: what it must not be fooled by, and that it only looks back."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from postfx.exposure import ExposureError, ExposureMeter, measure
+from postfx.frame import Frame, Role
+
+
+def picture(ev: float = 0.0, height: int = 90, width: int = 160) -> np.ndarray:
+    """A smooth scene around mid grey times 2 ** -ev, four stops from dark to bright."""
+    ramp = np.exp2(np.linspace(-2, 2, width) - ev) * 0.18
+    return np.ascontiguousarray(np.broadcast_to(ramp[None, :, None], (height, width, 3)), np.float32)
+
+
+def frame(colour: np.ndarray, **values: object) -> Frame:
+    return Frame({Role.COLOUR: colour}, **values)
+
+
+@pytest.mark.parametrize("ev", (-9.0, -1.0, 0.0, 3.5, 9.0))
+def test_brings_the_picture_to_mid_grey(ev: float) -> None:
+    assert measure(picture(ev)) == pytest.approx(ev, abs=0.02)
+
+
+def test_black_borders_do_not_count() -> None:
+    colour = np.zeros((180, 320, 3), np.float32)
+    colour[40:130, 80:240] = picture()
+    assert measure(colour) == pytest.approx(0.0, abs=0.15)
+
+
+def test_bad_pixels_and_fireflies_do_not_count() -> None:
+    colour = picture()
+    random = np.random.default_rng(1)
+    for value in (np.nan, np.inf, -np.inf, 1e6):
+        at = random.integers(0, colour.shape[:2], (40, 2))
+        colour[at[:, 0], at[:, 1]] = value
+    assert measure(colour) == pytest.approx(0.0, abs=0.2)
+
+
+def test_noise_of_one_sample_a_pixel_hardly_matters() -> None:
+    clean = picture(height=180, width=320)
+    lit = np.random.default_rng(2).random(clean.shape[:2]) < 0.15
+    noisy = np.where(lit[..., None], clean / 0.15, 0).astype(np.float32)
+    assert measure(noisy) == pytest.approx(measure(clean), abs=0.3)
+
+
+def test_deep_black_counts_as_nine_stops_below_the_highlights() -> None:
+    colour = np.full((96, 96, 3), 2.0**-20, np.float32)
+    colour[:48] = 1.0
+    assert measure(colour) == pytest.approx(np.log2(0.18) + 4.5, abs=0.05)
+
+
+def test_a_black_frame_has_no_exposure_and_keeps_the_last() -> None:
+    black = np.zeros((32, 32, 3), np.float32)
+    assert measure(black) is None
+    meter = ExposureMeter()
+    assert meter(frame(black)) == 1.0
+    bright = meter(frame(picture(3.0), reset=True))
+    assert meter(frame(black)) == bright
+
+
+def test_follows_smoothly_faster_into_the_dark_and_at_once_at_cuts() -> None:
+    def second_frame(step: float, **values: object) -> float:
+        meter = ExposureMeter()
+        meter(frame(picture(0.0)))
+        return np.log2(meter(frame(picture(step), **values)))
+
+    brighter, darker = second_frame(2.0), -second_frame(-2.0)
+    assert 0 < brighter < darker < 1
+    assert second_frame(2.0, reset=True) == pytest.approx(2.0, abs=0.05)
+
+
+def test_speed_is_in_seconds_and_not_in_frames() -> None:
+    def after_half_a_second(rate: int) -> float:
+        meter = ExposureMeter()
+        meter(frame(picture(0.0)))
+        for _ in range(rate // 2):
+            value = meter(frame(picture(2.0), metadata={"framesPerSecond": float(rate)}))
+        return value
+
+    assert after_half_a_second(12) == pytest.approx(after_half_a_second(60), rel=0.01)
+
+
+def test_a_sequence_gives_the_same_numbers_from_the_same_past() -> None:
+    frames = [frame(picture(np.sin(n))) for n in range(6)]
+    meter, again = ExposureMeter(), ExposureMeter()
+    whole = [meter(f) for f in frames]
+    assert [again(f) for f in frames[:3]] == whole[:3]
+    meter.reset()
+    assert [meter(f) for f in frames] == whole
+
+
+def test_fixed_stops() -> None:
+    assert ExposureMeter(-2)(frame(picture())) == 0.25
+    assert ExposureMeter("1.5")(frame(picture())) == pytest.approx(2**1.5)
+
+
+@pytest.mark.parametrize("mode", ("automatic", "nan", 1e9))
+def test_other_modes_are_refused(mode: str | float) -> None:
+    with pytest.raises(ExposureError, match="use auto, metadata or a number of stops"):
+        ExposureMeter(mode)
+
+
+def test_metadata_is_taken_from_the_header_or_the_file_is_named() -> None:
+    meter = ExposureMeter("metadata")
+    assert meter(frame(picture(), exposure=0.47)) == 0.47
+    with pytest.raises(ExposureError, match=r"shot\.0007\.exr: no exposure in its header"):
+        meter(frame(picture(), source="shot.0007.exr"))
+    with pytest.raises(ExposureError, match="not a positive number"):
+        meter(frame(picture(), exposure=0.0))
+
+
+def test_metering_half_a_megapixel_is_cheap() -> None:
+    colour = picture(height=540, width=960)
+    measure(colour)
+    seconds = []
+    for _ in range(20):
+        start = time.perf_counter()
+        measure(colour)
+        seconds.append(time.perf_counter() - start)
+    assert min(seconds) < 0.005
+
+
+@pytest.mark.parametrize("name", ("living_room", "staircase", "garage"))
+def test_noisy_renders_meter_like_their_references(name: str, shared_dir) -> None:
+    import OpenImageIO as oiio
+
+    def ev(kind: str) -> float:
+        pixels = oiio.ImageBuf(str(shared_dir / "sequences" / name / f"{kind}.0004.exr")).get_pixels("float")
+        return measure(np.ascontiguousarray(pixels[..., :3]))
+
+    assert ev("noisy") == pytest.approx(ev("reference"), abs=0.35)
