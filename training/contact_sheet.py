@@ -44,7 +44,10 @@ def main() -> None:
     args = parser.parse_args()
     paths = sorted(args.folder.glob("clip.*.npz"))[args.skip : args.skip + args.rows]
     rows = [row(load_clip(path), args.frame, args.size) for path in paths]
-    Image.fromarray(np.concatenate(rows)).save(args.out)
+    half = (len(rows) + 1) // 2 if len(rows) > 12 else len(rows)
+    rows += [np.zeros_like(rows[0])] * (-len(rows) % half)
+    columns = [np.concatenate(rows[k : k + half]) for k in range(0, len(rows), half)]
+    Image.fromarray(np.concatenate(columns, 1)).save(args.out)
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ class ClipOptions:
     frames: int = 8
     variants: int = 3
     reference_spp: int = 128
-    reference_error: float = 0.03
+    reference_error: float = 0.015
     scales: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0)
     scale_chances: tuple[float, ...] = (0.1, 0.1, 0.7, 0.1)
     real_share: float = 0.25
@@ -59,7 +59,8 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
             frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain, rng))
     meta = {
         "filter": pixel_filter, "gain": gain, "reference_spp": spp, "wanted_spp": wanted,
-        "fov": path.fov, "camera": path.kind, "amplitude": path.amplitude, "movers": len(description.movers), "options": asdict(options),
+        "fov": path.fov, "camera": path.kind, "amplitude": path.amplitude, "movers": len(description.movers),
+        "options": asdict(options),
         "to_world": [path.at(f).to_world.tolist() for f in range(options.frames)],
     }
     facts = {"scale": scale, "seed": index, "scene": description.name, "meta": meta}

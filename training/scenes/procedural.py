@@ -35,7 +35,7 @@ def product(rng: np.random.Generator, maps: Environments) -> Draft:
                 mover, centre = len(d.movers) - 1, np.zeros(3)
             lights.panel(d, rng, centre, float(rng.choice([0.5, 1.5, 3.0])), rng.uniform(10, 60), mover)
     moving = int(rng.choice([0, 1, 2, 4], p=[0.3, 0.3, 0.25, 0.15]))
-    for index in range(int(rng.integers(2, 9))):
+    for index in range(int(rng.integers(4, 13))):
         thing = furniture.resized(furniture.pick(rng), rng.uniform(0.5, 1.3))
         home = np.array([rng.normal(0, 0.8), 0, rng.normal(0, 0.8)])
         uv = float(rng.choice([0.5, 1, 2, 5]))

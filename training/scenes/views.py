@@ -42,13 +42,26 @@ class Probe:
             return "black"
         if (self.luminance < 0.003 * mean).mean() > 0.5:
             return "mostly black"
-        plain = np.std(self.normal, axis=0).sum() + 2 * np.std(self.albedo, axis=0).sum()
-        return "nothing to see" if plain < 0.35 else None
+        return "nothing to see" if self.edges() < 0.08 else None
+
+    def edges(self) -> float:
+        """Part of the grid's neighbours that differ by 15 % in depth or by 37 degrees in normal."""
+        depth, normal = self.depth.reshape(GRID, GRID), self.normal.reshape(GRID, GRID, 3)
+        total = 0.0
+        for axis in (0, 1):
+            near, far = (np.take(depth, range(k, GRID - 1 + k), axis) for k in (0, 1))
+            bend = (np.take(normal, range(GRID - 1), axis) * np.take(normal, range(1, GRID), axis)).sum(-1)
+            bent = (bend < 0.8) & (near < MISS_DEPTH / 2)
+            total += np.mean((np.abs(near - far) > 0.15 * np.minimum(near, far)) | bent)
+        return float(total / 2)
+
+    def level(self) -> float:
+        """Geometric mean of the luminance, without its darkest depths."""
+        return float(np.exp(np.log(np.maximum(self.luminance, 1e-3 * self.luminance.mean() + 1e-12)).mean()))
 
     def gain(self, rng: np.random.Generator) -> float:
-        """Factor that brings the geometric mean to a drawn level: median 0.2, mostly 0.07 to 0.6."""
-        level = np.exp(np.log(np.maximum(self.luminance, 1e-3 * self.luminance.mean() + 1e-12)).mean())
-        return float(0.2 * np.exp(rng.normal(0, 0.6)) / level)
+        """Factor that brings the level to a drawn one: median 0.2, mostly 0.07 to 0.6."""
+        return float(0.2 * np.exp(rng.normal(0, 0.6)) / self.level())
 
     def samples_for(self, error: float, gain: float) -> float:
         """Samples a pixel for a root mean square error of `error` after the gain and x/(1+x), 0..1.
@@ -87,6 +100,9 @@ def choose_path(tracer: Tracer, built: BuiltScene, view: Callable, rng: np.rando
     """A camera path, the gain for its frames and a look from it, or None where no drawn view is of use."""
     for _ in range(attempts):
         eye, target = view(rng)
+        movers = built.description.movers
+        if movers and rng.random() < 0.6:
+            target = movers[int(rng.integers(len(movers)))](3.5)[:3, 3]
         fov = float(rng.uniform(35, 80))
         kind, direction = str(rng.choice(CameraPath.KINDS)), rng.uniform(-1, 1, 3)
         path = CameraPath(eye, target, fov, kind, 0.0, direction, int(rng.integers(1 << 30)))
@@ -100,6 +116,7 @@ def choose_path(tracer: Tracer, built: BuiltScene, view: Callable, rng: np.rando
         speed = image_speed(replace(path, amplitude=1.0), look.points[look.hits], width)
         moving = replace(path, amplitude=float(np.clip(target_speed(rng) / max(speed, 1e-3), 0.01, 25.0)))
         ends = [probe(tracer, built, moving.at(frame), int(rng.integers(1 << 31))) for frame in (0, 7)]
-        if not any(end.problem(0.5 * near) for end in ends):
+        steady = all(0.1 < end.level() / look.level() < 10 for end in ends)
+        if steady and not any(end.problem(0.5 * near) for end in ends):
             return moving, look.gain(rng), look
     return None
