@@ -140,7 +140,9 @@ class Job:
         if reason:
             self.left_out.append(Skipped("tonemap", reason))
         else:
-            passes.append(create("tonemap", **_given({"model": arguments.tonemap or None})))
+            passes.append(create("tonemap", **_given({"tag": arguments.tonemap or None})))
+        if reason and self.outputs and self.outputs.display:
+            passes.append(create("display"))
         return passes
 
     def _no_tonemap(self, arguments: argparse.Namespace) -> str | None:

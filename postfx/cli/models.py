@@ -32,4 +32,5 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _line(name: str, card: dict[str, Any]) -> str:
-    return f"{name:<28}{card.get('summary', '')}"
+    size = f"{card['parameters'] / 1e6:.2f} M parameters" if "parameters" in card else "no card"
+    return f"{name:<28}{size:<20}{card.get('summary', '')}".rstrip()

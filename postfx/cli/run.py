@@ -79,7 +79,7 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
     tonemap.add_argument(
         "--tonemap", nargs="?", const="", metavar="TAG", help="tone-map, with this look or the default one"
     )
-    tonemap.add_argument("--no-tonemap", action="store_true", help="PNG, JPEG, TIFF: only clip and encode")
+    tonemap.add_argument("--no-tonemap", action="store_true", help="PNG, JPEG, TIFF: only expose, clip and encode")
     group.add_argument(
         "--exposure",
         default="auto",

@@ -6,6 +6,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from postfx.io.srgb import srgb_encode
+
 COPY = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise")
 """A run that changes no pixel."""
 
@@ -46,8 +48,20 @@ def test_json_report(postfx, shot):
 
 def test_display_output_without_tone_mapping_is_clipped_and_encoded(postfx, write_image, tmp_path):
     write_image("still.exr", {name: np.full((8, 8), value) for name, value in zip("RGB", (0.18, 1, 5), strict=True)})
-    assert postfx("run", "still.exr", "-o", "still.png", "--no-denoise", "--no-tonemap").code == 0
+    done = postfx("run", "still.exr", "-o", "still.png", "--no-denoise", "--no-tonemap", "--exposure", "0")
+    assert done.code == 0
     np.testing.assert_allclose(pixels_of(tmp_path / "still.png")[0, 0], [0.4614, 1, 1], atol=0.003)
+
+
+def test_display_output_is_tone_mapped(postfx, shot, tmp_path):
+    shot(1, 2)
+    done = postfx("run", "in/shot.####.exr", "-o", "out/", "--no-denoise", "--tonemap", "--json")
+    assert list(done.json["passes"]) == ["tonemap"]
+    done = postfx("run", "in/shot.####.exr", "-o", "out/shot.####.png", "--no-denoise", "--json")
+    assert list(done.json["passes"]) == ["tonemap"]
+    linear, encoded = pixels_of(tmp_path / "out/shot.0002.exr"), pixels_of(tmp_path / "out/shot.0002.png")
+    assert 0 < encoded.min() < encoded.max() <= 1
+    np.testing.assert_allclose(srgb_encode(linear), encoded, atol=0.004)
 
 
 def test_explain_writes_nothing(postfx, shot, tmp_path):
@@ -134,6 +148,7 @@ def test_input_without_colour(postfx, write_image):
         (("--profile", "none.toml"), "none.toml: profile cannot be read"),
         (("--frames", "1-"), "--frames 1-: not a frame range"),
         (("--exposure", "bright"), "exposure 'bright'"),
+        (("--tonemap", "sepia"), "no model 'tonemap.sepia'"),
         (("--scale", "2"), "--scale is for the denoiser, which --no-denoise leaves out"),
         (("-o", "out/shot.exr"), "one file for 2 frames: write it like shot.####.exr"),
         (("-o", "out/shot.####.bmp"), "unknown format '.bmp': use .exr"),
