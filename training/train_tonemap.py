@@ -119,7 +119,7 @@ def main() -> None:
                 print(json.dumps(row), flush=True)
                 log.write(json.dumps(row) + "\n")
                 state = {"weights": average.state_dict(), "look": str(packed["look"]), "args": vars(args), "log": row}
-                state |= {"torch": torch.__version__, "device": name, "data": [str(x) for x in packed["names"]]}
+                state |= {"torch": str(torch.__version__), "device": name, "data": [str(x) for x in packed["names"]]}
                 torch.save(state, out / "checkpoint.pt")
                 last, steps_since = elapsed, 0
                 sums.zero_()

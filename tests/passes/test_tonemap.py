@@ -1,0 +1,141 @@
+"""The tone-mapping and display passes, run through a pipeline."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postfx.frame import Frame, FrameSpec, Role
+from postfx.passes.base import PassOptionError
+from postfx.passes.display import Display
+from postfx.passes.tonemap import ToneMap
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device, ModelError
+
+SPEC = FrameSpec(160, 90, [Role.COLOUR])
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    return Device("cpu", threads=2)
+
+
+def scene(seed: int = 0, height: int = 90, width: int = 160) -> np.ndarray:
+    """Soft light over eight stops with coloured patches and a lamp."""
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    light = np.exp2(8 * x / width - 6)[..., None] * np.ones(3, np.float32)
+    patches = random.uniform(0.2, 1.0, (4, 4, 3)).repeat(height // 4 + 1, 0).repeat(width // 4 + 1, 1)[:height, :width]
+    lamp = 40.0 * (((x - 30) ** 2 + (y - 20) ** 2) < 36)[..., None]
+    return np.ascontiguousarray(light * patches + lamp, np.float32)
+
+
+def frame(colour: np.ndarray, **values: object) -> Frame:
+    return Frame({Role.COLOUR: colour}, **values)
+
+
+def tone_map(colour: np.ndarray, device: Device, ev: float = 0.0, **options: object) -> np.ndarray:
+    return Pipeline([ToneMap(**options)], device, exposure=ev)(frame(colour))[Role.COLOUR]
+
+
+def test_gives_display_colour_of_the_same_size_and_keeps_other_planes(device: Device) -> None:
+    given = Frame({Role.COLOUR: scene(), Role.ALPHA: np.ones((90, 160, 1), np.float32)})
+    out = Pipeline([ToneMap()], device)(given)
+    assert out.encoding == "srgb"
+    assert out[Role.COLOUR].shape == (90, 160, 3)
+    assert out[Role.COLOUR].min() >= 0 and out[Role.COLOUR].max() <= 1
+    np.testing.assert_array_equal(out[Role.ALPHA], given[Role.ALPHA])
+
+
+def test_mid_grey_and_highlights_land_where_the_look_puts_them(device: Device) -> None:
+    """ACES 2 behind 0.75 stops of gain puts mid grey at 0.44 of the sRGB signal; the look keeps it there."""
+    grey = tone_map(np.full((90, 160, 3), 0.18, np.float32), device)
+    np.testing.assert_allclose(grey, 0.44, atol=0.06)
+    assert tone_map(np.full((90, 160, 3), 64.0, np.float32), device).min() > 0.85
+    assert tone_map(np.zeros((90, 160, 3), np.float32), device).max() < 0.03
+
+
+def test_grey_stays_grey_and_brighter_stays_brighter(device: Device) -> None:
+    ramp = np.exp2(np.linspace(-7, 5, 640, dtype=np.float32)) * 0.18
+    out = tone_map(np.ascontiguousarray(np.broadcast_to(ramp[None, :, None], (360, 640, 3))), device)
+    assert (out.max(2) - out.min(2)).max() < 0.05
+    luminance = out[180] @ np.float32([0.2126, 0.7152, 0.0722])
+    assert np.diff(luminance).min() > -1 / 255
+    assert luminance[-1] - luminance[0] > 0.6
+
+
+def test_exposure_scales_the_scene_before_the_look(device: Device) -> None:
+    np.testing.assert_allclose(tone_map(scene() / 8, device, ev=3.0), tone_map(scene(), device), atol=1e-4)
+    assert tone_map(scene(), device, ev=2.0).mean() > tone_map(scene(), device).mean() + 0.05
+
+
+def test_bad_pixels_stay_where_they_are(device: Device) -> None:
+    colour = scene()
+    bad = colour.copy()
+    bad[10, 10], bad[50, 60], bad[70, 100] = np.nan, np.inf, -5.0
+    out, clean = tone_map(bad, device), tone_map(colour, device)
+    assert np.isfinite(out).all()
+    touched = np.abs(out - clean).max(2) > 0.02
+    assert set(map(tuple, np.argwhere(touched))) <= {(10, 10), (50, 60), (70, 100)}
+
+
+def test_works_at_sizes_around_the_low_resolution_copy(device: Device) -> None:
+    for height, width in ((1, 1), (3, 700), (256, 256), (301, 255)):
+        out = tone_map(np.full((height, width, 3), 0.18, np.float32), device)
+        np.testing.assert_allclose(out, 0.44, atol=0.06)
+
+
+def test_a_still_picture_gives_the_same_bits_every_frame(device: Device) -> None:
+    pipeline = Pipeline([ToneMap()], device, exposure=0.0)
+    first = pipeline(frame(scene()))[Role.COLOUR]
+    for number in range(2, 4):
+        np.testing.assert_array_equal(pipeline(frame(scene(), number=number))[Role.COLOUR], first)
+
+
+def test_the_grid_follows_slowly_and_at_once_at_cuts(device: Device) -> None:
+    dark, bright = scene(1), scene(2) * 16
+
+    def after(keep: float, **values: object) -> np.ndarray:
+        pipeline = Pipeline([ToneMap(keep=keep)], device, exposure=0.0)
+        pipeline(frame(dark))
+        return pipeline(frame(bright, **values))[Role.COLOUR]
+
+    alone = after(0.0)
+    np.testing.assert_array_equal(after(0.9, reset=True), alone)
+    slow, slower = np.abs(after(0.5) - alone).mean(), np.abs(after(0.9) - alone).mean()
+    assert 0 < slow < slower
+
+
+def test_portable_kernels_give_the_same_picture(device: Device) -> None:
+    portable = Device("cpu", threads=2, compiled_kernels=False)
+    np.testing.assert_allclose(tone_map(scene(), portable), tone_map(scene(), device), atol=1e-4)
+
+
+def test_skips_what_is_for_a_display_already() -> None:
+    for encoding in ("display-linear", "srgb"):
+        spec = FrameSpec(8, 8, [Role.COLOUR], encoding)
+        assert encoding in (ToneMap().skip(spec) or "")
+    assert ToneMap().skip(SPEC) is None
+    assert Display().skip(FrameSpec(8, 8, [Role.COLOUR], "srgb"))
+    assert Display().skip(FrameSpec(8, 8, [Role.COLOUR], "display-linear")) is None
+
+
+def test_options_that_cannot_be_are_refused(device: Device) -> None:
+    for keep in (-0.1, 1.0):
+        with pytest.raises(PassOptionError, match="keep"):
+            ToneMap(keep=keep)
+    with pytest.raises(ModelError, match="tonemap.sepia"):
+        ToneMap(tag="sepia").compile(device, SPEC)
+
+
+def test_display_encodes_exposed_light_and_cuts_it_at_one(device: Device) -> None:
+    colour = np.full((4, 4, 3), 0.25, np.float32)
+    colour[0] = 9.0
+
+    def encoded(encoding: str) -> np.ndarray:
+        given = frame(colour, encoding=encoding)
+        return Pipeline([Display()], device, exposure=1.0)(given)[Role.COLOUR]
+
+    np.testing.assert_allclose(encoded("scene-linear")[1], 0.735357, atol=1e-5)
+    np.testing.assert_allclose(encoded("display-linear")[1], 0.537099, atol=1e-5)
+    assert (encoded("scene-linear")[0] == 1).all()
