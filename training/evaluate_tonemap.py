@@ -21,7 +21,7 @@ import torch
 from skimage.metrics import structural_similarity
 
 from postfx.exposure import measure
-from training.looks import LOOKS, exact_target
+from training.looks import exact_target, find_look
 from training.make_tonemap_set import read, shrink
 from training.networks.hdrnet import HDRNet, default_params
 
@@ -58,20 +58,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkpoint")
     parser.add_argument("images", nargs="+")
-    parser.add_argument("--look", default="aces2", choices=sorted(LOOKS))
+    parser.add_argument("--look", default="aces2", help="built-in look, or a .toml file")
     parser.add_argument("--side", type=int, default=640)
     parser.add_argument("--pictures", type=Path, help="folder for PNGs: result beside target")
     parser.add_argument("-o", "--output", help="JSON file")
     args = parser.parse_args()
     net = HDRNet().eval()
     net.load_state_dict(torch.load(args.checkpoint, map_location="cpu")["weights"])
-    quality = {}
+    look, quality = find_look(args.look), {}
     for path in args.images:
         rgb = shrink(read(path), args.side)
         rgb = rgb * np.float32(2.0 ** (measure(rgb) or 0.0))
         with torch.no_grad():
             out = net.render(torch.from_numpy(rgb).permute(2, 0, 1)[None], default_params())[0].permute(1, 2, 0).numpy()
-        wanted = exact_target(rgb, LOOKS[args.look])
+        wanted = exact_target(rgb, look)
         name = f"{Path(path).parent.name}/{Path(path).stem}"
         quality[name] = compare(out, wanted)
         print(name, quality[name], flush=True)

@@ -1,6 +1,6 @@
 """Export the tone mapper: network and card to models/, its compute kernels to models/kernels/.
 
-    python -m training.export_tonemap checkpoint.pt --tag aces2 [--quality quality.json]
+    python -m training.export_tonemap checkpoint.pt --tag aces2 [--look aces2] [--quality quality.json]
     python -m training.export_tonemap --kernels-only
 """
 
@@ -16,7 +16,7 @@ import onnx
 import torch
 from torch import nn
 
-from training.looks import LOOKS
+from training.looks import Look, find_look
 from training.networks.hdrnet import SHAPER, SIDE, TOE, WHITE, HDRNet, default_params
 from training.networks.tonemap_kernels import EncodeSrgb, Lowres, SliceApply, Smooth
 
@@ -76,7 +76,9 @@ def export_kernels(folder: Path) -> None:
     export(EncodeSrgb(), (colour, torch.ones(1)), ["colour", "exposure"], ["output"], folder / "encode_srgb.onnx", True)
 
 
-def card(checkpoint: dict[str, Any], tag: str, path: Path, quality: dict[str, Any]) -> dict[str, Any]:
+def card(
+    checkpoint: dict[str, Any], tag: str, look: Look, path: Path, quality: dict[str, Any]
+) -> dict[str, Any]:
     """What the run-time and a reader need to know about the model."""
     args, log = checkpoint["args"], checkpoint["log"]
     return {
@@ -98,7 +100,7 @@ def card(checkpoint: dict[str, Any], tag: str, path: Path, quality: dict[str, An
             "white": WHITE,
         },
         "output_encoding": "srgb",
-        "look": describe(tag),
+        "look": describe(look),
         "training": {
             "script": "training/train_tonemap.py",
             "network": "HDRNet (Gharbi et al. 2017)",
@@ -116,8 +118,7 @@ def card(checkpoint: dict[str, Any], tag: str, path: Path, quality: dict[str, An
     }
 
 
-def describe(tag: str) -> dict[str, Any]:
-    look = LOOKS[tag]
+def describe(look: Look) -> dict[str, Any]:
     view = look.view.__name__ if callable(look.view) else vars(look.view)
     local = {"gain": look.gain, "sigma": look.sigma, "alpha": look.alpha, "beta": look.beta}
     return {"formula": "view(2 ** gain * local_laplacian(rgb))", **local, "view": view}
@@ -126,7 +127,8 @@ def describe(tag: str) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkpoint", nargs="?")
-    parser.add_argument("--tag", default="aces2", choices=sorted(LOOKS))
+    parser.add_argument("--tag", default="aces2", help="the model becomes tonemap.TAG")
+    parser.add_argument("--look", help="built-in look or .toml file it was trained on; default: the tag")
     parser.add_argument("--quality", help="JSON of evaluate_tonemap.py, kept in the card")
     parser.add_argument("--models", type=Path, default=MODELS)
     parser.add_argument("--kernels-only", action="store_true")
@@ -142,7 +144,7 @@ def main() -> None:
     path = args.models / f"tonemap.{args.tag}.onnx"
     export(net, (torch.rand(1, 3, SIDE, SIDE),), ["lowres"], ["grid", "guide"], path)
     quality = json.loads(Path(args.quality).read_text()) if args.quality else {}
-    text = json.dumps(card(checkpoint, args.tag, path, quality), indent=2)
+    text = json.dumps(card(checkpoint, args.tag, find_look(args.look or args.tag), path, quality), indent=2)
     path.with_suffix(".json").write_text(text + "\n")
 
 

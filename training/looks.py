@@ -4,15 +4,17 @@ A look maps exposed scene-linear Rec.709 (>= 0, mid grey 0.18) to sRGB-encoded d
 
     out = view(2 ** gain * compress(rgb, sigma, alpha, beta))
 
-The view is any display/view of an OpenColorIO config, or a function. For training it is baked into a cube on log axes, so
-that the GPU needs no OpenColorIO; `exact_view` is the pipeline itself, which validation pictures are made with.
+The view is any display/view of an OpenColorIO config, or a function. For training it is baked into a cube on log axes,
+so that the GPU needs no OpenColorIO; `exact_view` is the pipeline itself, which validation pictures are made with.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -57,6 +59,20 @@ LOOKS: dict[str, Look] = {
     ),
     "agx": Look(0.5, 1.0, 0.95, 0.7, agx),
 }
+
+
+def find_look(name: str) -> Look:
+    """A built-in look, or one from a TOML file: gain, sigma, alpha, beta and a table [view] as `Ocio` describes it."""
+    if name in LOOKS:
+        return LOOKS[name]
+    if not name.endswith(".toml"):
+        raise SystemExit(f"no look '{name}': there are {', '.join(LOOKS)}, or give a .toml file")
+    values = tomllib.loads(Path(name).read_text(encoding="utf-8"))
+    try:
+        view = Ocio(**values.pop("view"))
+        return Look(**values, view=view)
+    except (KeyError, TypeError) as error:
+        raise SystemExit(f"{name}: {error}: give gain, sigma, alpha, beta and [view] config, source, display, view") from None
 
 
 @cache

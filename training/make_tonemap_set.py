@@ -18,7 +18,7 @@ import OpenImageIO as oiio
 import torch
 import torch.nn.functional as F
 
-from training.looks import LOOKS, Look, bake_cube, exact_target
+from training.looks import Look, bake_cube, exact_target, find_look
 from training.panorama import perspective
 
 LARGEST = 2.0**14  # after exposure; the shaper ends at 2**8, so nothing visible is lost
@@ -101,7 +101,7 @@ def pack(args: argparse.Namespace, look: Look) -> dict[str, np.ndarray]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", required=True)
-    parser.add_argument("--look", default="aces2", choices=sorted(LOOKS))
+    parser.add_argument("--look", default="aces2", help="built-in look, or a .toml file")
     parser.add_argument("--photos", nargs="*", default=[], help="HDR photographs (patterns)")
     parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
     parser.add_argument("--clips", help="folder of rendered clips (.npz with `reference`)")
@@ -109,7 +109,7 @@ def main() -> None:
     parser.add_argument("--hold-out", nargs="*", default=[], help="file stems kept for validation")
     parser.add_argument("--side", type=int, default=768, help="longest side of a photograph")
     args = parser.parse_args()
-    arrays = pack(args, LOOKS[args.look])
+    arrays = pack(args, find_look(args.look))
     np.savez_compressed(args.output, **arrays)
     size = Path(args.output).stat().st_size / 2**20
     print(f"{args.output}: {len(arrays['names'])} pictures, {len(arrays['validation_names'])} held out, {size:.1f} MiB")

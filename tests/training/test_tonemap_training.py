@@ -18,7 +18,7 @@ torch = pytest.importorskip("torch")
 from training.agx import agx  # noqa: E402
 from training.export_tonemap import export  # noqa: E402
 from training.local_laplacian import compress, local_laplacian  # noqa: E402
-from training.looks import LOOKS, apply_cube, bake_cube, exact_target, exact_view  # noqa: E402
+from training.looks import LOOKS, apply_cube, bake_cube, exact_target, exact_view, find_look  # noqa: E402
 from training.networks import hdrnet  # noqa: E402
 
 
@@ -107,6 +107,22 @@ def test_baked_cube_stands_for_the_view(name: str) -> None:
     error = np.abs(found - exact_view(LOOKS[name], rgb))
     assert error.mean() < 0.5 / 255
     assert np.quantile(error, 0.99) < 3 / 255
+
+
+def test_looks_come_by_name_or_from_a_file(tmp_path) -> None:
+    pytest.importorskip("PyOpenColorIO")
+    assert find_look("aces2") is LOOKS["aces2"]
+    view = LOOKS["aces2"].view
+    keys = "".join(f'{key} = "{value}"\n' for key, value in vars(view).items())
+    path = tmp_path / "mine.toml"
+    path.write_text(f"gain = 1.0\nsigma = 1.0\nalpha = 1.0\nbeta = 0.8\n[view]\n{keys}")
+    look = find_look(str(path))
+    assert (look.gain, look.beta, look.view) == (1.0, 0.8, view)
+    path.write_text("gain = 1.0\n")
+    with pytest.raises(SystemExit, match=r"mine\.toml: 'view': give gain"):
+        find_look(str(path))
+    with pytest.raises(SystemExit, match="no look 'sepia'"):
+        find_look("sepia")
 
 
 @pytest.mark.slow
