@@ -72,7 +72,9 @@ def find_look(name: str) -> Look:
         view = Ocio(**values.pop("view"))
         return Look(**values, view=view)
     except (KeyError, TypeError) as error:
-        raise SystemExit(f"{name}: {error}: give gain, sigma, alpha, beta and [view] config, source, display, view") from None
+        raise SystemExit(
+            f"{name}: {error}: give gain, sigma, alpha, beta and [view] config, source, display, view"
+        ) from None
 
 
 @cache
