@@ -115,14 +115,16 @@ def _rays(camera: Camera, aspect: float, film: Film) -> mi.RayDifferential3f:
 def _spread(width: int, height: int, spp: int, table: np.ndarray, seed: int) -> Film:
     """`spp` consecutive samples for each pixel, in row order, drawn from the filter's table."""
     count = width * height * spp
-    pixel = dr.arange(mi.UInt32, count) // dr.opaque(mi.UInt32, spp)
-    rng = mi.PCG32(size=count, initstate=dr.opaque(mi.UInt64, seed))
+    index = dr.arange(mi.UInt32, count)
+    pixel = index // dr.opaque(mi.UInt32, spp)
+    drawn = mi.sample_tea_32(index, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF), 6)
+    drawn = [mi.Float(bits >> 8) * 2.0**-24 for bits in drawn]
     lookup = mi.Float(table)
     columns, rows = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
     y = pixel // columns
     x = pixel - y * columns
-    u = (mi.Float(x) + _offset(lookup, rng.next_float32())) / mi.Float(columns)
-    v = (mi.Float(y) + _offset(lookup, rng.next_float32())) / mi.Float(rows)
+    u = (mi.Float(x) + _offset(lookup, drawn[0])) / mi.Float(columns)
+    v = (mi.Float(y) + _offset(lookup, drawn[1])) / mi.Float(rows)
     dr.eval(u, v)
     return Film(u, v)
 

@@ -148,5 +148,5 @@ def _shape(index: int, group: list[Part], description: Description, bsdfs: list,
 
 def _environment(description: Description) -> dict:
     turn = mi.ScalarTransform4f().rotate([0, 1, 0], description.environment_turn)
-    bitmap = mi.Bitmap(np.ascontiguousarray(description.environment, np.float32))
-    return {"type": "envmap", "bitmap": bitmap, "to_world": turn, "scale": description.environment_gain}
+    bitmap = mi.Bitmap(np.ascontiguousarray(description.environment * description.environment_gain, np.float32))
+    return {"type": "envmap", "bitmap": bitmap, "to_world": turn}

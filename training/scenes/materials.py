@@ -19,6 +19,7 @@ METALS = {
     "brass": ((0.444, 0.527, 1.094), (3.695, 2.765, 1.829)),
     "iron": ((2.911, 2.950, 2.585), (3.089, 2.932, 2.767)),
 }
+GLASSES = (1.33, 1.5)  # each index is its own kernel
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Material:
                       "int_ior": self.ior, "distribution": "ggx", "nonlinear": True}
         else:
             plugin = {"type": "principled", "base_color": texture, "roughness": float(np.sqrt(self.alpha)),
-                      "metallic": self.metallic, "eta": self.ior}
+                      "metallic": max(self.metallic, 1e-3), "eta": self.ior}  # 0 would be another kernel
         return {"type": "twosided", "bsdf": plugin}
 
 
@@ -86,8 +87,9 @@ def fresnel_conductor(eta: np.ndarray, k: np.ndarray) -> np.ndarray:
 
 def palette() -> list[mi.BSDF]:
     """One BSDF of each kind. While they live, every scene compiles to the same kernels."""
-    kinds = ("diffuse", "roughplastic", "roughconductor", "principled", "conductor", "dielectric")
-    return [mi.load_dict(Material(kind, alpha=0.2).bsdf()) for kind in kinds]
+    kinds = ("diffuse", "roughplastic", "roughconductor", "principled", "conductor")
+    materials = [Material(kind, alpha=0.2) for kind in kinds] + [Material("dielectric", ior=ior) for ior in GLASSES]
+    return [mi.load_dict(material.bsdf()) for material in materials]
 
 
 def random_metal(rng: np.random.Generator, smooth: float = 0.15) -> Material:
@@ -101,7 +103,7 @@ def random_material(rng: np.random.Generator, gloss: float = 0.4, metal: float =
     """A material for an object; `gloss`, `metal` and `glass` are probabilities, the rest is diffuse."""
     pick = rng.random()
     if pick < glass:
-        return Material("dielectric", ior=float(rng.uniform(1.3, 1.6)))
+        return Material("dielectric", ior=float(rng.choice(GLASSES)))
     if pick < glass + metal:
         return random_metal(rng)
     albedo = textures.texture(rng)
