@@ -169,7 +169,7 @@ class Enlarge(Pass):
         frame.jitter = (0.0, 0.0)
 
 
-def make_frame(number: int = 1, size: tuple[int, int] = (6, 10), roles: tuple = (Role.COLOUR,), **kept) -> Frame:
+def make_frame(number: int = 1, size: tuple[int, int] = (24, 40), roles: tuple = (Role.COLOUR,), **kept) -> Frame:
     """A frame of random planes; size is (width, height)."""
     width, height = size
     spec = FrameSpec(width, height, roles)

@@ -59,6 +59,7 @@ class Device:
             raise DeviceError(f"compiled kernels run on the CPU only, not on {self.name}: leave compiled_kernels out")
         self._compiled = self.memory.host_visible if compiled_kernels is None else compiled_kernels
         self._kernels = kernels
+        self._compute_states: dict[Kernel, State] = {}
         self._encoders = itertools.count()
         self.commit_lock = threading.Lock()
         self.hazards = Hazards()
@@ -112,16 +113,14 @@ class Device:
         return PipelineState(self, name, session, fixed)
 
     def compute_state(self, kernel: Kernel) -> State:
-        """A kernel made ready: compiled rows on the CPU, its portable definition elsewhere.
+        """A kernel made ready, once per device: compiled rows on the CPU, its portable definition elsewhere.
 
         Raises ModelError when the portable definition is needed and missing, or its bindings are not the kernel's.
         """
-        if self._compiled:
-            return CompiledComputeState(self, kernel)
-        library = self._kernels or Library(models_dir() / "kernels")
-        session = Session(library.load(kernel.name), kernel.name, self._placement, {})
-        _check_portable(kernel, session)
-        return PortableComputeState(self, kernel, session)
+        if kernel not in self._compute_states:
+            state = CompiledComputeState(self, kernel) if self._compiled else self._portable_state(kernel)
+            self._compute_states[kernel] = state
+        return self._compute_states[kernel]
 
     def command_buffer(self, label: str) -> CommandBuffer:
         """A new, empty command buffer."""
@@ -130,6 +129,12 @@ class Device:
     def next_encoder(self) -> int:
         """A number for an encoder, rising in the order of recording."""
         return next(self._encoders)
+
+    def _portable_state(self, kernel: Kernel) -> PortableComputeState:
+        library = self._kernels or Library(models_dir() / "kernels")
+        session = Session(library.load(kernel.name), kernel.name, self._placement, {})
+        _check_portable(kernel, session)
+        return PortableComputeState(self, kernel, session)
 
 
 def _usable_cores() -> int:

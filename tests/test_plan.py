@@ -1,0 +1,128 @@
+"""Plans: which passes run, what is read for them, what is skipped and why."""
+
+import json
+
+import pytest
+
+from postfx.errors import MissingPlaneError
+from postfx.frame import FrameSpec, Role
+from postfx.passes.base import Pass, PassContractError, Reflection
+from postfx.plan import Skipped, make_plan
+from tests import toys
+
+SPEC = FrameSpec(6, 10, (Role.COLOUR, Role.ALPHA, Role.DEPTH, Role.NORMAL))
+
+
+class Mask(Pass):
+    """Writes a reactive mask out of depth."""
+
+    name = "mask"
+
+    def reflect(self, spec):
+        output = FrameSpec(spec.width, spec.height, (*spec.roles, Role.REACTIVE), spec.encoding)
+        return Reflection(reads=(Role.DEPTH,), writes=(Role.REACTIVE,), output=output)
+
+
+class Encode(Pass):
+    """Scene-linear to srgb."""
+
+    name = "encode"
+
+    def reflect(self, spec):
+        return Reflection((Role.COLOUR,), (Role.COLOUR,), FrameSpec(spec.width, spec.height, spec.planes, "srgb"))
+
+    def skip(self, spec):
+        return "colour is encoded already" if spec.encoding == "srgb" else None
+
+
+def test_order_is_kept_and_specs_are_handed_on():
+    plan = make_plan([toys.Sum(), toys.Enlarge(), Encode()], SPEC)
+    assert [step.name for step in plan.steps] == ["sum", "enlarge", "encode"]
+    assert [(step.input.width, step.input.encoding) for step in plan.steps] == [
+        (6, "scene-linear"), (6, "scene-linear"), (12, "scene-linear")]
+    assert plan.output == FrameSpec(12, 20, (Role.COLOUR,), "srgb")
+
+
+def test_only_needed_planes_are_read():
+    plan = make_plan([toys.Sum()], SPEC)
+    assert plan.planes == (Role.COLOUR, Role.ALPHA) and plan.input.roles == plan.planes
+    assert Skipped("plane 'depth'", "no pass reads it") in plan.skipped
+    assert make_plan([toys.Enlarge()], SPEC).planes == (Role.COLOUR, Role.ALPHA, Role.DEPTH)
+
+
+def test_optional_planes_are_read_when_there():
+    with_mask = FrameSpec(6, 10, (Role.COLOUR, Role.REACTIVE))
+    assert make_plan([toys.Sum()], with_mask).planes == (Role.COLOUR, Role.REACTIVE)
+
+
+def test_planes_that_an_earlier_pass_writes_are_not_read():
+    spec = FrameSpec(6, 10, (Role.COLOUR, Role.DEPTH, Role.REACTIVE))
+    assert make_plan([Mask(), toys.Sum()], spec).planes == (Role.COLOUR, Role.DEPTH)
+    assert make_plan([toys.Sum(), Mask()], spec).planes == (Role.COLOUR, Role.DEPTH, Role.REACTIVE)
+
+
+def test_skipped_passes_are_left_out_with_their_reason():
+    plan = make_plan([Encode(), toys.Double(times=0), Encode()], FrameSpec(6, 10, (Role.COLOUR,)))
+    assert [step.name for step in plan.steps] == ["encode"]
+    assert plan.skipped == (Skipped("double", "times is 0"), Skipped("encode 2", "colour is encoded already"))
+
+
+def test_the_same_pass_twice_gets_a_number():
+    plan = make_plan([toys.Sum(), toys.Sum()], SPEC)
+    assert [step.name for step in plan.steps] == ["sum", "sum 2"]
+
+
+def test_missing_plane_names_pass_plane_and_mend():
+    with pytest.raises(MissingPlaneError, match="pass 'enlarge' needs plane 'depth', but the frame does not have it: "):
+        make_plan([toys.Enlarge()], FrameSpec(6, 10, (Role.COLOUR,)))
+
+
+def test_plane_that_an_earlier_pass_dropped():
+    with pytest.raises(MissingPlaneError, match="pass 'enlarge 2' needs plane 'depth', but an earlier pass dropped it"):
+        make_plan([toys.Enlarge(), toys.Enlarge()], SPEC)
+
+
+@pytest.mark.parametrize(("writes", "output", "message"), [
+    ((Role.COLOUR,), FrameSpec(6, 10, (Role.COLOUR, Role.MOTION)), "other planes than it keeps and writes"),
+    ((Role.COLOUR, Role.MOTION), FrameSpec(6, 10, (Role.COLOUR,)), "other planes than it keeps and writes"),
+    ((Role.COLOUR,), FrameSpec(12, 20, (Role.COLOUR, Role.DEPTH)), "keeps plane 'depth' at the old one"),
+])
+def test_reflections_that_cannot_be(writes, output, message):
+    class Wrong(Pass):
+        name = "wrong"
+
+        def reflect(self, spec):
+            return Reflection((Role.COLOUR,), writes, output)
+
+    with pytest.raises(PassContractError, match=message):
+        make_plan([Wrong()], SPEC)
+
+
+def test_no_passes_read_what_is_written_out():
+    plan = make_plan([], SPEC)
+    assert plan.planes == (Role.COLOUR, Role.ALPHA) and plan.output == plan.input
+
+
+def test_text():
+    plan = make_plan([toys.Double(times=0), toys.Enlarge(), Encode()], SPEC)
+    assert str(plan).splitlines() == [
+        "frame   6x10, scene-linear: colour, alpha, depth, normal",
+        "reads   colour, alpha, depth",
+        "pass 1  enlarge: reads colour, depth; writes colour; 6x10 -> 12x20",
+        "pass 2  encode: reads colour; writes colour; scene-linear -> srgb",
+        "skips   double: times is 0",
+        "skips   plane 'normal': no pass reads it",
+        "output  12x20, srgb: colour",
+    ]
+
+
+def test_json():
+    plan = make_plan([toys.Double(times=0), toys.Enlarge()], SPEC)
+    document = json.loads(plan.to_json())
+    assert document == plan.as_dict()
+    assert document["planes"] == ["colour", "alpha", "depth"]
+    assert document["passes"] == [{
+        "name": "enlarge", "reads": ["colour", "depth"], "writes": ["colour"],
+        "output": {"width": 12, "height": 20, "encoding": "scene-linear", "planes": ["colour"]},
+    }]
+    assert document["skipped"][0] == {"what": "double", "why": "times is 0"}
