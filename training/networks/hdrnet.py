@@ -83,13 +83,22 @@ def slice_apply(colour: torch.Tensor, params: torch.Tensor, guide: torch.Tensor,
     return affine(coefficients[:, :, 0], shaped).clamp(0.0, 1.0)
 
 
+def linear_weights(out_size: int, cells: int, device: torch.device) -> torch.Tensor:
+    """(out_size, cells) matrix of linear interpolation between cell centres, clamped at the border."""
+    x = (torch.arange(out_size, device=device, dtype=torch.float32) + 0.5) * (cells / out_size) - 0.5
+    x = x.clamp(0.0, cells - 1.0)[:, None]
+    return (1 - (x - torch.arange(cells, device=device)).abs()).clamp_min(0.0)
+
+
 def slice_apply_dense(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) -> torch.Tensor:
-    """The same without the last clip and without a gather, whose gradient on a GPU is a storm of atomic adds."""
+    """The same without the last clip, by matrix products.
+
+    The gradients of a gather and of `F.interpolate` are storms of atomic adds on a GPU: all pixels add to few cells.
+    """
     n, _, h, w = shaped.shape
-    z = guide_map(shaped, guide) * DEPTH - 0.5
-    z = z.clamp(0.0, DEPTH - 1.0)
-    maps = F.interpolate(grid.permute(0, 3, 4, 1, 2).flatten(1, 2), size=(h, w), mode="bilinear", align_corners=False)
-    maps = maps.view(n, DEPTH, COEFFICIENTS, h, w)
+    z = (guide_map(shaped, guide) * DEPTH - 0.5).clamp(0.0, DEPTH - 1.0)
+    rows, columns = linear_weights(h, CELLS, z.device), linear_weights(w, CELLS, z.device)
+    maps = rows @ (grid.permute(0, 3, 4, 1, 2) @ columns.T)
     return sum(affine(maps[:, k], shaped) * (1 - (z - k).abs()).clamp_min(0.0) for k in range(DEPTH))
 
 
