@@ -88,17 +88,20 @@ class ClipPool:
                 self.validation.append(clip)
             else:
                 self.training.setdefault(tuple(clip.reference.shape), []).append(clip)
-        return sum(map(len, self.training.values()))
+        return len(self)
 
     @staticmethod
     def _number(path: Path) -> int:
         return int("".join(c for c in path.stem if c.isdigit()) or 0)
 
-    def draw(self, size: int, augment: "Augment") -> Batch:
-        """A batch of clips of one output size, drawn in proportion to how many there are."""
-        groups = list(self.training.values())
-        group = random.choices(groups, [len(g) for g in groups])[0]
-        clips = random.choices(group, k=size)
+    def __len__(self) -> int:
+        return sum(map(len, self.training.values()))
+
+    def draw(self, size: int, augment: "Augment", seed: int) -> Batch:
+        """A batch of clips of one output size; ``seed`` picks the size, so that all GPUs work on the same one."""
+        shapes = sorted(self.training)
+        shape = random.Random(seed).choices(shapes, [len(self.training[s]) for s in shapes])[0]
+        clips = random.choices(self.training[shape], k=size)
         return augment(*collate(clips, [random.randrange(len(c.planes)) for c in clips], self.device))
 
 

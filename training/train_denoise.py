@@ -11,6 +11,7 @@ import csv
 import json
 import math
 import os
+import random
 import time
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from torch import Tensor, nn
 
 from training import losses
 from training.dataset import Augment, Batch, ClipPool, collate, to_batch
+from training.graphs import FlatGradient, GradientStep
 from training.networks import ops
 from training.networks.denoise_upscale import DenoiseUpscale, empty_state
 from training.networks.trunk import TrunkConfig
@@ -33,6 +35,11 @@ class ClipLoss(nn.Module):
         self.model, self.flicker, self.reset = model, flicker, reset
 
     def forward(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+        # One context for the whole clip, so that weights are cast once and not once a frame.
+        with torch.autocast(batch.references.device.type, torch.bfloat16):
+            return self._clip(batch)
+
+    def _clip(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Loss, and without gradient the mean PSNR of the clip's second half and the mean flicker."""
         height, width = batch.references.shape[-2:]
         state = empty_state(batch.frames[0], height, width)
@@ -41,8 +48,7 @@ class ClipLoss(nn.Module):
         previous = None
         for t, inputs in enumerate(batch.frames):
             keep = (torch.rand_like(inputs.depth[:, :, :1, :1]) >= self.reset).float()
-            with torch.autocast(inputs.colour.device.type, torch.bfloat16):
-                output, state, history = self.model(inputs, state.drop(keep))
+            output, state, _ = self.model(inputs, state.drop(keep))
             shown, target = ops.display(output), ops.display(batch.references[t])
             loss = loss + losses.frame_loss(shown, target) * (0.5 + t / count)
             if previous is not None:
@@ -62,15 +68,15 @@ class Average:
     """Exponential moving average of the weights."""
 
     def __init__(self, model: nn.Module, decay: float):
-        self.decay = decay
-        self.weights = {k: v.detach().clone().float() for k, v in model.state_dict().items()}
+        self.decay, self.live = decay, dict(model.named_parameters())
+        self.weights = {k: v.detach().clone() for k, v in self.live.items()}
 
     @torch.no_grad()
-    def update(self, model: nn.Module, step: int) -> None:
+    def update(self, step: int) -> None:
         decay = min(self.decay, (1 + step) / (10 + step))
         targets = list(self.weights.values())
         torch._foreach_mul_(targets, decay)
-        torch._foreach_add_(targets, [v.float() for v in model.state_dict().values()], alpha=1 - decay)
+        torch._foreach_add_(targets, list(self.live.values()), alpha=1 - decay)
 
 
 def arguments() -> argparse.Namespace:
@@ -85,7 +91,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--flicker", type=float, default=1.0)
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
     parser.add_argument("--resume", type=Path)
-    parser.add_argument("--compile", action="store_true")
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
     parser.add_argument("--seed", type=int, default=0)
     return parser.parse_args()
@@ -111,89 +116,94 @@ def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, device:
     return float(scores[:, 0].mean()), float(scores[:, 1].mean())
 
 
-def save(out: Path, config: TrunkConfig, average: Average, optimiser: torch.optim.Optimizer, notes: dict) -> None:
-    weights = {k: v.cpu() for k, v in average.weights.items()}
-    torch.save({"config": config.as_dict(), "weights": weights, "notes": notes}, out / "checkpoint.tmp")
-    os.replace(out / "checkpoint.tmp", out / "checkpoint.pt")
-    (out / "notes.json").write_text(json.dumps(notes, indent=1))
+class Trainer:
+    """Everything of one process: its clips, model, optimiser and log."""
+
+    def __init__(self, args: argparse.Namespace, rank: int, world: int, device: torch.device):
+        self.args, self.rank, self.world, self.device = args, rank, world, device
+        self.pool = ClipPool(args.clips, device, rank, world)
+        while self.pool.refresh(limit=64) < args.wait:
+            time.sleep(2)
+        self.config = TrunkConfig(tuple(args.widths), args.depth)
+        self.model = DenoiseUpscale(self.config).to(device, memory_format=torch.channels_last)
+        if args.resume:
+            self.model.load_state_dict(torch.load(args.resume, map_location=device, weights_only=True)["weights"])
+        self.average = Average(self.model, 0.999)
+        self.loss = ClipLoss(self.model, args.flicker, args.reset)
+        self.flat = FlatGradient(list(self.model.parameters()))
+        self.gradient = GradientStep(self.loss, self.flat)
+        self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,
+                                           fused=device.type == "cuda")
+        self.step, self.recent, self.augment = 0, [], Augment()
+        self.start = self.refreshed = time.monotonic()
+
+    def progress(self) -> float:
+        """Share of the training time that has passed, the same on every GPU."""
+        share = torch.tensor([(time.monotonic() - self.start) / (60 * self.args.minutes)], device=self.device)
+        if self.world > 1:
+            dist.broadcast(share, 0)
+        return float(share)
+
+    def run(self) -> None:
+        while (done := self.progress()) < 1:
+            rate = rate_at(done, self.args.rate)
+            for group in self.optimiser.param_groups:
+                group["lr"] = rate
+            results = self.gradient(self.pool.draw(self.args.batch, self.augment, self.args.seed + self.step))
+            norm = self.flat.finish(1.0, self.world > 1)
+            self.optimiser.step()
+            self.average.update(self.step)
+            self.recent.append(torch.stack((*results, norm)))
+            self.step += 1
+            if self.step in (1, 5, 20, 50, 100) or self.step % 250 == 0:
+                self.report(rate)
+            if time.monotonic() - self.refreshed > 60:
+                self.pool.refresh(limit=48)
+                self.keep()
+                self.refreshed = time.monotonic()
+        self.keep()
+
+    def report(self, rate: float) -> None:
+        values = [round(float(x), 5) for x in torch.stack(self.recent).mean(0)]
+        self.recent.clear()
+        if self.rank == 0:
+            seconds = time.monotonic() - self.start
+            print(f"step {self.step} {seconds:.0f} s rate {rate:.2e} loss {values[0]:.4f} psnr {values[1]:.2f} "
+                  f"flicker {values[2]:.4f} norm {values[3]:.3f}", flush=True)
+            with (self.args.out / "log.csv").open("a") as file:
+                csv.writer(file).writerow([self.step, round(seconds, 1), rate, *values])
+
+    def keep(self) -> None:
+        """Validate the averaged weights and write the checkpoint."""
+        if self.rank:
+            return
+        quality, flicker = validate(self.loss, self.average.weights, self.pool, self.device)
+        notes = {"steps": self.step, "minutes": round((time.monotonic() - self.start) / 60, 2), "gpus": self.world,
+                 "batch": self.args.batch * self.world, "clips": len(self.pool) * self.world,
+                 "validation_psnr": quality, "validation_flicker": flicker}
+        weights = {k: v.cpu().contiguous() for k, v in self.average.weights.items()}
+        torch.save({"config": self.config.as_dict(), "weights": weights, "notes": notes}, self.args.out / "checkpoint.tmp")
+        os.replace(self.args.out / "checkpoint.tmp", self.args.out / "checkpoint.pt")
+        print("validation", json.dumps(notes), flush=True)
 
 
-def train(args: argparse.Namespace) -> None:
-    several = "RANK" in os.environ
-    rank, world = (int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"])) if several else (0, 1)
+def main() -> None:
+    args = arguments()
+    rank, world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
     device = torch.device(f"cuda:{rank}" if torch.cuda.is_available() else "cpu")
     if device.type == "cuda":
         torch.cuda.set_device(device)
         torch.backends.cudnn.benchmark = True
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
-    if several:
+    if world > 1:
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
-    torch.manual_seed(args.seed + rank)
-    __import__("random").seed(args.seed + rank)
+    torch.manual_seed(args.seed)  # the same weights everywhere; batches differ by rank
+    random.seed(args.seed + rank)
     args.out.mkdir(parents=True, exist_ok=True)
-
-    pool = ClipPool(args.clips, device, rank, world)
-    while pool.refresh() < args.wait:
-        time.sleep(2)
-    config = TrunkConfig(tuple(args.widths), args.depth)
-    model = DenoiseUpscale(config).to(device, memory_format=torch.channels_last)
-    if args.resume:
-        model.load_state_dict(torch.load(args.resume, map_location=device, weights_only=True)["weights"])
-    average = Average(model, 0.999)
-    optimiser = torch.optim.AdamW(model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4)
-    loss = ClipLoss(model, args.flicker, args.reset)
-    if args.compile:
-        model.compile(dynamic=False)
-    step_loss = nn.parallel.DistributedDataParallel(loss, [rank] if device.type == "cuda" else None) if several else loss
-    log = csv.writer((args.out / "log.csv").open("a")) if rank == 0 else None
-    augment, start, step, seen = Augment(), time.monotonic(), 0, time.monotonic()
-    recent: list[Tensor] = []
-    progress = torch.zeros(1, device=device)
-    while True:
-        progress.fill_((time.monotonic() - start) / (60 * args.minutes))
-        if several:
-            dist.broadcast(progress, 0)
-        done = float(progress)
-        if done >= 1:
-            break
-        for group in optimiser.param_groups:
-            group["lr"] = rate_at(done, args.rate)
-        value, quality, flicker = step_loss(pool.draw(args.batch, augment))
-        optimiser.zero_grad(set_to_none=True)
-        value.backward()
-        norm = nn.utils.clip_grad_norm_(model.parameters(), 1.0)
-        if bool(torch.isfinite(norm)):
-            optimiser.step()
-        average.update(model, step)
-        recent.append(torch.stack((value.detach(), quality, flicker, norm)))
-        step += 1
-        if step in (1, 5, 20, 50) or step % 200 == 0:
-            row = [step, round((time.monotonic() - start), 1), f"{optimiser.param_groups[0]['lr']:.2e}",
-                   *(round(float(x), 5) for x in torch.stack(recent).mean(0))]
-            recent.clear()
-            if rank == 0:
-                print("step %d %.0f s rate %s loss %.4f psnr %.2f flicker %.4f norm %.3f" % tuple(
-                    float(x) if i != 2 else x for i, x in enumerate(row)), flush=True)
-                log.writerow(row)
-        if time.monotonic() - seen > 45:
-            seen = time.monotonic()
-            clips = pool.refresh(limit=64)
-            if rank == 0:
-                quality, flicker = validate(loss, average.weights, pool, device)
-                notes = {"steps": step, "minutes": (time.monotonic() - start) / 60, "gpus": world, "clips": clips * world,
-                         "batch": args.batch * world, "validation_psnr": quality, "validation_flicker": flicker}
-                save(args.out, config, average, optimiser, notes)
-                print("validation", notes, flush=True)
-    if rank == 0:
-        quality, flicker = validate(loss, average.weights, pool, device)
-        notes = {"steps": step, "minutes": args.minutes, "gpus": world, "batch": args.batch * world,
-                 "clips": sum(map(len, pool.training.values())) * world, "validation_psnr": quality,
-                 "validation_flicker": flicker}
-        save(args.out, config, average, optimiser, notes)
-        print("finished", notes, flush=True)
-    if several:
+    Trainer(args, rank, world, device).run()
+    if world > 1:
         dist.destroy_process_group()
 
 
 if __name__ == "__main__":
-    train(arguments())
+    main()

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from postfx.kernels.denoise_prepare import EXPOSURE, FRESH, JITTER_X, JITTER_Y
+from postfx.kernels.denoise_prepare import EXPOSURE, FINE, FRESH, JITTER_X, JITTER_Y, REFLECTANCE
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.numeric import compiled, demodulation, expm1, inline, log_encode, vectorised
 
@@ -197,10 +197,19 @@ def upsample_rows(y0, y1, radiance, fine, moved, warped, params, output, history
         blend_row(row, total, trust, warped[y], ONE / params[EXPOSURE], output[y], history[y])
 
 
-POOL = Kernel("denoise_pool", ("finer",), ("level",), pool_rows, ("level", 1))
-MIX_LEVELS = Kernel("denoise_mix", ("coarse", "level", "heads"), ("mixed",), mix_rows, ("mixed", 1))
-FILTER = Kernel("denoise_filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1))
-REMODULATE = Kernel("denoise_remodulate", ("filtered", "diffuse_albedo", "specular_albedo"), ("radiance",),
-                    remodulate_rows, ("radiance", 1))
+LEVEL, PLANAR = (4, "hp", "wp"), (3, "hp", "wp")
+HEADS = (1, "heads", "hp", "wp")
+POOL = Kernel("denoise_pool", ("finer",), ("level",), pool_rows, ("level", 1),
+              {"finer": (4, "2*hp", "2*wp"), "level": LEVEL})
+MIX_LEVELS = Kernel("denoise_mix", ("coarse", "level", "heads"), ("mixed",), mix_rows, ("mixed", 1),
+                    {"coarse": (3, "half_hp", "half_wp"), "level": LEVEL, "heads": HEADS, "mixed": PLANAR})
+FILTER = Kernel("denoise_filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1),
+                {"mixed": ("channels", "hp", "wp"), "heads": HEADS, "area": (2,), "filtered": PLANAR})
+REMODULATE = Kernel("denoise_remodulate", ("filtered", *REFLECTANCE), ("radiance",), remodulate_rows, ("radiance", 1),
+                    {"filtered": PLANAR, "diffuse_albedo": ("h", "w", 3), "specular_albedo": ("h", "w", 3),
+                     "radiance": (3, "padded_h", "padded_w")})
 UPSAMPLE = Kernel("denoise_upsample", ("radiance", "fine", "moved", "warped", "params"), ("output", "next_history"),
-                  upsample_rows, ("output", 0))
+                  upsample_rows, ("output", 0),
+                  {"radiance": (3, "padded_h", "padded_w"), "fine": (1, FINE, "hp", "wp"), "moved": ("h", "w", 2),
+                   "warped": ("height", "width", 3), "params": (5,), "output": ("height", "width", 3),
+                   "next_history": ("height", "width", 3)})

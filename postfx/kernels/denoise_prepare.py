@@ -5,6 +5,7 @@ the previous frame. ``state`` (h, w, 12) holds accumulated demodulated colour (3
 sample count and hidden channels (8), colour already exposed; ``history`` (H, W, 3) is log(1 + exposed output).
 """
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, demodulation, ex
 
 HIDDEN = 8
 FEATURES = 27 + HIDDEN
+FINE = 68 + HIDDEN
 MAX_COUNT = 32.0
 EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN = range(5)
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -136,7 +138,7 @@ def box_mean(warped, y, x, h, w, out):
 
 @compiled
 def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
-                 warped, depth_scale, params, features, past):
+                 warped, depth_scale, params, past, features):
     """The network's input, padded to its size by repeating the edge, and the reprojected accumulation."""
     h, w = colour.shape[:2]
     exposure, scale, fresh, gain = params[EXPOSURE], depth_scale[0], params[FRESH], params[GAIN]
@@ -190,7 +192,8 @@ def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughn
 
 
 @compiled
-def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, past, fine, params, state, level):
+def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, depth, past, fine, params, state, next_depth,
+                    level):
     """Running mean of demodulated colour; ``level`` (4, hp, wp) is it with its importance, zero in the padding."""
     h, w = colour.shape[:2]
     for y in range(y0, y1):
@@ -209,17 +212,34 @@ def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, past, fine,
                 state[y, x, c] = mean
                 level[c, y, x] = mean
             level[3, y, x] = fine[0, 67, y, x]
+            next_depth[y, x, 0] = depth[y, x, 0]
             state[y, x, 3] = min(ONE / alpha, np.float32(MAX_COUNT))
             for c in range(HIDDEN):
                 state[y, x, 4 + c] = fine[0, 68 + c, y, x]
 
 
-SCALE = Kernel("denoise_scale", ("depth",), ("depth_scale",), scale_rows, ("depth_scale", 0))
-DILATE = Kernel("denoise_dilate", ("motion", "depth"), ("moved",), dilate_rows, ("moved", 0))
-HISTORY = Kernel("denoise_history", ("history", "moved", "params"), ("warped",), history_rows, ("warped", 0))
-FEATURE = Kernel("denoise_features",
-                 ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "moved", "state",
-                  "last_depth", "warped", "depth_scale", "params"), ("features", "past"), feature_rows, ("features", 2))
-ACCUMULATE = Kernel("denoise_accumulate",
-                    ("colour", "diffuse_albedo", "specular_albedo", "past", "fine", "params"), ("next_state", "level"),
-                    accumulate_rows, ("level", 1))
+PLANES = {
+    "colour": ("h", "w", 3), "diffuse_albedo": ("h", "w", 3), "specular_albedo": ("h", "w", 3), "normal": ("h", "w", 3),
+    "roughness": ("h", "w", 1), "depth": ("h", "w", 1), "motion": ("h", "w", 2),
+}
+SHAPES = PLANES | {
+    "depth_scale": (1,), "moved": ("h", "w", 2), "history": ("height", "width", 3), "warped": ("height", "width", 3),
+    "params": (5,), "state": ("h", "w", 4 + HIDDEN), "last_depth": ("h", "w", 1), "past": ("h", "w", 4),
+    "features": (1, FEATURES, "hp", "wp"), "fine": (1, FINE, "hp", "wp"), "next_state": ("h", "w", 4 + HIDDEN),
+    "next_depth": ("h", "w", 1), "level": (4, "hp", "wp"),
+}
+
+
+def _kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...], rows: Callable, axis: int) -> Kernel:
+    shapes = {binding: SHAPES[binding] for binding in reads + writes}
+    return Kernel(f"denoise_{name}", reads, writes, rows, (writes[-1], axis), shapes)
+
+
+REFLECTANCE = ("diffuse_albedo", "specular_albedo")
+SCALE = _kernel("scale", ("depth",), ("depth_scale",), scale_rows, 0)
+DILATE = _kernel("dilate", ("motion", "depth"), ("moved",), dilate_rows, 0)
+HISTORY = _kernel("history", ("history", "moved", "params"), ("warped",), history_rows, 0)
+FEATURE = _kernel("features", ("colour", *REFLECTANCE, "normal", "roughness", "depth", "moved", "state", "last_depth",
+                               "warped", "depth_scale", "params"), ("past", "features"), feature_rows, 2)
+ACCUMULATE = _kernel("accumulate", ("colour", *REFLECTANCE, "depth", "past", "fine", "params"),
+                     ("next_state", "next_depth", "level"), accumulate_rows, 1)
