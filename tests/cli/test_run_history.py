@@ -1,0 +1,69 @@
+"""`postfx run` with passes that remember: resuming, pre-roll, and the library frame by frame."""
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+import postfx as library
+
+
+def pixels_of(path):
+    image = oiio.ImageInput.open(str(path))
+    pixels = image.read_image(oiio.UINT16)
+    image.close()
+    return pixels
+
+
+@pytest.fixture
+def brightening(write_image, tmp_path):
+    """Five frames, each brighter than the one before: metering and tone mapping depend on the past."""
+    rng = np.random.default_rng(3)
+    for number in range(1, 6):
+        planes = {name: (2.0**number) * rng.random((40, 56), np.float32) for name in "RGB"}
+        write_image(f"in/shot.{number:04d}.exr", planes)
+    return tmp_path
+
+
+def run(postfx, *arguments):
+    done = postfx("run", "in/shot.####.exr", "--no-denoise", "--json", *arguments)
+    assert done.code == 0, done.err
+    return done.json
+
+
+def test_resumed_frames_equal_those_of_one_run(postfx, brightening):
+    run(postfx, "-o", "out/####.tif")
+    whole = pixels_of(brightening / "out/0005.tif")
+    (brightening / "out/0005.tif").unlink()
+    assert run(postfx, "-o", "out/####.tif", "--skip-existing")["frames"] == 1
+    np.testing.assert_array_equal(pixels_of(brightening / "out/0005.tif"), whole)
+
+
+def test_preroll_gives_a_chunk_its_history(postfx, brightening):
+    run(postfx, "-o", "whole/####.tif")
+    run(postfx, "-o", "chunk/####.tif", "--frames", "4-5", "--preroll", "3")
+    run(postfx, "-o", "cold/####.tif", "--frames", "4-5")
+    whole = pixels_of(brightening / "whole/0004.tif")
+    np.testing.assert_array_equal(pixels_of(brightening / "chunk/0004.tif"), whole)
+    assert (pixels_of(brightening / "cold/0004.tif") != whole).any()
+    assert [path.name for path in sorted((brightening / "chunk").iterdir())] == ["0004.tif", "0005.tif"]
+
+
+def test_library_frame_by_frame_equals_one_run(postfx, brightening):
+    run(postfx, "-o", "out/####.tif")
+    passes = library.Pipeline([library.ToneMap()])
+    for frame in library.read_sequence(brightening / "in/shot.####.exr"):
+        path = library.write_frame(brightening / f"own/{frame.number:04d}.tif", passes(frame))
+        np.testing.assert_array_equal(pixels_of(path), pixels_of(brightening / "out" / path.name))
+
+
+def test_denoising_doubles_the_size_and_pictures_follow(postfx, shot, tmp_path):
+    shot(1, 2, 3)
+    done = postfx("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--json")
+    assert done.code == 0, done.err
+    assert list(done.json["passes"]) == ["denoise_upscale"]
+    for number in (1, 2, 3):
+        pixels = pixels_of(tmp_path / f"out/shot.{number:04d}.exr")
+        assert pixels.shape == (64, 96, 3)
+    done = postfx("run", "in/shot.####.exr", "-o", "out/shot.####.png", "--scale", "1.5", "--json")
+    assert list(done.json["passes"]) == ["denoise_upscale", "tonemap"]
+    assert pixels_of(tmp_path / "out/shot.0003.png").shape == (48, 72, 3)
