@@ -38,7 +38,7 @@ def text_of(found: dict[str, Any]) -> str:
     """The facts as lines for people."""
     frames, profile = found["frames"], found["profile"]
     lines = [
-        f"{found['source']}: {frames['count']} frames, {frames['first']} to {frames['last']}",
+        f"{found['source']}: {_frames_text(frames)}",
         f"profile {profile['name']} ({profile['title'] or 'own'}), {found['width']}x{found['height']}",
         "",
         *(_plane_line(plane) for plane in found["planes"]),
@@ -50,6 +50,10 @@ def text_of(found: dict[str, Any]) -> str:
     if found["absent_frames"]:
         lines.append(f"warning  frames without a file: {', '.join(map(str, found['absent_frames'][:10]))}")
     return "\n".join(lines)
+
+
+def _frames_text(frames: dict[str, int]) -> str:
+    return f"{frames['count']} frames, {frames['first']} to {frames['last']}" if frames["count"] > 1 else "1 frame"
 
 
 def _plane(frame: Frame, role: Role, files: FrameFiles) -> dict[str, Any]:

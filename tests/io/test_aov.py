@@ -172,6 +172,13 @@ def test_malformed_profiles_are_explained(tmp_path, text, message):
         load_profile(str(path))
 
 
+def test_the_documented_profile_is_valid(tmp_path):
+    page = Path(__file__).resolve().parents[2] / "docs" / "renderers.md"
+    (tmp_path / "example.toml").write_text(page.read_text("utf-8").split("```toml")[1].split("```")[0])
+    (motion, *_) = load_profile(str(tmp_path / "example.toml")).rules(Role.MOTION)
+    assert (motion.unit, motion.candidates("")[0]) == ("uv", ("velocity.X", "velocity.Y"))
+
+
 def test_unknown_profile_lists_the_known():
     with pytest.raises(ProfileError, match="unknown profile 'maya': use one of .*cycles-5.*generic"):
         load_profile("maya")
