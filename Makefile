@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 
 # Denoise, upscale and tone-map the sample sequence. Installs postfx without torch.
 demo: $(VENV)/installed
-	$(BIN)/postfx run samples/sequence/noisy.####.exr -o $(OUT)/clean.####.exr --overwrite
+	$(BIN)/postfx run samples/room/noisy.####.exr -o $(OUT)/clean.####.exr --overwrite
 	$(BIN)/postfx run $(OUT)/clean.####.exr -o $(OUT)/picture.####.png --no-denoise --overwrite
 	@echo "Look at $(OUT): clean.*.exr is scene-linear and twice as large, picture.*.png is tone-mapped."
 
