@@ -117,7 +117,8 @@ def _check_content(dispatches: list[Dispatch]) -> dict[Allocation, Ranges]:
             if tensor.released:
                 message = f"{dispatch} uses '{tensor.name}', which was released before commit"
                 raise HazardError(message, "released", tensor.name, None, dispatch.label)
-            written.setdefault(tensor.allocation, tensor.allocation.written.copy())
+            if tensor.allocation not in written:
+                written[tensor.allocation] = tensor.allocation.written.copy()
         for tensor in dispatch.reads:
             if tensor.nbytes and not written[tensor.allocation].covers(*tensor.span()):
                 raise _undefined_error(tensor, dispatch, dispatches[index + 1:])

@@ -15,6 +15,8 @@ class Ranges:
 
     def add(self, start: int, end: int) -> None:
         """Include [start, end)."""
+        if self.covers(start, end):
+            return
         apart = [span for span in self.spans if span[1] < start or span[0] > end]
         joined = [span for span in self.spans if not (span[1] < start or span[0] > end)]
         merged = (min([start, *(s for s, _ in joined)]), max([end, *(e for _, e in joined)]))

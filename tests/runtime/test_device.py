@@ -6,7 +6,15 @@ import pytest
 
 import postfx.runtime.device as device_module
 from postfx.kernels.kernel import Kernel
-from postfx.runtime import ArgumentTable, CompiledComputeState, Device, DeviceError, ModelError, PortableComputeState
+from postfx.runtime import (
+    ArgumentTable,
+    CommandError,
+    CompiledComputeState,
+    Device,
+    DeviceError,
+    ModelError,
+    PortableComputeState,
+)
 from postfx.runtime.provider_memory import ProviderMemory
 from postfx.runtime.session import Placement
 from tests import toys
@@ -196,3 +204,12 @@ def test_steady_state_takes_no_memory(bench):
         frame()
     assert (bench.device.heap.used, bench.device.heap.peak, bench.device.heap.size) == before
     assert prepared[0] is network[1].arguments() and prepared[1] is kernel[1].arguments()
+
+
+def test_portable_kernels_do_not_write_past_a_tensor(kernels):
+    device = Device("cpu", compiled_kernels=False, kernels=kernels)
+    undeclared = Kernel("twice_as_large", ("coarse",), ("fine",), print, ("fine", 0))
+    coarse = np.ones((4, 4, 3), np.float32)
+    assert run(device, device.compute_state(undeclared), {"coarse": coarse}, {"fine": (8, 8, 3)})["fine"].min() == 1
+    with pytest.raises(CommandError, match="kernel 'twice_as_large'"):
+        run(device, device.compute_state(undeclared), {"coarse": coarse}, {"fine": (7, 8, 3)})

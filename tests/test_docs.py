@@ -1,0 +1,58 @@
+"""The examples in docs/passes.md and docs/runtime.md do what their text says."""
+
+import importlib
+import re
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.passes import registry
+from postfx.runtime import Device, Library
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+
+
+def blocks(name: str, language: str) -> list[str]:
+    """Code blocks of a document, in order."""
+    return re.findall(rf"```{language}\n(.*?)```", (DOCS / name).read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.fixture
+def vignette(tmp_path, monkeypatch):
+    """The example pass, installed as the document says; the rest of the document's code."""
+    module, *rest = blocks("passes.md", "python")
+    (tmp_path / "vignette.py").write_text(module)
+    (point,) = re.findall(r'^(\w+) = "(.+)"$', blocks("passes.md", "toml")[0], re.MULTILINE)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(registry, "_installed", lambda: {point[0]: EntryPoint(*point, registry.GROUP)})
+    importlib.invalidate_caches()
+    yield rest
+    sys.modules.pop("vignette", None)
+
+
+def test_the_example_pass_runs(vignette, capsys):
+    names = {}
+    exec(vignette[0], names)
+    assert names["result"]["colour"][0, 0, 0] < 0.51 and "pass 1  vignette: reads colour" in capsys.readouterr().out
+    assert list(names["pipeline"].timings) == ["vignette"]
+
+
+def test_the_examples_own_tests_pass(vignette, tmp_path):
+    pytest.importorskip("torch")
+    _, portable, tests = vignette
+    names = {}
+    exec(portable, names)
+    names["export"](str(tmp_path / "vignette.onnx"))
+    exec(tests, names)
+    names["test_corners_lose_the_amount_and_the_centre_nothing"](Device("cpu"))
+    names["test_the_portable_kernel_agrees"](Library(tmp_path))
+
+
+def test_the_runtime_example_runs():
+    names = {}
+    exec(blocks("runtime.md", "python")[0], names)
+    assert np.isfinite(names["grid"].array).all() and names["grid"].array.any()
+    assert [label for label, _ in names["commands"].timings] == ["prepare", "coefficients"]
