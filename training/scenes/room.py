@@ -14,7 +14,7 @@ from training.scenes.motion import object_path
 LIGHTS = {"windows": 0.25, "small": 0.15, "ceiling": 0.2, "lamps": 0.15, "cove": 0.1, "both": 0.15}
 
 
-def _wall(low: np.ndarray, edge: np.ndarray, height: float, holes: list[tuple[float, float, float, float]]) -> list:
+def wall(low: np.ndarray, edge: np.ndarray, height: float, holes: list[tuple[float, float, float, float]]) -> list:
     """Quads of an upright wall from `low` along `edge`, leaving out holes (from, to as fractions; sill, top in m)."""
     up, parts, x = np.array([0, height, 0]), [], 0.0
     for start, end, sill, top in sorted(holes):
@@ -33,19 +33,19 @@ def _windows(rng: np.random.Generator, height: float, small: bool) -> list[tuple
     return [((k + 0.5) / count - width / 2, (k + 0.5) / count + width / 2, sill, top) for k in range(count)]
 
 
-def _bars(low: np.ndarray, edge: np.ndarray, hole: tuple[float, float, float, float], count: int) -> list:
+def bars(low: np.ndarray, edge: np.ndarray, hole: tuple[float, float, float, float], count: int) -> list:
     """Window bars, upright and across."""
     start, end, sill, top = hole
     a, span = low + start * edge, (end - start) * edge
     half = np.array([0.02, 0.02, 0.02])
-    bars = []
+    made = []
     for k in range(count + 1):
         foot = a + span * k / count
-        bars.append(meshes.box(foot + [0, sill, 0] - half, foot + [0, top, 0] + half))
+        made.append(meshes.box(foot + [0, sill, 0] - half, foot + [0, top, 0] + half))
         y = sill + (top - sill) * k / count
         ends = np.stack([a + [0, y, 0], a + span + [0, y, 0]])
-        bars.append(meshes.box(ends.min(0) - half, ends.max(0) + half))
-    return bars
+        made.append(meshes.box(ends.min(0) - half, ends.max(0) + half))
+    return made
 
 
 def room(rng: np.random.Generator, maps: Environments) -> Draft:
@@ -53,10 +53,10 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
     w, h, depth = rng.uniform(3, 8), rng.uniform(2.3, 4), rng.uniform(3, 9)
     calm = rng.random() < 0.3
     pool = Pool(d, rng, int(rng.integers(5, 9)), gloss=0.4, metal=0.12, glass=0.1 if calm else 0.0)
-    floor, wall = d.material(surface(rng, 0.5)), d.material(surface(rng, 0.1))
+    floor, walls = d.material(surface(rng, 0.5)), d.material(surface(rng, 0.1))
     pale = d.material(Material("diffuse", np.full((1, 1, 3), rng.uniform(0.5, 0.9), np.float32)))
-    other = wall if rng.random() < 0.5 else d.material(surface(rng, 0.2))
-    plain = pale if rng.random() < 0.6 else wall
+    other = walls if rng.random() < 0.5 else d.material(surface(rng, 0.2))
+    plain = pale if rng.random() < 0.6 else walls
     d.add(meshes.quad([-w / 2, 0, depth / 2], [w, 0, 0], [0, 0, -depth]).scaled_uvs(rng.uniform(0.3, 1.2)), floor)
     d.add(meshes.quad([-w / 2, h, -depth / 2], [w, 0, 0], [0, 0, depth]), plain)
     light = str(rng.choice(list(LIGHTS), p=list(LIGHTS.values())))
@@ -68,11 +68,11 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
     for side in range(4):
         low, edge = corners[side], corners[(side + 1) % 4] - corners[side]
         holes = _windows(rng, h, light == "small") if side in opened else []
-        for part in _wall(low, edge, h, holes):
-            d.add(part.scaled_uvs(uv), other if side == 1 else plain if side == 0 else wall)
-        bars = int(rng.choice([0, 1, 2, 3]))
+        for part in wall(low, edge, h, holes):
+            d.add(part.scaled_uvs(uv), other if side == 1 else plain if side == 0 else walls)
+        panes = int(rng.choice([0, 1, 2, 3]))
         for hole in holes:
-            for bar in _bars(low, edge, hole, bars) if bars else []:
+            for bar in bars(low, edge, hole, panes) if panes else []:
                 d.add(bar, pale)
     _light_room(d, rng, maps, light, (w, h, depth), calm)
     _furnish(d, rng, pool, (w, h, depth))

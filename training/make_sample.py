@@ -1,0 +1,55 @@
+"""Render the sequence of samples/room: python -m training.make_sample OUT_FOLDER [--variant llvm_ad_rgb] [--spp 4]
+
+Real-time style: every sample of a frame goes through one jittered position (Halton 2,3), so planes are point samples.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba variant")
+    parser.add_argument("--spp", type=int, default=4)
+    parser.add_argument("--frames", type=int, default=8)
+    parser.add_argument("--width", type=int, default=320)
+    parser.add_argument("--height", type=int, default=180)
+    parser.add_argument("--reference-spp", type=int, default=0, help="also write references of twice the size")
+    args = parser.parse_args()
+    mi.set_variant(args.variant)
+    from training.factory import noisy_frame  # these import Mitsuba types, so only after the variant is set
+    from training.sampling import Style, filter_table, radical_inverse
+    from training.scenes.build import BuiltScene
+    from training.scenes.sample_room import sample_camera, sample_room
+    from training.to_exr import CHANNELS, exposure_of, frame_header, write_exr
+    from training.tracing import Tracer
+
+    tracer, built, rng = Tracer(), BuiltScene(sample_room()), np.random.default_rng(1)
+    halton = [[radical_inverse(t + 1, 2), radical_inverse(t + 1, 3)] for t in range(args.frames)]
+    style = Style("realtime", args.spp, np.array(halton, np.float32) - 0.5)
+    args.out.mkdir(parents=True, exist_ok=True)
+    size, frames = (args.width, args.height), []
+    for t in range(args.frames):
+        built.move(t, t - 1)
+        cameras = (sample_camera(t), sample_camera(t - 1))
+        frames.append(noisy_frame(tracer, built, cameras, size, style, t, 1.0, rng))
+        if args.reference_spp:
+            double, table = (2 * args.width, 2 * args.height), filter_table("box")
+            reference = tracer.reference(built.scene, cameras[0], double, table, args.reference_spp, t)
+            facts = {"postfx:spp": args.reference_spp}
+            write_exr(args.out / f"reference.{t + 1:04d}.exr", {"colour": reference}, facts)
+    exposure = exposure_of(np.stack([frame["colour"] for frame in frames]))
+    for t, frame in enumerate(frames):
+        camera = sample_camera(t)
+        header = frame_header(camera.to_world, camera.fov, style.jitter[t], args.spp, exposure, t == 0)
+        write_exr(args.out / f"noisy.{t + 1:04d}.exr", {name: frame[name] for name in CHANNELS}, header)
+
+
+if __name__ == "__main__":
+    main()
