@@ -204,7 +204,8 @@ class Misbehaving(toys.Sum):
 def test_a_failed_frame_drops_the_history_and_the_next_one_works(device, fault, error, message):
     instance = Misbehaving()
     pipeline = Pipeline([instance], device)
-    pipeline(make_frame(1))
+    for number in (1, 2):
+        pipeline(make_frame(number))
     instance.fault = fault
     with pytest.raises(error, match=message):
         pipeline(make_frame(2))

@@ -2,6 +2,7 @@
 
 import gc
 import random
+import weakref
 
 import numpy as np
 import pytest
@@ -70,13 +71,18 @@ def test_chunks_that_became_too_small_are_given_up(device):
     assert device.heap.size == large.nbytes
 
 
-def test_views_of_released_chunks_stay_readable(device):
-    tensor = device.heap.tensor("kept", (1 << 24,))
-    tensor.fill(7.0)
-    kept = tensor.array
+def test_a_view_on_the_host_keeps_its_chunk(device):
+    tensor = megabytes(device, "kept", 64)
+    tensor.fill(7)
+    kept, chunk = tensor.array, weakref.ref(tensor.allocation.owner)
     tensor.release()
-    huge = device.heap.tensor("huge", (1 << 26,))
-    assert huge.nbytes and kept[-1] == 7.0
+    del tensor
+    huge = megabytes(device, "huge", 128)  # makes the heap give up the first chunk
+    gc.collect()
+    assert huge.nbytes and kept[-1, -1] == 7
+    del kept
+    gc.collect()
+    assert chunk() is None
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float16", "int64", "uint8", "bool"])
