@@ -25,7 +25,9 @@ def _blur(x: torch.Tensor) -> torch.Tensor:
 
 
 def _down(x: torch.Tensor) -> torch.Tensor:
-    return _blur(x)[..., ::2, ::2]
+    """Half size, sampled where `_up` puts it back: any shift between the two would smear to one side at every level."""
+    size = [-(-side // 2) for side in x.shape[-2:]]
+    return F.interpolate(_blur(x), size=size, mode="bilinear", align_corners=False)
 
 
 def _up(x: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
@@ -50,7 +52,7 @@ def _remap(x: torch.Tensor, centre: torch.Tensor, sigma: float, alpha: float, be
 
 def local_laplacian(x: torch.Tensor, sigma: float, alpha: float, beta: float, step: float = 1.0) -> torch.Tensor:
     """Filter log2 luminance `x` (N,1,H,W) in stops; the coarsest level is compressed by beta around mid grey."""
-    levels = max(2, int(min(x.shape[-2:])).bit_length() - 2)
+    levels = max(2, int(min(x.shape[-2:])).bit_length() - 1)
     low, high = float(x.min()), float(x.max())
     count = max(2, int((high - low) / step) + 2)
     centres = torch.linspace(low, high, count, dtype=x.dtype, device=x.device)

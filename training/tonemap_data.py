@@ -116,7 +116,7 @@ class Views:
     def _lamps(self, shape: tuple[int, int]) -> torch.Tensor:
         lamps = torch.zeros(3, *shape, device=self.device)
         for _ in range(int(self.random.integers(1, 4))):
-            lamps = lamps + self._region(shape) * self._colour(1.0) * 2.0 ** self.uniform(-1, 7)
+            lamps = lamps + self._region(shape) * self._colour(self.uniform(0.3, 3)) * 2.0 ** self.uniform(-1, 7)
         return lamps
 
     def _synthetic(self, shape: tuple[int, int]) -> torch.Tensor:
@@ -125,7 +125,7 @@ class Views:
         colour = self._noise(shape, int(self.random.integers(2, 8)), 3) * self.uniform(0.1, 1.2)
         stops = ramp + colour
         for _ in range(int(self.random.integers(0, 6))):
-            stops = stops + self._region(shape) * torch.log2(self._colour(1.5))
+            stops = stops + self._region(shape) * torch.log2(self._colour(self.uniform(0.5, 4)))
         return torch.exp2(stops.clamp(-12, 12))
 
     def _grade(self, x: torch.Tensor) -> torch.Tensor:
@@ -135,7 +135,8 @@ class Views:
             x = x[self.random.permutation(3).tolist()]
         weights = torch.tensor(LUMINANCE, device=self.device).view(3, 1, 1)
         grey = (x * weights).sum(0, keepdim=True)
-        x = (grey + (x - grey) * self.uniform(0.4, 1.4)).clamp_min(0)
+        saturation = self.uniform(1.4, 3.0) if self.chance(0.15) else self.uniform(0.4, 1.4)
+        x = (grey + (x - grey) * saturation).clamp_min(0)
         if self.chance(0.3):
             contrast = self.uniform(0.6, 1.3)
             x = x * ((grey + 1e-4) / 0.18) ** (contrast - 1)

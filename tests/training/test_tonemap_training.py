@@ -76,6 +76,14 @@ def test_local_operator_makes_no_halo_at_an_edge() -> None:
     assert 0.4 * 6 < float(out[-1] - out[0]) < 0.7 * 6
 
 
+def test_local_operator_favours_no_side() -> None:
+    torch.manual_seed(4)
+    x = torch.nn.functional.interpolate(torch.randn(1, 1, 6, 8), size=(96, 128), mode="nearest") * 3
+    out = local_laplacian(x, sigma=1.0, alpha=0.95, beta=0.7)
+    mirrored = local_laplacian(x.flip(-1, -2), sigma=1.0, alpha=0.95, beta=0.7).flip(-1, -2)
+    torch.testing.assert_close(mirrored, out, atol=2e-3, rtol=0)
+
+
 def test_local_operator_leaves_all_as_it_is_with_neutral_settings() -> None:
     rgb = torch.exp2(torch.rand(1, 3, 64, 96) * 8 - 5)
     torch.testing.assert_close(compress(rgb, sigma=1.0, alpha=1.0, beta=1.0), rgb, rtol=2e-3, atol=1e-5)
