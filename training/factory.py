@@ -25,7 +25,7 @@ class ClipOptions:
     """Sizes and counts; `scales` and `scale_chances` say how often each upscaling factor is drawn.
 
     A reference takes as many samples as bring its error after x/(1+x) to about `reference_error`, within half and
-    three times `reference_spp`.
+    four times `reference_spp`.
     """
 
     width: int = 128
@@ -49,7 +49,7 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
     styles = draw_styles(options.variants, options.frames, pixel_filter, rng)
     size, output = (options.width, options.height), (round(options.width * scale), round(options.height * scale))
     wanted = look.samples_for(options.reference_error, gain)
-    spp = int(np.clip(wanted, options.reference_spp / 2, 3 * options.reference_spp)) // 16 * 16 or 1
+    spp = int(np.clip(wanted, options.reference_spp / 2, 4 * options.reference_spp)) // 16 * 16 or 1
     table, references, variants = filter_table(pixel_filter), [], [[] for _ in styles]
     for frame in range(options.frames):
         built.move(frame, frame - 1)
@@ -102,10 +102,15 @@ def _scene(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealS
         built = BuiltScene(drafted.description)
         built.move(3.5, 2.5)
         chosen = choose_path(tracer, built, drafted.view, rng, options.width, drafted.near)
-        if chosen:
+        if chosen and _affordable(chosen[2].samples_for(options.reference_error, chosen[1]), options, rng):
             return drafted.description, built, *chosen
         del built
         gc.collect()
+
+
+def _affordable(wanted: float, options: ClipOptions, rng: np.random.Generator) -> bool:
+    """Most scenes whose references would stay noisy are dropped."""
+    return wanted < 4 * options.reference_spp or rng.random() < 0.25
 
 
 def _seed(rng: np.random.Generator) -> int:

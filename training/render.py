@@ -28,7 +28,8 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--height", type=int, default=128, help="noisy height")
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--variants", type=int, default=3, help="noisy renders of the same frames")
-    parser.add_argument("--reference-spp", type=int, default=128)
+    parser.add_argument("--reference-spp", type=int, default=128, help="half to four times of it are taken, by noise")
+    parser.add_argument("--reference-error", type=float, default=0.015, help="wanted error after x/(1+x)")
     parser.add_argument("--scale", type=float, help="one scale for all clips (default: drawn)")
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after this time")
     return parser.parse_args(argv)
@@ -45,7 +46,7 @@ def main(argv: list[str] | None = None) -> int:
 
     fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
     options = ClipOptions(args.width, args.height, args.frames, args.variants, args.reference_spp,
-                          real_share=args.real_share, **fixed)
+                          args.reference_error, real_share=args.real_share, **fixed)
     maps, real = Environments(args.real and args.real / "environments"), RealScenes(args.real)
     args.out.mkdir(parents=True, exist_ok=True)
     tracer, began, made = Tracer(), time.perf_counter(), 0

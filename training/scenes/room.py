@@ -64,17 +64,22 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
     corners = np.array([[-w / 2, 0, -depth / 2], [w / 2, 0, -depth / 2], [w / 2, 0, depth / 2], [-w / 2, 0, depth / 2]])
     sides = 0 if not openings else 1 if light == "small" else int(rng.integers(1, 3))
     opened = set(rng.choice(4, sides, replace=False))
-    uv = rng.uniform(0.3, 1.2)
+    uv, outside = rng.uniform(0.3, 1.2), []
     for side in range(4):
         low, edge = corners[side], corners[(side + 1) % 4] - corners[side]
         holes = _windows(rng, h, light == "small") if side in opened else []
         for part in wall(low, edge, h, holes):
             d.add(part.scaled_uvs(uv), other if side == 1 else plain if side == 0 else walls)
+        outside += [_outside(low, edge, hole) for hole in holes]
         panes = int(rng.choice([0, 1, 2, 3]))
         for hole in holes:
             for bar in bars(low, edge, hole, panes) if panes else []:
                 d.add(bar, pale)
-    _light_room(d, rng, maps, light, (w, h, depth), calm)
+    if outside and rng.random() < 0.5:
+        d.emit(meshes.merge(outside), lights.tint(rng) * rng.uniform(4, 12))
+    elif outside:
+        lights.set_environment(d, rng, maps, calm, gain=float(rng.uniform(2, 8)))
+    _light_room(d, rng, light, (w, h, depth))
     _furnish(d, rng, pool, (w, h, depth))
     if rng.random() < 0.15:
         mirror = d.material(Material("conductor"))
@@ -89,11 +94,16 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
     return Draft(d, view)
 
 
-def _light_room(d: Description, rng: np.random.Generator, maps: Environments, light: str, size: tuple,
-                calm: bool) -> None:
+def _outside(low: np.ndarray, edge: np.ndarray, hole: tuple[float, float, float, float]) -> meshes.Mesh:
+    """A sheet just outside a window: a bright sky that is sampled much better than an environment."""
+    start, end, sill, top = hole
+    out = 0.3 * np.array([edge[2], 0, -edge[0]]) / np.linalg.norm(edge)
+    corner = low + (start - 0.05) * edge + out + [0, sill - 0.3, 0]
+    return meshes.quad(corner, (end - start + 0.1) * edge, np.array([0, top - sill + 0.6, 0]))
+
+
+def _light_room(d: Description, rng: np.random.Generator, light: str, size: tuple) -> None:
     w, h, depth = size
-    if light in ("windows", "small", "both"):
-        lights.set_environment(d, rng, maps, calm, gain=float(rng.uniform(2, 8)))
     if light in ("ceiling", "both"):
         for _ in range(int(rng.integers(1, 3))):
             x, z = rng.uniform(-0.35, 0.35) * w, rng.uniform(-0.35, 0.35) * depth
