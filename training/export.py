@@ -1,0 +1,122 @@
+"""What all exports to ONNX share: one clean file a model, a card beside it, and a check against torch."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from torch import nn
+
+OPSET = 20  # the first with 5-D GridSample
+MODELS = Path(__file__).resolve().parent.parent / "models"
+PARITY = 1e-3  # largest difference to torch that is let through, relative to the largest value
+
+
+class ParityError(RuntimeError):
+    """An exported model does not compute what torch computes."""
+
+
+def export(
+    module: nn.Module,
+    examples: Sequence[torch.Tensor],
+    reads: Sequence[str],
+    writes: Sequence[str],
+    path: Path,
+    free: Sequence[Mapping[int, Any] | None] | None = None,
+    names: Mapping[str, tuple[int | str, ...]] | None = None,
+) -> onnx.ModelProto:
+    """Write one ONNX file without traces of the machine it was made on.
+
+    Args:
+        free: for each example its axes of free size, as in `torch.export`'s `dynamic_shapes`.
+        names: input or output -> shape to declare, where the exporter's own names of free sizes do not suit; a size
+            of '?' is left to shape inference.
+    """
+    program = torch.onnx.export(
+        module.eval(),
+        tuple(examples),
+        input_names=list(reads),
+        output_names=list(writes),
+        opset_version=OPSET,
+        dynamo=True,
+        dynamic_shapes=None if free is None else tuple(free),
+        verbose=False,
+    )
+    model = program.model_proto
+    strip(model)
+    for value in (*model.graph.input, *model.graph.output):
+        declare(value, (names or {}).get(value.name))
+    onnx.checker.check_model(model)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(model.SerializeToString(deterministic=True))
+    print(f"{path}: {len(model.graph.node)} nodes, {path.stat().st_size} bytes")
+    return model
+
+
+def strip(model: onnx.ModelProto) -> None:
+    """Remove stack traces and other notes that the exporter leaves."""
+    del model.metadata_props[:]
+    del model.graph.metadata_props[:]
+    del model.graph.value_info[:]
+    for item in [*model.graph.node, *model.graph.input, *model.graph.output, *model.graph.initializer]:
+        del item.metadata_props[:]
+        item.doc_string = ""
+
+
+def declare(value: onnx.ValueInfoProto, shape: tuple[int | str, ...] | None) -> None:
+    """Give an input or output another declared shape; None leaves it as it is."""
+    for size, dimension in zip(shape or (), value.type.tensor_type.shape.dim, strict=bool(shape)):
+        dimension.Clear()
+        if isinstance(size, int):
+            dimension.dim_value = size
+        elif size != "?":
+            dimension.dim_param = size
+
+
+def parity(
+    module: nn.Module, path: Path, examples: Sequence[torch.Tensor], dims: Mapping[str, int] | None = None
+) -> float:
+    """Largest difference of an exported model to torch, relative to the largest value of the same output.
+
+    `dims` fixes free sizes by name, as the run-time does. Raises ParityError above `PARITY`.
+    """
+    options = onnxruntime.SessionOptions()
+    for name, size in (dims or {}).items():
+        options.add_free_dimension_override_by_name(name, size)
+    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    names = [value.name for value in session.get_inputs()]
+    found = session.run(None, {name: x.numpy() for name, x in zip(names, examples, strict=True)})
+    with torch.no_grad():
+        wanted = module.eval()(*examples)
+    wanted = wanted if isinstance(wanted, tuple) else (wanted,)
+    worst = max(relative_error(a, b.numpy()) for a, b in zip(found, wanted, strict=True))
+    if not worst <= PARITY:
+        raise ParityError(f"{path} differs from torch by {worst:.2g} of the largest value: the limit is {PARITY:g}")
+    return worst
+
+
+def relative_error(found: np.ndarray, wanted: np.ndarray) -> float:
+    """Largest absolute difference over the largest wanted value; infinite when shapes differ."""
+    if found.shape != wanted.shape:
+        return float("inf")
+    return float(np.abs(found - wanted).max() / max(np.abs(wanted).max(), 1e-12))
+
+
+def write_card(path: Path, card: Mapping[str, Any]) -> None:
+    """Write the card of a model file beside it, with the file's hash."""
+    complete = {**card, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "opset": OPSET}
+    first = ("name", "pass", "tag", "summary", "sha256", "opset")
+    ordered = {key: complete[key] for key in (*first, *complete) if key in complete}
+    path.with_suffix(".json").write_text(json.dumps(ordered, indent=2) + "\n")
+
+
+def read_quality(path: str | None) -> dict[str, Any]:
+    """Measured quality to keep in a card, from a JSON file."""
+    return json.loads(Path(path).read_text()) if path else {}

@@ -1,0 +1,102 @@
+"""Export the denoised upscaler: network and card to models/, its compute kernels to models/kernels/.
+
+    python -m training.export_denoise checkpoint.pt --tag m [--quality quality.json]
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from training.export import MODELS, export, parity, read_quality, write_card
+from training.networks.trunk import FEATURES, FINE, HIDDEN, KERNEL, PHASES, Trunk, TrunkConfig
+
+ALIGN = 16  # height and width of the trunk's input are multiples of this
+CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
+OUTPUTS = ("fine", "level1", "level2", "level3", "level4")
+MEANING = {
+    "fine": f"5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend at four phases 4, mix, distrust, "
+    f"importance, hidden state {HIDDEN}",
+    "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
+    "level4": f"5x5 kernel {KERNEL}",
+}
+
+
+def load_trunk(checkpoint: dict[str, Any]) -> Trunk:
+    """The trunk of a checkpoint of train_denoise.py, in float32."""
+    config = checkpoint["config"]
+    trunk = Trunk(TrunkConfig(tuple(config["widths"]), config["depth"]))
+    weights = {key.removeprefix("trunk."): value.float() for key, value in checkpoint["weights"].items()}
+    trunk.load_state_dict(weights)
+    return trunk.eval()
+
+
+def example(height: int, width: int) -> torch.Tensor:
+    """Features with the ranges of real ones."""
+    return torch.rand(1, FEATURES, height, width, generator=torch.Generator().manual_seed(0)) * 2 - 0.5
+
+
+def export_trunk(trunk: Trunk, path: Path) -> float:
+    """Write the network and hold it to torch; returns the largest relative error. Raises ParityError."""
+    # torch checks that the sizes of skip connections match, so it must know that the input is a multiple of ALIGN.
+    free = {2: ALIGN * torch.export.Dim("rows", min=1), 3: ALIGN * torch.export.Dim("columns", min=1)}
+    names = {"features": (1, FEATURES, "height", "width")}
+    names |= {name: (1, _channels(name), "?", "?") for name in OUTPUTS}
+    export(trunk, (example(64, 96),), ["features"], OUTPUTS, path, [free], names)
+    height, width = CHECKED
+    return parity(trunk, path, (example(height, width),), {"height": height, "width": width})
+
+
+def _channels(name: str) -> int:
+    return {"fine": FINE, "level4": KERNEL}.get(name, KERNEL + 1)
+
+
+def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, Any]) -> dict[str, Any]:
+    """What the run-time and a reader need to know about the model."""
+    return {
+        "name": f"denoise_upscale.{tag}",
+        "pass": "denoise_upscale",
+        "tag": tag,
+        "summary": "recurrent denoised upscaler, 1x to 3x",
+        "parameters": sum(weight.numel() for weight in checkpoint["weights"].values()),
+        "inputs": {
+            "features": {
+                "shape": [1, FEATURES, "height", "width"],
+                "meaning": f"see training/networks/denoise_upscale.py; height and width multiples of {ALIGN}",
+            }
+        },
+        "outputs": {
+            name: {"shape": [1, _channels(name), *_size(name)], "meaning": MEANING.get(name, MEANING["level"])}
+            for name in OUTPUTS
+        },
+        "config": checkpoint["config"],
+        "training": {"script": "training/train_denoise.py", **checkpoint["notes"]},
+        "parity": {"max_relative_error": float(f"{error:.2g}"), "against": f"torch {torch.__version__}"},
+        "quality": quality,
+    }
+
+
+def _size(name: str) -> list[str]:
+    level = 0 if name == "fine" else int(name[-1])
+    return [f"{side}/{2**level}" if level else side for side in ("height", "width")]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("--tag", default="m", help="the model becomes denoise_upscale.TAG")
+    parser.add_argument("--quality", help="JSON of measured quality, kept in the card")
+    parser.add_argument("--models", type=Path, default=MODELS)
+    args = parser.parse_args()
+    checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
+    path = args.models / f"denoise_upscale.{args.tag}.onnx"
+    error = export_trunk(load_trunk(checkpoint), path)
+    write_card(path, card(checkpoint, args.tag, error, read_quality(args.quality)))
+    print(f"largest relative error to torch: {error:.2g}")
+
+
+if __name__ == "__main__":
+    main()
