@@ -83,6 +83,8 @@ def _options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOption
     options = ort.SessionOptions()
     options.intra_op_num_threads = placement.threads
     options.log_severity_level = 3
+    # The pattern's one block comes on top of what the first run took from the arena; docs/runtime.md has figures.
+    options.enable_mem_pattern = False
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.use_env_allocators", "1")
     for name, size in dims.items():

@@ -90,7 +90,7 @@ def test_sessions_share_one_arena_and_do_not_spin(device, library):
     options = state._session._session.get_session_options()
     assert options.get_session_config_entry("session.use_env_allocators") == "1"
     assert options.get_session_config_entry("session.intra_op.allow_spinning") == "0"
-    assert options.intra_op_num_threads == device.threads
+    assert options.intra_op_num_threads == device.threads and not options.enable_mem_pattern
 
 
 def test_copy_model_is_one_identity_node():
