@@ -39,7 +39,7 @@ def cuda_fault(index: int) -> str | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            ort.preload_dlls()
+            getattr(ort, "preload_dlls", lambda: None)()  # since 1.21: CUDA libraries that came by pip
             ProviderMemory(Placement("CUDAExecutionProvider", "cuda", index, 1)).check()
     except (PostfxError, RuntimeError, OSError) as error:
         return first_line(error)

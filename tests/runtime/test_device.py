@@ -1,5 +1,9 @@
 """Devices: choice, kernels in bands and by their portable definitions, steady state, memory out of the host's sight."""
 
+import gc
+import threading
+import time
+
 import numpy as np
 import onnxruntime
 import pytest
@@ -213,3 +217,22 @@ def test_portable_kernels_do_not_write_past_a_tensor(kernels):
     assert run(device, device.compute_state(undeclared), {"coarse": coarse}, {"fine": (8, 8, 3)})["fine"].min() == 1
     with pytest.raises(CommandError, match="kernel 'twice_as_large'"):
         run(device, device.compute_state(undeclared), {"coarse": coarse}, {"fine": (7, 8, 3)})
+
+
+def test_threads_end_with_the_device():
+    def use():
+        device = Device("cpu", threads=3)
+        state = device.compute_state(toys.ADD)
+        a = np.ones((30, 2, 3), np.float32)
+        assert np.all(run(device, state, {"a": a, "b": a}, {"total": a.shape})["total"] == 2)
+
+    use()
+    gc.collect()
+    before = threading.active_count()
+    for _ in range(5):
+        use()
+    gc.collect()
+    deadline = time.monotonic() + 10
+    while threading.active_count() > before and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert threading.active_count() <= before
