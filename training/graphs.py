@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from training.dataset import Batch
+from training.networks.denoise_upscale import Inputs
 
 
 class FlatGradient:
@@ -58,7 +59,7 @@ class GradientStep:
         return [r.detach() for r in results]
 
     def _capture(self, batch: Batch) -> tuple[torch.cuda.CUDAGraph, Batch, list[Tensor]]:
-        held = Batch([replace(f, **{k.name: getattr(f, k.name).clone() for k in fields(f)}) for f in batch.frames],
+        held = Batch([replace(f, **{name: x.clone() for name, x in tensors(f).items()}) for f in batch.frames],
                      batch.references.clone())
         aside = torch.cuda.Stream()
         aside.wait_stream(torch.cuda.current_stream())
@@ -73,9 +74,16 @@ class GradientStep:
         return graph, held, results
 
 
+def tensors(inputs: Inputs) -> dict[str, Tensor]:
+    """What a frame holds, by name, without what it leaves out."""
+    held = {field.name: getattr(inputs, field.name) for field in fields(inputs)}
+    return {name: x for name, x in held.items() if x is not None}
+
+
 def copy_batch(source: Batch, target: Batch) -> None:
     """Copy every tensor of one batch into another of the same shapes."""
     for a, b in zip(source.frames, target.frames, strict=True):
-        for field in fields(a):
-            getattr(b, field.name).copy_(getattr(a, field.name))
+        held = tensors(b)
+        for name, x in tensors(a).items():
+            held[name].copy_(x)
     target.references.copy_(source.references)

@@ -30,10 +30,7 @@ def explained_by_motion(reference: Tensor, reference_previous: Tensor) -> Tensor
 
 def reproject_reference(reference: Tensor, motion: Tensor) -> Tensor:
     """The previous reference (N, 3, H, W) moved by motion (N, 2, h, w) in render pixels."""
-    height, width = reference.shape[-2:]
-    h, w = motion.shape[-2:]
-    scale = motion.new_tensor([width / w, height / h])[None, :, None, None]
-    return ops.warp(reference, ops.enlarge(motion, height, width) * scale)
+    return ops.warp(reference, ops.enlarge_motion(motion, *reference.shape[-2:]))
 
 
 def psnr(output: Tensor, reference: Tensor) -> Tensor:

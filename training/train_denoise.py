@@ -85,10 +85,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--minutes", type=float, default=20)
     parser.add_argument("--batch", type=int, default=24, help="clips a GPU and step")
-    parser.add_argument("--rate", type=float, default=8e-4)
+    parser.add_argument("--rate", type=float, default=1e-3)
     parser.add_argument("--widths", type=int, nargs="+", default=[64, 96, 128, 192])
     parser.add_argument("--depth", type=int, default=2)
-    parser.add_argument("--flicker", type=float, default=1.0)
+    parser.add_argument("--flicker", type=float, default=1.5)
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
     parser.add_argument("--resume", type=Path)
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
@@ -182,8 +182,9 @@ class Trainer:
                  "batch": self.args.batch * self.world, "clips": len(self.pool) * self.world,
                  "validation_psnr": quality, "validation_flicker": flicker}
         weights = {k: v.cpu().contiguous() for k, v in self.average.weights.items()}
-        torch.save({"config": self.config.as_dict(), "weights": weights, "notes": notes}, self.args.out / "checkpoint.tmp")
-        os.replace(self.args.out / "checkpoint.tmp", self.args.out / "checkpoint.pt")
+        partial = self.args.out / "checkpoint.tmp"
+        torch.save({"config": self.config.as_dict(), "weights": weights, "notes": notes}, partial)
+        os.replace(partial, self.args.out / "checkpoint.pt")
         print("validation", json.dumps(notes), flush=True)
 
 

@@ -11,9 +11,11 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from training.networks import ops
-from training.networks.trunk import HIDDEN, KERNEL, PHASES, Trunk, TrunkConfig
+from training.networks.trunk import BLEND, DISTRUST, HIDDEN, IMPORTANCE, KERNEL, MEMORY, MIX, Trunk, TrunkConfig
 
 MAX_COUNT = 32.0
+MAX_DEPTH = 1e10
+MAX_FLOAT = 3e38
 ALIGN = 16
 
 
@@ -21,7 +23,8 @@ ALIGN = 16
 class Inputs:
     """A frame at render size (h, w), in the conventions of ``postfx.frame``; all NCHW float32.
 
-    ``colour`` is already multiplied by the exposure; ``jitter`` is (N, 2).
+    ``colour`` is already multiplied by the exposure; ``jitter`` is (N, 2); ``gain`` (N, 1, 1, 1) is the exposure over
+    that of the frame before, None where it did not change. Planes may hold NaN and infinity.
     """
 
     colour: Tensor
@@ -32,6 +35,7 @@ class Inputs:
     depth: Tensor
     motion: Tensor
     jitter: Tensor
+    gain: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -73,29 +77,43 @@ def empty_state(inputs: Inputs, height: int, width: int) -> State:
 
 def reproject(inputs: Inputs, state: State) -> Reprojected:
     """Move the state along the motion; what comes from beyond the border or before a reset is marked invalid."""
-    height, width = state.output.shape[-2:]
-    h, w = inputs.colour.shape[-2:]
     motion = ops.dilate_motion(inputs.motion, inputs.depth)
+    return recall(inputs, state, motion, reproject_output(state.output, motion, inputs.gain))
+
+
+def reproject_output(output: Tensor, motion: Tensor, gain: Tensor | None) -> Tensor:
+    """The last output where its pixels are now, rescaled where the exposure changed."""
+    moved = ops.warp(output, ops.enlarge_motion(motion, *output.shape[-2:]), "bicubic").clamp(min=0)
+    return moved if gain is None else torch.log1p(torch.expm1(moved) * gain)
+
+
+def recall(inputs: Inputs, state: State, motion: Tensor, output: Tensor) -> Reprojected:
+    """The rest of the state moved along the dilated ``motion``, beside the reprojected ``output``."""
     valid = ops.inside(motion) * state.fresh
-    fine_motion = ops.enlarge(motion, height, width) * motion.new_tensor([width / w, height / h])[None, :, None, None]
-    output = ops.warp(state.output, fine_motion, "bicubic").clamp(min=0)
+    inside = ops.inside(ops.enlarge_motion(motion, *output.shape[-2:])) * state.fresh
     rest = ops.warp(torch.cat((state.accumulated, state.count, state.hidden), 1), motion) * valid
-    depth = ops.warp(state.depth, motion, "nearest")
-    change = (4 * torch.log(depth.clamp(min=1e-6) / inputs.depth.clamp(min=1e-6))).clamp(-1, 1) * valid
-    return Reprojected(motion, output, ops.inside(fine_motion) * state.fresh, rest[:, :3], rest[:, 3:4], rest[:, 4:],
-                       change, valid)
+    accumulated = rest[:, :3] if inputs.gain is None else rest[:, :3] * inputs.gain
+    before, now = (ops.sanitise(z, 1e-6, MAX_DEPTH) for z in (ops.warp_nearest(state.depth, motion), inputs.depth))
+    change = (4 * torch.log(before / now)).clamp(-1, 1) * valid
+    return Reprojected(motion, output, inside, accumulated, rest[:, 3:4], rest[:, 4:], change, valid)
+
+
+def demodulate(inputs: Inputs, factor: Tensor) -> Tensor:
+    """Colour without reflectance, in [0, 1e4]."""
+    return (ops.sanitise(inputs.colour, 0, MAX_FLOAT) / factor).clamp(max=ops.MAX_COLOUR)
 
 
 def features(inputs: Inputs, past: Reprojected, factor: Tensor) -> Tensor:
     """The trunk's input (N, 35, h, w); ``postfx/kernels`` fills the same channels in the same order."""
     n, _, h, w = inputs.colour.shape
     plane = inputs.colour.new_ones(n, 1, h, w)
-    history = torch.expm1(F.adaptive_avg_pool2d(past.output, (h, w))) * past.valid
+    history = torch.expm1(ops.box_mean(past.output, h, w)) * past.valid
     scale = ops.depth_scale(inputs.depth)
     return torch.cat((
-        ops.log_encode(inputs.colour / factor), ops.log_encode(past.accumulated), ops.log_encode(history / factor),
-        inputs.diffuse_albedo.clamp(0, 2), inputs.specular_albedo.clamp(0, 2), inputs.normal.clamp(-1, 1), inputs.roughness.clamp(0, 1),
-        scale / (scale + inputs.depth),
+        torch.log1p(demodulate(inputs, factor)), ops.log_encode(past.accumulated), ops.log_encode(history / factor),
+        ops.sanitise(inputs.diffuse_albedo, 0, 2), ops.sanitise(inputs.specular_albedo, 0, 2),
+        ops.sanitise(inputs.normal, -1, 1), ops.sanitise(inputs.roughness, 0, 1),
+        scale / (scale + ops.sanitise(inputs.depth, 0, MAX_DEPTH)),
         past.depth_change, past.valid, past.count / MAX_COUNT,
         plane * inputs.jitter[:, :, None, None],
         torch.log1p(past.motion.norm(dim=1, keepdim=True)) / 4,
@@ -104,8 +122,7 @@ def features(inputs: Inputs, past: Reprojected, factor: Tensor) -> Tensor:
 
 def accumulate(colour: Tensor, past: Reprojected, distrust: Tensor) -> tuple[Tensor, Tensor]:
     """Running mean of demodulated colour and its effective sample count; ``distrust`` 1 starts anew."""
-    count = past.count * past.valid
-    share = 1 / (count + 1)
+    share = 1 / (past.count + 1)
     alpha = share + (1 - share) * distrust
     return torch.lerp(past.accumulated, colour, alpha), (1 / alpha).clamp(max=MAX_COUNT)
 
@@ -115,12 +132,12 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
     """Coarse to fine: mix a level's own colour with the coarser result, then smooth both by the level's kernels."""
     valid = [ops.valid_area(colour, height, width)]
     colours, weight = [colour], importance * valid[0]
-    for level in levels:
+    for _ in levels:
         pooled, weight = ops.pool(colours[-1], weight)
         colours.append(pooled)
         valid.append(F.max_pool2d(valid[-1], 2))
     result = ops.filter_kernels(colours[-1], levels[-1], valid[-1])
-    heads = [(fine[:, :KERNEL], fine[:, KERNEL + PHASES + 4:][:, :1]), *((x[:, :KERNEL], x[:, KERNEL:]) for x in levels[:-1])]
+    heads = [(fine[:, :KERNEL], fine[:, MIX:MIX + 1]), *((x[:, :KERNEL], x[:, KERNEL:]) for x in levels[:-1])]
     for i in reversed(range(len(heads))):
         kernels, mix = heads[i]
         coarse = F.interpolate(result, scale_factor=2.0, mode="nearest")
@@ -131,10 +148,10 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
 class DenoiseUpscale(nn.Module):
     """One recurrent step. Output size is free: any width and height of 1 to 3 times the render size."""
 
-    def __init__(self, config: TrunkConfig = TrunkConfig()):
+    def __init__(self, config: TrunkConfig | None = None):
         super().__init__()
-        self.config = config
         self.trunk = Trunk(config)
+        self.config = self.trunk.config
 
     def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, State, Tensor]:
         """Exposed linear output (N, 3, H, W), the next state, and the last output reprojected (log-encoded)."""
@@ -145,14 +162,13 @@ class DenoiseUpscale(nn.Module):
         factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
         heads = self.trunk(F.pad(features(inputs, past, factor), pad, mode="replicate"))
         fine, *levels = (head.float() for head in heads)
-        gates = fine[:, KERNEL + PHASES:, :h, :w]
-        colour = (inputs.colour / factor).clamp(0, ops.MAX_COLOUR)
-        accumulated, count = accumulate(colour, past, gates[:, 5:6])
-        filtered = filter_pyramid(F.pad(accumulated, pad), F.pad(gates[:, 6:7], pad), fine, tuple(levels), h, w)
-        weights = fine[:, KERNEL:KERNEL + PHASES, :h, :w].reshape(-1, 9, 4, h, w)
+        here = fine[..., :h, :w]
+        accumulated, count = accumulate(demodulate(inputs, factor), past, here[:, DISTRUST:IMPORTANCE])
+        importance = F.pad(here[:, IMPORTANCE:MEMORY], pad)
+        filtered = filter_pyramid(F.pad(accumulated, pad), importance, fine, tuple(levels), h, w)
+        weights = here[:, KERNEL:BLEND].reshape(-1, 9, 4, h, w)
         current = ops.log_encode(ops.upsample(filtered[..., :h, :w] * factor, weights, inputs.jitter, height, width))
-        blend = ops.interpolate_phases(gates[:, None, :4], height, width)[:, 0:1]
+        blend = ops.interpolate_phases(here[:, None, BLEND:MIX], height, width)[:, 0:1]
         output = torch.lerp(past.output, current, 1 - past.inside * (1 - blend))
-        hidden = gates[:, 7:]
-        one = torch.ones_like(state.fresh)
-        return torch.expm1(output), State(output, accumulated, count, hidden, inputs.depth, one), past.output
+        state = State(output, accumulated, count, here[:, MEMORY:], inputs.depth, torch.ones_like(state.fresh))
+        return torch.expm1(output), state, past.output

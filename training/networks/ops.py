@@ -11,6 +11,12 @@ TAPS = 5
 PHASE_TAPS = 3
 SAMPLE_SIGMA = 0.5
 MAX_COLOUR = 1e4
+MAX_SPAN = 4  # pixels that one pixel of a picture up to 3 times as small touches, along a line
+
+
+def sanitise(values: Tensor, low: float, high: float) -> Tensor:
+    """Values within [low, high], which holds 0 or lies above it; a NaN becomes the value nearest to 0."""
+    return torch.where(values == values, values, torch.zeros_like(values)).clamp(low, high)
 
 
 def demodulation(diffuse_albedo: Tensor, specular_albedo: Tensor) -> Tensor:
@@ -19,7 +25,7 @@ def demodulation(diffuse_albedo: Tensor, specular_albedo: Tensor) -> Tensor:
     A floor of 0.15 of the largest channel keeps saturated surfaces from amplifying noise in their dark channels;
     where nothing reflects (emitters, misses) the factor is 1.
     """
-    total = (diffuse_albedo + specular_albedo).clamp(0, 4)
+    total = sanitise(diffuse_albedo + specular_albedo, 0, 4)
     peak = total.amax(1, keepdim=True)
     return torch.where(peak < 0.005, torch.ones_like(total), torch.maximum(total, 0.15 * peak) + 0.01)
 
@@ -32,18 +38,24 @@ def shifted(image: Tensor, size: int, mode: str = "constant") -> Tensor:
 
 
 def dilate_motion(motion: Tensor, depth: Tensor) -> Tensor:
-    """Motion of a clearly nearer neighbour in 3x3, else the pixel's own: edges move with the surface in front."""
-    near, index = shifted(depth, 3, "replicate")[:, 0].min(1, keepdim=True)
-    around = shifted(motion, 3, "replicate")
-    nearer = around.gather(2, index[:, None].expand(-1, 2, -1, -1, -1))[:, :, 0]
-    return torch.where(near < 0.9 * depth, nearer, motion)
+    """Motion of a clearly nearer neighbour in 3x3, else the pixel's own: edges move with the surface in front.
+
+    Motion that no picture can have (NaN, infinity) is none; a NaN is never nearer.
+    """
+    near, moved = 0.9 * depth, motion
+    around = zip(shifted(depth, 3, "replicate").unbind(2), shifted(motion, 3, "replicate").unbind(2), strict=True)
+    for neighbour, its_motion in around:
+        closer = neighbour < near
+        near, moved = torch.where(closer, neighbour, near), torch.where(closer, its_motion, moved)
+    return torch.where(moved.abs() < 1e5, moved, torch.zeros_like(moved))
 
 
 def depth_scale(depth: Tensor) -> Tensor:
     """Harmonic mean depth of what was hit, (N, 1, 1, 1); 1 where nothing was."""
-    hit = ((depth > 0) & (depth < 1e9)).to(depth.dtype)
-    near = (hit / depth.clamp(min=1e-6)).sum((1, 2, 3), keepdim=True)
-    return torch.where(near > 0, hit.sum((1, 2, 3), keepdim=True) / near.clamp(min=1e-12), torch.ones_like(near))
+    hit = (depth > 0) & (depth < 1e9)
+    near = torch.where(hit, 1 / depth.clamp(min=1e-6), torch.zeros_like(depth)).sum((1, 2, 3), keepdim=True)
+    hits = hit.to(depth.dtype).sum((1, 2, 3), keepdim=True)
+    return torch.where(near > 0, hits / near.clamp(min=1e-12), torch.ones_like(near))
 
 
 def positions(motion: Tensor) -> tuple[Tensor, Tensor]:
@@ -69,11 +81,24 @@ def warp(image: Tensor, motion: Tensor, mode: str = "bilinear") -> Tensor:
     return F.grid_sample(image, grid, mode=mode, padding_mode="border", align_corners=False)
 
 
+def warp_nearest(image: Tensor, motion: Tensor) -> Tensor:
+    """The nearest pixel of the previous frame; by index, so that no rounding of normalised positions picks another."""
+    n, c, h, w = image.shape
+    x, y = (p.round() for p in positions(motion))
+    index = y.clamp(0, h - 1).long() * w + x.clamp(0, w - 1).long()
+    return image.flatten(2).gather(2, index.flatten(1)[:, None].expand(n, c, h * w)).reshape(n, c, h, w)
+
+
 def nearest_index(size: int, out_size: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """For every output pixel the input pixel that holds its centre, and the centre's offset from that pixel's."""
-    centre = (torch.arange(out_size, device=device) + 0.5) * (size / out_size)
-    index = centre.floor().clamp(max=size - 1)
-    return index.long(), centre - index - 0.5
+    centre = (2 * torch.arange(out_size, device=device) + 1) * size  # in units of 1 / (2 out_size): exact
+    index = centre // (2 * out_size)
+    return index, (centre - index * (2 * out_size)) / (2 * out_size) - 0.5
+
+
+def pick(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+    """Rows and columns of an image by index."""
+    return image.index_select(-2, rows).index_select(-1, columns)
 
 
 def enlarge(image: Tensor, height: int, width: int) -> Tensor:
@@ -81,9 +106,32 @@ def enlarge(image: Tensor, height: int, width: int) -> Tensor:
     h, w = image.shape[-2:]
     if (height, width) == (h, w):
         return image
-    rows, _ = nearest_index(h, height, image.device)
-    columns, _ = nearest_index(w, width, image.device)
-    return image[..., rows, :][..., columns]
+    return pick(image, nearest_index(h, height, image.device)[0], nearest_index(w, width, image.device)[0])
+
+
+def box_mean(image: Tensor, h: int, w: int) -> Tensor:
+    """Mean of the pixels that each pixel of a picture (h, w), up to 3 times as small, touches."""
+    if image.shape[-2:] == (2 * h, 2 * w):
+        return F.avg_pool2d(image, 2)
+    return span_mean(span_mean(image, h, -2), w, -1)
+
+
+def span_mean(image: Tensor, size: int, axis: int) -> Tensor:
+    """The same along one axis."""
+    full = image.shape[axis]
+    index = torch.arange(size, device=image.device)
+    start, end = index * full // size, ((index + 1) * full + size - 1) // size
+    total = torch.zeros((), device=image.device)
+    for k in range(MAX_SPAN):
+        share = ((start + k < end) / (end - start)).unflatten(0, (-1, *[1] * (-1 - axis)))
+        total = total + image.index_select(axis, (start + k).clamp(max=full - 1)) * share
+    return total
+
+
+def enlarge_motion(motion: Tensor, height: int, width: int) -> Tensor:
+    """Motion at output size, in output pixels."""
+    h, w = motion.shape[-2:]
+    return enlarge(torch.cat((motion[:, :1] * (width / w), motion[:, 1:] * (height / h)), 1), height, width)
 
 
 def valid_area(like: Tensor, height: int, width: int) -> Tensor:
@@ -136,7 +184,7 @@ def interpolate_phases(phases: Tensor, height: int, width: int) -> Tensor:
     rows, y = nearest_index(h, height, phases.device)
     columns, x = nearest_index(w, width, phases.device)
     ty, tx = (2 * y + 0.5).clamp(0, 1)[:, None], (2 * x + 0.5).clamp(0, 1)
-    at = phases[..., rows, :][..., columns]
+    at = pick(phases, rows, columns)
     top = at[:, :, 0] * (1 - tx) + at[:, :, 1] * tx
     bottom = at[:, :, 2] * (1 - tx) + at[:, :, 3] * tx
     return top * (1 - ty) + bottom * ty
@@ -147,7 +195,7 @@ def upsample(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, wid
     h, w = radiance.shape[-2:]
     taps = shifted(radiance, PHASE_TAPS, "replicate")
     if (height, width) == (2 * h, 2 * w):
-        corners = torch.tensor([-0.25, 0.25], device=radiance.device)
+        corners = torch.arange(2, device=radiance.device) * 0.5 - 0.25
         blend = weights * sample_prior(jitter, corners, corners).reshape(-1, 9, 4, 1, 1)
         phases = torch.stack([(taps * blend[:, None, :, p]).sum(2) for p in range(4)], 2)
         return F.pixel_shuffle((phases / (blend.sum(1)[:, None] + 1e-8)).reshape(len(radiance), 12, h, w), 2)

@@ -10,7 +10,10 @@ KERNEL = 25
 PHASES = 36
 # Channels of the fine head, in order: 5x5 kernel, 3x3 weights at four phases, history blend at four phases,
 # mix, distrust, importance, hidden state.
-FINE = KERNEL + PHASES + 4 + 3 + HIDDEN
+BLEND = KERNEL + PHASES
+MIX, DISTRUST, IMPORTANCE = BLEND + 4, BLEND + 5, BLEND + 6
+MEMORY = BLEND + 7
+FINE = MEMORY + HIDDEN
 FEATURES = 27 + HIDDEN
 
 
@@ -47,9 +50,10 @@ class Trunk(nn.Module):
     ``level4`` (N, 25, h/16, w/16): 5x5 kernel.
     """
 
-    def __init__(self, config: TrunkConfig = TrunkConfig()):
+    def __init__(self, config: TrunkConfig | None = None):
         super().__init__()
-        w, d = config.widths, config.depth
+        self.config = config or TrunkConfig()
+        w, d = self.config.widths, self.config.depth
         self.stem = nn.Conv2d(FEATURES, w[0], 4, stride=2, padding=1)
         self.down = nn.ModuleList([Block(w[max(i - 1, 0)], w[i], 1 if i == 0 else d) for i in range(len(w))])
         self.lift = nn.ModuleList([nn.Conv2d(w[i + 1], w[i], 1) for i in range(len(w) - 1)])
@@ -75,6 +79,5 @@ class Trunk(nn.Module):
 
     def _fine(self, x: Tensor) -> Tensor:
         fine = F.pixel_shuffle(self.fine(x), 2)
-        gates = KERNEL + PHASES
-        return torch.cat((weights_from(fine[:, :gates]), torch.sigmoid(fine[:, gates:gates + 7]),
-                          torch.tanh(fine[:, gates + 7:])), 1)
+        return torch.cat((weights_from(fine[:, :BLEND]), torch.sigmoid(fine[:, BLEND:MEMORY]),
+                          torch.tanh(fine[:, MEMORY:])), 1)
