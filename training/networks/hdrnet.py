@@ -97,9 +97,14 @@ def slice_apply_dense(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Ten
     """
     n, _, h, w = shaped.shape
     z = (guide_map(shaped, guide) * DEPTH - 0.5).clamp(0.0, DEPTH - 1.0)
+    levels = torch.arange(DEPTH, device=z.device).view(1, DEPTH, 1, 1)
+    weights = (1 - (z - levels).abs()).clamp_min(0.0)
+    homogeneous = torch.cat([shaped, torch.ones_like(z)], 1)
+    weighted = (weights[:, :, None] * homogeneous[:, None]).flatten(1, 2)
     rows, columns = linear_weights(h, CELLS, z.device), linear_weights(w, CELLS, z.device)
-    maps = rows @ (grid.permute(0, 3, 4, 1, 2) @ columns.T)
-    return sum(affine(maps[:, k], shaped) * (1 - (z - k).abs()).clamp_min(0.0) for k in range(DEPTH))
+    matrices = grid.reshape(n, CELLS, CELLS, DEPTH, 3, 4).permute(0, 4, 3, 5, 1, 2)
+    maps = (rows @ (matrices @ columns.T)).view(n, 3, DEPTH * 4, h, w)
+    return (maps * weighted[:, None]).sum(2)
 
 
 def smooth(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor) -> torch.Tensor:
