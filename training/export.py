@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,12 @@ import onnx
 import onnxruntime
 import torch
 from torch import nn
+from torch.export import Dim
+
+from postfx.kernels.kernel import Kernel
+from postfx.runtime.shapes import parse
+
+logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of optional packages at every export
 
 OPSET = 20  # the first with 5-D GridSample
 MODELS = Path(__file__).resolve().parent.parent / "models"
@@ -58,6 +65,22 @@ def export(
     path.write_bytes(model.SerializeToString(deterministic=True))
     print(f"{path}: {len(model.graph.node)} nodes, {path.stat().st_size} bytes")
     return model
+
+
+def export_kernel(kernel: Kernel, module: nn.Module, sizes: Mapping[str, int], folder: Path) -> None:
+    """Write a kernel's portable definition, free in every size that the kernel names by a symbol.
+
+    Args:
+        module: takes the kernel's reads and returns its writes, both in the kernel's order.
+        sizes: values of the symbols to trace with; sizes that need not be equal should differ.
+    """
+    shapes = [[parse(size) for size in kernel.shapes[name]] for name in kernel.reads]
+    random = torch.Generator().manual_seed(0)
+    examples = [torch.rand(*[d.factor * sizes.get(d.symbol, 1) for d in dims], generator=random) for dims in shapes]
+    free = [{axis: Dim.DYNAMIC for axis, d in enumerate(dims) if d.symbol is not None} for dims in shapes]
+    names = {name: tuple(size if isinstance(size, int) else "?" for size in kernel.shapes[name])
+             for name in kernel.reads + kernel.writes}
+    export(module, examples, kernel.reads, kernel.writes, folder / f"{kernel.name}.onnx", free, names)
 
 
 def strip(model: onnx.ModelProto) -> None:

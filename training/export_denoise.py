@@ -1,6 +1,7 @@
 """Export the denoised upscaler: network and card to models/, its compute kernels to models/kernels/.
 
     python -m training.export_denoise checkpoint.pt --tag m [--quality quality.json]
+    python -m training.export_denoise --kernels-only
 """
 
 from __future__ import annotations
@@ -11,7 +12,10 @@ from typing import Any
 
 import torch
 
-from training.export import MODELS, export, parity, read_quality, write_card
+from postfx.kernels import denoise_filter, denoise_prepare
+from postfx.kernels.resample import RESAMPLE
+from training.export import MODELS, export, export_kernel, parity, read_quality, write_card
+from training.networks import denoise_kernels as definitions
 from training.networks.trunk import FEATURES, FINE, HIDDEN, KERNEL, PHASES, Trunk, TrunkConfig
 
 ALIGN = 16  # height and width of the trunk's input are multiples of this
@@ -23,6 +27,30 @@ MEANING = {
     "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
     "level4": f"5x5 kernel {KERNEL}",
 }
+
+
+# Kernel -> its torch definition, and the sizes to trace with: a picture of 21x33 padded to 32x48, enlarged to 29x51.
+SIZES = {"h": 21, "w": 33, "hp": 32, "wp": 48, "height": 29, "width": 51, "padded_h": 23, "padded_w": 35,
+         "half_hp": 16, "half_wp": 24, "heads": FINE, "channels": 3}
+KERNELS = {
+    denoise_prepare.SCALE: definitions.Scale,
+    denoise_prepare.DILATE: definitions.Dilate,
+    denoise_prepare.HISTORY: definitions.History,
+    denoise_prepare.FEATURE: definitions.Features,
+    denoise_prepare.ACCUMULATE: definitions.Accumulate,
+    denoise_filter.POOL: definitions.Pool,
+    denoise_filter.MIX_LEVELS: definitions.Mix,
+    denoise_filter.FILTER: definitions.Filter,
+    denoise_filter.REMODULATE: definitions.Remodulate,
+    denoise_filter.UPSAMPLE: definitions.Upsample,
+    RESAMPLE: definitions.Resample,
+}
+
+
+def export_kernels(folder: Path) -> None:
+    """Write the portable definitions of all kernels."""
+    for kernel, definition in KERNELS.items():
+        export_kernel(kernel, definition(), SIZES, folder)
 
 
 def load_trunk(checkpoint: dict[str, Any]) -> Trunk:
@@ -86,11 +114,17 @@ def _size(name: str) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("checkpoint", type=Path, nargs="?")
     parser.add_argument("--tag", default="m", help="the model becomes denoise_upscale.TAG")
     parser.add_argument("--quality", help="JSON of measured quality, kept in the card")
     parser.add_argument("--models", type=Path, default=MODELS)
+    parser.add_argument("--kernels-only", action="store_true")
     args = parser.parse_args()
+    export_kernels(args.models / "kernels")
+    if args.kernels_only:
+        return
+    if not args.checkpoint:
+        parser.error("name a checkpoint, or give --kernels-only")
     checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
     path = args.models / f"denoise_upscale.{args.tag}.onnx"
     error = export_trunk(load_trunk(checkpoint), path)

@@ -8,7 +8,7 @@ import numpy as np
 
 from postfx.kernels.denoise_prepare import EXPOSURE, FINE, FRESH, JITTER_X, JITTER_Y, REFLECTANCE
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.numeric import compiled, demodulation, expm1, inline, log_encode, vectorised
+from postfx.kernels.numeric import centre, compiled, demodulation, expm1, inline, log_encode, vectorised
 
 KERNEL, PHASES, MIX = 25, 25, 65
 BLEND = 61
@@ -89,14 +89,6 @@ def remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, radiance)
 @inline
 def gauss(distance):
     return np.float32(math.exp(-(distance * distance) / (2 * SIGMA * SIGMA)))
-
-
-@inline
-def centre(position, size, out_size):
-    """The render pixel that holds an output pixel's centre, and the centre's offset from it in [-0.5, 0.5]."""
-    at = (position + 0.5) * size / out_size
-    index = min(int(at), size - 1)
-    return index, at - index - 0.5
 
 
 @inline

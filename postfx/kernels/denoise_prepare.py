@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, demodulation, expm1, inline, log1p, log_encode
+from postfx.kernels.numeric import MAX_COLOUR, centre, clamp, compiled, demodulation, expm1, inline, log1p, log_encode
 
 HIDDEN = 8
 FEATURES = 27 + HIDDEN
@@ -18,6 +18,7 @@ FINE = 68 + HIDDEN
 MAX_COUNT = 32.0
 EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN = range(5)
 ZERO, ONE = np.float32(0), np.float32(1)
+MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
 
 
 @compiled
@@ -73,9 +74,9 @@ def history_rows(y0, y1, history, moved, params, warped):
     weight = np.empty(4, np.float32)
     column = np.empty(4, np.int64)
     for y in range(y0, y1):
-        iy = min(int((y + 0.5) / scale_y), h - 1)
+        iy, _ = centre(y, h, height)
         for x in range(width):
-            ix = min(int((x + 0.5) / scale_x), w - 1)
+            ix, _ = centre(x, w, width)
             px = np.float32(x) + moved[iy, ix, 0] * scale_x
             py = np.float32(y) + moved[iy, ix, 1] * scale_y
             px = min(max(px, np.float32(-8)), np.float32(width + 8))
@@ -158,14 +159,15 @@ def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughn
                 box_mean(warped, y, x, h, w, mean)
                 near_y = min(max(int(np.rint(py)), 0), h - 1)
                 near_x = min(max(int(np.rint(px)), 0), w - 1)
-                change = 4 * math.log(max(last_depth[near_y, near_x, 0], 1e-6) / max(depth[y, x, 0], 1e-6))
+                before = clamp(last_depth[near_y, near_x, 0], np.float32(1e-6), MAX_DEPTH)
+                change = 4 * math.log(before / clamp(depth[y, x, 0], np.float32(1e-6), MAX_DEPTH))
                 features[0, 20, row, x] = min(max(np.float32(change), -ONE), ONE)
             else:
                 sample[:], mean[:] = ZERO, ZERO
                 features[0, 20, row, x] = ZERO
             for c in range(3):
                 kept = sample[c] * gain
-                features[0, c, row, x] = log_encode(clamp(colour[y, x, c], ZERO, np.float32(3e38)) * exposure / factor[c])
+                features[0, c, row, x] = log_encode(clamp(colour[y, x, c], ZERO, MAX_FLOAT) * exposure / factor[c])
                 features[0, 3 + c, row, x] = log_encode(kept)
                 features[0, 6 + c, row, x] = log_encode(expm1(mean[c]) / factor[c])
                 features[0, 9 + c, row, x] = clamp(diffuse_albedo[y, x, c], ZERO, np.float32(2))
@@ -176,7 +178,7 @@ def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughn
             if row < h:
                 past[row, x, 3] = sample[3]
             features[0, 18, row, x] = clamp(roughness[y, x, 0], ZERO, ONE)
-            features[0, 19, row, x] = scale / (scale + clamp(depth[y, x, 0], ZERO, np.float32(1e10)))
+            features[0, 19, row, x] = scale / (scale + clamp(depth[y, x, 0], ZERO, MAX_DEPTH))
             features[0, 21, row, x] = valid
             features[0, 22, row, x] = sample[3] / np.float32(MAX_COUNT)
             features[0, 23, row, x] = params[JITTER_X]
@@ -206,8 +208,8 @@ def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, depth, past
             share = ONE / (past[y, x, 3] + ONE)
             alpha = share + (ONE - share) * fine[0, 66, y, x]
             for c, f in enumerate((f0, f1, f2)):
-                noisy = clamp(clamp(colour[y, x, c], ZERO, np.float32(3e38)) * params[EXPOSURE] / f, ZERO,
-                              np.float32(MAX_COLOUR))
+                exposed = clamp(colour[y, x, c], ZERO, MAX_FLOAT) * params[EXPOSURE]
+                noisy = min(exposed / f, np.float32(MAX_COLOUR))
                 mean = past[y, x, c] + (noisy - past[y, x, c]) * alpha
                 state[y, x, c] = mean
                 level[c, y, x] = mean

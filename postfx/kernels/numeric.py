@@ -56,8 +56,17 @@ vectorised = kernel_jit(fastmath=True)
 
 @inline
 def clamp(value, low, high):
-    """``value`` within [low, high]; a NaN becomes ``low``."""
-    return np.float32(min(max(low, value), high)) if value == value else np.float32(low)
+    """``value`` within [low, high], which holds 0 or lies above it; a NaN becomes the value nearest to 0."""
+    known = value if value == value else np.float32(0)
+    return min(max(np.float32(low), known), np.float32(high))
+
+
+@inline
+def centre(position, size, out_size):
+    """The render pixel that holds an output pixel's centre, and the centre's offset from it in [-0.5, 0.5)."""
+    at = (2 * position + 1) * size  # in units of 1 / (2 out_size): exact
+    index = at // (2 * out_size)
+    return index, np.float32((at - index * (2 * out_size)) / (2 * out_size) - 0.5)
 
 
 @fast_inline

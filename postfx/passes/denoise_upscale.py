@@ -3,47 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
 
 from postfx.frame import ROLES, FrameSpec, Role
-from postfx.kernels import denoise_filter, denoise_prepare
-from postfx.kernels.kernel import Kernel
-from postfx.kernels.resample import RESAMPLE
+from postfx.passes._denoise_graph import Graph, Sizes
 from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
-from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Library, Tensor
+from postfx.runtime import CommandBuffer, Device, Tensor
 
-ALIGN = 16
-LEVELS = 4
 GUIDES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)
 # What stands in for a plane that a file lacks; networks are trained with the same values in its place.
 ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0, Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0,
           Role.MOTION: 0.0}
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Render size, the same padded for the network, and output size."""
-
-    h: int
-    w: int
-    height: int
-    width: int
-
-    @property
-    def padded(self) -> tuple[int, int]:
-        return -(-self.h // ALIGN) * ALIGN, -(-self.w // ALIGN) * ALIGN
-
-    def level(self, i: int) -> tuple[int, int]:
-        """Padded size of a pyramid level."""
-        return self.padded[0] >> i, self.padded[1] >> i
-
-    def area(self, i: int) -> np.ndarray:
-        """Rows and columns of a pyramid level that hold picture."""
-        return np.array([-(-self.h // 2**i), -(-self.w // 2**i)], np.float32)
 
 
 class DenoiseUpscale(Pass):
@@ -100,132 +73,3 @@ class DenoiseUpscale(Pass):
     def _constant(device: Device, role: Role, spec: FrameSpec) -> Tensor:
         shape = (spec.height, spec.width, ROLES[role].channels)
         return device.wrap(f"absent {role}", np.full(shape, ABSENT[role], np.float32))
-
-
-class Graph:
-    """Pipeline states, tensors and argument tables of one size; the history is kept in two sets used in turn."""
-
-    def __init__(self, device: Device, sizes: Sizes, model: str) -> None:
-        self._device, self._sizes = device, sizes
-        height, width = sizes.padded
-        self._network = device.pipeline_state(Library(), model, {"height": height, "width": width})
-        self._tables: dict[str, ArgumentTable] = {}
-        self._make_tensors()
-        self._make_tables()
-        self._turn = 0
-
-    def encode(self, commands: CommandBuffer, planes: Mapping[Role, Tensor], params: np.ndarray) -> Tensor:
-        """Record one frame; returns the output colour tensor."""
-        self._turn ^= 1
-        self._params.upload(params)
-        for name in ("scale", "dilate", "history", "features", "accumulate", "remodulate", "upsample"):
-            self._bind(name, planes)
-        with commands.compute_encoder("prepare") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            self._run(encoder, "scale", "dilate")
-            for name in ("history", "features"):
-                encoder.barrier()
-                self._run(encoder, name)
-        with commands.machine_learning_encoder("network") as encoder:
-            encoder.barrier(after="compute", before="machine-learning")
-            encoder.dispatch_network(self._network, self._network_table)
-        with commands.compute_encoder("filter") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            for i, name in enumerate(self._filter_order):
-                if i:
-                    encoder.barrier()
-                self._run(encoder, name)
-        with commands.compute_encoder("upsample") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            self._run(encoder, "upsample")
-        return self._output
-
-    def encode_alpha(self, commands: CommandBuffer, alpha: Tensor, jitter: tuple[float, float]) -> Tensor:
-        """Record the enlargement of the alpha plane; returns the tensor it goes to."""
-        if "alpha" not in self._tables:
-            self._jitter = self._new("jitter", (2,))
-            self._alpha = self._new("alpha", (self._sizes.height, self._sizes.width, 1))
-            self._table("alpha", RESAMPLE, jitter=self._jitter, output=self._alpha)
-        self._jitter.upload(np.array(jitter, np.float32))
-        self._tables["alpha"]["image"] = alpha
-        with commands.compute_encoder("alpha") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            self._run(encoder, "alpha")
-        return self._alpha
-
-    def _new(self, name: str, shape: tuple[int, ...]) -> Tensor:
-        return self._device.heap.tensor(name, shape)
-
-    def _make_tensors(self) -> None:
-        s = self._sizes
-        self._params = self._new("params", (5,))
-        self._depth_scale = self._new("depth scale", (1,))
-        self._moved = self._new("moved", (s.h, s.w, 2))
-        self._warped = self._new("warped", (s.height, s.width, 3))
-        self._past = self._new("past", (s.h, s.w, 4))
-        self._radiance = self._new("radiance", (3, s.h + 2, s.w + 2))
-        self._output = self._new("output", (s.height, s.width, 3))
-        self._heads = {b.name: self._new(b.name, b.shape) for b in self._network.bindings if b.access == "write"}
-        self._features = self._new("features", next(b.shape for b in self._network.bindings if b.access == "read"))
-        # Before the first frame the history holds nothing, and nothing of it is used: it only has to be defined.
-        self._history = [self._zeros("history", (s.height, s.width, 3)) for _ in range(2)]
-        self._state = [self._zeros("state", (s.h, s.w, 4 + denoise_prepare.HIDDEN)) for _ in range(2)]
-        self._depth = [self._zeros("depth", (s.h, s.w, 1)) for _ in range(2)]
-
-    def _zeros(self, name: str, shape: tuple[int, ...]) -> Tensor:
-        tensor = self._new(name, shape)
-        tensor.fill(0)
-        return tensor
-
-    def _make_tables(self) -> None:
-        prepare = {"params": self._params, "moved": self._moved, "warped": self._warped, "past": self._past,
-                   "depth_scale": self._depth_scale, "features": self._features, "fine": self._heads["fine"]}
-        levels = [self._new(f"level {i}", (4, *self._sizes.level(i))) for i in range(LEVELS + 1)]
-        filtered = [self._new(f"filtered {i}", (3, *self._sizes.level(i))) for i in range(LEVELS + 1)]
-        for name, kernel in (("scale", denoise_prepare.SCALE), ("dilate", denoise_prepare.DILATE),
-                             ("history", denoise_prepare.HISTORY), ("features", denoise_prepare.FEATURE),
-                             ("accumulate", denoise_prepare.ACCUMULATE), ("upsample", denoise_filter.UPSAMPLE),
-                             ("remodulate", denoise_filter.REMODULATE)):
-            self._table(name, kernel, **prepare, level=levels[0], radiance=self._radiance, output=self._output,
-                        filtered=filtered[0])
-        self._network_table = ArgumentTable(self._network)
-        for name, tensor in ({"features": self._features} | self._heads).items():
-            self._network_table[name] = tensor
-        self._filter_order = ["accumulate", *(f"pool {i}" for i in range(1, LEVELS + 1))]
-        for i in range(1, LEVELS + 1):
-            self._table(f"pool {i}", denoise_filter.POOL, finer=levels[i - 1], level=levels[i])
-        for i in range(LEVELS, -1, -1):
-            heads, mixed = self._heads["fine" if i == 0 else f"level{i}"], levels[i]
-            if i < LEVELS:
-                mixed = self._new(f"mixed {i}", (3, *self._sizes.level(i)))
-                self._table(f"mix {i}", denoise_filter.MIX_LEVELS, coarse=filtered[i + 1], level=levels[i],
-                            heads=heads, mixed=mixed)
-                self._filter_order.append(f"mix {i}")
-            area = self._new(f"area {i}", (2,))
-            area.upload(self._sizes.area(i))
-            self._table(f"filter {i}", denoise_filter.FILTER, mixed=mixed, heads=heads, area=area, filtered=filtered[i])
-            self._filter_order.append(f"filter {i}")
-        self._filter_order.append("remodulate")
-
-    def _table(self, name: str, kernel: Kernel, **tensors: Tensor) -> None:
-        """An argument table for a kernel, with those of the tensors that it names."""
-        table = ArgumentTable(self._device.compute_state(kernel))
-        for binding in kernel.reads + kernel.writes:
-            if binding in tensors:
-                table[binding] = tensors[binding]
-        self._tables[name] = table
-
-    def _bind(self, name: str, planes: Mapping[Role, Tensor]) -> None:
-        """Bind what changes from frame to frame: the frame's planes and the two sets of history."""
-        last, now = self._turn, 1 - self._turn
-        changing = {str(role): tensor for role, tensor in planes.items()} | {
-            "history": self._history[last], "state": self._state[last], "last_depth": self._depth[last],
-            "next_history": self._history[now], "next_state": self._state[now], "next_depth": self._depth[now]}
-        table = self._tables[name]
-        for binding in table.state.bindings:
-            if binding.name in changing:
-                table[binding.name] = changing[binding.name]
-
-    def _run(self, encoder: ComputeEncoder, *names: str) -> None:
-        for name in names:
-            encoder.dispatch(self._tables[name].state, self._tables[name])

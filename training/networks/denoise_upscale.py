@@ -98,19 +98,18 @@ def recall(inputs: Inputs, state: State, motion: Tensor, output: Tensor) -> Repr
     return Reprojected(motion, output, inside, accumulated, rest[:, 3:4], rest[:, 4:], change, valid)
 
 
-def demodulate(inputs: Inputs, factor: Tensor) -> Tensor:
+def demodulate(colour: Tensor, factor: Tensor) -> Tensor:
     """Colour without reflectance, in [0, 1e4]."""
-    return (ops.sanitise(inputs.colour, 0, MAX_FLOAT) / factor).clamp(max=ops.MAX_COLOUR)
+    return (ops.sanitise(colour, 0, MAX_FLOAT) / factor).clamp(max=ops.MAX_COLOUR)
 
 
-def features(inputs: Inputs, past: Reprojected, factor: Tensor) -> Tensor:
-    """The trunk's input (N, 35, h, w); ``postfx/kernels`` fills the same channels in the same order."""
+def features(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor) -> Tensor:
+    """The trunk's input (N, 35, h, w), with the ``scale`` of depth; ``postfx/kernels`` fills the same channels."""
     n, _, h, w = inputs.colour.shape
     plane = inputs.colour.new_ones(n, 1, h, w)
     history = torch.expm1(ops.box_mean(past.output, h, w)) * past.valid
-    scale = ops.depth_scale(inputs.depth)
     return torch.cat((
-        torch.log1p(demodulate(inputs, factor)), ops.log_encode(past.accumulated), ops.log_encode(history / factor),
+        torch.log1p(demodulate(inputs.colour, factor)), ops.log_encode(past.accumulated), ops.log_encode(history / factor),
         ops.sanitise(inputs.diffuse_albedo, 0, 2), ops.sanitise(inputs.specular_albedo, 0, 2),
         ops.sanitise(inputs.normal, -1, 1), ops.sanitise(inputs.roughness, 0, 1),
         scale / (scale + ops.sanitise(inputs.depth, 0, MAX_DEPTH)),
@@ -120,11 +119,11 @@ def features(inputs: Inputs, past: Reprojected, factor: Tensor) -> Tensor:
         plane * (w / past.output.shape[-1]), past.hidden), 1)
 
 
-def accumulate(colour: Tensor, past: Reprojected, distrust: Tensor) -> tuple[Tensor, Tensor]:
-    """Running mean of demodulated colour and its effective sample count; ``distrust`` 1 starts anew."""
-    share = 1 / (past.count + 1)
+def accumulate(colour: Tensor, mean: Tensor, count: Tensor, distrust: Tensor) -> tuple[Tensor, Tensor]:
+    """Running ``mean`` of demodulated colour and its effective sample count; ``distrust`` 1 starts anew."""
+    share = 1 / (count + 1)
     alpha = share + (1 - share) * distrust
-    return torch.lerp(past.accumulated, colour, alpha), (1 / alpha).clamp(max=MAX_COUNT)
+    return torch.lerp(mean, colour, alpha), (1 / alpha).clamp(max=MAX_COUNT)
 
 
 def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tuple[Tensor, ...], height: int,
@@ -145,6 +144,16 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
     return result
 
 
+def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, inside: Tensor) -> Tensor:
+    """Upsample radiance and blend it with the reprojected history ``warped``; both log-encoded, as is the result."""
+    n, _, h, w = radiance.shape
+    height, width = warped.shape[-2:]
+    weights = fine[:, KERNEL:BLEND].reshape(n, 9, 4, h, w)
+    current = ops.log_encode(ops.upsample(radiance, weights, jitter, height, width))
+    blend = ops.interpolate_phases(fine[:, None, BLEND:MIX], height, width)[:, 0:1]
+    return torch.lerp(warped, current, 1 - inside * (1 - blend))
+
+
 class DenoiseUpscale(nn.Module):
     """One recurrent step. Output size is free: any width and height of 1 to 3 times the render size."""
 
@@ -155,20 +164,18 @@ class DenoiseUpscale(nn.Module):
 
     def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, State, Tensor]:
         """Exposed linear output (N, 3, H, W), the next state, and the last output reprojected (log-encoded)."""
-        height, width = state.output.shape[-2:]
         h, w = inputs.colour.shape[-2:]
         pad = (0, -w % ALIGN, 0, -h % ALIGN)
         past = reproject(inputs, state)
         factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
-        heads = self.trunk(F.pad(features(inputs, past, factor), pad, mode="replicate"))
+        seen = features(inputs, past, factor, ops.depth_scale(inputs.depth))
+        heads = self.trunk(F.pad(seen, pad, mode="replicate"))
         fine, *levels = (head.float() for head in heads)
         here = fine[..., :h, :w]
-        accumulated, count = accumulate(demodulate(inputs, factor), past, here[:, DISTRUST:IMPORTANCE])
+        noisy, distrust = demodulate(inputs.colour, factor), here[:, DISTRUST:IMPORTANCE]
+        accumulated, count = accumulate(noisy, past.accumulated, past.count, distrust)
         importance = F.pad(here[:, IMPORTANCE:MEMORY], pad)
         filtered = filter_pyramid(F.pad(accumulated, pad), importance, fine, tuple(levels), h, w)
-        weights = here[:, KERNEL:BLEND].reshape(-1, 9, 4, h, w)
-        current = ops.log_encode(ops.upsample(filtered[..., :h, :w] * factor, weights, inputs.jitter, height, width))
-        blend = ops.interpolate_phases(here[:, None, BLEND:MIX], height, width)[:, 0:1]
-        output = torch.lerp(past.output, current, 1 - past.inside * (1 - blend))
+        output = resolve(filtered[..., :h, :w] * factor, here, inputs.jitter, past.output, past.inside)
         state = State(output, accumulated, count, here[:, MEMORY:], inputs.depth, torch.ones_like(state.fresh))
         return torch.expm1(output), state, past.output

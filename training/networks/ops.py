@@ -11,12 +11,13 @@ TAPS = 5
 PHASE_TAPS = 3
 SAMPLE_SIGMA = 0.5
 MAX_COLOUR = 1e4
+TINY = 1e-8  # no sum of weights that counts is smaller
 MAX_SPAN = 4  # pixels that one pixel of a picture up to 3 times as small touches, along a line
 
 
 def sanitise(values: Tensor, low: float, high: float) -> Tensor:
     """Values within [low, high], which holds 0 or lies above it; a NaN becomes the value nearest to 0."""
-    return torch.where(values == values, values, torch.zeros_like(values)).clamp(low, high)
+    return torch.where(values == values, values, torch.zeros_like(values)).clamp(float(low), float(high))
 
 
 def demodulation(diffuse_albedo: Tensor, specular_albedo: Tensor) -> Tensor:
@@ -145,13 +146,13 @@ def valid_area(like: Tensor, height: int, width: int) -> Tensor:
 def pool(colour: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Weighted mean over 2x2 pixels, and the mean weight."""
     total = F.avg_pool2d(weight, 2)
-    return F.avg_pool2d(colour * weight, 2) / (total + 1e-8), total
+    return F.avg_pool2d(colour * weight, 2) / total.clamp(min=TINY), total
 
 
 def filter_kernels(image: Tensor, kernels: Tensor, valid: Tensor) -> Tensor:
     """Apply a normalised 5x5 kernel of its own to every pixel; taps outside ``valid`` do not count."""
     weights = kernels * shifted(valid, TAPS)[:, 0]
-    return (shifted(image, TAPS) * weights[:, None]).sum(2) / (weights.sum(1, keepdim=True) + 1e-8)
+    return (shifted(image, TAPS) * weights[:, None]).sum(2) / weights.sum(1, keepdim=True).clamp(min=TINY)
 
 
 def tap_offsets(device: torch.device) -> Tensor:
@@ -198,11 +199,36 @@ def upsample(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, wid
         corners = torch.arange(2, device=radiance.device) * 0.5 - 0.25
         blend = weights * sample_prior(jitter, corners, corners).reshape(-1, 9, 4, 1, 1)
         phases = torch.stack([(taps * blend[:, None, :, p]).sum(2) for p in range(4)], 2)
-        return F.pixel_shuffle((phases / (blend.sum(1)[:, None] + 1e-8)).reshape(len(radiance), 12, h, w), 2)
+        total = blend.sum(1)[:, None].clamp(min=TINY)
+        return F.pixel_shuffle((phases / total).reshape(len(radiance), 12, h, w), 2)
     _, y = nearest_index(h, height, radiance.device)
     _, x = nearest_index(w, width, radiance.device)
     blend = interpolate_phases(weights, height, width) * sample_prior(jitter, x, y)
-    return (enlarge(taps, height, width) * blend[:, None]).sum(2) / (blend.sum(1, keepdim=True) + 1e-8)
+    return (enlarge(taps, height, width) * blend[:, None]).sum(2) / blend.sum(1, keepdim=True).clamp(min=TINY)
+
+
+def resample(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+    """Cubic interpolation (Keys 1981, a = -0.5) of (N, C, h, w) at positions rows (H,) and columns (W,).
+
+    Values stay within those of the four nearest samples, so that edges do not ring and nothing turns negative. What is
+    not finite counts as 0.
+    """
+    image = torch.where(image.abs() < torch.inf, image, torch.zeros_like(image))
+    value = low = high = image
+    for axis, positions in ((-1, columns), (-2, rows)):
+        first, size = positions.floor(), image.shape[axis]
+        index = [(first + k).clamp(0, size - 1).long() for k in range(-1, 3)]
+        weights = [x.unflatten(0, (-1, *[1] * (-1 - axis))) for x in catmull_rom(positions - first)]
+        value = sum(value.index_select(axis, i) * k for i, k in zip(index, weights, strict=True))
+        low = torch.minimum(low.index_select(axis, index[1]), low.index_select(axis, index[2]))
+        high = torch.maximum(high.index_select(axis, index[1]), high.index_select(axis, index[2]))
+    return torch.minimum(torch.maximum(value, low), high)
+
+
+def catmull_rom(t: Tensor) -> tuple[Tensor, ...]:
+    """Weights of the four taps around a position ``t`` in [0, 1) after the second one."""
+    return (((-0.5 * t + 1) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1, ((-1.5 * t + 2) * t + 0.5) * t,
+            (0.5 * t - 0.5) * t * t)
 
 
 def display(exposed: Tensor) -> Tensor:
@@ -214,5 +240,5 @@ def display(exposed: Tensor) -> Tensor:
 
 def log_encode(exposed: Tensor) -> Tensor:
     """log(1 + x) of a colour in [0, 1e4]."""
-    return torch.log1p(exposed.clamp(0, MAX_COLOUR))
+    return torch.log1p(exposed.clamp(0.0, MAX_COLOUR))
 

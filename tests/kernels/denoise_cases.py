@@ -1,0 +1,103 @@
+"""Random arguments for the upscaler's kernels, and a way to run a kernel on a device."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from postfx.kernels import denoise_filter, denoise_prepare
+from postfx.kernels.kernel import Kernel
+from postfx.kernels.resample import RESAMPLE, positions
+from postfx.runtime import ArgumentTable, Device
+from postfx.runtime.shapes import parse
+
+KERNELS = (
+    denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_prepare.HISTORY, denoise_prepare.FEATURE,
+    denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS, denoise_filter.FILTER,
+    denoise_filter.REMODULATE, denoise_filter.UPSAMPLE, RESAMPLE,
+)
+BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
+FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image")
+
+
+class Case(NamedTuple):
+    """Sizes of a run; `heads` are the channels of the network's output that the filter kernels look at."""
+
+    h: int
+    w: int
+    height: int
+    width: int
+    heads: int = denoise_prepare.FINE
+
+    def sizes(self) -> dict[str, int]:
+        """Value of every symbol in the kernels' shapes."""
+        hp, wp = -(-self.h // 16) * 16, -(-self.w // 16) * 16
+        return {**self._asdict(), "hp": hp, "wp": wp, "half_hp": hp // 2, "half_wp": wp // 2, "padded_h": self.h + 2,
+                "padded_w": self.w + 2, "channels": 4}
+
+    def __str__(self) -> str:
+        return f"{self.h}x{self.w}-{self.height}x{self.width}-{self.heads}"
+
+
+CASES = (Case(64, 64, 128, 128), Case(50, 66, 50, 66), Case(45, 77, 90, 154), Case(34, 66, 51, 99, 26),
+         Case(51, 30, 153, 90, 25), Case(33, 47, 89, 127), Case(17, 5, 34, 10), Case(3, 40, 4, 52), Case(1, 1, 2, 2),
+         Case(1, 1, 3, 3), Case(1, 1, 1, 1))
+
+
+def shape(kernel: Kernel, binding: str, case: Case) -> tuple[int, ...]:
+    """Shape of a binding in a case."""
+    dims = [parse(size) for size in kernel.shapes[binding]]
+    return tuple(dim.factor * (case.sizes()[dim.symbol] if dim.symbol else 1) for dim in dims)
+
+
+def arguments(kernel: Kernel, case: Case, seed: int = 0, bad: bool = False) -> dict[str, np.ndarray]:
+    """Arguments that a kernel reads, with the ranges of real ones; `bad` puts values into the frame that no file
+    should hold."""
+    random = np.random.default_rng([seed, *case])
+    values = {name: _value(name, shape(kernel, name, case), case, random) for name in kernel.reads}
+    for name in set(FRAME) & values.keys() if bad else ():
+        flat = values[name].reshape(-1)
+        flat[random.integers(0, flat.size, max(1, flat.size // 9))] = random.choice(BAD, max(1, flat.size // 9))
+    return {name: np.ascontiguousarray(value, np.float32) for name, value in values.items()}
+
+
+def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Generator) -> np.ndarray:
+    unit = random.random(size)
+    if name in ("fine", "heads"):
+        gates = np.arange(size[1])[:, None, None]
+        wide = np.exp(4 * unit - 2)
+        return np.where(gates < denoise_filter.BLEND, wide, np.where(gates < 68, unit, 2 * unit - 1))
+    if name == "params":
+        return np.array([1.7, random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 1.0, 0.8])
+    if name == "area":
+        return np.array([case.h, case.w])
+    if name == "rows":
+        return positions(case.h, case.height, 0.3)
+    if name == "columns":
+        return positions(case.w, case.width, -0.4)
+    if name == "radiance":
+        return np.pad(20 * unit[:, 1:-1, 1:-1] ** 3, ((0, 0), (1, 1), (1, 1)), "edge")
+    if name in ("motion", "moved"):
+        return random.normal(0, 3, size)
+    if name == "normal":
+        return 2 * unit - 1
+    if name in ("depth", "last_depth"):
+        return np.where(random.random(size) < 0.05, 1e10, 1 + 9 * unit)
+    if name in ("history", "warped"):
+        return 5 * unit**3
+    return {"colour": 40 * unit**4, "past": 30 * unit, "state": 30 * unit, "depth_scale": 1 + unit}.get(name, unit)
+
+
+def run(kernel: Kernel, device: Device, inputs: Mapping[str, np.ndarray], case: Case) -> dict[str, np.ndarray]:
+    """What a kernel writes, on a device."""
+    state = device.compute_state(kernel)
+    written = {name: device.wrap(name, np.full(shape(kernel, name, case), np.nan, np.float32)) for name in kernel.writes}
+    read = {name: device.wrap(name, value) for name, value in inputs.items()}
+    commands = device.command_buffer(kernel.name)
+    with commands.compute_encoder("run") as encoder:
+        encoder.dispatch(state, ArgumentTable(state, read | written))
+    commands.commit()
+    commands.wait(timeout=60)
+    return {name: tensor.download() for name, tensor in written.items()}
