@@ -37,7 +37,6 @@ def export_kernels(folder: Path) -> None:
 
 def card(checkpoint: dict[str, Any], tag: str, look: Look, quality: dict[str, Any]) -> dict[str, Any]:
     """What the run-time and a reader need to know about the model."""
-    args, log = checkpoint["args"], checkpoint["log"]
     return {
         "name": f"tonemap.{tag}",
         "pass": "tonemap",
@@ -59,17 +58,10 @@ def card(checkpoint: dict[str, Any], tag: str, look: Look, quality: dict[str, An
         "training": {
             "script": "training/train_tonemap.py",
             "network": "HDRNet (Gharbi et al. 2017)",
-            "steps": log["step"],
-            "seconds": log["seconds"],
-            "batch": args["batch"],
-            "rate": args["rate"],
-            "scale": args["scale"],
-            "seed": args["seed"],
-            "torch": checkpoint.get("torch"),
-            "device": checkpoint.get("device"),
-            "data": checkpoint.get("data"),
+            "runs": checkpoint["history"],
+            "pictures": checkpoint["pictures"],
         },
-        "quality": {"held_out_psnr": log["psnr"], "pictures": quality},
+        "quality": {"held_out_psnr": checkpoint["psnr"], "pictures": quality},
     }
 
 

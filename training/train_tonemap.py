@@ -96,9 +96,11 @@ def main() -> None:
     views = Views(packed, device, args.seed)
     params = default_params().to(device)
 
-    net = HDRNet().to(device)
+    net, history = HDRNet().to(device), []
     if args.resume:
-        net.load_state_dict(torch.load(args.resume, map_location=device)["weights"])
+        before = torch.load(args.resume, map_location=device)
+        net.load_state_dict(before["weights"])
+        history = before["history"]
     average = copy.deepcopy(net).requires_grad_(False)
     optimizer = torch.optim.AdamW(net.parameters(), lr=args.rate, weight_decay=1e-4)
     print(
@@ -118,9 +120,10 @@ def main() -> None:
                 row |= {"psnr": {k: round(v, 3) for k, v in scores.items()}}
                 print(json.dumps(row), flush=True)
                 log.write(json.dumps(row) + "\n")
-                state = {"weights": average.state_dict(), "look": str(packed["look"]), "args": vars(args), "log": row}
-                state |= {"torch": str(torch.__version__), "device": name, "data": [str(x) for x in packed["names"]]}
-                torch.save(state, out / "checkpoint.pt")
+                run = {"steps": step, "seconds": row["seconds"], "device": name, "torch": str(torch.__version__)}
+                run |= {"batch": args.batch, "rate": args.rate, "scale": args.scale, "seed": args.seed}
+                state = {"weights": average.state_dict(), "psnr": row["psnr"], "history": [*history, run]}
+                torch.save(state | {"pictures": [str(x) for x in packed["names"]]}, out / "checkpoint.pt")
                 last, steps_since = elapsed, 0
                 sums.zero_()
                 if progress >= 1:

@@ -152,5 +152,5 @@ def test_a_pack_can_be_made_and_trained_on(tmp_path) -> None:
     train = ["training.train_tonemap", "--data", str(pack), "--out", str(tmp_path / "run"), "--minutes", "0.05"]
     subprocess.run([*run, *train, "--batch", "2", "--scale", "0.2"], check=True, capture_output=True)
     checkpoint = torch.load(tmp_path / "run" / "checkpoint.pt")
-    assert checkpoint["log"]["step"] > 0 and checkpoint["log"]["psnr"]["held"] > 5
+    assert checkpoint["history"][0]["steps"] > 0 and checkpoint["psnr"]["held"] > 5
     hdrnet.HDRNet().load_state_dict(checkpoint["weights"])
