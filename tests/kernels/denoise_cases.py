@@ -93,7 +93,8 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
 def run(kernel: Kernel, device: Device, inputs: Mapping[str, np.ndarray], case: Case) -> dict[str, np.ndarray]:
     """What a kernel writes, on a device."""
     state = device.compute_state(kernel)
-    written = {name: device.wrap(name, np.full(shape(kernel, name, case), np.nan, np.float32)) for name in kernel.writes}
+    empty = {name: np.full(shape(kernel, name, case), np.nan, np.float32) for name in kernel.writes}
+    written = {name: device.wrap(name, array) for name, array in empty.items()}
     read = {name: device.wrap(name, value) for name, value in inputs.items()}
     commands = device.command_buffer(kernel.name)
     with commands.compute_encoder("run") as encoder:

@@ -7,6 +7,7 @@ import pytest
 
 from postfx.kernels.denoise_filter import MIX_LEVELS
 from postfx.kernels.kernel import Kernel
+from postfx.kernels.resample import RESAMPLE, positions
 from postfx.runtime import Device
 from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, run
 
@@ -42,3 +43,34 @@ def test_compiled_rows_match_the_portable_definition(
     finite = {name: value for name, value in wanted.items() if name != "next_depth"}  # kept as it comes
     assert all(np.isfinite(value).all() for value in finite.values())
     assert_same(found, wanted)
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: kernel.name)
+def test_the_number_of_threads_changes_no_bit(kernel: Kernel) -> None:
+    inputs = arguments(kernel, CASES[2])
+    alone, many = (run(kernel, Device("cpu", threads), inputs, CASES[2]) for threads in (1, 5))
+    assert all(np.array_equal(alone[name], many[name], equal_nan=True) for name in kernel.writes)
+
+
+def test_resampling_at_whole_positions_gives_the_samples_and_keeps_within_them() -> None:
+    image = np.random.default_rng(0).random((7, 9, 2), np.float32)
+    case = Case(7, 9, 7, 9)
+    same = {"image": image, "rows": positions(7, 7), "columns": positions(9, 9)}
+    np.testing.assert_array_equal(_resampled(same, case), image)
+    larger = {"image": image, "rows": positions(7, 20, 0.2), "columns": positions(9, 20, -0.3)}
+    result = _resampled(larger, Case(7, 9, 20, 20))
+    assert result.min() >= image.min() and result.max() <= image.max()
+
+
+def test_resampling_follows_the_jitter() -> None:
+    """A ramp sampled 0.25 pixels right of the pixels' centres, enlarged to twice the size, is the ramp again."""
+    ramp = np.tile((np.arange(12, dtype=np.float32) + 0.25)[None, :, None], (4, 1, 1))
+    inputs = {"image": ramp, "rows": positions(4, 8), "columns": positions(12, 24, 0.25)}
+    result = _resampled(inputs, Case(4, 12, 8, 24), channels=1)
+    np.testing.assert_allclose(result[3, 4:-4, 0], (np.arange(24)[4:-4] + 0.5) / 2 - 0.5, atol=1e-5)
+
+
+def _resampled(inputs: dict[str, np.ndarray], case: Case, channels: int = 2) -> np.ndarray:
+    output = np.empty((case.height, case.width, channels), np.float32)
+    RESAMPLE.rows(0, case.height, *inputs.values(), output)
+    return output

@@ -109,7 +109,8 @@ def features(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor) -
     plane = inputs.colour.new_ones(n, 1, h, w)
     history = torch.expm1(ops.box_mean(past.output, h, w)) * past.valid
     return torch.cat((
-        torch.log1p(demodulate(inputs.colour, factor)), ops.log_encode(past.accumulated), ops.log_encode(history / factor),
+        torch.log1p(demodulate(inputs.colour, factor)),
+        ops.log_encode(past.accumulated), ops.log_encode(history / factor),
         ops.sanitise(inputs.diffuse_albedo, 0, 2), ops.sanitise(inputs.specular_albedo, 0, 2),
         ops.sanitise(inputs.normal, -1, 1), ops.sanitise(inputs.roughness, 0, 1),
         scale / (scale + ops.sanitise(inputs.depth, 0, MAX_DEPTH)),

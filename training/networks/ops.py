@@ -182,6 +182,12 @@ def interpolate_phases(phases: Tensor, height: int, width: int) -> Tensor:
     n, c, _, h, w = phases.shape
     if (height, width) == (2 * h, 2 * w):
         return F.pixel_shuffle(phases.reshape(n, c * 4, h, w), 2)
+    return interpolate_any(phases, height, width)
+
+
+def interpolate_any(phases: Tensor, height: int, width: int) -> Tensor:
+    """The same without the short cut of scale 2."""
+    h, w = phases.shape[-2:]
     rows, y = nearest_index(h, height, phases.device)
     columns, x = nearest_index(w, width, phases.device)
     ty, tx = (2 * y + 0.5).clamp(0, 1)[:, None], (2 * x + 0.5).clamp(0, 1)
@@ -194,17 +200,29 @@ def interpolate_phases(phases: Tensor, height: int, width: int) -> Tensor:
 def upsample(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> Tensor:
     """Radiance at output size: predicted 3x3 weights (N, 9, 4, h, w) times the prior of ``sample_prior``."""
     h, w = radiance.shape[-2:]
-    taps = shifted(radiance, PHASE_TAPS, "replicate")
     if (height, width) == (2 * h, 2 * w):
-        corners = torch.arange(2, device=radiance.device) * 0.5 - 0.25
-        blend = weights * sample_prior(jitter, corners, corners).reshape(-1, 9, 4, 1, 1)
-        phases = torch.stack([(taps * blend[:, None, :, p]).sum(2) for p in range(4)], 2)
-        total = blend.sum(1)[:, None].clamp(min=TINY)
-        return F.pixel_shuffle((phases / total).reshape(len(radiance), 12, h, w), 2)
+        return upsample_double(radiance, weights, jitter)
+    return upsample_any(radiance, weights, jitter, height, width)
+
+
+def upsample_double(radiance: Tensor, weights: Tensor, jitter: Tensor) -> Tensor:
+    """Scale 2, where the four output pixels of a render pixel lie at its corners: all work at render size."""
+    n, _, h, w = radiance.shape
+    taps = shifted(radiance, PHASE_TAPS, "replicate")
+    corners = torch.arange(2, device=radiance.device) * 0.5 - 0.25
+    blend = weights * sample_prior(jitter, corners, corners).reshape(-1, 9, 4, 1, 1)
+    phases = torch.stack([(taps * blend[:, None, :, p]).sum(2) for p in range(4)], 2)
+    return F.pixel_shuffle((phases / blend.sum(1)[:, None].clamp(min=TINY)).reshape(n, 12, h, w), 2)
+
+
+def upsample_any(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> Tensor:
+    """Any scale."""
+    h, w = radiance.shape[-2:]
     _, y = nearest_index(h, height, radiance.device)
     _, x = nearest_index(w, width, radiance.device)
-    blend = interpolate_phases(weights, height, width) * sample_prior(jitter, x, y)
-    return (enlarge(taps, height, width) * blend[:, None]).sum(2) / blend.sum(1, keepdim=True).clamp(min=TINY)
+    blend = interpolate_any(weights, height, width) * sample_prior(jitter, x, y)
+    taps = enlarge(shifted(radiance, PHASE_TAPS, "replicate"), height, width)
+    return (taps * blend[:, None]).sum(2) / blend.sum(1, keepdim=True).clamp(min=TINY)
 
 
 def resample(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:

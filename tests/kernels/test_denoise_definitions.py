@@ -1,0 +1,38 @@
+"""The upscaler's portable kernels against the torch definitions that they are exported from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postfx.kernels.kernel import Kernel
+from postfx.runtime import Device
+from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, run
+
+torch = pytest.importorskip("torch")
+
+from training.export import relative_error  # noqa: E402
+from training.export_denoise import KERNELS as DEFINITIONS  # noqa: E402
+
+TOLERANCE = 1e-5
+
+
+@pytest.fixture(scope="module")
+def portable() -> Device:
+    return Device("cpu", threads=2, compiled_kernels=False)
+
+
+def test_every_kernel_has_a_definition() -> None:
+    assert set(DEFINITIONS) == set(KERNELS)
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case.heads > 25], ids=str)
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: kernel.name)
+def test_portable_definition_matches_torch(kernel: Kernel, case: Case, portable: Device) -> None:
+    inputs = arguments(kernel, case)
+    with torch.no_grad():
+        results = DEFINITIONS[kernel]()(*(torch.from_numpy(inputs[name]) for name in kernel.reads))
+    wanted = [x.numpy() for x in (results if isinstance(results, tuple) else (results,))]
+    found = run(kernel, portable, inputs, case)
+    for name, value in zip(kernel.writes, wanted, strict=True):
+        assert np.isfinite(value).all() and relative_error(found[name], value) <= TOLERANCE, name
