@@ -66,7 +66,7 @@ class DenoiseUpscale(Pass):
             frame.set(Role.ALPHA, self._graph.encode_alpha(commands, frame[Role.ALPHA], frame.jitter))
         for role in GUIDES:
             frame.tensors.pop(role, None)
-        frame.spec = self.reflect(self._spec).output
+        frame.spec, frame.jitter = self.reflect(self._spec).output, (0.0, 0.0)
         self._fresh, self._exposure = True, frame.exposure
 
     @staticmethod

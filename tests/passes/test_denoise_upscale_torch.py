@@ -1,0 +1,78 @@
+"""The whole upscaler, frame after frame, against the recurrent step in torch that is trained."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.frame import Frame, Role
+from postfx.passes import _denoise_graph
+from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device, Library
+from tests.passes.denoise_frames import noisy
+
+torch = pytest.importorskip("torch")
+
+from training.export_denoise import export_trunk  # noqa: E402
+from training.networks import denoise_upscale as network  # noqa: E402
+from training.networks.trunk import TrunkConfig  # noqa: E402
+
+TOLERANCE = 1e-3
+EXPOSURES = (1.0, 1.0, 2.5, 0.7)
+CUT = 3  # index of the frame that starts a new shot
+
+
+@pytest.fixture(scope="module")
+def model() -> network.DenoiseUpscale:
+    """A small network with weights that make all its outputs vary."""
+    torch.manual_seed(0)
+    model = network.DenoiseUpscale(TrunkConfig((16, 16, 16, 16), 1)).eval()
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter += torch.randn_like(parameter) * 0.05
+    return model
+
+
+@pytest.fixture(scope="module")
+def folder(model: network.DenoiseUpscale, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("models") / "denoise_upscale.small.onnx"
+    assert export_trunk(model.trunk, path) < TOLERANCE
+    return path.parent
+
+
+def in_torch(model: network.DenoiseUpscale, frames: list[Frame], size: tuple[int, int]) -> list[np.ndarray]:
+    """Output colours of the torch definition, not exposed."""
+    results, state, last = [], None, None
+    for frame in frames:
+        gain = None if last is None or frame.reset else torch.full((1, 1, 1, 1), frame.exposure / last)
+        planes = {str(role): torch.from_numpy(plane).permute(2, 0, 1)[None] for role, plane in frame.planes.items()}
+        planes["colour"] = planes["colour"] * frame.exposure
+        inputs = network.Inputs(**planes, jitter=torch.tensor([frame.jitter], dtype=torch.float32), gain=gain)
+        state = state or network.empty_state(inputs, *size)
+        keep = torch.full((1, 1, 1, 1), 0.0 if frame.reset else 1.0)
+        with torch.no_grad():
+            output, state, _ = model(inputs, state.drop(keep))
+        results.append(output[0].permute(1, 2, 0).numpy() / frame.exposure)
+        last = frame.exposure
+    return results
+
+
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "portable"])
+@pytest.mark.parametrize(
+    ("scale", "size"), [(2, (48, 64)), (2, (37, 50)), (1, (37, 50)), (1.5, (37, 50)), (3, (21, 35))]
+)
+def test_pass_gives_what_torch_gives(
+    model: network.DenoiseUpscale, folder: Path, scale: float, size: tuple[int, int], compiled: bool, monkeypatch
+) -> None:
+    monkeypatch.setattr(_denoise_graph, "Library", lambda: Library(folder))
+    frames = [noisy(i, *size, exposure=exposure, reset=i == CUT) for i, exposure in enumerate(EXPOSURES)]
+    frames[1][Role.COLOUR][3, 4], frames[1][Role.DEPTH][5, 6], frames[1][Role.NORMAL][7, 8] = np.nan, np.nan, np.inf
+    device = Device("cpu", threads=2, compiled_kernels=compiled)
+    pipeline = Pipeline([DenoiseUpscale(scale=scale, model="small")], device, exposure="metadata")
+    wanted = in_torch(model, frames, tuple(round(side * scale) for side in size))
+    for frame, expected in zip(frames, wanted, strict=True):
+        found = pipeline(frame)[Role.COLOUR]
+        assert np.abs(found - expected).max() <= TOLERANCE * np.abs(expected).max()
