@@ -124,10 +124,11 @@ class Augment:
 
     stops: float = 1.5
     drop: float = 0.06
+    crop: int = 96
 
     def __call__(self, planes: Tensor, jitter: Tensor, reference: Tensor, exposure: Tensor) -> Batch:
         planes, jitter, reference = self._flip(planes.clone(), jitter.clone(), reference)
-        planes, reference = self._permute_channels(planes, reference)
+        planes, reference = self._crop(*self._permute_channels(planes, reference))
         exposure = exposure * torch.exp2((torch.rand_like(exposure) * 2 - 1) * self.stops)
         batch = to_batch(planes, jitter, reference, exposure)
         return Batch(self._drop_planes(batch.frames), batch.references)
@@ -145,6 +146,14 @@ class Augment:
             planes = torch.cat((planes[:, :, :14], planes[:, :, 14:].flip(2)), 2)
             jitter = jitter.flip(-1)
         return planes, jitter, reference
+
+    def _crop(self, planes: Tensor, reference: Tensor) -> tuple[Tensor, Tensor]:
+        """Cut the same window of ``crop`` render pixels out of all clips; even offsets fit scale 1.5 as well."""
+        (h, w), (height, width) = planes.shape[-2:], reference.shape[-2:]
+        y, x = (2 * random.randrange(max(size - self.crop, 0) // 2 + 1) for size in (h, w))
+        window = [slice(start * full // size, (start + self.crop) * full // size)
+                  for start, full, size in ((y, height, h), (x, width, w))]
+        return planes[..., y:y + self.crop, x:x + self.crop], reference[..., window[0], window[1]]
 
     @staticmethod
     def _permute_channels(planes: Tensor, reference: Tensor) -> tuple[Tensor, Tensor]:
