@@ -16,9 +16,9 @@ from tests.passes.denoise_frames import noisy
 
 torch = pytest.importorskip("torch")
 
+from tests.training.small_denoiser import small_model  # noqa: E402
 from training.export_denoise import export_trunk  # noqa: E402
 from training.networks import denoise_upscale as network  # noqa: E402
-from training.networks.trunk import TrunkConfig  # noqa: E402
 
 TOLERANCE = 1e-3
 EXPOSURES = (1.0, 1.0, 2.5, 0.7)
@@ -27,13 +27,7 @@ CUT = 3  # index of the frame that starts a new shot
 
 @pytest.fixture(scope="module")
 def model() -> network.DenoiseUpscale:
-    """A small network with weights that make all its outputs vary."""
-    torch.manual_seed(0)
-    model = network.DenoiseUpscale(TrunkConfig((16, 16, 16, 16), 1)).eval()
-    with torch.no_grad():
-        for parameter in model.parameters():
-            parameter += torch.randn_like(parameter) * 0.05
-    return model
+    return small_model().eval()
 
 
 @pytest.fixture(scope="module")

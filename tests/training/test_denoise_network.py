@@ -1,45 +1,19 @@
-"""The upscaler's network, its operations, its training data and its training loop."""
+"""The upscaler's network and its operations."""
 
 from __future__ import annotations
 
-import argparse
-import random
 from dataclasses import fields, replace
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
-from training import losses, train_denoise  # noqa: E402
-from training.clips import save_clip  # noqa: E402
-from training.dataset import Augment, Batch, to_batch  # noqa: E402
-from training.graphs import FlatGradient, GradientStep, copy_batch  # noqa: E402
+from tests.training.small_denoiser import SMALL, one_thread, small_model  # noqa: E402, F401
 from training.networks import ops  # noqa: E402
-from training.networks.denoise_upscale import DenoiseUpscale, Inputs, State, empty_state  # noqa: E402
-from training.networks.trunk import FEATURES, FINE, HIDDEN, Trunk, TrunkConfig  # noqa: E402
+from training.networks.denoise_upscale import Inputs, State, empty_state  # noqa: E402
+from training.networks.trunk import FEATURES, FINE, HIDDEN, Trunk  # noqa: E402
 
-SMALL = TrunkConfig((16, 16, 16, 16), 1)
 SIZES = {1: (18, 30), 1.5: (27, 45), 2: (36, 60), 2.7: (49, 81), 3: (54, 90)}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """Networks this small lose more time to waiting threads than they gain: 26 s against 2 s for a few steps."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
-def small_model() -> DenoiseUpscale:
-    torch.manual_seed(0)
-    model = DenoiseUpscale(SMALL)
-    with torch.no_grad():
-        for parameter in model.parameters():
-            parameter += torch.randn_like(parameter) * 0.05
-    return model
 
 
 def frame(seed: int, n: int = 2, h: int = 18, w: int = 30) -> Inputs:
@@ -147,140 +121,3 @@ def test_nearest_warp_takes_the_pixel_under_the_rounded_position() -> None:
     warped = ops.warp_nearest(image, motion)[0, 0]
     assert warped[2, 1] == image[0, 0, 1, 2]
     assert warped[0, 4] == image[0, 0, 0, 4]  # the edge repeats
-
-
-# --- training data ---------------------------------------------------------------------------------------------------
-
-MOVE, TURN = torch.tensor([2.3, -1.1]), 0.03  # render pixels and radians a frame
-H, W = 48, 60
-
-
-def pattern(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-    """A smooth picture, defined everywhere in render pixels; (3, ...)."""
-    waves = [torch.sin(0.21 * x + 0.13 * y + c) + torch.sin(0.17 * x - 0.19 * y + 2 * c) for c in (0.0, 1.0, 2.0)]
-    return torch.stack(waves) * 0.2 + 0.5
-
-
-def rotated_back(x: torch.Tensor, y: torch.Tensor, frames: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Where the point at (x, y) in frame ``frames`` was in frame 0."""
-    for _ in range(frames):
-        dx, dy = x - W / 2, y - H / 2
-        x, y = x + MOVE[0] - TURN * dy, y + MOVE[1] + TURN * dx
-    return x, y
-
-
-def grid(h: int, w: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Centres of h x w pixels over the whole picture, in render pixels."""
-    y, x = torch.meshgrid((torch.arange(h) + 0.5) * H / h, (torch.arange(w) + 0.5) * W / w, indexing="ij")
-    return x, y
-
-
-def moving_clip(scale: int, frames: int = 2) -> tuple[torch.Tensor, ...]:
-    """Planes, jitter, reference and exposure of a picture that turns and slides; colour holds point samples."""
-    jitter = torch.tensor([[0.3, -0.4], [-0.2, 0.35]])[:frames]
-    x, y = grid(H, W)
-    planes, reference = torch.rand(frames, 16, H, W), []
-    for t in range(frames):
-        planes[t, :3] = pattern(*rotated_back(x + jitter[t, 0], y + jitter[t, 1], t))
-        before = rotated_back(x, y, 1)
-        planes[t, 14], planes[t, 15] = before[0] - x, before[1] - y
-        reference.append(pattern(*rotated_back(*grid(scale * H, scale * W), t)))
-    return planes[None], jitter[None], torch.stack(reference)[None], torch.ones(1, 1, 1, 1)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_augmentations_keep_motion_and_jitter_true(seed: int) -> None:
-    clip = moving_clip(2)
-    random.seed(seed)
-    torch.manual_seed(seed)
-    for batch in (to_batch(*clip), Augment(drop=0.0)(*clip)):
-        moved = losses.reproject_reference(batch.references[0], batch.frames[1].motion)
-        assert inner(moved - batch.references[1]).abs().mean() < 0.02 * batch.references.mean()
-        assert inner(at_samples(batch, 1) - batch.frames[1].colour).abs().mean() < 0.02 * batch.references.mean()
-
-
-def at_samples(batch: Batch, t: int) -> torch.Tensor:
-    """The reference where frame ``t`` has its samples."""
-    inputs = batch.frames[t]
-    h, w = inputs.colour.shape[-2:]
-    y, x = torch.meshgrid(torch.arange(h) + 0.5, torch.arange(w) + 0.5, indexing="ij")
-    place = torch.stack(((x + inputs.jitter[0, 0]) / w, (y + inputs.jitter[0, 1]) / h), -1)[None] * 2 - 1
-    return torch.nn.functional.grid_sample(batch.references[t], place, align_corners=False)
-
-
-def inner(image: torch.Tensor) -> torch.Tensor:
-    return image[..., 12:-12, 12:-12]
-
-
-def test_a_wrong_jitter_would_be_noticed() -> None:
-    batch = to_batch(*moving_clip(2))
-    mirrored = Batch([replace(f, jitter=-f.jitter) for f in batch.frames], batch.references)
-    wrong = inner(at_samples(mirrored, 1) - batch.frames[1].colour).abs().mean()
-    assert wrong > 0.05 * batch.references.mean()
-
-
-# --- training --------------------------------------------------------------------------------------------------------
-
-
-def test_steps_lower_the_loss() -> None:
-    model, (planes, jitter, reference, exposure) = small_model(), moving_clip(2)
-    batch = to_batch(planes[..., :32, :32], jitter, reference[..., :64, :64], exposure)
-    step = GradientStep(train_denoise.ClipLoss(model, flicker=1.0, reset=0.0), FlatGradient(list(model.parameters())))
-    optimiser = torch.optim.AdamW(model.parameters(), lr=3e-3)
-    values = []
-    for _ in range(8):
-        values.append(float(step(batch)[0]))
-        assert step.flat.finish(1.0, several=False) > 0
-        optimiser.step()
-    assert np.mean(values[-2:]) < 0.97 * values[0]
-
-
-def test_a_non_finite_gradient_becomes_no_step() -> None:
-    parameter = torch.nn.Parameter(torch.ones(3))
-    flat = FlatGradient([parameter])
-    flat.buffer[:] = torch.tensor([1.0, float("nan"), 2.0])
-    flat.finish(1.0, several=False)
-    assert torch.equal(parameter.grad, torch.zeros(3))
-
-
-def test_copying_a_batch_copies_all_of_it() -> None:
-    one, other = to_batch(*moving_clip(2)), to_batch(*moving_clip(2))
-    copy_batch(one, other)
-    for a, b in zip(one.frames, other.frames, strict=True):
-        assert all(torch.equal(getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.name != "gain")
-    assert torch.equal(one.references, other.references)
-
-
-def write_clips(folder: Path, count: int) -> None:
-    """Clips as the data factory writes them, of a picture that turns."""
-    planes, jitter, reference, _ = (x[0].numpy() for x in moving_clip(2))
-    names = {"colour": slice(0, 3), "diffuse_albedo": slice(3, 6), "specular_albedo": slice(6, 9),
-             "normal": slice(9, 12), "roughness": 12, "depth": 13, "motion": slice(14, 16)}
-    variant = {name: np.moveaxis(planes[:, at], 1, -1) if isinstance(at, slice) else planes[:, at] + 0.5
-               for name, at in names.items()}
-    facts = {"scale": 2.0, "seed": 0, "scene": "test", "meta": {}}
-    for number in range(count):
-        save_clip(folder / f"clip{number:04d}.npz", np.moveaxis(reference, 1, -1),
-                  [{**variant, "jitter": jitter, "spp": 1, "style": "realtime"}], facts)
-
-
-def trainer(clips: Path, out: Path, minutes: float, resume: Path | None = None) -> train_denoise.Trainer:
-    args = argparse.Namespace(clips=clips, out=out, minutes=minutes, batch=2, rate=1e-3, widths=list(SMALL.widths),
-                              depth=SMALL.depth, flicker=1.0, reset=0.1, resume=resume, wait=2, seed=0)
-    torch.manual_seed(0)
-    return train_denoise.Trainer(args, 0, 1, torch.device("cpu"))
-
-
-def test_a_checkpoint_holds_the_averaged_weights_and_can_be_resumed(tmp_path: Path) -> None:
-    write_clips(tmp_path, 3)
-    first = trainer(tmp_path, tmp_path, minutes=2 / 60)
-    start = {key: value.clone() for key, value in first.model.state_dict().items()}
-    first.run()
-    checkpoint = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
-    assert checkpoint["notes"]["steps"] == first.step > 0
-    assert np.isfinite(checkpoint["notes"]["validation_psnr"])
-    assert TrunkConfig(tuple(checkpoint["config"]["widths"]), checkpoint["config"]["depth"]) == SMALL
-    assert any(not torch.equal(checkpoint["weights"][key], start[key]) for key in start)
-    again = trainer(tmp_path, tmp_path, minutes=0, resume=tmp_path / "checkpoint.pt")
-    for key, value in again.model.state_dict().items():
-        torch.testing.assert_close(value, checkpoint["weights"][key])
