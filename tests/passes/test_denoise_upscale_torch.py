@@ -16,7 +16,7 @@ from tests.passes.denoise_frames import noisy
 
 torch = pytest.importorskip("torch")
 
-from tests.training.small_denoiser import small_model  # noqa: E402
+from tests.training.small_denoiser import one_thread, small_model  # noqa: E402, F401
 from training.export_denoise import export_trunk  # noqa: E402
 from training.networks import denoise_upscale as network  # noqa: E402
 
