@@ -1,0 +1,37 @@
+"""Every script in samples/ runs as its first lines say."""
+
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+SAMPLES = Path(__file__).parent.parent / "samples"
+WRITERS = {"denoise_upscale.py": 8, "tone_map.py": 2, "pipeline.py": 8}
+
+
+def run(script: str, *arguments: str) -> str:
+    command = [sys.executable, str(SAMPLES / script), *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True, cwd=SAMPLES.parent).stdout
+
+
+@pytest.mark.parametrize("script", WRITERS)
+def test_script_writes_its_frames(script, tmp_path):
+    run(script, str(tmp_path))
+    assert len([path for path in tmp_path.iterdir() if path.stat().st_size > 10000]) == WRITERS[script]
+
+
+def test_reading_names_the_planes():
+    assert run("read_sequence.py").count("planes colour, motion") == 3
+
+
+@pytest.mark.skipif(find_spec("pyoidn") is None, reason="pyoidn is not installed")
+def test_speed_is_compared_with_oidn():
+    printed = run("compare_speed.py", "--width", "96", "--height", "64", "--runs", "1")
+    assert printed.count("postfx takes") == 3
+
+
+def test_every_script_is_run_here():
+    named = {*WRITERS, "read_sequence.py", "compare_speed.py"}
+    assert {path.name for path in SAMPLES.glob("*.py")} == named
