@@ -9,7 +9,8 @@ BIN := $(VENV)/bin
 demo: $(VENV)/installed
 	$(BIN)/postfx run samples/room/noisy.####.exr -o $(OUT)/clean.####.exr --overwrite
 	$(BIN)/postfx run $(OUT)/clean.####.exr -o $(OUT)/picture.####.png --no-denoise --overwrite
-	@echo "Look at $(OUT): clean.*.exr is scene-linear and twice as large, picture.*.png is tone-mapped."
+	$(BIN)/python samples/before_after.py $(OUT)/before_after.png
+	@echo "Look at $(OUT): before_after.png, picture.*.png (tone-mapped), clean.*.exr (scene-linear); all twice as large."
 
 test: $(VENV)/installed-dev
 	$(BIN)/ruff check .

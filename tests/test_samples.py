@@ -22,6 +22,11 @@ def test_script_writes_its_frames(script, tmp_path):
     assert len([path for path in tmp_path.iterdir() if path.stat().st_size > 10000]) == WRITERS[script]
 
 
+def test_before_and_after_stand_side_by_side(tmp_path):
+    run("before_after.py", str(tmp_path / "both.png"))
+    assert (tmp_path / "both.png").stat().st_size > 100000
+
+
 def test_reading_names_the_planes():
     assert run("read_sequence.py").count("planes colour, motion") == 3
 
@@ -33,5 +38,5 @@ def test_speed_is_compared_with_oidn():
 
 
 def test_every_script_is_run_here():
-    named = {*WRITERS, "read_sequence.py", "compare_speed.py"}
+    named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named
