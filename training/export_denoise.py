@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from postfx.kernels import denoise_filter, denoise_prepare
+from postfx.kernels import denoise_features, denoise_filter, denoise_history, denoise_prepare, denoise_upsample
 from postfx.kernels.resample import RESAMPLE
 from training.export import MODELS, export, export_kernel, parity, read_quality, write_card
 from training.networks import denoise_kernels as definitions
@@ -35,14 +35,14 @@ SIZES = {"h": 21, "w": 33, "hp": 32, "wp": 48, "height": 29, "width": 51, "padde
 KERNELS = {
     denoise_prepare.SCALE: definitions.Scale,
     denoise_prepare.DILATE: definitions.Dilate,
-    denoise_prepare.HISTORY: definitions.History,
-    denoise_prepare.FEATURE: definitions.Features,
+    denoise_history.HISTORY: definitions.History,
+    denoise_features.FEATURE: definitions.Features,
     denoise_prepare.ACCUMULATE: definitions.Accumulate,
     denoise_filter.POOL: definitions.Pool,
     denoise_filter.MIX_LEVELS: definitions.Mix,
     denoise_filter.FILTER: definitions.Filter,
     denoise_filter.REMODULATE: definitions.Remodulate,
-    denoise_filter.UPSAMPLE: definitions.Upsample,
+    denoise_upsample.UPSAMPLE: definitions.Upsample,
     RESAMPLE: definitions.Resample,
 }
 

@@ -50,6 +50,8 @@ def kernel_jit(**options) -> Callable[[Callable], Callable]:
 inline = kernel_jit(inline="always")
 fast_inline = kernel_jit(inline="always", fastmath=True)
 compiled = kernel_jit()
+# a * b + c in one instruction; NaN and infinity keep their meaning.
+fused, fused_inline = kernel_jit(fastmath={"contract"}), kernel_jit(fastmath={"contract"}, inline="always")
 # Reassociation lets the compiler use vector instructions; never for code that must see NaN or infinity.
 vectorised = kernel_jit(fastmath=True)
 
@@ -70,12 +72,9 @@ def centre(position, size, out_size):
 
 
 @fast_inline
-def log1p(x):
-    """log(1 + x) for x >= 0, relative error below 3e-6; branch-free, so that loops of it become vector code.
-
-    Mantissa polynomial of Cephes ``logf`` (Moshier), a series below 0.03 where 1 + x would round.
-    """
-    bits = np.float32(np.float32(1) + x).view(np.int32)
+def log(x):
+    """log(x) of a normal x > 0, absolute error below 3e-7; mantissa polynomial of Cephes ``logf`` (Moshier)."""
+    bits = np.float32(x).view(np.int32)
     exponent = (bits - np.int32(0x3F3504F3)) >> np.int32(23)
     m = np.int32(bits - (exponent << np.int32(23))).view(np.float32) - np.float32(1)
     p = np.float32(7.0376836292e-2)
@@ -87,10 +86,18 @@ def log1p(x):
     p = p * m + np.float32(2.0000714765e-1)
     p = p * m + np.float32(-2.4999993993e-1)
     p = p * m + np.float32(3.3333331174e-1)
-    large = p * m * m * m - np.float32(0.5) * m * m + m + np.float32(exponent) * np.float32(0.6931471805599453)
+    return p * m * m * m - np.float32(0.5) * m * m + m + np.float32(exponent) * np.float32(0.6931471805599453)
+
+
+@fast_inline
+def log1p(x):
+    """log(1 + x) for x >= 0, relative error below 3e-6; branch-free, so that loops of it become vector code.
+
+    A series below 0.03, where 1 + x would round.
+    """
     fifth, quarter, third = np.float32(0.2), np.float32(0.25), np.float32(1 / 3)
     small = x * (np.float32(1) - x * (np.float32(0.5) - x * (third - x * (quarter - x * fifth))))
-    return small if x < np.float32(0.03) else large
+    return small if x < np.float32(0.03) else log(np.float32(1) + x)
 
 
 @fast_inline
@@ -127,3 +134,17 @@ def demodulation(diffuse_albedo, specular_albedo, y, x):
     floor = np.float32(0.15) * peak
     bias = np.float32(0.01)
     return max(r, floor) + bias, max(g, floor) + bias, max(b, floor) + bias
+
+
+@vectorised
+def add(row, total):
+    """total += row, over the length of ``total``. Loops over this few arrays become vector code."""
+    for x in range(total.size):
+        total[x] += row[x]
+
+
+@vectorised
+def add_product(weights, row, total):
+    """total += weights * row, over the length of ``total``."""
+    for x in range(total.size):
+        total[x] += weights[x] * row[x]

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from postfx.frame import Role
-from postfx.kernels import denoise_filter, denoise_prepare
+from postfx.kernels import (
+    denoise_features,
+    denoise_filter,
+    denoise_history,
+    denoise_layout,
+    denoise_prepare,
+    denoise_upsample,
+)
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.resample import RESAMPLE, positions
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Library, Tensor
@@ -108,7 +115,7 @@ class Graph:
         self._features = self._new("features", next(b.shape for b in self._network.bindings if b.access == "read"))
         # Before the first frame the history holds nothing, and nothing of it is used: it only has to be defined.
         self._history = [self._zeros("history", (s.height, s.width, 3)) for _ in range(2)]
-        self._state = [self._zeros("state", (s.h, s.w, 4 + denoise_prepare.HIDDEN)) for _ in range(2)]
+        self._state = [self._zeros("state", (s.h, s.w, 4 + denoise_layout.HIDDEN)) for _ in range(2)]
         self._depth = [self._zeros("depth", (s.h, s.w, 1)) for _ in range(2)]
 
     def _zeros(self, name: str, shape: tuple[int, ...]) -> Tensor:
@@ -122,8 +129,8 @@ class Graph:
         levels = [self._new(f"level {i}", (4, *self._sizes.level(i))) for i in range(LEVELS + 1)]
         filtered = [self._new(f"filtered {i}", (3, *self._sizes.level(i))) for i in range(LEVELS + 1)]
         for name, kernel in (("scale", denoise_prepare.SCALE), ("dilate", denoise_prepare.DILATE),
-                             ("history", denoise_prepare.HISTORY), ("features", denoise_prepare.FEATURE),
-                             ("accumulate", denoise_prepare.ACCUMULATE), ("upsample", denoise_filter.UPSAMPLE),
+                             ("history", denoise_history.HISTORY), ("features", denoise_features.FEATURE),
+                             ("accumulate", denoise_prepare.ACCUMULATE), ("upsample", denoise_upsample.UPSAMPLE),
                              ("remodulate", denoise_filter.REMODULATE)):
             self._table(name, kernel, **prepare, level=levels[0], radiance=self._radiance, output=self._output,
                         filtered=filtered[0])

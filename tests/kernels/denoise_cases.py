@@ -7,16 +7,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.kernels import denoise_filter, denoise_prepare
+from postfx.kernels import (
+    denoise_features,
+    denoise_filter,
+    denoise_history,
+    denoise_layout,
+    denoise_prepare,
+    denoise_upsample,
+)
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.resample import RESAMPLE, positions
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.shapes import parse
 
 KERNELS = (
-    denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_prepare.HISTORY, denoise_prepare.FEATURE,
+    denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_history.HISTORY, denoise_features.FEATURE,
     denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS, denoise_filter.FILTER,
-    denoise_filter.REMODULATE, denoise_filter.UPSAMPLE, RESAMPLE,
+    denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, RESAMPLE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image")
@@ -29,7 +36,7 @@ class Case(NamedTuple):
     w: int
     height: int
     width: int
-    heads: int = denoise_prepare.FINE
+    heads: int = denoise_layout.FINE
 
     def sizes(self) -> dict[str, int]:
         """Value of every symbol in the kernels' shapes."""
@@ -68,7 +75,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
     if name in ("fine", "heads"):
         gates = np.arange(size[1])[:, None, None]
         wide = np.exp(4 * unit - 2)
-        return np.where(gates < denoise_filter.BLEND, wide, np.where(gates < 68, unit, 2 * unit - 1))
+        return np.where(gates < denoise_layout.BLEND, wide, np.where(gates < 68, unit, 2 * unit - 1))
     if name == "params":
         return np.array([1.7, random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 1.0, 0.8])
     if name == "area":

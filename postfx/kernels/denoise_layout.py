@@ -1,0 +1,43 @@
+"""What the upscaler's kernels share: the layout of their tensors and a way to name them.
+
+``params`` is float32 (5,): exposure, jitter x, jitter y, fresh (0 drops the history) and the exposure's gain since
+the previous frame. ``state`` (h, w, 12) holds accumulated demodulated colour (3), effective sample count and hidden
+channels (8), colour already exposed; ``history`` (height, width, 3) is log(1 + exposed output). ``fine`` is the
+network's head at render size: 5x5 kernel 25, 3x3 weights at four phases 36, history blend at four phases 4, mix,
+distrust, importance, hidden state 8. Pictures are (h, w, channels), pyramid levels planar (channels, h, w).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from postfx.kernels.kernel import Kernel
+
+HIDDEN = 8
+FEATURES = 27 + HIDDEN
+KERNEL, PHASES, BLEND, MIX, DISTRUST, IMPORTANCE, MEMORY = 25, 25, 61, 65, 66, 67, 68
+FINE = MEMORY + HIDDEN
+EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN = range(5)
+MAX_COUNT = 32.0
+MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
+
+REFLECTANCE = ("diffuse_albedo", "specular_albedo")
+PLANES = {
+    "colour": ("h", "w", 3), "diffuse_albedo": ("h", "w", 3), "specular_albedo": ("h", "w", 3), "normal": ("h", "w", 3),
+    "roughness": ("h", "w", 1), "depth": ("h", "w", 1), "motion": ("h", "w", 2),
+}
+SHAPES = PLANES | {
+    "depth_scale": (1,), "moved": ("h", "w", 2), "history": ("height", "width", 3), "warped": ("height", "width", 3),
+    "params": (5,), "state": ("h", "w", 4 + HIDDEN), "last_depth": ("h", "w", 1), "past": ("h", "w", 4),
+    "features": (1, FEATURES, "hp", "wp"), "fine": (1, FINE, "hp", "wp"), "next_state": ("h", "w", 4 + HIDDEN),
+    "next_depth": ("h", "w", 1), "level": (4, "hp", "wp"), "finer": (4, "2*hp", "2*wp"),
+    "heads": (1, "heads", "hp", "wp"), "coarse": (3, "half_hp", "half_wp"), "area": (2,), "filtered": (3, "hp", "wp"),
+    "radiance": (3, "padded_h", "padded_w"), "output": ("height", "width", 3), "next_history": ("height", "width", 3),
+}
+
+
+def kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...], rows: Callable, rows_of: tuple[str, int],
+           **shapes: tuple[int | str, ...]) -> Kernel:
+    """A kernel whose bindings have the shapes above, or those given."""
+    named = SHAPES | shapes
+    return Kernel(f"denoise_{name}", reads, writes, rows, rows_of, {key: named[key] for key in reads + writes})
