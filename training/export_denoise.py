@@ -11,12 +11,24 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import nn
 
 from postfx.kernels import denoise_features, denoise_filter, denoise_history, denoise_prepare, denoise_upsample
 from postfx.kernels.resample import RESAMPLE
 from training.export import MODELS, export, export_kernel, parity, read_quality, write_card
 from training.networks import denoise_kernels as definitions
-from training.networks.trunk import FEATURES, FINE, HIDDEN, KERNEL, PHASES, Trunk, TrunkConfig
+from training.networks.trunk import (
+    BLEND,
+    FEATURES,
+    FINE,
+    HIDDEN,
+    KERNEL,
+    MEMORY,
+    PHASES,
+    Trunk,
+    TrunkConfig,
+    weights_from,
+)
 
 ALIGN = 16  # height and width of the trunk's input are multiples of this
 CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
@@ -67,13 +79,40 @@ def example(height: int, width: int) -> torch.Tensor:
     return torch.rand(1, FEATURES, height, width, generator=torch.Generator().manual_seed(0)) * 2 - 0.5
 
 
+class ExportedTrunk(Trunk):
+    """The same numbers with a fine head that ONNX Runtime computes in about half the time on a CPU.
+
+    Its 1x1 convolution and pixel shuffle are one transposed convolution for each activation: neither the shuffle,
+    which runs on one thread, nor the slices that select channels are left (measured at 960x544: 272 -> 146 ms).
+    """
+
+    def __init__(self, trunk: Trunk):
+        super().__init__(trunk.config)
+        self.load_state_dict(trunk.state_dict())
+        self.parts = nn.ModuleList(map(self._part, (0, BLEND, MEMORY), (BLEND, MEMORY, FINE)))
+
+    def _part(self, first: int, last: int) -> nn.ConvTranspose2d:
+        """Channels of the head; the bias, which differs from phase to phase, is the weight of one more input."""
+        inputs = self.fine.in_channels
+        part = nn.ConvTranspose2d(inputs + 1, last - first, 2, stride=2, bias=False)
+        weight = self.fine.weight.detach().reshape(FINE, 2, 2, inputs).permute(3, 0, 1, 2)
+        bias = self.fine.bias.detach().reshape(1, FINE, 2, 2)
+        part.weight = nn.Parameter(torch.cat((weight, bias))[:, first:last].contiguous())
+        return part
+
+    def _fine(self, x: torch.Tensor) -> torch.Tensor:
+        padded = torch.cat((x, torch.ones_like(x[:, :1])), 1)
+        weights, gates, memory = (part(padded) for part in self.parts)
+        return torch.cat((weights_from(weights), torch.sigmoid(gates), torch.tanh(memory)), 1)
+
+
 def export_trunk(trunk: Trunk, path: Path) -> float:
     """Write the network and hold it to torch; returns the largest relative error. Raises ParityError."""
     # torch checks that the sizes of skip connections match, so it must know that the input is a multiple of ALIGN.
     free = {2: ALIGN * torch.export.Dim("rows", min=1), 3: ALIGN * torch.export.Dim("columns", min=1)}
     names = {"features": (1, FEATURES, "height", "width")}
     names |= {name: (1, _channels(name), "?", "?") for name in OUTPUTS}
-    export(trunk, (example(64, 96),), ["features"], OUTPUTS, path, [free], names)
+    export(ExportedTrunk(trunk), (example(64, 96),), ["features"], OUTPUTS, path, [free], names)
     height, width = CHECKED
     return parity(trunk, path, (example(height, width),), {"height": height, "width": width})
 
