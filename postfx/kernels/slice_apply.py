@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.numeric import compiled, kernel_jit, vectorised
+from postfx.kernels.numeric import compiled, fused, vectorised
 from postfx.kernels.shaper import shape_row
 
 KNOTS = 16
@@ -19,8 +19,6 @@ GUIDE_SIZE = 9 + 3 + 6 * KNOTS + 3 + 1
 SHIFTS, SLOPES, MIX, MIX_BIAS = 12, 12 + 3 * KNOTS, 12 + 6 * KNOTS, GUIDE_SIZE - 1
 COEFFICIENTS = 12
 ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
-
-fused = kernel_jit(fastmath={"contract"})  # a * b + c in one instruction; NaN keeps its meaning
 
 
 @fused
