@@ -48,6 +48,7 @@ class Plan:
         planes: roles that must be read, in the order of `Role`; everything else may stay in the file.
         steps: active passes in order.
         skipped: passes and planes that are left out, and why.
+        remarks: what the active passes have to say about the result.
         output: spec of the frame that comes out.
     """
 
@@ -56,6 +57,7 @@ class Plan:
     steps: tuple[Step, ...]
     skipped: tuple[Skipped, ...]
     output: FrameSpec
+    remarks: tuple[str, ...] = ()
 
     @property
     def input(self) -> FrameSpec:
@@ -69,6 +71,7 @@ class Plan:
             "planes": [str(role) for role in self.planes],
             "passes": [_step_dict(step) for step in self.steps],
             "skipped": [{"what": item.what, "why": item.why} for item in self.skipped],
+            "remarks": list(self.remarks),
             "output": _spec_dict(self.output),
         }
 
@@ -80,6 +83,7 @@ class Plan:
         lines = [("frame", _spec_text(self.available)), ("reads", _names(self.planes))]
         lines += [(f"pass {number}", _step_text(step)) for number, step in enumerate(self.steps, 1)]
         lines += [("skips", f"{item.what}: {item.why}") for item in self.skipped]
+        lines += [("note", remark) for remark in self.remarks]
         lines += [("output", _spec_text(self.output))]
         return "\n".join(f"{head:<8}{text}" for head, text in lines)
 
@@ -115,7 +119,8 @@ def _narrowed(plan: Plan) -> Plan:
     for step in plan.steps:
         steps.append(Step(step.name, step.instance, current, step.instance.reflect(current)))
         current = steps[-1].reflection.output
-    return Plan(plan.available, plan.planes, tuple(steps), plan.skipped, current)
+    remarks = tuple(f"{step.name}: {remark}" for step in steps for remark in step.instance.remarks(step.input))
+    return Plan(plan.available, plan.planes, tuple(steps), plan.skipped, current, remarks)
 
 
 def _needed(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:

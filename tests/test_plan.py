@@ -126,3 +126,14 @@ def test_json():
         "output": {"width": 12, "height": 20, "encoding": "scene-linear", "planes": ["colour"]},
     }]
     assert document["skipped"][0] == {"what": "double", "why": "times is 0"}
+
+
+def test_remarks_of_active_passes_are_kept():
+    class Wishing(toys.Enlarge):
+        def remarks(self, spec):
+            return () if spec.has(Role.MOTION) else ("no motion",)
+
+    plan = make_plan([Wishing(), toys.Double(times=0)], SPEC)
+    assert plan.remarks == ("enlarge: no motion",)
+    assert "note    enlarge: no motion" in str(plan).splitlines()
+    assert plan.as_dict()["remarks"] == ["enlarge: no motion"]

@@ -14,6 +14,7 @@ from postfx.frame import FrameSpec
 from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
+from postfx.kernels.numeric import is_first_run
 from postfx.passes.base import Pass, PassOptionError
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
@@ -70,6 +71,8 @@ class Job:
         begin = time.perf_counter()
         try:
             with FrameProgress(len(self.sequence)) as progress:
+                if self.plan.steps and is_first_run():
+                    progress.note("compiling kernels for this processor: some ten seconds, on the first run only")
                 for work in self._schedule(self.outputs, progress):
                     self._process(work, self.outputs, progress)
         finally:
@@ -84,7 +87,7 @@ class Job:
             frame_ms=self._frame_ms,
             pass_ms=self._pass_ms,
             skipped=[*self.plan.skipped, *self.left_out],
-            warnings=self.sequence.warnings,
+            warnings=[*self.plan.remarks, *self.sequence.warnings],
             outputs=self._written,
             error=str(failure) or "interrupted" if failure is not None else None,
         )

@@ -38,6 +38,10 @@ class FrameProgress:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
+    def note(self, text: str) -> None:
+        """Print a line above the bar."""
+        self._console.print(text, highlight=False, soft_wrap=True)
+
     def skip(self) -> None:
         """Count a frame that needs no work."""
         self._done += 1

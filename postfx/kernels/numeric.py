@@ -34,6 +34,11 @@ def cache_folder() -> str:
     return ""
 
 
+def is_first_run() -> bool:
+    """Whether no compiled kernel is kept yet, so that the first frame will wait for the compiler."""
+    return not cache_folder() or not any(Path(cache_folder()).rglob("*.nbi"))
+
+
 def kernel_jit(**options) -> Callable[[Callable], Callable]:
     """Numba's decorator for kernels: no lock held, compiled code kept in ``cache_folder`` between runs."""
 

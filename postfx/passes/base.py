@@ -130,6 +130,10 @@ class Pass:
         """
         return None
 
+    def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
+        """What the user should know about the result for frames of `spec`, such as a plane that would better it."""
+        return ()
+
     def compile(self, device: Device, spec: FrameSpec) -> None:
         """Make pipeline states and heap tensors for frames of `spec`, and drop the history. Not called when skipped."""
         self._spec = spec

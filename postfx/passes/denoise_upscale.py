@@ -44,6 +44,11 @@ class DenoiseUpscale(Pass):
         return Reflection(reads=(Role.COLOUR,), may_read=(*GUIDES, Role.ALPHA), writes=(Role.COLOUR, *alpha),
                           output=output)
 
+    def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
+        lost = [str(role) for role in GUIDES if not spec.has(role) and role != Role.MOTION]
+        alone = () if spec.has(Role.MOTION) else ("no motion plane, so every frame is denoised alone and may flicker",)
+        return (*alone, *((f"blurs more without the planes {', '.join(lost)}",) if lost else ()))
+
     def compile(self, device: Device, spec: FrameSpec) -> None:
         output = self.reflect(spec).output
         self._sizes = Sizes(spec.height, spec.width, output.height, output.width)

@@ -141,3 +141,11 @@ def test_two_runs_give_the_same_bits(device: Device) -> None:
     frames = [noisy(number) for number in (1, 2, 3)]
     for one, other in zip(colours(run(frames, device)), colours(run(frames, device)), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_lost_guides_are_remarked() -> None:
+    everything = noisy(1).spec
+    bare = Frame({Role.COLOUR: noisy(1)[Role.COLOUR]}).spec
+    assert DenoiseUpscale().remarks(everything) == ()
+    alone, blurred = DenoiseUpscale().remarks(bare)
+    assert "no motion plane" in alone and "normal" in blurred and "motion" not in blurred
