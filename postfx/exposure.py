@@ -44,7 +44,8 @@ def measure(colour: np.ndarray) -> float | None:
     if light.size == 0:
         return None
     log = np.log2(light)
-    low, high = np.percentile(log, PERCENTILES)
+    low = np.percentile(log, PERCENTILES[0], method="lower")  # members of the set: two blocks have no inside
+    high = np.percentile(log, PERCENTILES[1], method="higher")
     inner = np.maximum(log[(log >= low) & (log <= high)], high - RANGE_EV)
     return float(np.clip(math.log2(KEY) - inner.mean(), *LIMITS_EV))
 

@@ -26,6 +26,12 @@ def test_brings_the_picture_to_mid_grey(ev: float) -> None:
     assert measure(picture(ev)) == pytest.approx(ev, abs=0.02)
 
 
+@pytest.mark.parametrize("size", [(1, 1), (6, 10), (1, 17), (9, 9)])
+def test_frames_of_a_block_or_two_are_metered(size: tuple[int, int]) -> None:
+    colour = np.random.default_rng(1).uniform(0.1, 1.0, (*size, 3)).astype(np.float32)
+    assert measure(colour) == pytest.approx(np.log2(0.18 / colour.mean()), abs=1.0)
+
+
 def test_black_borders_do_not_count() -> None:
     colour = np.zeros((180, 320, 3), np.float32)
     colour[40:130, 80:240] = picture()

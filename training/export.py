@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import logging
@@ -143,3 +144,13 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
 def read_quality(path: str | None) -> dict[str, Any]:
     """Measured quality to keep in a card, from a JSON file."""
     return json.loads(Path(path).read_text()) if path else {}
+
+
+def parser(doc: str | None, tag: str) -> argparse.ArgumentParser:
+    """Command line that all exports share."""
+    made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("checkpoint", type=Path, nargs="?", help="left out: only the kernels are exported")
+    made.add_argument("--tag", default=tag, help=f"name of the model among its kind; default: {tag}")
+    made.add_argument("--quality", help="JSON of measured quality, kept in the card")
+    made.add_argument("--models", type=Path, default=MODELS, help="folder to write to")
+    return made

@@ -1,12 +1,11 @@
 """Export the denoised upscaler: network and card to models/, its compute kernels to models/kernels/.
 
     python -m training.export_denoise checkpoint.pt --tag m [--quality quality.json]
-    python -m training.export_denoise --kernels-only
+    python -m training.export_denoise
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from torch import nn
 
 from postfx.kernels import denoise_features, denoise_filter, denoise_history, denoise_prepare, denoise_upsample
 from postfx.kernels.resample import RESAMPLE
-from training.export import MODELS, export, export_kernel, parity, read_quality, write_card
+from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.networks import denoise_kernels as definitions
 from training.networks.trunk import (
     BLEND,
@@ -152,18 +151,10 @@ def _size(name: str) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkpoint", type=Path, nargs="?")
-    parser.add_argument("--tag", default="m", help="the model becomes denoise_upscale.TAG")
-    parser.add_argument("--quality", help="JSON of measured quality, kept in the card")
-    parser.add_argument("--models", type=Path, default=MODELS)
-    parser.add_argument("--kernels-only", action="store_true")
-    args = parser.parse_args()
+    args = parser(__doc__, "m").parse_args()
     export_kernels(args.models / "kernels")
-    if args.kernels_only:
-        return
     if not args.checkpoint:
-        parser.error("name a checkpoint, or give --kernels-only")
+        return
     checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
     path = args.models / f"denoise_upscale.{args.tag}.onnx"
     error = export_trunk(load_trunk(checkpoint), path)

@@ -1,18 +1,17 @@
 """Export the tone mapper: network and card to models/, its compute kernels to models/kernels/.
 
     python -m training.export_tonemap checkpoint.pt --tag aces2 [--look aces2] [--quality quality.json]
-    python -m training.export_tonemap --kernels-only
+    python -m training.export_tonemap
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from training.export import MODELS, export, read_quality, write_card
+from training.export import export, parser, read_quality, write_card
 from training.looks import Look, find_look
 from training.networks.hdrnet import SHAPER, SIDE, TOE, WHITE, HDRNet, default_params
 from training.networks.tonemap_kernels import EncodeSrgb, Lowres, SliceApply, Smooth
@@ -41,6 +40,7 @@ def card(checkpoint: dict[str, Any], tag: str, look: Look, quality: dict[str, An
         "name": f"tonemap.{tag}",
         "pass": "tonemap",
         "tag": tag,
+        "summary": f"HDRNet tone mapper, look {tag}",
         "parameters": sum(p.numel() for p in HDRNet().parameters()),
         "inputs": {"lowres": {"shape": [1, 3, SIDE, SIDE], "meaning": "shaped colour, area average, 0..1"}},
         "outputs": {
@@ -72,20 +72,13 @@ def describe(look: Look) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkpoint", nargs="?")
-    parser.add_argument("--tag", default="aces2", help="the model becomes tonemap.TAG")
-    parser.add_argument("--look", help="built-in look or .toml file it was trained on; default: the tag")
-    parser.add_argument("--quality", help="JSON of evaluate_tonemap.py, kept in the card")
-    parser.add_argument("--models", type=Path, default=MODELS)
-    parser.add_argument("--kernels-only", action="store_true")
-    args = parser.parse_args()
+    arguments = parser(__doc__, "aces2")
+    arguments.add_argument("--look", help="built-in look or .toml file it was trained on; default: the tag")
+    args = arguments.parse_args()
     export_kernels(args.models / "kernels")
-    if args.kernels_only:
-        return
     if not args.checkpoint:
-        parser.error("name a checkpoint, or give --kernels-only")
-    checkpoint = torch.load(args.checkpoint, map_location="cpu")
+        return
+    checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
     net = HDRNet()
     net.load_state_dict(checkpoint["weights"])
     path = args.models / f"tonemap.{args.tag}.onnx"

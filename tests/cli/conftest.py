@@ -4,12 +4,11 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
@@ -48,26 +47,7 @@ def postfx(tmp_path: Path) -> Callable[..., Outcome]:
 
 
 @pytest.fixture
-def write_image(tmp_path: Path) -> Callable[..., Path]:
-    """Writes an EXR of channels (name -> height x width array)."""
-
-    def write(name: str, channels: Mapping[str, np.ndarray]) -> Path:
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        height, width = next(iter(channels.values())).shape
-        spec = oiio.ImageSpec(width, height, len(channels), "float")
-        spec.channelnames = tuple(channels)
-        output = oiio.ImageOutput.create(str(path))
-        assert output.open(str(path), spec)
-        assert output.write_image(np.stack(list(channels.values()), axis=-1).astype(np.float32))
-        output.close()
-        return path
-
-    return write
-
-
-@pytest.fixture
-def shot(write_image: Callable[..., Path], tmp_path: Path) -> Callable[..., Path]:
+def shot(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Path]:
     """Writes in/shot.####.exr: noise around the frame number, with depth and still motion; gives the folder."""
 
     def write(*numbers: int, alpha: bool = False) -> Path:
@@ -80,7 +60,7 @@ def shot(write_image: Callable[..., Path], tmp_path: Path) -> Callable[..., Path
                 "motion.X": np.zeros((32, 48)),
                 "motion.Y": np.zeros((32, 48)),
             }
-            write_image(f"in/shot.{number:04d}.exr", planes)
+            write_exr(f"in/shot.{number:04d}.exr", planes)
         return tmp_path / "in"
 
     return write

@@ -41,10 +41,10 @@ def test_inspect_shows_planes_missing_and_values(postfx, shot):
     assert "frames without a file: 3" in done.out
 
 
-def test_inspect_counts_what_is_not_finite(postfx, write_image):
+def test_inspect_counts_what_is_not_finite(postfx, write_exr):
     red = np.ones((4, 4), np.float32)
     red[0, 0], red[1, 1] = np.nan, np.inf
-    write_image("a.exr", {"R": red, "G": np.zeros((4, 4)), "B": np.zeros((4, 4)), "depth.Z": np.full((4, 4), 1e10)})
+    write_exr("a.exr", {"R": red, "G": np.zeros((4, 4)), "B": np.zeros((4, 4)), "depth.Z": np.full((4, 4), 1e10)})
     planes = {plane["role"]: plane for plane in json.loads(postfx("inspect", "a.exr", "--json").out)["planes"]}
     assert (planes["colour"]["non_finite"], planes["colour"]["max"]) == (2, 1)
     assert (planes["depth"]["misses"], planes["depth"]["max"]) == (16, None)

@@ -46,8 +46,8 @@ def test_json_report(postfx, shot):
     assert any("history is dropped" in warning for warning in report["warnings"])
 
 
-def test_display_output_without_tone_mapping_is_clipped_and_encoded(postfx, write_image, tmp_path):
-    write_image("still.exr", {name: np.full((8, 8), value) for name, value in zip("RGB", (0.18, 1, 5), strict=True)})
+def test_display_output_without_tone_mapping_is_clipped_and_encoded(postfx, write_exr, tmp_path):
+    write_exr("still.exr", {name: np.full((8, 8), value) for name, value in zip("RGB", (0.18, 1, 5), strict=True)})
     done = postfx("run", "still.exr", "-o", "still.png", "--no-denoise", "--no-tonemap", "--exposure", "0")
     assert done.code == 0
     np.testing.assert_allclose(pixels_of(tmp_path / "still.png")[0, 0], [0.4614, 1, 1], atol=0.003)
@@ -126,16 +126,16 @@ def test_broken_file_in_the_middle_keeps_the_finished(postfx, shot, tmp_path):
     assert outputs(tmp_path / "out") == ["shot.0001.exr", "shot.0002.exr"]
 
 
-def test_plane_that_ends_in_the_middle_is_named(postfx, shot, write_image):
+def test_plane_that_ends_in_the_middle_is_named(postfx, shot, write_exr):
     shot(1, 2, alpha=True)
-    write_image("in/shot.0002.exr", {name: np.ones((32, 48)) for name in "RGB"})
+    write_exr("in/shot.0002.exr", {name: np.ones((32, 48)) for name in "RGB"})
     done = postfx(*COPY)
     assert done.code == 2
     assert "error: in/shot.0002.exr: no plane 'alpha'" in done.err
 
 
-def test_input_without_colour(postfx, write_image):
-    write_image("in/shot.0001.exr", {"depth.Z": np.ones((4, 4))})
+def test_input_without_colour(postfx, write_exr):
+    write_exr("in/shot.0001.exr", {"depth.Z": np.ones((4, 4))})
     done = postfx(*COPY)
     assert done.code == 2
     assert "error: in/shot.0001.exr: no plane 'colour': profile generic looks for R, G, B" in done.err

@@ -15,12 +15,12 @@ def pixels_of(path):
 
 
 @pytest.fixture
-def brightening(write_image, tmp_path):
+def brightening(write_exr, tmp_path):
     """Five frames, each brighter than the one before: metering and tone mapping depend on the past."""
     rng = np.random.default_rng(3)
     for number in range(1, 6):
         planes = {name: (2.0**number) * rng.random((40, 56), np.float32) for name in "RGB"}
-        write_image(f"in/shot.{number:04d}.exr", planes)
+        write_exr(f"in/shot.{number:04d}.exr", planes)
     return tmp_path
 
 

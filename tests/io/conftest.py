@@ -5,35 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
-import OpenImageIO as oiio
 import pytest
-
-
-@pytest.fixture
-def write_exr(tmp_path: Path) -> Callable[..., Path]:
-    """Writes channels (name -> height x width array) as a single-part file."""
-
-    def write(name: str, channels: Mapping[str, np.ndarray], **header) -> Path:
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        height, width = next(iter(channels.values())).shape
-        spec = oiio.ImageSpec(width, height, len(channels), "float")
-        spec.channelnames = tuple(channels)
-        origin, display = header.pop("origin", (0, 0)), header.pop("display", None)
-        spec.x, spec.y = origin
-        if display:
-            spec.full_x, spec.full_y, spec.full_width, spec.full_height = display
-        for key, value in header.items():
-            kind = {2: "float2", 16: "matrix"}.get(np.size(value))
-            values = (oiio.TypeDesc(kind), tuple(map(float, value))) if kind else (value,)
-            spec.attribute(key.replace("__", ":"), *values)
-        output = oiio.ImageOutput.create(str(path))
-        assert output.open(str(path), spec)
-        assert output.write_image(np.stack(list(channels.values()), axis=-1).astype(np.float32))
-        output.close()
-        return path
-
-    return write
 
 
 @pytest.fixture
