@@ -20,6 +20,7 @@ from training.networks.trunk import (
     BLEND,
     FEATURES,
     FINE,
+    GUIDES,
     HIDDEN,
     KERNEL,
     MEMORY,
@@ -33,8 +34,8 @@ ALIGN = 16  # height and width of the trunk's input are multiples of this
 CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
 OUTPUTS = ("fine", "level1", "level2", "level3", "level4")
 MEANING = {
-    "fine": f"5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend at four phases 4, mix, distrust, "
-    f"importance, hidden state {HIDDEN}",
+    "fine": f"5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and sharpening at four phases 4 + 4, "
+    f"mix, distrust, importance, hidden state {HIDDEN}",
     "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
     "level4": f"5x5 kernel {KERNEL}",
 }
@@ -66,16 +67,22 @@ def export_kernels(folder: Path) -> None:
 
 def load_trunk(checkpoint: dict[str, Any]) -> Trunk:
     """The trunk of a checkpoint of train_denoise.py, in float32."""
-    config = checkpoint["config"]
-    trunk = Trunk(TrunkConfig(tuple(config["widths"]), config["depth"]))
+    trunk = Trunk(TrunkConfig.from_dict(checkpoint["config"]))
     weights = {key.removeprefix("trunk."): value.float() for key, value in checkpoint["weights"].items()}
     trunk.load_state_dict(weights)
     return trunk.eval()
 
 
-def example(height: int, width: int) -> torch.Tensor:
-    """Features with the ranges of real ones."""
-    return torch.rand(1, FEATURES, height, width, generator=torch.Generator().manual_seed(0)) * 2 - 0.5
+def example(trunk: Trunk, height: int, width: int) -> tuple[torch.Tensor, ...]:
+    """Features, and guides where the network reads them, with the ranges of real ones."""
+    generator = torch.Generator().manual_seed(0)
+    sizes = inputs(trunk.config).values()
+    return tuple(torch.rand(1, channels, height, width, generator=generator) * 2 - 0.5 for channels in sizes)
+
+
+def inputs(config: TrunkConfig) -> dict[str, int]:
+    """Names of the network's inputs and their channels."""
+    return {"features": FEATURES} | ({"guides": GUIDES} if config.guides else {})
 
 
 class ExportedTrunk(Trunk):
@@ -109,11 +116,12 @@ def export_trunk(trunk: Trunk, path: Path) -> float:
     """Write the network and hold it to torch; returns the largest relative error. Raises ParityError."""
     # torch checks that the sizes of skip connections match, so it must know that the input is a multiple of ALIGN.
     free = {2: ALIGN * torch.export.Dim("rows", min=1), 3: ALIGN * torch.export.Dim("columns", min=1)}
-    names = {"features": (1, FEATURES, "height", "width")}
+    reads = inputs(trunk.config)
+    names = {name: (1, channels, "height", "width") for name, channels in reads.items()}
     names |= {name: (1, _channels(name), "?", "?") for name in OUTPUTS}
-    export(ExportedTrunk(trunk), (example(64, 96),), ["features"], OUTPUTS, path, [free], names)
+    export(ExportedTrunk(trunk), example(trunk, 64, 96), list(reads), OUTPUTS, path, [free] * len(reads), names)
     height, width = CHECKED
-    return parity(trunk, path, (example(height, width),), {"height": height, "width": width})
+    return parity(trunk, path, example(trunk, height, width), {"height": height, "width": width})
 
 
 def _channels(name: str) -> int:
@@ -126,13 +134,14 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
         "name": f"denoise_upscale.{tag}",
         "pass": "denoise_upscale",
         "tag": tag,
-        "summary": "recurrent denoised upscaler, 1x to 3x",
+        "summary": "recurrent denoised upscaler, 1x to 3x" + ", guides at output size" * tag.endswith("guides"),
         "parameters": sum(weight.numel() for weight in checkpoint["weights"].values()),
         "inputs": {
-            "features": {
-                "shape": [1, FEATURES, "height", "width"],
+            name: {
+                "shape": [1, channels, "height", "width"],
                 "meaning": f"see training/networks/denoise_upscale.py; height and width multiples of {ALIGN}",
             }
+            for name, channels in inputs(TrunkConfig.from_dict(checkpoint["config"])).items()
         },
         "outputs": {
             name: {"shape": [1, _channels(name), *_size(name)], "meaning": MEANING.get(name, MEANING["level"])}

@@ -9,7 +9,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from tests.training.small_denoiser import SMALL, one_thread, small_model  # noqa: E402, F401
-from training.networks import ops  # noqa: E402
+from training.networks import ops, phases  # noqa: E402
 from training.networks.denoise_upscale import Inputs, State, empty_state  # noqa: E402
 from training.networks.trunk import FEATURES, FINE, HIDDEN, Trunk  # noqa: E402
 
@@ -95,10 +95,10 @@ def test_general_upsampling_equals_the_short_cut_at_scale_2(size: tuple[int, int
     torch.manual_seed(0)
     h, w = size
     radiance, weights, jitter = torch.rand(2, 3, h, w), torch.rand(2, 9, 4, h, w) + 0.1, torch.rand(2, 2) - 0.5
-    general = ops.upsample_any(radiance, weights, jitter, 2 * h, 2 * w)
-    torch.testing.assert_close(general, ops.upsample_double(radiance, weights, jitter))
-    phases = ops.interpolate_any(weights, 2 * h, 2 * w)
-    torch.testing.assert_close(phases, ops.interpolate_phases(weights, 2 * h, 2 * w))
+    general = phases.upsample_any(radiance, weights, jitter, 2 * h, 2 * w)
+    torch.testing.assert_close(general, phases.upsample_double(radiance, weights, jitter))
+    controls = phases.interpolate_any(weights, 2 * h, 2 * w)
+    torch.testing.assert_close(controls, phases.interpolate_phases(weights, 2 * h, 2 * w))
 
 
 @pytest.mark.parametrize("scale", SIZES)

@@ -10,13 +10,34 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from training.networks import ops
-from training.networks.trunk import BLEND, DISTRUST, HIDDEN, IMPORTANCE, KERNEL, MEMORY, MIX, Trunk, TrunkConfig
+from training.networks import ops, phases
+from training.networks.trunk import (
+    BLEND,
+    DISTRUST,
+    HIDDEN,
+    IMPORTANCE,
+    KERNEL,
+    MEMORY,
+    MIX,
+    Trunk,
+    TrunkConfig,
+)
 
 MAX_COUNT = 32.0
 MAX_DEPTH = 1e10
 MAX_FLOAT = 3e38
 ALIGN = 16
+
+
+@dataclass(frozen=True)
+class Guides:
+    """Planes at output size (H, W), in the conventions of ``postfx.frame``; all NCHW float32."""
+
+    diffuse_albedo: Tensor
+    specular_albedo: Tensor
+    normal: Tensor
+    roughness: Tensor
+    depth: Tensor
 
 
 @dataclass(frozen=True)
@@ -36,6 +57,7 @@ class Inputs:
     motion: Tensor
     jitter: Tensor
     gain: Tensor | None = None
+    guides: Guides | None = None
 
 
 @dataclass(frozen=True)
@@ -120,6 +142,16 @@ def features(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor) -
         plane * (w / past.output.shape[-1]), past.hidden), 1)
 
 
+def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:
+    """The guides at the four quarter-pixel corners of each render pixel, nearest sample: (N, 44, h, w)."""
+    at = torch.cat((
+        ops.sanitise(guides.diffuse_albedo, 0, 2), ops.sanitise(guides.specular_albedo, 0, 2),
+        ops.sanitise(guides.normal, -1, 1), ops.sanitise(guides.roughness, 0, 1),
+        scale / (scale + ops.sanitise(guides.depth, 0, MAX_DEPTH))), 1)
+    rows, columns = phases.corner_index(h, at.shape[-2], at.device), phases.corner_index(w, at.shape[-1], at.device)
+    return torch.cat([ops.pick(at, rows[i], columns[j]) for i in range(2) for j in range(2)], 1)
+
+
 def accumulate(colour: Tensor, mean: Tensor, count: Tensor, distrust: Tensor) -> tuple[Tensor, Tensor]:
     """Running ``mean`` of demodulated colour and its effective sample count; ``distrust`` 1 starts anew."""
     share = 1 / (count + 1)
@@ -145,14 +177,20 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
     return result
 
 
-def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, inside: Tensor) -> Tensor:
-    """Upsample radiance and blend it with the reprojected history ``warped``; both log-encoded, as is the result."""
+def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, inside: Tensor,
+            factor: Tensor | None) -> Tensor:
+    """Upsample radiance, sharpen it, multiply it by a ``factor`` (N, 3, H, W) if there is one, and blend it with the
+    reprojected history ``warped``, which is log-encoded, as is the result."""
     n, _, h, w = radiance.shape
     height, width = warped.shape[-2:]
     weights = fine[:, KERNEL:BLEND].reshape(n, 9, 4, h, w)
-    current = ops.log_encode(ops.upsample(radiance, weights, jitter, height, width))
-    blend = ops.interpolate_phases(fine[:, None, BLEND:MIX], height, width)[:, 0:1]
-    return torch.lerp(warped, current, 1 - inside * (1 - blend))
+    detail, soft = (ops.log_encode(x) for x in phases.upsample(radiance, weights, jitter, height, width))
+    controls = fine[:, BLEND:MIX].reshape(n, 2, 4, h, w)
+    blend, sharpen = phases.interpolate_phases(controls, height, width).unbind(1)
+    current = (detail + sharpen[:, None] * (detail - soft)).clamp(min=0)
+    if factor is not None:
+        current = ops.log_encode(torch.expm1(current) * factor)
+    return torch.lerp(warped, current, 1 - inside * (1 - blend[:, None]))
 
 
 class DenoiseUpscale(nn.Module):
@@ -169,14 +207,20 @@ class DenoiseUpscale(nn.Module):
         pad = (0, -w % ALIGN, 0, -h % ALIGN)
         past = reproject(inputs, state)
         factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
-        seen = features(inputs, past, factor, ops.depth_scale(inputs.depth))
-        heads = self.trunk(F.pad(seen, pad, mode="replicate"))
+        scale, guides = ops.depth_scale(inputs.depth), inputs.guides
+        seen = [features(inputs, past, factor, scale)]
+        if self.config.guides:
+            seen.append(guide_features(guides, h, w, scale))
+            outer = ops.demodulation(guides.diffuse_albedo, guides.specular_albedo)
+        heads = self.trunk(*(F.pad(x, pad, mode="replicate") for x in seen))
         fine, *levels = (head.float() for head in heads)
         here = fine[..., :h, :w]
         noisy, distrust = demodulate(inputs.colour, factor), here[:, DISTRUST:IMPORTANCE]
         accumulated, count = accumulate(noisy, past.accumulated, past.count, distrust)
         importance = F.pad(here[:, IMPORTANCE:MEMORY], pad)
         filtered = filter_pyramid(F.pad(accumulated, pad), importance, fine, tuple(levels), h, w)
-        output = resolve(filtered[..., :h, :w] * factor, here, inputs.jitter, past.output, past.inside)
+        radiance = filtered[..., :h, :w]
+        inner, outer = (1, outer) if self.config.guides else (factor, None)
+        output = resolve(radiance * inner, here, inputs.jitter, past.output, past.inside, outer)
         state = State(output, accumulated, count, here[:, MEMORY:], inputs.depth, torch.ones_like(state.fresh))
         return torch.expm1(output), state, past.output

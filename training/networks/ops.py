@@ -8,8 +8,6 @@ import torch.nn.functional as F
 from torch import Tensor
 
 TAPS = 5
-PHASE_TAPS = 3
-SAMPLE_SIGMA = 0.5
 MAX_COLOUR = 1e4
 TINY = 1e-8  # no sum of weights that counts is smaller
 MAX_SPAN = 4  # pixels that one pixel of a picture up to 3 times as small touches, along a line
@@ -155,81 +153,10 @@ def filter_kernels(image: Tensor, kernels: Tensor, valid: Tensor) -> Tensor:
     return (shifted(image, TAPS) * weights[:, None]).sum(2) / weights.sum(1, keepdim=True).clamp(min=TINY)
 
 
-def tap_offsets(device: torch.device) -> Tensor:
-    """(9, 2) offsets x, y of the 3x3 neighbourhood, rows first."""
-    line = torch.arange(-1.0, 2.0, device=device)
-    y, x = torch.meshgrid(line, line, indexing="ij")
-    return torch.stack((x, y), -1).reshape(-1, 2)
-
-
-def sample_prior(jitter: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Gaussian weight of each 3x3 tap by the distance from its sample to the output pixel.
-
-    ``jitter`` (N, 2) in render pixels; ``x`` and ``y`` are offsets of output centres from their render pixel's
-    centre. Returns (N, 9, len(y), len(x)).
-    """
-    sample = tap_offsets(jitter.device)[None] + jitter[:, None]
-    gx = torch.exp(-((sample[..., 0:1] - x) ** 2) / (2 * SAMPLE_SIGMA**2))
-    gy = torch.exp(-((sample[..., 1:2] - y) ** 2) / (2 * SAMPLE_SIGMA**2))
-    return gy[..., :, None] * gx[..., None, :]
-
-
-def interpolate_phases(phases: Tensor, height: int, width: int) -> Tensor:
-    """(N, C, 4, h, w), one value at each quarter-pixel corner (rows first), to output size (N, C, H, W).
-
-    Between the corners values are linear, beyond them constant. At scale 2 output centres are the corners.
-    """
-    n, c, _, h, w = phases.shape
-    if (height, width) == (2 * h, 2 * w):
-        return F.pixel_shuffle(phases.reshape(n, c * 4, h, w), 2)
-    return interpolate_any(phases, height, width)
-
-
-def interpolate_any(phases: Tensor, height: int, width: int) -> Tensor:
-    """The same without the short cut of scale 2."""
-    h, w = phases.shape[-2:]
-    rows, y = nearest_index(h, height, phases.device)
-    columns, x = nearest_index(w, width, phases.device)
-    ty, tx = (2 * y + 0.5).clamp(0, 1)[:, None], (2 * x + 0.5).clamp(0, 1)
-    at = pick(phases, rows, columns)
-    top = at[:, :, 0] * (1 - tx) + at[:, :, 1] * tx
-    bottom = at[:, :, 2] * (1 - tx) + at[:, :, 3] * tx
-    return top * (1 - ty) + bottom * ty
-
-
-def upsample(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> Tensor:
-    """Radiance at output size: predicted 3x3 weights (N, 9, 4, h, w) times the prior of ``sample_prior``."""
-    h, w = radiance.shape[-2:]
-    if (height, width) == (2 * h, 2 * w):
-        return upsample_double(radiance, weights, jitter)
-    return upsample_any(radiance, weights, jitter, height, width)
-
-
-def upsample_double(radiance: Tensor, weights: Tensor, jitter: Tensor) -> Tensor:
-    """Scale 2, where the four output pixels of a render pixel lie at its corners: all work at render size."""
-    n, _, h, w = radiance.shape
-    taps = shifted(radiance, PHASE_TAPS, "replicate")
-    corners = torch.arange(2, device=radiance.device) * 0.5 - 0.25
-    blend = weights * sample_prior(jitter, corners, corners).reshape(-1, 9, 4, 1, 1)
-    phases = torch.stack([(taps * blend[:, None, :, p]).sum(2) for p in range(4)], 2)
-    return F.pixel_shuffle((phases / blend.sum(1)[:, None].clamp(min=TINY)).reshape(n, 12, h, w), 2)
-
-
-def upsample_any(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> Tensor:
-    """Any scale."""
-    h, w = radiance.shape[-2:]
-    _, y = nearest_index(h, height, radiance.device)
-    _, x = nearest_index(w, width, radiance.device)
-    blend = interpolate_any(weights, height, width) * sample_prior(jitter, x, y)
-    taps = enlarge(shifted(radiance, PHASE_TAPS, "replicate"), height, width)
-    return (taps * blend[:, None]).sum(2) / blend.sum(1, keepdim=True).clamp(min=TINY)
-
-
 def resample(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
     """Cubic interpolation (Keys 1981, a = -0.5) of (N, C, h, w) at positions rows (H,) and columns (W,).
 
-    Values stay within those of the four nearest samples, so that edges do not ring and nothing turns negative. What is
-    not finite counts as 0.
+    Values stay within those of the four nearest samples, so that edges do not ring. What is not finite counts as 0.
     """
     image = torch.where(image.abs() < torch.inf, image, torch.zeros_like(image))
     value = low = high = image

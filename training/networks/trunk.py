@@ -8,24 +8,33 @@ from torch import Tensor, nn
 HIDDEN = 8
 KERNEL = 25
 PHASES = 36
-# Channels of the fine head, in order: 5x5 kernel, 3x3 weights at four phases, history blend at four phases,
-# mix, distrust, importance, hidden state.
+# Channels of the fine head, in order: 5x5 kernel, 3x3 weights at four phases, history blend and sharpening at four
+# phases each, mix, distrust, importance, hidden state.
 BLEND = KERNEL + PHASES
-MIX, DISTRUST, IMPORTANCE = BLEND + 4, BLEND + 5, BLEND + 6
-MEMORY = BLEND + 7
+SHARPEN = BLEND + 4
+MIX, DISTRUST, IMPORTANCE = BLEND + 8, BLEND + 9, BLEND + 10
+MEMORY = BLEND + 11
 FINE = MEMORY + HIDDEN
 FEATURES = 27 + HIDDEN
+GUIDES = 4 * 11  # diffuse and specular albedo, normal, roughness, depth at each of the four phases
+NO_SHARPENING = -3.0  # where the head's bias starts
 
 
 @dataclass(frozen=True)
 class TrunkConfig:
-    """Channels of the levels at 1/2, 1/4, 1/8 and 1/16 of the render size, and convolutions a level."""
+    """Channels of the levels at 1/2, 1/4, 1/8 and 1/16 of the render size, convolutions a level, guides read or not."""
 
-    widths: tuple[int, ...] = (64, 96, 128, 192)
+    widths: tuple[int, ...] = (64, 128, 192, 256)
     depth: int = 2
+    guides: bool = False
 
     def as_dict(self) -> dict:
         return asdict(self)
+
+    @classmethod
+    def from_dict(cls, config: dict) -> "TrunkConfig":
+        """From what a checkpoint holds; older ones say nothing of guides."""
+        return cls(tuple(config["widths"]), config["depth"], config.get("guides", False))
 
 
 def weights_from(logits: Tensor) -> Tensor:
@@ -44,9 +53,9 @@ class Block(nn.Sequential):
 
 
 class Trunk(nn.Module):
-    """Features (N, 35, h, w), h and w multiples of 16 -> the heads, all activated.
+    """Features (N, 35, h, w) and guides (N, 44, h, w) or none, h and w multiples of 16 -> the heads, all activated.
 
-    ``fine`` (N, 76, h, w); ``level1`` .. ``level3`` (N, 26, h/2 .. h/8, w/2 .. w/8): 5x5 kernel and mix;
+    ``fine`` (N, 80, h, w); ``level1`` .. ``level3`` (N, 26, h/2 .. h/8, w/2 .. w/8): 5x5 kernel and mix;
     ``level4`` (N, 25, h/16, w/16): 5x5 kernel.
     """
 
@@ -55,6 +64,7 @@ class Trunk(nn.Module):
         self.config = config or TrunkConfig()
         w, d = self.config.widths, self.config.depth
         self.stem = nn.Conv2d(FEATURES, w[0], 4, stride=2, padding=1)
+        self.guide_stem = nn.Conv2d(GUIDES, w[0], 4, stride=2, padding=1, bias=False) if self.config.guides else None
         self.down = nn.ModuleList([Block(w[max(i - 1, 0)], w[i], 1 if i == 0 else d) for i in range(len(w))])
         self.lift = nn.ModuleList([nn.Conv2d(w[i + 1], w[i], 1) for i in range(len(w) - 1)])
         self.up = nn.ModuleList([Block(w[i], w[i], d) for i in range(len(w) - 1)])
@@ -63,9 +73,11 @@ class Trunk(nn.Module):
         for head in (*self.heads, self.fine):
             nn.init.normal_(head.weight, std=0.01)
             nn.init.zeros_(head.bias)
+        nn.init.constant_(self.fine.bias[4 * SHARPEN:4 * MIX], NO_SHARPENING)
 
-    def forward(self, features: Tensor) -> tuple[Tensor, ...]:
-        x = F.relu(self.stem(features))
+    def forward(self, features: Tensor, guides: Tensor | None = None) -> tuple[Tensor, ...]:
+        x = self.stem(features)
+        x = F.relu(x if self.guide_stem is None else x + self.guide_stem(guides))
         skips = []
         for i, block in enumerate(self.down):
             x = block(F.max_pool2d(x, 2) if i else x)
