@@ -4,13 +4,13 @@ A recurrent step over eight frames launches some ten thousand small kernels; rep
 The learning rate lives in the optimiser, outside of the graph, so it may change every step.
 """
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from training.dataset import Batch
-from training.networks.denoise_upscale import Inputs
 
 
 class FlatGradient:
@@ -59,8 +59,7 @@ class GradientStep:
         return [r.detach() for r in results]
 
     def _capture(self, batch: Batch) -> tuple[torch.cuda.CUDAGraph, Batch, list[Tensor]]:
-        held = Batch([replace(f, **{name: x.clone() for name, x in tensors(f).items()}) for f in batch.frames],
-                     batch.references.clone())
+        held = mapped(batch, lambda x: x.clone(memory_format=torch.contiguous_format))
         aside = torch.cuda.Stream()
         aside.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(aside):
@@ -68,22 +67,31 @@ class GradientStep:
                 self._run(held)
         torch.cuda.current_stream().wait_stream(aside)
         graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph, pool=self.pool):
+        # Other threads, such as those that watch over the exchange between GPUs, may go on meanwhile.
+        with torch.cuda.graph(graph, pool=self.pool, capture_error_mode="thread_local"):
             results = self._run(held)
         self.pool = self.pool or graph.pool()
         return graph, held, results
 
 
-def tensors(inputs: Inputs) -> dict[str, Tensor]:
-    """What a frame holds, by name, without what it leaves out."""
-    held = {field.name: getattr(inputs, field.name) for field in fields(inputs)}
-    return {name: x for name, x in held.items() if x is not None}
+def mapped(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
+    """The same structure of dataclasses and lists with ``change`` done to its tensors."""
+    if isinstance(value, Tensor):
+        return change(value)
+    if isinstance(value, list):
+        return [mapped(x, change) for x in value]
+    if is_dataclass(value):
+        return replace(value, **{f.name: mapped(getattr(value, f.name), change) for f in fields(value)})
+    return value
+
+
+def tensors(value: Any) -> list[Tensor]:
+    """All tensors of such a structure, in order."""
+    found: list[Tensor] = []
+    mapped(value, lambda x: found.append(x) or x)
+    return found
 
 
 def copy_batch(source: Batch, target: Batch) -> None:
     """Copy every tensor of one batch into another of the same shapes."""
-    for a, b in zip(source.frames, target.frames, strict=True):
-        held = tensors(b)
-        for name, x in tensors(a).items():
-            held[name].copy_(x)
-    target.references.copy_(source.references)
+    torch._foreach_copy_(tensors(target), tensors(source))

@@ -20,7 +20,9 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from training import losses
-from training.dataset import Augment, Batch, ClipPool, collate, to_batch
+from training.augment import Augment
+from training.dataset import Batch, ClipPool, collate, to_batch
+from training.fuse import fuse
 from training.graphs import FlatGradient, GradientStep
 from training.networks import ops
 from training.networks.denoise_upscale import DenoiseUpscale, empty_state
@@ -47,13 +49,13 @@ class ClipLoss(nn.Module):
         count = len(batch.frames)
         previous = None
         for t, inputs in enumerate(batch.frames):
-            keep = (torch.rand_like(inputs.depth[:, :, :1, :1]) >= self.reset).float()
+            keep = (torch.rand_like(batch.keep[t]) >= self.reset) * batch.keep[t]
             output, state, _ = self.model(inputs, state.drop(keep))
             shown, target = ops.display(output), ops.display(batch.references[t])
             loss = loss + losses.frame_loss(shown, target) * (0.5 + t / count)
             if previous is not None:
                 moved = losses.reproject_reference(previous[1], inputs.motion)
-                explained = losses.explained_by_motion(target, moved)
+                explained = losses.explained_by_motion(target, moved) * batch.keep[t]
                 change = losses.flicker_loss(shown, losses.reproject_reference(previous[0], inputs.motion), target,
                                              moved, explained)
                 loss = loss + self.flicker * change
@@ -84,11 +86,13 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--clips", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--minutes", type=float, default=20)
-    parser.add_argument("--batch", type=int, default=24, help="clips a GPU and step")
+    parser.add_argument("--batch", type=int, default=16, help="clips a GPU and step")
+    parser.add_argument("--crop", type=int, default=96, help="side of the windows in render pixels, multiple of 16")
     parser.add_argument("--rate", type=float, default=1e-3)
-    parser.add_argument("--widths", type=int, nargs="+", default=[64, 96, 128, 192])
-    parser.add_argument("--depth", type=int, default=2)
-    parser.add_argument("--flicker", type=float, default=1.5)
+    parser.add_argument("--widths", type=int, nargs="+", default=list(TrunkConfig.widths))
+    parser.add_argument("--depth", type=int, default=TrunkConfig.depth)
+    parser.add_argument("--guides", action="store_true", help="read planes at output size")
+    parser.add_argument("--flicker", type=float, default=2.5, help="weight of the temporal difference")
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
     parser.add_argument("--resume", type=Path)
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
@@ -104,12 +108,12 @@ def rate_at(progress: float, peak: float) -> float:
 
 
 @torch.no_grad()
-def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, device: torch.device) -> tuple[float, float]:
+def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool) -> tuple[float, float]:
     """PSNR and flicker of the averaged weights on held-out clips, first noisy render of each, no augmentation."""
     mine = {k: v.clone() for k, v in loss.model.state_dict().items()}
     loss.model.load_state_dict(weights)
     reset, loss.reset = loss.reset, 0.0
-    results = [loss(to_batch(*collate([clip], [0], device)))[1:] for clip in pool.validation]
+    results = [loss(to_batch(collate([clip], [0])))[1:] for clip in pool.validation]
     loss.reset = reset
     loss.model.load_state_dict(mine)
     scores = torch.tensor(results) if results else torch.zeros(1, 2)
@@ -121,14 +125,14 @@ class Trainer:
 
     def __init__(self, args: argparse.Namespace, rank: int, world: int, device: torch.device):
         self.args, self.rank, self.world, self.device = args, rank, world, device
-        self.pool = ClipPool(args.clips, device, rank, world)
+        self.pool = ClipPool(args.clips, device, args.guides, rank, world)
         while self.pool.refresh(limit=64) < args.wait:
             time.sleep(2)
-        self.config = TrunkConfig(tuple(args.widths), args.depth)
+        self.config = TrunkConfig(tuple(args.widths), args.depth, args.guides)
         self.model = DenoiseUpscale(self.config).to(device, memory_format=torch.channels_last)
         if args.resume:
             self.model.load_state_dict(torch.load(args.resume, map_location=device, weights_only=True)["weights"])
-        self.average = Average(self.model, 0.999)
+        self.average = Average(self.model, 0.9995)
         self.loss = ClipLoss(self.model, args.flicker, args.reset)
         self.flat = FlatGradient(list(self.model.parameters()))
         self.gradient = GradientStep(self.loss, self.flat)
@@ -149,7 +153,8 @@ class Trainer:
             rate = rate_at(done, self.args.rate)
             for group in self.optimiser.param_groups:
                 group["lr"] = rate
-            results = self.gradient(self.pool.draw(self.args.batch, self.augment, self.args.seed + self.step))
+            stack = self.pool.draw(self.args.batch, self.args.crop, self.args.seed + self.step)
+            results = self.gradient(self.augment(stack))
             norm = self.flat.finish(1.0, self.world > 1)
             self.optimiser.step()
             self.average.update(self.step)
@@ -177,7 +182,7 @@ class Trainer:
         """Validate the averaged weights and write the checkpoint."""
         if self.rank:
             return
-        quality, flicker = validate(self.loss, self.average.weights, self.pool, self.device)
+        quality, flicker = validate(self.loss, self.average.weights, self.pool)
         notes = {"steps": self.step, "minutes": round((time.monotonic() - self.start) / 60, 2), "gpus": self.world,
                  "batch": self.args.batch * self.world, "clips": len(self.pool) * self.world,
                  "validation_psnr": quality, "validation_flicker": flicker}
@@ -196,6 +201,7 @@ def main() -> None:
         torch.cuda.set_device(device)
         torch.backends.cudnn.benchmark = True
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
+        fuse()
     if world > 1:
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     torch.manual_seed(args.seed)  # the same weights everywhere; batches differ by rank

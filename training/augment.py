@@ -1,0 +1,94 @@
+"""Random views of the same clips: mirrored, turned, recoloured, exposed otherwise, nearly free of noise, or with
+planes missing."""
+import random
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from training.dataset import Batch, Stack, to_batch
+from training.networks import ops
+from training.networks.denoise_upscale import Inputs
+
+NORMAL, MOTION = 9, 14  # first channels of these planes in a stack
+# What stands in for a plane that a file lacks; postfx/passes/denoise_upscale.py fills the same values.
+ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0, "motion": 0.0}
+# Planes that are missing together, and how often, as a multiple of `Augment.drop`.
+LOSSES = ((("specular_albedo",), 0.5), (("roughness",), 0.5), (("specular_albedo", "roughness"), 1.0),
+          (("normal",), 1.0), (("depth",), 1.0), (("diffuse_albedo", "specular_albedo"), 0.5), (("motion",), 0.5), (tuple(ABSENT), 0.3))
+
+
+@dataclass
+class Augment:
+    """Every choice is drawn once a batch entry or once a batch.
+
+    stops: exposure varies by as much either way. drop: chance that a plane is missing. clean: chance that an entry has
+    colour of far more samples, up to all, which teaches the network to leave good pixels alone.
+    """
+
+    stops: float = 1.5
+    drop: float = 0.06
+    clean: float = 0.12
+
+    def __call__(self, stack: Stack) -> Batch:
+        stack = _permute_channels(_flip(self._converge(stack)))
+        stops = (torch.rand_like(stack.exposure) * 2 - 1) * self.stops
+        return self._drop_planes(to_batch(replace(stack, exposure=stack.exposure * torch.exp2(stops))))
+
+    def _converge(self, stack: Stack) -> Stack:
+        """Move some colours towards the reference, where samples are spread over the pixel as the reference's are."""
+        planes, reference = stack.planes, stack.reference
+        h, w = planes.shape[-2:]
+        chosen = (torch.rand_like(stack.exposure) < self.clean) & stack.spread[:, None, None, None]
+        share = (chosen * (1 - torch.rand_like(stack.exposure) ** 3))[:, None]
+        mean = ops.box_mean(reference.flatten(0, 1), h, w).unflatten(0, planes.shape[:2])
+        return replace(stack, planes=torch.cat((torch.lerp(planes[:, :, :3], mean, share), planes[:, :, 3:]), 2))
+
+    def _drop_planes(self, batch: Batch) -> Batch:
+        """Files do not always have every plane: leave some out, for the whole clip, as the reader would fill them."""
+        lost = {name for names, often in LOSSES if random.random() < often * self.drop for name in names}
+        keep = batch.keep * 0 if "motion" in lost else batch.keep
+        return Batch([_without(frame, lost) for frame in batch.frames], batch.references, keep)
+
+
+def _without(frame: Inputs, lost: set[str]) -> Inputs:
+    guides = frame.guides
+    if guides is not None and lost:
+        guides = replace(guides, **_absent(guides, lost - {"motion"}))
+    return replace(frame, **_absent(frame, lost), guides=guides)
+
+
+def _absent(planes: object, lost: set[str]) -> dict[str, Tensor]:
+    return {name: torch.full_like(getattr(planes, name), ABSENT[name]) for name in lost}
+
+
+def _flip(stack: Stack) -> Stack:
+    """Mirror and transpose the picture; motion and jitter follow."""
+    planes, jitter, reference, guides = stack.planes, stack.jitter.clone(), stack.reference, stack.guides
+    signs = torch.ones(planes.shape[2], device=planes.device)
+    for axis in (0, 1):
+        if random.random() < 0.5:
+            planes, reference = planes.flip(-1 - axis), reference.flip(-1 - axis)
+            guides = None if guides is None else guides.flip(-1 - axis)
+            signs[MOTION + axis] = -1
+            jitter[..., axis] *= -1
+    planes = planes * signs[:, None, None]
+    if random.random() < 0.5:
+        planes, reference = planes.transpose(-1, -2), reference.transpose(-1, -2)
+        guides = None if guides is None else guides.transpose(-1, -2)
+        planes = torch.cat((planes[:, :, :MOTION], planes[:, :, MOTION:].flip(2)), 2)
+        jitter = jitter.flip(-1)
+    return replace(stack, planes=planes, jitter=jitter, reference=reference, guides=guides)
+
+
+def _permute_channels(stack: Stack) -> Stack:
+    """Shuffle the colour primaries and the axes of the world; neither has a preferred order."""
+    rgb, xyz = random.sample(range(3), 3), random.sample(range(3), 3)
+    order = [*rgb, *(3 + i for i in rgb), *(6 + i for i in rgb), *(9 + i for i in xyz), 12, 13, 14, 15]
+    signs = torch.ones(len(order), device=stack.planes.device)
+    signs[NORMAL:NORMAL + 3] = torch.tensor([random.choice((-1.0, 1.0)) for _ in range(3)])
+    planes = stack.planes[:, :, order] * signs[:, None, None]
+    guides = stack.guides
+    if guides is not None:
+        guides = guides[:, :, [c - 3 for c in order[3:MOTION]]] * signs[3:MOTION, None, None]
+    return replace(stack, planes=planes, reference=stack.reference[:, :, rgb], guides=guides)
