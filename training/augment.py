@@ -14,8 +14,16 @@ NORMAL, MOTION = 9, 14  # first channels of these planes in a stack
 # What stands in for a plane that a file lacks; postfx/passes/denoise_upscale.py fills the same values.
 ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0, "motion": 0.0}
 # Planes that are missing together, and how often, as a multiple of `Augment.drop`.
-LOSSES = ((("specular_albedo",), 0.5), (("roughness",), 0.5), (("specular_albedo", "roughness"), 1.0),
-          (("normal",), 1.0), (("depth",), 1.0), (("diffuse_albedo", "specular_albedo"), 0.5), (("motion",), 0.5), (tuple(ABSENT), 0.3))
+LOSSES = (
+    (("specular_albedo",), 0.5),
+    (("roughness",), 0.5),
+    (("specular_albedo", "roughness"), 1.0),
+    (("normal",), 1.0),
+    (("depth",), 1.0),
+    (("diffuse_albedo", "specular_albedo"), 0.5),
+    (("motion",), 0.5),
+    (tuple(ABSENT), 0.3),
+)
 
 
 @dataclass

@@ -8,11 +8,13 @@ may still be filling. RUN/checkpoint.pt holds the averaged weights, RUN/log.csv 
 """
 import argparse
 import csv
+import itertools
 import json
 import math
 import os
 import random
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import torch
@@ -21,12 +23,14 @@ from torch import Tensor, nn
 
 from training import losses
 from training.augment import Augment
-from training.dataset import Batch, ClipPool, collate, to_batch
+from training.dataset import Batch, Clip, ClipPool, collate, to_batch
 from training.fuse import fuse
 from training.graphs import FlatGradient, GradientStep
 from training.networks import ops
 from training.networks.denoise_upscale import DenoiseUpscale, empty_state
 from training.networks.trunk import TrunkConfig
+
+KEEP_MINUTES = 2.0
 
 
 class ClipLoss(nn.Module):
@@ -108,16 +112,26 @@ def rate_at(progress: float, peak: float) -> float:
 
 
 @torch.no_grad()
+@torch.compiler.set_stance("force_eager")  # nothing is compiled for the sizes of validation
 def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool) -> tuple[float, float]:
     """PSNR and flicker of the averaged weights on held-out clips, first noisy render of each, no augmentation."""
     mine = {k: v.clone() for k, v in loss.model.state_dict().items()}
     loss.model.load_state_dict(weights)
     reset, loss.reset = loss.reset, 0.0
-    results = [loss(to_batch(collate([clip], [0])))[1:] for clip in pool.validation]
+    results = [torch.stack(loss(to_batch(collate(clips, [0] * len(clips))))[1:]) * len(clips)
+               for clips in by_size(pool.validation, 8)]
     loss.reset = reset
     loss.model.load_state_dict(mine)
-    scores = torch.tensor(results) if results else torch.zeros(1, 2)
-    return float(scores[:, 0].mean()), float(scores[:, 1].mean())
+    quality, flicker = (sum(results) / len(pool.validation)).tolist() if results else (math.nan, math.nan)
+    return quality, flicker
+
+
+def by_size(clips: list[Clip], most: int) -> Iterator[list[Clip]]:
+    """Groups of at most ``most`` clips of one size."""
+    ordered = sorted(clips, key=lambda clip: clip.reference.shape)
+    for _, same in itertools.groupby(ordered, lambda clip: clip.reference.shape):
+        group = list(same)
+        yield from (group[i:i + most] for i in range(0, len(group), most))
 
 
 class Trainer:
@@ -139,7 +153,7 @@ class Trainer:
         self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,
                                            fused=device.type == "cuda")
         self.step, self.recent, self.augment = 0, [], Augment()
-        self.start = self.refreshed = time.monotonic()
+        self.start = self.kept = time.monotonic()
 
     def progress(self) -> float:
         """Share of the training time that has passed, the same on every GPU."""
@@ -162,10 +176,10 @@ class Trainer:
             self.step += 1
             if self.step in (1, 5, 20, 50, 100) or self.step % 250 == 0:
                 self.report(rate)
-            if time.monotonic() - self.refreshed > 60:
+            if time.monotonic() - self.kept > 60 * KEEP_MINUTES:
                 self.pool.refresh(limit=48)
                 self.keep()
-                self.refreshed = time.monotonic()
+                self.kept = time.monotonic()
         self.keep()
 
     def report(self, rate: float) -> None:

@@ -14,8 +14,9 @@ torch = pytest.importorskip("torch")
 
 from tests.training.small_denoiser import SMALL, one_thread, small_model  # noqa: E402, F401
 from training import losses, train_denoise  # noqa: E402
+from training.augment import Augment  # noqa: E402
 from training.clips import save_clip  # noqa: E402
-from training.dataset import Augment, Batch, to_batch  # noqa: E402
+from training.dataset import Batch, Stack, to_batch  # noqa: E402
 from training.graphs import FlatGradient, GradientStep, copy_batch  # noqa: E402
 from training.networks.trunk import TrunkConfig  # noqa: E402
 
@@ -43,8 +44,8 @@ def grid(h: int, w: int) -> tuple[torch.Tensor, torch.Tensor]:
     return x, y
 
 
-def moving_clip(scale: int, frames: int = 2) -> tuple[torch.Tensor, ...]:
-    """Planes, jitter, reference and exposure of a picture that turns and slides; colour holds point samples."""
+def moving_clip(scale: int, frames: int = 2) -> Stack:
+    """A picture that turns and slides; colour holds point samples."""
     jitter = torch.tensor([[0.3, -0.4], [-0.2, 0.35]])[:frames]
     x, y = grid(H, W)
     planes, reference = torch.rand(frames, 16, H, W), []
@@ -53,7 +54,9 @@ def moving_clip(scale: int, frames: int = 2) -> tuple[torch.Tensor, ...]:
         before = rotated_back(x, y, 1)
         planes[t, 14], planes[t, 15] = before[0] - x, before[1] - y
         reference.append(pattern(*rotated_back(*grid(scale * H, scale * W), t)))
-    return planes[None], jitter[None], torch.stack(reference)[None], torch.ones(1, 1, 1, 1)
+    guides = torch.rand(1, frames, 11, scale * H, scale * W)
+    return Stack(planes[None], jitter[None], torch.tensor([False]), torch.ones(1, frames), torch.stack(reference)[None],
+                 guides, torch.ones(1, 1, 1, 1))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -61,7 +64,7 @@ def test_augmentations_keep_motion_and_jitter_true(seed: int) -> None:
     clip = moving_clip(2)
     random.seed(seed)
     torch.manual_seed(seed)
-    for batch in (to_batch(*clip), Augment(drop=0.0)(*clip)):
+    for batch in (to_batch(clip), Augment(drop=0.0)(clip)):
         moved = losses.reproject_reference(batch.references[0], batch.frames[1].motion)
         assert inner(moved - batch.references[1]).abs().mean() < 0.02 * batch.references.mean()
         assert inner(at_samples(batch, 1) - batch.frames[1].colour).abs().mean() < 0.02 * batch.references.mean()
@@ -81,15 +84,53 @@ def inner(image: torch.Tensor) -> torch.Tensor:
 
 
 def test_a_wrong_jitter_would_be_noticed() -> None:
-    batch = to_batch(*moving_clip(2))
-    mirrored = Batch([replace(f, jitter=-f.jitter) for f in batch.frames], batch.references)
+    batch = to_batch(moving_clip(2))
+    mirrored = replace(batch, frames=[replace(f, jitter=-f.jitter) for f in batch.frames])
     wrong = inner(at_samples(mirrored, 1) - batch.frames[1].colour).abs().mean()
     assert wrong > 0.05 * batch.references.mean()
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_guides_go_through_what_the_planes_go_through(seed: int) -> None:
+    clip = moving_clip(1)
+    random.seed(seed)
+    for frame in Augment(drop=0.5, clean=0.0)(replace(clip, guides=clip.planes[:, :, 3:14])).frames:
+        for field in fields(frame.guides):
+            assert torch.equal(getattr(frame.guides, field.name), getattr(frame, field.name))
+
+
+def test_only_renders_with_spread_samples_are_cleaned() -> None:
+    clip = moving_clip(1)
+    clip = replace(clip, planes=torch.rand_like(clip.planes))
+    for spread in (True, False):
+        random.seed(0)
+        torch.manual_seed(0)
+        batch = Augment(drop=0.0, clean=1.0, stops=0.0)(replace(clip, spread=torch.tensor([spread])))
+        noisy = (clip.planes[:, 0, :3] - clip.reference[:, 0]).abs().mean()
+        error = (batch.frames[0].colour - batch.references[0]).abs().mean()
+        assert error < 0.95 * noisy if spread else torch.isclose(error, noisy)
+
+
+def test_without_motion_every_frame_stands_alone() -> None:
+    random.seed(0)
+    batch = Augment(drop=10.0)(moving_clip(2))
+    assert not batch.keep.any()
+    assert (batch.frames[1].roughness == 0.5).all()
+    assert (batch.frames[1].guides.roughness == 0.5).all()
+
+
+def test_a_cut_in_a_clip_drops_the_history(tmp_path: Path) -> None:
+    write_clips(tmp_path, 1)
+    path = tmp_path / "clip0000.npz"
+    with np.load(path) as file:
+        np.savez(path, **file, reset=np.array([1, 0], np.uint8))
+    clip = load(path, torch.device("cpu"))
+    assert clip.keep.tolist() == [0.0, 1.0]
+
+
 def test_steps_lower_the_loss() -> None:
-    model, (planes, jitter, reference, exposure) = small_model(), moving_clip(2)
-    batch = to_batch(planes[..., :32, :32], jitter, reference[..., :64, :64], exposure)
+    model, clip = small_model(), moving_clip(2)
+    batch = to_batch(replace(clip, planes=clip.planes[..., :32, :32], reference=clip.reference[..., :64, :64]))
     step = GradientStep(train_denoise.ClipLoss(model, flicker=1.0, reset=0.0), FlatGradient(list(model.parameters())))
     optimiser = torch.optim.AdamW(model.parameters(), lr=3e-3)
     values = []
@@ -109,16 +150,20 @@ def test_a_non_finite_gradient_becomes_no_step() -> None:
 
 
 def test_copying_a_batch_copies_all_of_it() -> None:
-    one, other = to_batch(*moving_clip(2)), to_batch(*moving_clip(2))
+    one, other = to_batch(moving_clip(2)), to_batch(moving_clip(2))
+    assert not torch.equal(one.frames[1].guides.depth, other.frames[1].guides.depth)
     copy_batch(one, other)
     for a, b in zip(one.frames, other.frames, strict=True):
-        assert all(torch.equal(getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.name != "gain")
+        planes = [f.name for f in fields(a) if f.name not in ("gain", "guides")]
+        assert all(torch.equal(getattr(a, name), getattr(b, name)) for name in planes)
+        assert torch.equal(a.guides.depth, b.guides.depth)
     assert torch.equal(one.references, other.references)
 
 
 def write_clips(folder: Path, count: int) -> None:
     """Clips as the data factory writes them, of a picture that turns."""
-    planes, jitter, reference, _ = (x[0].numpy() for x in moving_clip(2))
+    clip = moving_clip(2)
+    planes, jitter, reference = (x[0].numpy() for x in (clip.planes, clip.jitter, clip.reference))
     names = {"colour": slice(0, 3), "diffuse_albedo": slice(3, 6), "specular_albedo": slice(6, 9),
              "normal": slice(9, 12), "roughness": 12, "depth": 13, "motion": slice(14, 16)}
     variant = {name: np.moveaxis(planes[:, at], 1, -1) if isinstance(at, slice) else planes[:, at] + 0.5
@@ -131,7 +176,8 @@ def write_clips(folder: Path, count: int) -> None:
 
 def trainer(clips: Path, out: Path, minutes: float, resume: Path | None = None) -> train_denoise.Trainer:
     args = argparse.Namespace(clips=clips, out=out, minutes=minutes, batch=2, rate=1e-3, widths=list(SMALL.widths),
-                              depth=SMALL.depth, flicker=1.0, reset=0.1, resume=resume, wait=2, seed=0)
+                              depth=SMALL.depth, flicker=1.0, reset=0.1, resume=resume, wait=2, seed=0, crop=48,
+                              guides=False)
     torch.manual_seed(0)
     return train_denoise.Trainer(args, 0, 1, torch.device("cpu"))
 
@@ -144,7 +190,7 @@ def test_a_checkpoint_holds_the_averaged_weights_and_can_be_resumed(tmp_path: Pa
     checkpoint = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
     assert checkpoint["notes"]["steps"] == first.step > 0
     assert np.isfinite(checkpoint["notes"]["validation_psnr"])
-    assert TrunkConfig(tuple(checkpoint["config"]["widths"]), checkpoint["config"]["depth"]) == SMALL
+    assert TrunkConfig.from_dict(checkpoint["config"]) == SMALL
     assert any(not torch.equal(checkpoint["weights"][key], start[key]) for key in start)
     again = trainer(tmp_path, tmp_path, minutes=0, resume=tmp_path / "checkpoint.pt")
     for key, value in again.model.state_dict().items():
