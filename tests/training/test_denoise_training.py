@@ -16,7 +16,7 @@ from tests.training.small_denoiser import SMALL, one_thread, small_model  # noqa
 from training import losses, train_denoise  # noqa: E402
 from training.augment import Augment  # noqa: E402
 from training.clips import save_clip  # noqa: E402
-from training.dataset import Batch, Stack, to_batch  # noqa: E402
+from training.dataset import Batch, Stack, load, to_batch  # noqa: E402
 from training.graphs import FlatGradient, GradientStep, copy_batch  # noqa: E402
 from training.networks.trunk import TrunkConfig  # noqa: E402
 
