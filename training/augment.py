@@ -1,41 +1,41 @@
 """Random views of the same clips: mirrored, turned, recoloured, exposed otherwise, nearly free of noise, or with
 planes missing."""
 import random
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
 from training.dataset import Batch, Stack, to_batch
 from training.networks import ops
-from training.networks.denoise_upscale import Inputs
+from training.networks.denoise_upscale import Guides, Inputs
 
 NORMAL, MOTION = 9, 14  # first channels of these planes in a stack
 # What stands in for a plane that a file lacks; postfx/passes/denoise_upscale.py fills the same values.
 ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0, "motion": 0.0}
-# Planes that are missing together, and how often, as a multiple of `Augment.drop`.
+# Planes that are missing together, and how often: renderers seldom write roughness.
 LOSSES = (
-    (("specular_albedo",), 0.5),
-    (("roughness",), 0.5),
-    (("specular_albedo", "roughness"), 1.0),
-    (("normal",), 1.0),
-    (("depth",), 1.0),
-    (("diffuse_albedo", "specular_albedo"), 0.5),
-    (("motion",), 0.5),
-    (tuple(ABSENT), 0.3),
+    (("roughness",), 0.2),
+    (("specular_albedo",), 0.04),
+    (("specular_albedo", "roughness"), 0.06),
+    (("normal",), 0.05),
+    (("depth",), 0.05),
+    (("diffuse_albedo", "specular_albedo"), 0.03),
+    (("motion",), 0.03),
+    (tuple(ABSENT), 0.02),
 )
 
 
 @dataclass
 class Augment:
-    """Every choice is drawn once a batch entry or once a batch.
+    """Every choice is drawn once a batch entry or, mirroring and turning, once a batch.
 
-    stops: exposure varies by as much either way. drop: chance that a plane is missing. clean: chance that an entry has
+    stops: exposure varies by as much either way. drop: factor on the chances that planes are missing. clean: chance of
     colour of far more samples, up to all, which teaches the network to leave good pixels alone.
     """
 
     stops: float = 1.5
-    drop: float = 0.06
+    drop: float = 1.0
     clean: float = 0.12
 
     def __call__(self, stack: Stack) -> Batch:
@@ -54,20 +54,20 @@ class Augment:
 
     def _drop_planes(self, batch: Batch) -> Batch:
         """Files do not always have every plane: leave some out, for the whole clip, as the reader would fill them."""
-        lost = {name for names, often in LOSSES if random.random() < often * self.drop for name in names}
-        keep = batch.keep * 0 if "motion" in lost else batch.keep
-        return Batch([_without(frame, lost) for frame in batch.frames], batch.references, keep)
+        entries, device = batch.keep.shape[1], batch.keep.device
+        lost = {name: torch.zeros(entries, 1, 1, 1, dtype=torch.bool, device=device) for name in ABSENT}
+        for names, chance in LOSSES:
+            chosen = torch.rand(entries, 1, 1, 1, device=device) < chance * self.drop
+            lost |= {name: lost[name] | chosen for name in names}
+        return Batch([_without(frame, lost) for frame in batch.frames], batch.references, batch.keep * ~lost["motion"])
 
 
-def _without(frame: Inputs, lost: set[str]) -> Inputs:
-    guides = frame.guides
-    if guides is not None and lost:
-        guides = replace(guides, **_absent(guides, lost - {"motion"}))
-    return replace(frame, **_absent(frame, lost), guides=guides)
-
-
-def _absent(planes: object, lost: set[str]) -> dict[str, Tensor]:
-    return {name: torch.full_like(getattr(planes, name), ABSENT[name]) for name in lost}
+def _without(planes: Inputs | Guides, lost: dict[str, Tensor]) -> Inputs | Guides:
+    """The planes with what stands in for the lost ones, in the entries where they are lost; guides likewise."""
+    changed = {f.name: torch.where(lost[f.name], ABSENT[f.name], getattr(planes, f.name))
+               for f in fields(planes) if f.name in lost}
+    guides = getattr(planes, "guides", None)
+    return replace(planes, **changed, **({} if guides is None else {"guides": _without(guides, lost)}))
 
 
 def _flip(stack: Stack) -> Stack:

@@ -56,7 +56,7 @@ class ClipLoss(nn.Module):
             keep = (torch.rand_like(batch.keep[t]) >= self.reset) * batch.keep[t]
             output, state, _ = self.model(inputs, state.drop(keep))
             shown, target = ops.display(output), ops.display(batch.references[t])
-            loss = loss + losses.frame_loss(shown, target) * (0.5 + t / count)
+            loss = loss + losses.frame_loss(shown, target) * (0.75 + 0.5 * t / count)
             if previous is not None:
                 moved = losses.reproject_reference(previous[1], inputs.motion)
                 explained = losses.explained_by_motion(target, moved) * batch.keep[t]
