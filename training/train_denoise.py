@@ -4,7 +4,8 @@ One GPU:      python -m training.train_denoise --clips CLIPS --out RUN --minutes
 Several GPUs: torchrun --nproc-per-node 4 -m training.train_denoise --clips CLIPS --out RUN --minutes 20
 
 The learning rate follows the clock: warm-up, then a cosine down to zero at the end of --minutes. The folder of clips
-may still be filling. RUN/checkpoint.pt holds the averaged weights, RUN/log.csv the curves; --resume goes on from one.
+may still be filling. RUN/checkpoint.pt holds the averaged weights, RUN/log.csv and validation.csv the
+curves (plot_curves.py draws them); --resume goes on from a checkpoint.
 """
 import argparse
 import csv
@@ -189,8 +190,12 @@ class Trainer:
             seconds = time.monotonic() - self.start
             print(f"step {self.step} {seconds:.0f} s rate {rate:.2e} loss {values[0]:.4f} psnr {values[1]:.2f} "
                   f"flicker {values[2]:.4f} norm {values[3]:.3f}", flush=True)
-            with (self.args.out / "log.csv").open("a") as file:
-                csv.writer(file).writerow([self.step, round(seconds, 1), rate, *values])
+            self.note("log.csv", rate, *values)
+
+    def note(self, name: str, *values: float) -> None:
+        """Add a row to one of the run's tables, which plot_curves.py draws."""
+        with (self.args.out / name).open("a") as file:
+            csv.writer(file).writerow([self.step, round(time.monotonic() - self.start, 1), *values])
 
     def keep(self) -> None:
         """Validate the averaged weights and write the checkpoint."""
@@ -204,6 +209,7 @@ class Trainer:
         partial = self.args.out / "checkpoint.tmp"
         torch.save({"config": self.config.as_dict(), "weights": weights, "notes": notes}, partial)
         os.replace(partial, self.args.out / "checkpoint.pt")
+        self.note("validation.csv", quality, flicker)
         print("validation", json.dumps(notes), flush=True)
 
 
