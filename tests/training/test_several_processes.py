@@ -29,7 +29,8 @@ def test_two_processes_train_one_network(tmp_path: Path) -> None:
     out = tmp_path / "out"
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     options = ["--minutes", "0.1", "--batch", "1", "--crop", "32", "--widths", "16", "16", "16", "16", "--depth", "1"]
-    command = [*torchrun, str(tmp_path / "run.py"), "--clips", str(tmp_path), "--out", str(out), "--wait", "2", *options]
+    options += ["--wait", "2"]
+    command = [*torchrun, str(tmp_path / "run.py"), "--clips", str(tmp_path), "--out", str(out), *options]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=120, check=False,
                           env={"PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1", "PATH": "/usr/bin:/bin"})
     assert done.returncode == 0, done.stderr[-2000:]
