@@ -12,7 +12,14 @@ from typing import Any
 import torch
 from torch import nn
 
-from postfx.kernels import denoise_features, denoise_filter, denoise_history, denoise_prepare, denoise_upsample
+from postfx.kernels import (
+    denoise_features,
+    denoise_filter,
+    denoise_guides,
+    denoise_history,
+    denoise_prepare,
+    denoise_upsample,
+)
 from postfx.kernels.resample import RESAMPLE
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.networks import denoise_kernels as definitions
@@ -49,12 +56,14 @@ KERNELS = {
     denoise_prepare.DILATE: definitions.Dilate,
     denoise_history.HISTORY: definitions.History,
     denoise_features.FEATURE: definitions.Features,
+    denoise_guides.GUIDE: definitions.GuideFeatures,
     denoise_prepare.ACCUMULATE: definitions.Accumulate,
     denoise_filter.POOL: definitions.Pool,
     denoise_filter.MIX_LEVELS: definitions.Mix,
     denoise_filter.FILTER: definitions.Filter,
     denoise_filter.REMODULATE: definitions.Remodulate,
     denoise_upsample.UPSAMPLE: definitions.Upsample,
+    denoise_upsample.UPSAMPLE_GUIDED: definitions.UpsampleGuided,
     RESAMPLE: definitions.Resample,
 }
 

@@ -3,8 +3,9 @@
 ``params`` is float32 (5,): exposure, jitter x, jitter y, fresh (0 drops the history) and the exposure's gain since
 the previous frame. ``state`` (h, w, 12) holds accumulated demodulated colour (3), effective sample count and hidden
 channels (8), colour already exposed; ``history`` (height, width, 3) is log(1 + exposed output). ``fine`` is the
-network's head at render size: 5x5 kernel 25, 3x3 weights at four phases 36, history blend at four phases 4, mix,
-distrust, importance, hidden state 8. Pictures are (h, w, channels), pyramid levels planar (channels, h, w).
+network's head at render size: 5x5 kernel 25, 3x3 weights at four phases 36, history blend at four phases 4, sharpening
+at four phases 4, mix, distrust, importance, hidden state 8. Pictures are (h, w, channels), pyramid levels planar
+(channels, h, w). Names that begin with ``guide_`` are planes at output size.
 """
 
 from collections.abc import Callable
@@ -15,8 +16,9 @@ from postfx.kernels.kernel import Kernel
 
 HIDDEN = 8
 FEATURES = 27 + HIDDEN
-KERNEL, PHASES, BLEND, MIX, DISTRUST, IMPORTANCE, MEMORY = 25, 25, 61, 65, 66, 67, 68
+KERNEL, PHASES, BLEND, SHARPEN, MIX, DISTRUST, IMPORTANCE, MEMORY = 25, 25, 61, 65, 69, 70, 71, 72
 FINE = MEMORY + HIDDEN
+GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
 EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN = range(5)
 MAX_COUNT = 32.0
 MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
@@ -26,13 +28,20 @@ PLANES = {
     "colour": ("h", "w", 3), "diffuse_albedo": ("h", "w", 3), "specular_albedo": ("h", "w", 3), "normal": ("h", "w", 3),
     "roughness": ("h", "w", 1), "depth": ("h", "w", 1), "motion": ("h", "w", 2),
 }
-SHAPES = PLANES | {
+GUIDE_REFLECTANCE = ("guide_diffuse_albedo", "guide_specular_albedo")
+GUIDE_PLANES = {
+    "guide_diffuse_albedo": ("height", "width", 3), "guide_specular_albedo": ("height", "width", 3),
+    "guide_normal": ("height", "width", 3), "guide_roughness": ("height", "width", 1),
+    "guide_depth": ("height", "width", 1),
+}
+SHAPES = PLANES | GUIDE_PLANES | {
     "depth_scale": (1,), "moved": ("h", "w", 2), "history": ("height", "width", 3), "warped": ("height", "width", 3),
     "params": (5,), "state": ("h", "w", 4 + HIDDEN), "last_depth": ("h", "w", 1), "past": ("h", "w", 4),
     "features": (1, FEATURES, "hp", "wp"), "fine": (1, FINE, "hp", "wp"), "next_state": ("h", "w", 4 + HIDDEN),
     "next_depth": ("h", "w", 1), "level": (4, "hp", "wp"), "finer": (4, "2*hp", "2*wp"),
     "heads": (1, "heads", "hp", "wp"), "coarse": (3, "half_hp", "half_wp"), "area": (2,), "filtered": (3, "hp", "wp"),
     "radiance": (3, "padded_h", "padded_w"), "output": ("height", "width", 3), "next_history": ("height", "width", 3),
+    "guides": (1, GUIDES, "hp", "wp"),
 }
 
 

@@ -1,73 +1,49 @@
-"""Kernel that enlarges the filtered radiance and blends it with the reprojected history.
+"""Kernels that enlarge the filtered radiance, sharpen it and blend it with the reprojected history.
 
 Every output row is made in planar rows, where loops over few arrays become vector code, and interleaved at its end.
 """
 
-import math
-
 import numpy as np
 
-from postfx.kernels.denoise_layout import BLEND, EXPOSURE, FRESH, JITTER_X, JITTER_Y, PHASES, kernel
-from postfx.kernels.numeric import add, add_product, centre, compiled, expm1, inline, log_encode, vectorised
+from postfx.kernels.denoise_layout import (
+    BLEND,
+    EXPOSURE,
+    FRESH,
+    GUIDE_REFLECTANCE,
+    JITTER_X,
+    JITTER_Y,
+    PHASES,
+    SHARPEN,
+    kernel,
+)
+from postfx.kernels.denoise_phases import (
+    add_picked,
+    between,
+    encode_sharp,
+    gauss,
+    held,
+    lean,
+    lean_on,
+    place,
+    scaled,
+    weighted,
+    weighted_picked,
+    wide_gauss,
+)
+from postfx.kernels.numeric import (
+    add,
+    add_product,
+    centre,
+    compiled,
+    demodulation,
+    expm1,
+    fused,
+    log_encode,
+    vectorised,
+)
 
 TAPS = 9
-SIGMA = 0.5
-ZERO, ONE, HALF, TINY = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-8)
-
-
-@inline
-def gauss(distance):
-    return np.float32(math.exp(-(distance * distance) / (2 * SIGMA * SIGMA)))
-
-
-@inline
-def lean(offset):
-    """Share of the right or lower of the two quarter-pixel corners at an offset."""
-    return np.float32(min(max(2 * offset + 0.5, 0.0), 1.0))
-
-
-@inline
-def held(px, py, width, height):
-    """Whether a position lies in a picture."""
-    return -HALF <= px <= np.float32(width) - HALF and -HALF <= py <= np.float32(height) - HALF
-
-
-@vectorised
-def between(upper, lower, share, scale, out):
-    """Linear interpolation of two rows, scaled."""
-    for x in range(out.size):
-        out[x] = (upper[x] + (lower[x] - upper[x]) * share) * scale
-
-
-@vectorised
-def scaled(row, scale, out):
-    for x in range(out.size):
-        out[x] = row[x] * scale
-
-
-@vectorised
-def add_picked(corners, source, gauss_x, index, leans, total, row):
-    """Add a tap to a row at any scale; ``index`` and ``leans`` say which pixel and how far right in it."""
-    for x in range(index.size):
-        at = index[x]
-        k = (corners[0, at] + (corners[1, at] - corners[0, at]) * leans[x]) * gauss_x[x]
-        total[x] += k
-        for c in range(3):
-            row[c, x] += k * source[c, at]
-
-
-@vectorised
-def encode(row, total):
-    """Normalise by the sum of weights and log-encode."""
-    for x in range(total.size):
-        row[x] = log_encode(row[x] / total[x])
-
-
-@vectorised
-def place(row, first, step, flat):
-    """Spread a row over an interleaved one."""
-    for x in range(row.size):
-        flat[first + step * x] = row[x]
+ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-8)
 
 
 @vectorised
@@ -77,6 +53,20 @@ def blend_rows(current, warped, trust, darken, history, output):
         history[i] = current[i] + (warped[i] - current[i]) * trust[i]
     for i in range(history.size):
         output[i] = expm1(history[i]) * darken
+
+
+@fused
+def factor_row(y, diffuse_albedo, specular_albedo, factor):
+    """Reflectance that a row of the output is multiplied by, interleaved."""
+    for x in range(diffuse_albedo.shape[1]):
+        factor[3 * x], factor[3 * x + 1], factor[3 * x + 2] = demodulation(diffuse_albedo, specular_albedo, y, x)
+
+
+@vectorised
+def remodulate_row(factor, current):
+    """A log-encoded row times the reflectance."""
+    for i in range(current.size):
+        current[i] = log_encode(expm1(current[i]) * factor[i])
 
 
 @compiled
@@ -91,7 +81,8 @@ def trust_side(side, y, size, moved, scale, fresh, trust):
 
 
 @compiled
-def double_row(y, iy, lower, radiance, fine, moved, gauss_x, gauss_y, size, scale, fresh, rows, current, trust):
+def double_row(y, iy, lower, radiance, column, fine, moved, gauss_x, gauss_y, wide_x, size, scale, fresh, rows, soft,
+               current, trust):
     """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps."""
     w = rows.shape[1]
     for side in range(2):
@@ -104,7 +95,9 @@ def double_row(y, iy, lower, radiance, fine, moved, gauss_x, gauss_y, size, scal
             for c in range(3):
                 add_product(rows[3], radiance[c, iy + j, i:i + w], rows[c])
         for c in range(3):
-            encode(rows[c], rows[4])
+            line = column[c]
+            weighted(line, line[1:], line[2:], wide_x[0, side], wide_x[1, side], wide_x[2, side], soft)
+            encode_sharp(rows[c], rows[4], soft, fine[0, SHARPEN + corner, iy])
             place(rows[c], 3 * side + c, 6, current)
         rows[3] = fine[0, BLEND + corner, iy, :w]
         trust_side(side, np.float32(y), size, moved[iy], scale, fresh, rows[3])
@@ -113,8 +106,8 @@ def double_row(y, iy, lower, radiance, fine, moved, gauss_x, gauss_y, size, scal
 
 
 @compiled
-def any_row(y, iy, ty, radiance, fine, moved, gauss_x, gauss_y, size, scale, fresh, index, leans, corners, rows,
-            current, trust):
+def any_row(y, iy, ty, radiance, column, fine, moved, gauss_x, gauss_y, wide_x, size, scale, fresh, index, leans,
+            corners, rows, soft, current, trust):
     """A row at any scale."""
     w = corners.shape[1]
     rows[:4], rows[4] = ZERO, TINY
@@ -124,48 +117,79 @@ def any_row(y, iy, ty, radiance, fine, moved, gauss_x, gauss_y, size, scale, fre
             corner = PHASES + 4 * tap + side
             between(fine[0, corner, iy], fine[0, corner + 2, iy], ty, gauss_y[j], corners[side])
         add_picked(corners, radiance[:, iy + j, i:i + w], gauss_x[i], index, leans, rows[4], rows[:3])
+    for side in range(2):
+        between(fine[0, SHARPEN + side, iy], fine[0, SHARPEN + 2 + side, iy], ty, ONE, corners[side])
+    lean_on(corners, index, leans, rows[3])
     for c in range(3):
-        encode(rows[c], rows[4])
+        weighted_picked(column[c], wide_x, index, soft)
+        encode_sharp(rows[c], rows[4], soft, rows[3])
         place(rows[c], c, 3, current)
     for side in range(2):
         between(fine[0, BLEND + side, iy], fine[0, BLEND + 2 + side, iy], ty, ONE, corners[side])
+    lean_on(corners, index, leans, rows[3])
     for x in range(index.size):
-        at = index[x]
-        px, py = np.float32(x) + moved[iy, at, 0] * scale[0], np.float32(y) + moved[iy, at, 1] * scale[1]
-        blend = corners[0, at] + (corners[1, at] - corners[0, at]) * leans[x]
-        kept = fresh * (ONE - blend) if held(px, py, size[0], size[1]) else ZERO
+        px, py = np.float32(x) + moved[iy, index[x], 0] * scale[0], np.float32(y) + moved[iy, index[x], 1] * scale[1]
+        kept = fresh * (ONE - rows[3, x]) if held(px, py, size[0], size[1]) else ZERO
         trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = kept
 
 
 @compiled
-def upsample_rows(y0, y1, radiance, fine, moved, warped, params, output, history):
-    """Output pixels from 3x3 samples by predicted weight and distance, blended with the reprojected history."""
+def resolve_rows(y0, y1, radiance, fine, moved, warped, diffuse_albedo, specular_albedo, guided, params, output,
+                 history):
+    """Output pixels from 3x3 samples by predicted weight and distance, blended with the reprojected history.
+
+    The albedos have the output's size and are looked at only if ``guided``.
+    """
     h, w = moved.shape[:2]
     height, width = output.shape[:2]
     size, scale = (width, height), (np.float32(width / w), np.float32(height / h))
     index, leans = np.empty(width, np.int64), np.empty(width, np.float32)
     gauss_x, gauss_y = np.empty((3, width), np.float32), np.empty(3, np.float32)
+    wide_x = np.empty((3, width), np.float32)
     for x in range(width):
         index[x], offset = centre(x, w, width)
         leans[x] = lean(offset)
+        wide_x[0, x], wide_x[1, x], wide_x[2, x] = wide_gauss(params[JITTER_X] - offset)
         for i in range(3):
             gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
-    double = width == 2 * w
+    double = width == 2 * w and height == 2 * h
     corners, rows = np.empty((2, w), np.float32), np.empty((5, w if double else width), np.float32)
+    column, soft = np.empty((3, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
     current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
+    factor = np.empty(3 * width if guided else 0, np.float32)
     for y in range(y0, y1):
         iy, offset = centre(y, h, height)
+        upper, middle, lower = wide_gauss(params[JITTER_Y] - offset)
         for j in range(3):
             gauss_y[j] = gauss(j - 1 + params[JITTER_Y] - offset)
+        for c in range(3):
+            weighted(radiance[c, iy], radiance[c, iy + 1], radiance[c, iy + 2], upper, middle, lower, column[c])
         if double:
-            double_row(y, iy, y % 2, radiance, fine, moved, gauss_x, gauss_y, size, scale, params[FRESH], rows,
-                       current, trust)
+            double_row(y, iy, y % 2, radiance, column, fine, moved, gauss_x, gauss_y, wide_x, size, scale,
+                       params[FRESH], rows, soft, current, trust)
         else:
-            any_row(y, iy, lean(offset), radiance, fine, moved, gauss_x, gauss_y, size, scale, params[FRESH], index,
-                    leans, corners, rows, current, trust)
+            any_row(y, iy, lean(offset), radiance, column, fine, moved, gauss_x, gauss_y, wide_x, size, scale,
+                    params[FRESH], index, leans, corners, rows, soft, current, trust)
+        if guided:
+            factor_row(y, diffuse_albedo, specular_albedo, factor)
+            remodulate_row(factor, current)
         blend_rows(current, warped[y].reshape(3 * width), trust, ONE / params[EXPOSURE], history[y].reshape(3 * width),
                    output[y].reshape(3 * width))
 
 
-UPSAMPLE = kernel("upsample", ("radiance", "fine", "moved", "warped", "params"), ("output", "next_history"),
-                  upsample_rows, ("output", 0))
+@compiled
+def upsample_rows(y0, y1, radiance, fine, moved, warped, params, output, history):
+    """Radiance that already holds the reflectance."""
+    resolve_rows(y0, y1, radiance, fine, moved, warped, warped, warped, False, params, output, history)
+
+
+@compiled
+def guided_rows(y0, y1, radiance, fine, moved, warped, diffuse_albedo, specular_albedo, params, output, history):
+    """Radiance without reflectance, which is put back at output size."""
+    resolve_rows(y0, y1, radiance, fine, moved, warped, diffuse_albedo, specular_albedo, True, params, output, history)
+
+
+WRITES = ("output", "next_history")
+UPSAMPLE = kernel("upsample", ("radiance", "fine", "moved", "warped", "params"), WRITES, upsample_rows, ("output", 0))
+UPSAMPLE_GUIDED = kernel("upsample_guided", ("radiance", "fine", "moved", "warped", *GUIDE_REFLECTANCE, "params"),
+                         WRITES, guided_rows, ("output", 0))

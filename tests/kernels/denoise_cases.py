@@ -10,6 +10,7 @@ import numpy as np
 from postfx.kernels import (
     denoise_features,
     denoise_filter,
+    denoise_guides,
     denoise_history,
     denoise_layout,
     denoise_prepare,
@@ -22,11 +23,13 @@ from postfx.runtime.shapes import parse
 
 KERNELS = (
     denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_history.HISTORY, denoise_features.FEATURE,
-    denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS, denoise_filter.FILTER,
-    denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, RESAMPLE,
+    denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
+    denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
+    RESAMPLE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
-FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image")
+FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image",
+         *denoise_layout.GUIDE_PLANES)
 
 
 class Case(NamedTuple):
@@ -75,7 +78,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
     if name in ("fine", "heads"):
         gates = np.arange(size[1])[:, None, None]
         wide = np.exp(4 * unit - 2)
-        return np.where(gates < denoise_layout.BLEND, wide, np.where(gates < 68, unit, 2 * unit - 1))
+        return np.where(gates < denoise_layout.BLEND, wide, np.where(gates < denoise_layout.MEMORY, unit, 2 * unit - 1))
     if name == "params":
         return np.array([1.7, random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 1.0, 0.8])
     if name == "area":
@@ -88,9 +91,9 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.pad(20 * unit[:, 1:-1, 1:-1] ** 3, ((0, 0), (1, 1), (1, 1)), "edge")
     if name in ("motion", "moved"):
         return random.normal(0, 3, size)
-    if name == "normal":
+    if name in ("normal", "guide_normal"):
         return 2 * unit - 1
-    if name in ("depth", "last_depth"):
+    if name in ("depth", "last_depth", "guide_depth"):
         return np.where(random.random(size) < 0.05, 1e10, 1 + 9 * unit)
     if name in ("history", "warped"):
         return 5 * unit**3

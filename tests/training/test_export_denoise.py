@@ -20,16 +20,23 @@ import onnx  # noqa: E402
 from training import export_denoise  # noqa: E402
 from training.export import PARITY, ParityError, parity, relative_error  # noqa: E402
 from training.networks.denoise_upscale import DenoiseUpscale  # noqa: E402
-from training.networks.trunk import FEATURES, TrunkConfig  # noqa: E402
+from training.networks.trunk import FEATURES, GUIDES, TrunkConfig  # noqa: E402
+
+TAGS = {False: "tiny", True: "tiny.guides"}
+
+
+@pytest.fixture(scope="module", params=TAGS, ids=TAGS.get)
+def checkpoint(request: pytest.FixtureRequest) -> dict:
+    """A checkpoint of a small network, as train_denoise.py writes them."""
+    torch.manual_seed(0)
+    model = DenoiseUpscale(TrunkConfig((16, 16, 16, 16), 1, request.param))
+    weights = {key: value + 0.05 * torch.randn_like(value) for key, value in model.state_dict().items()}
+    return {"config": model.config.as_dict(), "weights": weights, "notes": {"steps": 7}}
 
 
 @pytest.fixture(scope="module")
-def checkpoint() -> dict:
-    """A checkpoint of a small network, as train_denoise.py writes them."""
-    torch.manual_seed(0)
-    model = DenoiseUpscale(TrunkConfig((16, 16, 16, 16), 1))
-    weights = {key: value + 0.05 * torch.randn_like(value) for key, value in model.state_dict().items()}
-    return {"config": model.config.as_dict(), "weights": weights, "notes": {"steps": 7}}
+def name(checkpoint: dict) -> str:
+    return f"denoise_upscale.{TAGS[checkpoint['config']['guides']]}"
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +45,8 @@ def folder(checkpoint: dict, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("models")
     torch.save(checkpoint, folder / "checkpoint.pt")
     (folder / "quality.json").write_text('{"room": {"psnr": 30.5}}')
-    arguments = ["export_denoise", "checkpoint.pt", "--tag", "tiny", "--quality", "quality.json", "--models", "."]
+    tag = TAGS[checkpoint["config"]["guides"]]
+    arguments = ["export_denoise", "checkpoint.pt", "--tag", tag, "--quality", "quality.json", "--models", "."]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(sys, "argv", arguments)
@@ -47,51 +55,53 @@ def folder(checkpoint: dict, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_file_runs_as_the_network_at_any_size(checkpoint: dict, folder: Path) -> None:
+def test_file_runs_as_the_network_at_any_size(checkpoint: dict, folder: Path, name: str) -> None:
     trunk = export_denoise.load_trunk(checkpoint)
-    path = folder / "denoise_upscale.tiny.onnx"
+    path = folder / f"{name}.onnx"
     for height, width in ((16, 16), (64, 96), (80, 32)):
-        features = export_denoise.example(height, width)
-        assert parity(trunk, path, (features,), {"height": height, "width": width}) <= PARITY
+        examples = export_denoise.example(trunk, height, width)
+        assert parity(trunk, path, examples, {"height": height, "width": width}) <= PARITY
 
 
-def test_a_different_network_is_found_out(checkpoint: dict, folder: Path) -> None:
+def test_a_different_network_is_found_out(checkpoint: dict, folder: Path, name: str) -> None:
     trunk = export_denoise.load_trunk(checkpoint)
     with torch.no_grad():
         trunk.stem.weight *= 1.1
     with pytest.raises(ParityError, match="differs from torch by"):
-        parity(trunk, folder / "denoise_upscale.tiny.onnx", (export_denoise.example(32, 32),))
+        parity(trunk, folder / f"{name}.onnx", export_denoise.example(trunk, 32, 32))
 
 
-def test_sizes_are_fixed_by_name(folder: Path) -> None:
+def test_sizes_are_fixed_by_name(checkpoint: dict, folder: Path, name: str) -> None:
     device = Device("cpu")
-    state = device.pipeline_state(Library(folder), "denoise_upscale.tiny", {"height": 48, "width": 80})
+    state = device.pipeline_state(Library(folder), name, {"height": 48, "width": 80})
     shapes = {binding.name: binding.shape for binding in state.bindings}
     assert shapes["features"] == (1, FEATURES, 48, 80)
+    assert shapes.get("guides") == ((1, GUIDES, 48, 80) if checkpoint["config"]["guides"] else None)
     assert [shapes[f"level{i}"][2:] for i in (1, 2, 3, 4)] == [(24, 40), (12, 20), (6, 10), (3, 5)]
     with pytest.raises(ModelError, match="width"):
-        device.pipeline_state(Library(folder), "denoise_upscale.tiny", {"height": 48})
+        device.pipeline_state(Library(folder), name, {"height": 48})
 
 
-def test_file_is_one_and_tells_nothing_of_the_machine(folder: Path) -> None:
-    path = folder / "denoise_upscale.tiny.onnx"
+def test_file_is_one_and_tells_nothing_of_the_machine(folder: Path, name: str) -> None:
+    path = folder / f"{name}.onnx"
     model = onnx.load(path, load_external_data=False)
     assert not any(tensor.data_location == onnx.TensorProto.EXTERNAL for tensor in model.graph.initializer)
     assert not any(node.metadata_props or node.doc_string for node in model.graph.node)
     assert str(Path(__file__).parents[2]).encode() not in path.read_bytes()
 
 
-def test_card_says_what_the_file_is(checkpoint: dict, folder: Path) -> None:
-    card = json.loads((folder / "denoise_upscale.tiny.json").read_text())
-    content = (folder / "denoise_upscale.tiny.onnx").read_bytes()
+def test_card_says_what_the_file_is(checkpoint: dict, folder: Path, name: str) -> None:
+    card = json.loads((folder / f"{name}.json").read_text())
+    content = (folder / f"{name}.onnx").read_bytes()
     assert card["sha256"] == hashlib.sha256(content).hexdigest()
-    assert card["name"] == "denoise_upscale.tiny" and card["pass"] == "denoise_upscale"
+    assert card["name"] == name and card["pass"] == "denoise_upscale"
     assert card["parameters"] == sum(weight.numel() for weight in checkpoint["weights"].values())
     assert card["training"]["steps"] == 7
     assert card["quality"] == {"room": {"psnr": 30.5}}
     assert card["parity"]["max_relative_error"] <= PARITY
-    declared = {value.name for value in onnx.load_from_string(content).graph.output}
-    assert set(card["outputs"]) == declared
+    graph = onnx.load_from_string(content).graph
+    assert set(card["inputs"]) == {value.name for value in graph.input}
+    assert set(card["outputs"]) == {value.name for value in graph.output}
 
 
 def test_shipped_model_is_the_one_on_its_card() -> None:

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from training.networks import denoise_upscale as step
 from training.networks import ops
-from training.networks.denoise_upscale import Inputs, State
+from training.networks.denoise_upscale import Guides, Inputs, State
 from training.networks.trunk import DISTRUST, IMPORTANCE, KERNEL, MEMORY, MIX
 
 
@@ -26,6 +26,11 @@ def to_picture(image: Tensor) -> Tensor:
 def expose(colour: Tensor, params: Tensor) -> Tensor:
     """Exposed colour (1, 3, h, w) from a file's; sanitised first, for infinity times 0 is NaN."""
     return ops.sanitise(to_image(colour), 0, step.MAX_FLOAT) * params[0]
+
+
+def aligned(features: Tensor, h: int, w: int) -> Tensor:
+    """Features (1, C, h, w) as the network takes them: the edge repeated up to the next multiple of 16."""
+    return F.pad(features, (0, -w % step.ALIGN, 0, -h % step.ALIGN), mode="replicate")
 
 
 class Scale(nn.Module):
@@ -63,8 +68,17 @@ class Features(nn.Module):
         factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
         h, w = colour.shape[:2]
         features = step.features(inputs, past, factor, depth_scale.reshape(1, 1, 1, 1))
-        padded = F.pad(features, (0, -w % step.ALIGN, 0, -h % step.ALIGN), mode="replicate")
-        return to_picture(torch.cat((past.accumulated, past.count), 1)), padded
+        return to_picture(torch.cat((past.accumulated, past.count), 1)), aligned(features, h, w)
+
+
+class GuideFeatures(nn.Module):
+    """depth (h, w, 1), guides (H, W, C), depth_scale -> guides (1, 44, hp, wp), padded to multiples of 16."""
+
+    def forward(self, depth: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, normal: Tensor,
+                roughness: Tensor, guide_depth: Tensor, depth_scale: Tensor) -> Tensor:
+        h, w = depth.shape[:2]
+        guides = Guides(*map(to_image, (diffuse_albedo, specular_albedo, normal, roughness, guide_depth)))
+        return aligned(step.guide_features(guides, h, w, depth_scale.reshape(1, 1, 1, 1)), h, w)
 
 
 class Accumulate(nn.Module):
@@ -91,7 +105,7 @@ class Pool(nn.Module):
 
 
 class Mix(nn.Module):
-    """coarse (3, hp / 2, wp / 2), level (4, hp, wp), heads (1, 26 or 76, hp, wp) -> mixed (3, hp, wp)."""
+    """coarse (3, hp / 2, wp / 2), level (4, hp, wp), heads (1, 26 or 80, hp, wp) -> mixed (3, hp, wp)."""
 
     def forward(self, coarse: Tensor, level: Tensor, heads: Tensor) -> Tensor:
         # The mix is the last of a level's 26 channels, but not of the fine head's: by arithmetic, without a branch.
@@ -123,12 +137,26 @@ class Upsample(nn.Module):
 
     def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, warped: Tensor,
                 params: Tensor) -> tuple[Tensor, Tensor]:
-        h, w = moved.shape[:2]
-        here = fine[:, :, :h, :w]
-        inside = ops.inside(ops.enlarge_motion(to_image(moved), *warped.shape[:2])) * params[3]
-        filtered = radiance[None, :, 1:1 + h, 1:1 + w]
-        encoded = step.resolve(filtered, here, params[None, 1:3], to_image(warped), inside)
-        return to_picture(torch.expm1(encoded) / params[0]), to_picture(encoded)
+        return resolve(radiance, fine, moved, warped, None, params)
+
+
+class UpsampleGuided(nn.Module):
+    """The same with albedos (H, W, 3), by which the radiance is multiplied."""
+
+    def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, warped: Tensor, diffuse_albedo: Tensor,
+                specular_albedo: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
+        factor = ops.demodulation(to_image(diffuse_albedo), to_image(specular_albedo))
+        return resolve(radiance, fine, moved, warped, factor, params)
+
+
+def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, warped: Tensor, factor: Tensor | None,
+            params: Tensor) -> tuple[Tensor, Tensor]:
+    h, w = moved.shape[:2]
+    here = fine[:, :, :h, :w]
+    inside = ops.inside(ops.enlarge_motion(to_image(moved), *warped.shape[:2])) * params[3]
+    filtered = radiance[None, :, 1:1 + h, 1:1 + w]
+    encoded = step.resolve(filtered, here, params[None, 1:3], to_image(warped), inside, factor)
+    return to_picture(torch.expm1(encoded) / params[0]), to_picture(encoded)
 
 
 class Resample(nn.Module):
