@@ -9,6 +9,10 @@ class FrameError(PostfxError):
     """A frame's planes do not fit together: size, channels or data type."""
 
 
+class GuideError(FrameError):
+    """Planes at output size do not fit the frame or the output: role or size."""
+
+
 class SequenceError(PostfxError):
     """A frame pattern or frame range cannot be understood, or matches no file."""
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from postfx.errors import FrameError
+from postfx.errors import FrameError, GuideError
 
 DEPTH_MISS = 1e10
 """Depth of a pixel whose ray hit nothing."""
@@ -63,18 +63,43 @@ ROLES: Mapping[Role, RoleInfo] = {
 }
 
 
+GUIDE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH)
+"""Planes that may come at output size as well: guides."""
+
+
+@dataclass(frozen=True)
+class GuideSpec:
+    """Size and roles of a frame's guides, which are planes at output size.
+
+    `roles` may be any of `GUIDE_ROLES`, kept in the order of `Role`; none when no pass reads the guides. `source` is
+    the file they come from, for messages: it does not count when specs are compared.
+    """
+
+    width: int
+    height: int
+    roles: tuple[Role, ...]
+    source: str | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        wanted = {Role(role) for role in self.roles}
+        for role in wanted - set(GUIDE_ROLES):
+            raise GuideError(f"plane '{role}' cannot be a guide: those are {', '.join(GUIDE_ROLES)}")
+        object.__setattr__(self, "roles", tuple(role for role in Role if role in wanted))
+
+
 @dataclass(frozen=True)
 class FrameSpec:
-    """Everything about a frame that passes are compiled for: size, planes (role -> channels) and colour encoding.
+    """Everything about a frame that passes are compiled for: size, planes (role -> channels), encoding and guides.
 
     `planes` may be given as a mapping, as pairs or as roles; it is kept as pairs in the order of `Role`, so specs
-    compare and hash by meaning.
+    compare and hash by meaning. `guides` is None for a frame without planes at output size.
     """
 
     width: int
     height: int
     planes: tuple[tuple[Role, int], ...]
     encoding: str = "scene-linear"
+    guides: GuideSpec | None = None
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -87,6 +112,11 @@ class FrameSpec:
     def roles(self) -> tuple[Role, ...]:
         """Roles of the planes, in the order of `Role`."""
         return tuple(role for role, _ in self.planes)
+
+    @property
+    def guide_roles(self) -> tuple[Role, ...]:
+        """Roles of the guides, in the order of `Role`."""
+        return self.guides.roles if self.guides else ()
 
     def has(self, role: Role) -> bool:
         """Whether the frame holds a plane of this role."""
@@ -115,7 +145,7 @@ def _pair(item: Any) -> tuple[Role, int]:
 
 @dataclass
 class Frame:
-    """One image of a sequence: planes of one size plus what the passes must know about it.
+    """One image of a sequence: planes of one size, perhaps guides of the output's, and what the passes must know.
 
     Attributes:
         planes: role -> float32 C-contiguous array (height, width, channels); units and directions are in `ROLES`.
@@ -131,8 +161,12 @@ class Frame:
             'dataWindow' as (x0, y0, x1, y1), bounds included.
         source: file that the frame was read from, or None.
         encoding: meaning of the colour plane, one of `ENCODINGS`.
+        guides: role -> array like those of `planes`, at output size; roles are among `GUIDE_ROLES`.
+        guide_jitter: like `jitter`, of the guides' samples, in pixels of the guides.
+        guide_source: file that the guides were read from, or None.
 
-    Raises FrameError when a plane has a wrong shape, channel count or data type, or when sizes differ.
+    Raises FrameError when a plane or guide has a wrong shape, channel count or data type, or when sizes differ;
+    GuideError, one of its kind, when a guide is of another role.
     """
 
     planes: dict[Role, np.ndarray]
@@ -146,14 +180,15 @@ class Frame:
     metadata: dict[str, Any] = field(default_factory=dict)
     source: str | None = None
     encoding: str = "scene-linear"
+    guides: dict[Role, np.ndarray] = field(default_factory=dict)
+    guide_jitter: tuple[float, float] = (0.0, 0.0)
+    guide_source: str | None = None
 
     def __post_init__(self) -> None:
         if not self.planes:
             raise FrameError(f"frame {self._name()} has no planes")
-        self.planes = {Role(role): self._checked(Role(role), plane) for role, plane in self.planes.items()}
-        sizes = {plane.shape[:2] for plane in self.planes.values()}
-        if len(sizes) > 1:
-            raise FrameError(f"planes of frame {self._name()} differ in size: {self._sizes()}")
+        self.planes = self._all_checked(self.planes, "plane", self.source)
+        self.guides = self._all_checked(self.guides, "guide", self.guide_source)
         if self.world_to_camera is not None:
             self.world_to_camera = np.asarray(self.world_to_camera, np.float64).reshape(4, 4)
 
@@ -161,7 +196,8 @@ class Frame:
     def spec(self) -> FrameSpec:
         """Size, planes and encoding of this frame."""
         height, width = next(iter(self.planes.values())).shape[:2]
-        return FrameSpec(width, height, {role: plane.shape[2] for role, plane in self.planes.items()}, self.encoding)
+        channels = {role: plane.shape[2] for role, plane in self.planes.items()}
+        return FrameSpec(width, height, channels, self.encoding, self._guide_spec())
 
     def __getitem__(self, role: Role) -> np.ndarray:
         """Plane of a role, (height, width, channels); FrameError when the frame does not hold it."""
@@ -172,20 +208,33 @@ class Frame:
     def __contains__(self, role: object) -> bool:
         return role in self.planes
 
-    def _checked(self, role: Role, plane: np.ndarray) -> np.ndarray:
+    def _guide_spec(self) -> GuideSpec | None:
+        if not self.guides:
+            return None
+        height, width = next(iter(self.guides.values())).shape[:2]
+        return GuideSpec(width, height, tuple(self.guides), self.guide_source)
+
+    def _all_checked(self, planes: dict[Role, np.ndarray], kind: str, source: str | None) -> dict[Role, np.ndarray]:
+        checked = {Role(role): self._checked(Role(role), plane, kind) for role, plane in planes.items()}
+        if len({plane.shape[:2] for plane in checked.values()}) > 1:
+            sizes = ", ".join(f"{role} {plane.shape[1]}x{plane.shape[0]}" for role, plane in checked.items())
+            raise FrameError(f"{kind}s of frame {self._name(source)} differ in size: {sizes}")
+        return checked
+
+    def _checked(self, role: Role, plane: np.ndarray, kind: str) -> np.ndarray:
+        if kind == "guide" and role not in GUIDE_ROLES:
+            raise GuideError(f"plane '{role}' of frame {self._name()} cannot be a guide: use {', '.join(GUIDE_ROLES)}")
         if not isinstance(plane, np.ndarray) or not np.issubdtype(plane.dtype, np.floating):
-            kind = getattr(plane, "dtype", type(plane).__name__)
-            raise FrameError(f"plane '{role}' of frame {self._name()} is {kind}: give a NumPy array of floats")
+            found = getattr(plane, "dtype", type(plane).__name__)
+            raise FrameError(f"{kind} '{role}' of frame {self._name()} is {found}: give a NumPy array of floats")
         channels = ROLES[role].channels
         if plane.ndim == 2 and channels == 1:
             plane = plane[:, :, None]
         if plane.ndim != 3 or plane.shape[2] != channels or 0 in plane.shape:
             expected = f"(height, width, {channels})"
-            raise FrameError(f"plane '{role}' of frame {self._name()} has shape {plane.shape}: it needs {expected}")
+            raise FrameError(f"{kind} '{role}' of frame {self._name()} has shape {plane.shape}: it needs {expected}")
         return np.ascontiguousarray(plane, np.float32)
 
-    def _name(self) -> str:
-        return f"{self.number} ({self.source})" if self.source else str(self.number)
-
-    def _sizes(self) -> str:
-        return ", ".join(f"{role} {plane.shape[1]}x{plane.shape[0]}" for role, plane in self.planes.items())
+    def _name(self, source: str | None = None) -> str:
+        source = source or self.source
+        return f"{self.number} ({source})" if source else str(self.number)

@@ -47,8 +47,8 @@ class Pipeline:
     def __call__(self, frame: Frame) -> Frame:
         """The frame after all passes; the given frame is not changed.
 
-        Planes that no pass touches are passed on as they are, unless a pass changed the size. Compiles when the
-        frame's spec is not the last one's, which drops the history. When a pass fails, the history is dropped and
+        Planes and guides that no pass touches are passed on as they are, unless a pass changed the size. Compiles when
+        the frame's spec is not the last one's, which drops the history. When a pass fails, the history is dropped and
         the error is raised.
         """
         plan = self._planned(frame.spec)
@@ -59,7 +59,8 @@ class Pipeline:
             self._reset_passes()
         self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
         inputs = {role: self.device.wrap(role, frame[role]) for role in plan.planes}
-        resident = _resident(frame, plan.input, inputs, self.exposure)
+        guides = {role: self.device.wrap(f"guide {role}", frame.guides[role]) for role in plan.guides}
+        resident = _resident(frame, plan.input, inputs, guides, self.exposure)
         try:
             self._run(plan, resident)
             return _finished(frame, plan, resident, inputs)
@@ -67,7 +68,7 @@ class Pipeline:
             self._reset_passes()
             raise
         finally:
-            for tensor in inputs.values():
+            for tensor in (*inputs.values(), *guides.values()):
                 tensor.release()
 
     def explain(self, spec: FrameSpec | None = None) -> Plan:
@@ -112,10 +113,14 @@ class Pipeline:
         self.timings = {step.name: _milliseconds(commands, step.name) for step in plan.steps}
 
 
-def _resident(frame: Frame, spec: FrameSpec, tensors: dict[Role, Tensor], exposure: float) -> ResidentFrame:
+def _resident(
+    frame: Frame, spec: FrameSpec, tensors: dict[Role, Tensor], guides: dict[Role, Tensor], exposure: float
+) -> ResidentFrame:
     return ResidentFrame(
         spec=spec,
         tensors=dict(tensors),
+        guides=dict(guides),
+        guide_jitter=frame.guide_jitter,
         number=frame.number,
         jitter=frame.jitter,
         exposure=exposure,
@@ -136,6 +141,7 @@ def _encode(step: Step, commands: CommandBuffer, resident: ResidentFrame) -> Non
     wrong = [role for role in output.roles if role not in resident or not _fits(resident[role], role, output)]
     if wrong:
         raise PassContractError(f"pass '{step.name}' did not leave plane '{wrong[0]}' as its reflection declares")
+    resident.guides = {role: resident.guides[role] for role in output.guide_roles}
     resident.spec = output
 
 
@@ -150,7 +156,9 @@ def _finished(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Ro
     planes = {role: frame[role] for role in unread}
     for role, tensor in resident.tensors.items():
         planes[role] = frame[role] if tensor is inputs.get(role) else tensor.download()
-    return dataclasses.replace(frame, planes=planes, encoding=plan.output.encoding, jitter=resident.jitter)
+    guides = frame.guides if same_size else {}
+    changed = {"encoding": plan.output.encoding, "jitter": resident.jitter}
+    return dataclasses.replace(frame, planes=planes, guides=guides, **changed)
 
 
 def _milliseconds(commands: CommandBuffer, name: str) -> float:

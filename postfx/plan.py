@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from postfx.errors import MissingPlaneError
@@ -30,6 +30,11 @@ class Step:
         wanted = {*self.reflection.reads, *self.reflection.may_read}
         return tuple(role for role in self.input.roles if role in wanted)
 
+    @property
+    def uses_guides(self) -> tuple[Role, ...]:
+        """Guides it reads here, in the order of `Role`."""
+        return tuple(role for role in self.input.guide_roles if role in self.reflection.may_read_guides)
+
 
 @dataclass(frozen=True)
 class Skipped:
@@ -50,6 +55,7 @@ class Plan:
         skipped: passes and planes that are left out, and why.
         remarks: what the active passes have to say about the result.
         output: spec of the frame that comes out.
+        guides: roles of the guides that must be read, likewise.
     """
 
     available: FrameSpec
@@ -58,17 +64,19 @@ class Plan:
     skipped: tuple[Skipped, ...]
     output: FrameSpec
     remarks: tuple[str, ...] = ()
+    guides: tuple[Role, ...] = ()
 
     @property
     def input(self) -> FrameSpec:
-        """Spec of the frame once only the planes that are needed were read."""
-        return _restricted(self.available, self.planes)
+        """Spec of the frame once only the planes and guides that are needed were read."""
+        return _restricted(self.available, self.planes, self.guides)
 
     def as_dict(self) -> dict[str, Any]:
         """The plan in plain types, as `to_json` writes it."""
         return {
             "input": _spec_dict(self.available),
             "planes": [str(role) for role in self.planes],
+            "guides": [str(role) for role in self.guides],
             "passes": [_step_dict(step) for step in self.steps],
             "skipped": [{"what": item.what, "why": item.why} for item in self.skipped],
             "remarks": list(self.remarks),
@@ -81,11 +89,21 @@ class Plan:
 
     def __str__(self) -> str:
         lines = [("frame", _spec_text(self.available)), ("reads", _names(self.planes))]
+        lines += [("guides", text) for text in self._guides_text()]
         lines += [(f"pass {number}", _step_text(step)) for number, step in enumerate(self.steps, 1)]
         lines += [("skips", f"{item.what}: {item.why}") for item in self.skipped]
         lines += [("note", remark) for remark in self.remarks]
         lines += [("output", _spec_text(self.output))]
         return "\n".join(f"{head:<8}{text}" for head, text in lines)
+
+    def _guides_text(self) -> list[str]:
+        """Whether planes at output size are used; nothing where there are none and no pass asks for any."""
+        offered = self.available.guides
+        if offered is None:
+            wanted = any(step.reflection.may_read_guides for step in self.steps)
+            return ["none: planes at output size would make edges exact (--guides)"] if wanted else []
+        used = f"used: {_names(self.guides)}" if self.guides else "not used"
+        return [f"{offered.width}x{offered.height}, {used}"]
 
 
 def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
@@ -106,10 +124,10 @@ def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
         _check(step, spec)
         steps.append(step)
         current = step.reflection.output
-    planes = _needed(spec, steps)
-    unread = [role for role in spec.roles if role not in planes]
-    skipped += [Skipped(f"plane '{role}'", "no pass reads it") for role in unread]
-    return _narrowed(Plan(spec, planes, tuple(steps), tuple(skipped), current))
+    planes, guides = _needed(spec, steps), _needed_guides(spec, steps)
+    skipped += [Skipped(f"plane '{role}'", "no pass reads it") for role in spec.roles if role not in planes]
+    skipped += [Skipped(f"guide '{role}'", "no pass reads it") for role in spec.guide_roles if role not in guides]
+    return _narrowed(Plan(spec, planes, tuple(steps), tuple(skipped), current, guides=guides))
 
 
 def _narrowed(plan: Plan) -> Plan:
@@ -120,7 +138,7 @@ def _narrowed(plan: Plan) -> Plan:
         steps.append(Step(step.name, step.instance, current, step.instance.reflect(current)))
         current = steps[-1].reflection.output
     remarks = tuple(f"{step.name}: {remark}" for step in steps for remark in step.instance.remarks(step.input))
-    return Plan(plan.available, plan.planes, tuple(steps), plan.skipped, current, remarks)
+    return replace(plan, steps=tuple(steps), output=current, remarks=remarks)
 
 
 def _needed(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
@@ -133,6 +151,11 @@ def _needed(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
     return tuple(role for role in spec.roles if role in needed)
 
 
+def _needed_guides(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
+    used = {role for step in steps for role in step.uses_guides}
+    return tuple(role for role in spec.guide_roles if role in used)
+
+
 def _check(step: Step, spec: FrameSpec) -> None:
     missing = [role for role in step.reflection.reads if not step.input.has(role)]
     if missing:
@@ -142,6 +165,7 @@ def _check(step: Step, spec: FrameSpec) -> None:
     output, writes = step.reflection.output, step.reflection.writes
     kept = [role for role in output.roles if role not in writes]
     invented = [role for role in kept if not step.input.has(role)]
+    invented += set(output.guide_roles) - set(step.input.guide_roles)
     if invented or not set(writes) <= set(output.roles):
         raise PassContractError(f"pass '{step.name}' declares an output of other planes than it keeps and writes")
     if kept and (output.width, output.height) != (step.input.width, step.input.height):
@@ -155,8 +179,10 @@ def _step_names(passes: Sequence[Pass]) -> list[str]:
     return [name if count == 1 else f"{name} {count}" for name, count in zip(plain, counts, strict=True)]
 
 
-def _restricted(spec: FrameSpec, roles: Sequence[Role]) -> FrameSpec:
-    return FrameSpec(spec.width, spec.height, tuple(roles), spec.encoding)
+def _restricted(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role]) -> FrameSpec:
+    """Guides that nobody reads leave their size behind: it tells how large the output should be."""
+    kept = replace(spec.guides, roles=tuple(guides)) if spec.guides else None
+    return FrameSpec(spec.width, spec.height, tuple(roles), spec.encoding, kept)
 
 
 def _step_text(step: Step) -> str:
@@ -165,12 +191,15 @@ def _step_text(step: Step) -> str:
     changes = changes if (before.width, before.height) != (after.width, after.height) else []
     changes += [f"{before.encoding} -> {after.encoding}"] if before.encoding != after.encoding else []
     text = f"{step.name}: reads {_names(step.uses)}; writes {_names(step.reflection.writes)}"
+    changes += ["uses the guides"] if step.uses_guides else []
     return "; ".join([text, *changes])
 
 
 def _step_dict(step: Step) -> dict[str, Any]:
     uses, writes = [str(role) for role in step.uses], [str(role) for role in step.reflection.writes]
-    return {"name": step.name, "reads": uses, "writes": writes, "output": _spec_dict(step.reflection.output)}
+    guides = [str(role) for role in step.uses_guides]
+    output = _spec_dict(step.reflection.output)
+    return {"name": step.name, "reads": uses, "guides": guides, "writes": writes, "output": output}
 
 
 def _spec_text(spec: FrameSpec) -> str:
@@ -178,8 +207,9 @@ def _spec_text(spec: FrameSpec) -> str:
 
 
 def _spec_dict(spec: FrameSpec) -> dict[str, Any]:
-    planes = [str(role) for role in spec.roles]
-    return {"width": spec.width, "height": spec.height, "encoding": spec.encoding, "planes": planes}
+    planes, guides = [str(role) for role in spec.roles], spec.guides
+    size = guides and {"width": guides.width, "height": guides.height, "planes": [str(role) for role in guides.roles]}
+    return {"width": spec.width, "height": spec.height, "encoding": spec.encoding, "planes": planes, "guides": size}
 
 
 def _names(roles: Iterable[Role]) -> str:

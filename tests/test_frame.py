@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from postfx import Frame, FrameSpec, Role
-from postfx.errors import FrameError
-from postfx.frame import ROLES
+from postfx.errors import FrameError, GuideError
+from postfx.frame import GUIDE_ROLES, ROLES, GuideSpec
 
 
 def plane(role: Role, height: int = 4, width: int = 5) -> np.ndarray:
@@ -64,3 +64,47 @@ def test_asking_for_what_is_not_there():
         frame[Role.DEPTH]
     with pytest.raises(FrameError, match="no plane 'depth'"):
         frame.spec.channels(Role.DEPTH)
+
+
+def guided(*roles: Role, **kept) -> Frame:
+    return Frame({"colour": plane(Role.COLOUR)}, guides={role: plane(role, 8, 10) for role in roles}, **kept)
+
+
+def test_guides_are_planes_of_another_size():
+    frame = guided(Role.DEPTH, Role.DIFFUSE_ALBEDO, guide_source="guides.0001.exr")
+    guides = GuideSpec(10, 8, (Role.DEPTH, Role.DIFFUSE_ALBEDO))
+    assert frame.spec == FrameSpec(5, 4, ["colour"], guides=guides)
+    assert frame.spec.guide_roles == (Role.DEPTH, Role.DIFFUSE_ALBEDO)
+    assert frame.spec.guides.source == "guides.0001.exr"
+    assert guided().spec.guides is None and guided().spec.guide_roles == ()
+
+
+def test_specs_with_guides_compare_and_hash_by_meaning():
+    one, other = GuideSpec(4, 2, ["normal", "depth"], "a.exr"), GuideSpec(4, 2, (Role.DEPTH, Role.NORMAL), "b.exr")
+    specs = {FrameSpec(2, 1, ["colour"], guides=guides) for guides in (one, other, GuideSpec(4, 2, ["depth"]), None)}
+    assert len(specs) == 3
+
+
+def test_scalar_guides_may_come_without_channel_axis():
+    frame = Frame({"colour": plane(Role.COLOUR)}, guides={"depth": np.ones((8, 10), np.float64)})
+    assert frame.guides[Role.DEPTH].shape == (8, 10, 1) and frame.guides[Role.DEPTH].dtype == np.float32
+
+
+@pytest.mark.parametrize("role", [role for role in Role if role not in GUIDE_ROLES])
+def test_other_planes_cannot_be_guides(role):
+    with pytest.raises(GuideError, match=f"plane '{role}'.* cannot be a guide: "):
+        guided(role)
+    with pytest.raises(GuideError, match=f"plane '{role}' cannot be a guide: "):
+        GuideSpec(10, 8, (role,))
+
+
+def test_guides_of_several_sizes_are_refused():
+    guides = {Role.DEPTH: plane(Role.DEPTH, 8, 10), Role.NORMAL: plane(Role.NORMAL, 9, 10)}
+    message = r"guides of frame 3 \(g.exr\) differ in size: depth 10x8, normal 10x9"
+    with pytest.raises(FrameError, match=message):
+        Frame({"colour": plane(Role.COLOUR)}, 3, guides=guides, guide_source="g.exr")
+
+
+def test_guides_of_a_wrong_shape_are_refused():
+    with pytest.raises(FrameError, match="guide 'normal' of frame 1 has shape"):
+        Frame({"colour": plane(Role.COLOUR)}, guides={"normal": np.zeros((8, 10, 2), np.float32)})

@@ -127,6 +127,28 @@ def test_planes_of_another_size_are_dropped(device):
     assert result.spec == FrameSpec(48, 80, (Role.COLOUR,))
 
 
+def test_guides_reach_the_pass_that_reads_them(device):
+    pipeline = Pipeline([toys.AddGuide()], device)
+    for number in (1, 2):
+        frame = make_frame(number, (6, 10), guides=toys.make_guides((12, 20)))
+        result = pipeline(frame)
+        wanted = frame[Role.COLOUR].repeat(2, 0).repeat(2, 1) + frame.guides[Role.DIFFUSE_ALBEDO]
+        np.testing.assert_array_equal(result[Role.COLOUR], wanted)
+        assert result.guides == {}
+    bare = make_frame(1, (6, 10))
+    np.testing.assert_array_equal(pipeline(bare)[Role.COLOUR], bare[Role.COLOUR].repeat(2, 0).repeat(2, 1))
+
+
+def test_guides_that_nobody_reads_go_through_and_compile_nothing_anew(device):
+    probe = Probe()
+    pipeline = Pipeline([probe], device)
+    frame = make_frame(guides=toys.make_guides((48, 80)), guide_jitter=(0.25, -0.25))
+    result = pipeline(frame)
+    assert all(result.guides[role] is guide for role, guide in frame.guides.items())
+    pipeline(make_frame(guides=toys.make_guides((48, 80), (Role.DEPTH,))))
+    assert len(probe.compiled) == 1 and probe.seen[0].guides == {} and probe.seen[0].guide_jitter == (0.25, -0.25)
+
+
 def test_nothing_to_do(device):
     frame = make_frame()
     pipeline = Pipeline([toys.Double(times=0)], device)

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from postfx.errors import MissingPlaneError
-from postfx.frame import FrameSpec, Role
+from postfx.frame import FrameSpec, GuideSpec, Role
 from postfx.passes.base import Pass, PassContractError, Reflection
 from postfx.plan import Skipped, make_plan
 from tests import toys
@@ -122,8 +122,8 @@ def test_json():
     assert document == plan.as_dict()
     assert document["planes"] == ["colour", "alpha", "depth"]
     assert document["passes"] == [{
-        "name": "enlarge", "reads": ["colour", "depth"], "writes": ["colour"],
-        "output": {"width": 12, "height": 20, "encoding": "scene-linear", "planes": ["colour"]},
+        "name": "enlarge", "reads": ["colour", "depth"], "guides": [], "writes": ["colour"],
+        "output": {"width": 12, "height": 20, "encoding": "scene-linear", "planes": ["colour"], "guides": None},
     }]
     assert document["skipped"][0] == {"what": "double", "why": "times is 0"}
 
@@ -137,3 +137,55 @@ def test_remarks_of_active_passes_are_kept():
     assert plan.remarks == ("enlarge: no motion",)
     assert "note    enlarge: no motion" in str(plan).splitlines()
     assert plan.as_dict()["remarks"] == ["enlarge: no motion"]
+
+
+GUIDES = GuideSpec(12, 20, (Role.NORMAL, Role.DIFFUSE_ALBEDO))
+GUIDED = FrameSpec(6, 10, (Role.COLOUR,), guides=GUIDES)
+
+
+def test_only_guides_that_a_pass_reads_are_read():
+    plan = make_plan([toys.AddGuide()], GUIDED)
+    assert plan.guides == (Role.DIFFUSE_ALBEDO,) == plan.input.guide_roles == plan.steps[0].uses_guides
+    assert plan.skipped == (Skipped("guide 'normal'", "no pass reads it"),)
+    assert plan.output == FrameSpec(12, 20, (Role.COLOUR,))
+
+
+def test_guides_that_no_pass_reads_are_the_same_spec_to_the_passes():
+    one, other = (make_plan([toys.Sum()], FrameSpec(6, 10, (Role.COLOUR,), guides=guides))
+                  for guides in (GUIDES, GuideSpec(12, 20, (Role.DEPTH,))))
+    assert one.guides == other.guides == ()
+    assert one.steps[0].input == other.steps[0].input
+
+
+def test_guides_end_where_the_size_changes():
+    plan = make_plan([toys.AddGuide(), toys.AddGuide()], GUIDED)
+    assert [step.uses_guides for step in plan.steps] == [(Role.DIFFUSE_ALBEDO,), ()]
+
+
+def test_guides_that_nobody_brought_cannot_be_left():
+    class Wrong(Pass):
+        name = "wrong"
+
+        def reflect(self, spec):
+            return Reflection((Role.COLOUR,), (Role.COLOUR,), GUIDED)
+
+    with pytest.raises(PassContractError, match="other planes than it keeps"):
+        make_plan([Wrong()], FrameSpec(6, 10, (Role.COLOUR,)))
+
+
+@pytest.mark.parametrize(("guides", "line"), [
+    (GUIDES, "guides  12x20, used: diffuse_albedo"),
+    (GuideSpec(12, 20, (Role.DEPTH,)), "guides  12x20, not used"),
+    (None, "guides  none: planes at output size would make edges exact (--guides)"),
+])
+def test_text_says_whether_guides_are_used(guides, line):
+    lines = str(make_plan([toys.AddGuide()], FrameSpec(6, 10, (Role.COLOUR,), guides=guides))).splitlines()
+    assert line in lines
+    assert any("uses the guides" in text for text in lines) == (guides == GUIDES)
+    assert not any(text.startswith("guides") for text in str(make_plan([toys.Sum()], SPEC)).splitlines())
+
+
+def test_json_of_guides():
+    document = make_plan([toys.AddGuide()], GUIDED).as_dict()
+    assert document["input"]["guides"] == {"width": 12, "height": 20, "planes": ["normal", "diffuse_albedo"]}
+    assert document["guides"] == document["passes"][0]["guides"] == ["diffuse_albedo"]

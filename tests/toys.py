@@ -11,7 +11,7 @@ import onnx
 from numba import njit
 from onnx import TensorProto, helper, numpy_helper
 
-from postfx.frame import Frame, FrameSpec, Role
+from postfx.frame import GUIDE_ROLES, Frame, FrameSpec, Role
 from postfx.kernels.kernel import Kernel
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library
@@ -169,6 +169,31 @@ class Enlarge(Pass):
         frame.jitter = (0.0, 0.0)
 
 
+class AddGuide(Enlarge):
+    """Twice the size by repetition, plus the guides' albedo where there is one."""
+
+    name = "add_guide"
+
+    def reflect(self, spec: FrameSpec) -> Reflection:
+        output = FrameSpec(2 * spec.width, 2 * spec.height, (Role.COLOUR,), spec.encoding)
+        guides = (Role.DIFFUSE_ALBEDO,)
+        return Reflection(reads=(Role.COLOUR,), writes=(Role.COLOUR,), output=output, may_read_guides=guides)
+
+    def compile(self, device: Device, spec: FrameSpec) -> None:
+        super().compile(device, spec)
+        self._add = device.compute_state(ADD)
+        self._sum = device.heap.tensor("sum", self._fine.shape)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        super().encode(commands, frame)
+        if Role.DIFFUSE_ALBEDO in frame.guides:
+            tensors = {"a": self._fine, "b": frame.guides[Role.DIFFUSE_ALBEDO], "total": self._sum}
+            with commands.compute_encoder("add") as encoder:
+                encoder.barrier(after="compute", before="compute")
+                encoder.dispatch(self._add, ArgumentTable(self._add, tensors))
+            frame.set(Role.COLOUR, self._sum)
+
+
 def make_frame(number: int = 1, size: tuple[int, int] = (24, 40), roles: tuple = (Role.COLOUR,), **kept) -> Frame:
     """A frame of random planes; size is (width, height)."""
     width, height = size
@@ -176,3 +201,8 @@ def make_frame(number: int = 1, size: tuple[int, int] = (24, 40), roles: tuple =
     random = np.random.default_rng(number)
     planes = {role: random.random((height, width, channels), np.float32) for role, channels in spec.planes}
     return Frame(planes, number=number, **kept)
+
+
+def make_guides(size: tuple[int, int], roles: tuple = GUIDE_ROLES) -> dict[Role, np.ndarray]:
+    """Random guides; size is (width, height)."""
+    return make_frame(100, size, roles).planes

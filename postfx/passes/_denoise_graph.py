@@ -7,17 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postfx.frame import Role
 from postfx.kernels import (
     denoise_features,
     denoise_filter,
+    denoise_guides,
     denoise_history,
     denoise_layout,
     denoise_prepare,
     denoise_upsample,
 )
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.resample import RESAMPLE, positions
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Library, Tensor
 
 ALIGN = 16
@@ -46,11 +45,19 @@ class Sizes:
         return np.array([-(-self.h // 2**i), -(-self.w // 2**i)], np.float32)
 
 
-class Graph:
-    """Pipeline states, tensors and argument tables of one size; the history is kept in two sets used in turn."""
+def has_model(model: str) -> bool:
+    """Whether a model comes with postfx."""
+    return model in Library().names()
 
-    def __init__(self, device: Device, sizes: Sizes, model: str) -> None:
-        self._device, self._sizes = device, sizes
+
+class Graph:
+    """Pipeline states, tensors and argument tables of one size; the history is kept in two sets used in turn.
+
+    A guided graph's model reads guides beside the features, and colour has no reflectance until output size.
+    """
+
+    def __init__(self, device: Device, sizes: Sizes, model: str, guided: bool = False) -> None:
+        self._device, self._sizes, self._guided = device, sizes, guided
         height, width = sizes.padded
         self._network = device.pipeline_state(Library(), model, {"height": height, "width": width})
         self._tables: dict[str, ArgumentTable] = {}
@@ -58,18 +65,18 @@ class Graph:
         self._make_tables()
         self._turn = 0
 
-    def encode(self, commands: CommandBuffer, planes: Mapping[Role, Tensor], params: np.ndarray) -> Tensor:
+    def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray) -> Tensor:
         """Record one frame; returns the output colour tensor."""
         self._turn ^= 1
         self._params.upload(params)
-        for name in ("scale", "dilate", "history", "features", "accumulate", "remodulate", "upsample"):
+        for name in ("scale", "dilate", "history", *self._looks, "accumulate", "remodulate", "upsample"):
             self._bind(name, planes)
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             self._run(encoder, "scale", "dilate")
-            for name in ("history", "features"):
+            for names in (("history",), self._looks):
                 encoder.barrier()
-                self._run(encoder, name)
+                self._run(encoder, *names)
         with commands.machine_learning_encoder("network") as encoder:
             encoder.barrier(after="compute", before="machine-learning")
             encoder.dispatch_network(self._network, self._network_table)
@@ -84,21 +91,6 @@ class Graph:
             self._run(encoder, "upsample")
         return self._output
 
-    def encode_alpha(self, commands: CommandBuffer, alpha: Tensor, jitter: tuple[float, float]) -> Tensor:
-        """Record the enlargement of the alpha plane; returns the tensor it goes to."""
-        s = self._sizes
-        if "alpha" not in self._tables:
-            self._positions = self._new("rows", (s.height,)), self._new("columns", (s.width,))
-            self._alpha = self._new("alpha", (s.height, s.width, 1))
-            self._table("alpha", RESAMPLE, rows=self._positions[0], columns=self._positions[1], output=self._alpha)
-        self._positions[0].upload(positions(s.h, s.height, jitter[1]))
-        self._positions[1].upload(positions(s.w, s.width, jitter[0]))
-        self._tables["alpha"]["image"] = alpha
-        with commands.compute_encoder("alpha") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            self._run(encoder, "alpha")
-        return self._alpha
-
     def _new(self, name: str, shape: tuple[int, ...]) -> Tensor:
         return self._device.heap.tensor(name, shape)
 
@@ -112,11 +104,13 @@ class Graph:
         self._radiance = self._new("radiance", (3, s.h + 2, s.w + 2))
         self._output = self._new("output", (s.height, s.width, 3))
         self._heads = {b.name: self._new(b.name, b.shape) for b in self._network.bindings if b.access == "write"}
-        self._features = self._new("features", next(b.shape for b in self._network.bindings if b.access == "read"))
+        self._seen = {b.name: self._new(b.name, b.shape) for b in self._network.bindings if b.access == "read"}
         # Before the first frame the history holds nothing, and nothing of it is used: it only has to be defined.
         self._history = [self._zeros("history", (s.height, s.width, 3)) for _ in range(2)]
         self._state = [self._zeros("state", (s.h, s.w, 4 + denoise_layout.HIDDEN)) for _ in range(2)]
         self._depth = [self._zeros("depth", (s.h, s.w, 1)) for _ in range(2)]
+        if self._guided:
+            self._black = self._zeros("no reflectance", (s.h, s.w, 3))  # makes a factor of one
 
     def _zeros(self, name: str, shape: tuple[int, ...]) -> Tensor:
         tensor = self._new(name, shape)
@@ -125,18 +119,18 @@ class Graph:
 
     def _make_tables(self) -> None:
         prepare = {"params": self._params, "moved": self._moved, "warped": self._warped, "past": self._past,
-                   "depth_scale": self._depth_scale, "features": self._features, "fine": self._heads["fine"]}
+                   "depth_scale": self._depth_scale, "fine": self._heads["fine"], **self._seen}
         levels = [self._new(f"level {i}", (4, *self._sizes.level(i))) for i in range(LEVELS + 1)]
         filtered = [self._new(f"filtered {i}", (3, *self._sizes.level(i))) for i in range(LEVELS + 1)]
+        upsample = denoise_upsample.UPSAMPLE_GUIDED if self._guided else denoise_upsample.UPSAMPLE
+        self._looks = ("features", "guides") if self._guided else ("features",)
         for name, kernel in (("scale", denoise_prepare.SCALE), ("dilate", denoise_prepare.DILATE),
                              ("history", denoise_history.HISTORY), ("features", denoise_features.FEATURE),
-                             ("accumulate", denoise_prepare.ACCUMULATE), ("upsample", denoise_upsample.UPSAMPLE),
-                             ("remodulate", denoise_filter.REMODULATE)):
+                             ("guides", denoise_guides.GUIDE), ("accumulate", denoise_prepare.ACCUMULATE),
+                             ("remodulate", denoise_filter.REMODULATE), ("upsample", upsample)):
             self._table(name, kernel, **prepare, level=levels[0], radiance=self._radiance, output=self._output,
                         filtered=filtered[0])
-        self._network_table = ArgumentTable(self._network)
-        for name, tensor in ({"features": self._features} | self._heads).items():
-            self._network_table[name] = tensor
+        self._network_table = ArgumentTable(self._network, self._seen | self._heads)
         self._filter_order = ["accumulate", *(f"pool {i}" for i in range(1, LEVELS + 1))]
         for i in range(1, LEVELS + 1):
             self._table(f"pool {i}", denoise_filter.POOL, finer=levels[i - 1], level=levels[i])
@@ -161,10 +155,12 @@ class Graph:
                 table[binding] = tensors[binding]
         self._tables[name] = table
 
-    def _bind(self, name: str, planes: Mapping[Role, Tensor]) -> None:
+    def _bind(self, name: str, planes: Mapping[str, Tensor]) -> None:
         """Bind what changes from frame to frame: the frame's planes and the two sets of history."""
         last, now = self._turn, 1 - self._turn
-        changing = {str(role): tensor for role, tensor in planes.items()} | {
+        if self._guided and name == "remodulate":
+            planes = dict.fromkeys(denoise_layout.REFLECTANCE, self._black)
+        changing = dict(planes) | {
             "history": self._history[last], "state": self._state[last], "last_depth": self._depth[last],
             "next_history": self._history[now], "next_state": self._state[now], "next_depth": self._depth[now]}
         table = self._tables[name]

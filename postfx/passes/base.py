@@ -38,13 +38,15 @@ class Reflection:
         may_read: planes it uses when they are there.
         writes: planes it replaces or adds.
         output: spec of the frame it leaves. Planes that are not in it are dropped, so a pass that changes the size
-            names only the planes that exist at the new size.
+            names only the planes that exist at the new size. So are guides.
+        may_read_guides: planes at output size that it uses when they are there.
     """
 
     reads: tuple[Role, ...]
     writes: tuple[Role, ...]
     output: FrameSpec
     may_read: tuple[Role, ...] = ()
+    may_read_guides: tuple[Role, ...] = ()
 
 
 @dataclass
@@ -59,7 +61,8 @@ class ResidentFrame:
             output is no longer jittered sets it to (0, 0).
         exposure: multiplier actually used for this frame, > 0; colour times exposure is what the eye should see.
         reset: True when history must be dropped before this frame.
-        samples, world_to_camera, fov_x, metadata: as in `postfx.frame.Frame`.
+        samples, world_to_camera, fov_x, metadata, guide_jitter: as in `postfx.frame.Frame`.
+        guides: role -> tensor like those of `tensors`, at output size; those that passes read.
     """
 
     spec: FrameSpec
@@ -72,6 +75,8 @@ class ResidentFrame:
     world_to_camera: np.ndarray | None = None
     fov_x: float | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    guides: dict[Role, Tensor] = field(default_factory=dict)
+    guide_jitter: tuple[float, float] = (0.0, 0.0)
 
     def __getitem__(self, role: Role) -> Tensor:
         """Tensor of a plane; FrameError when the frame does not hold it."""

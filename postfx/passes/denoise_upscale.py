@@ -8,52 +8,62 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from postfx.frame import ROLES, FrameSpec, Role
-from postfx.passes._denoise_graph import Graph, Sizes
+from postfx.errors import GuideError
+from postfx.frame import GUIDE_ROLES, FrameSpec, Role
+from postfx.passes._denoise_graph import Graph, Sizes, has_model
+from postfx.passes._denoise_planes import ABSENT, Planes, Resampler, Size
 from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device, Tensor
 
-GUIDES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)
-# What stands in for a plane that a file lacks; networks are trained with the same values in its place.
-ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0, Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0,
-          Role.MOTION: 0.0}
+PLANES = tuple(ABSENT)
+LEAST, MOST, USUAL = 1.0, 3.0, 2.0
 
 
 class DenoiseUpscale(Pass):
-    """Denoise and enlarge, using the frames before by motion. Reads what guides there are, needs colour only.
+    """Denoise and enlarge, using the frames before by motion. Reads what planes there are, needs colour only.
 
     Options:
-        scale: output size over render size, 1 to 3.
+        scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 2 without guides.
         model: tag of the network, as in ``denoise_upscale.<tag>``.
 
-    Without a motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3.
+    A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. Without a
+    motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, GuideError for guides of
+    another size than the output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
-    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"scale": 2.0, "model": "m"})
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"scale": None, "model": "m"})
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self.scale = float(self.options["scale"])
-        if not 1 <= self.scale <= 3:
+        given = self.options["scale"]
+        self.scale = None if given is None else float(given)
+        if self.scale is not None and not LEAST <= self.scale <= MOST:
             raise PassOptionError(f"pass '{self.name}' scales by 1 to 3, not {self.scale:g}: give a scale in between")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         alpha = tuple(role for role in (Role.ALPHA,) if spec.has(role))
-        output = FrameSpec(round(spec.width * self.scale), round(spec.height * self.scale), (Role.COLOUR, *alpha))
-        return Reflection(reads=(Role.COLOUR,), may_read=(*GUIDES, Role.ALPHA), writes=(Role.COLOUR, *alpha),
-                          output=output)
+        size = self._output_size(spec)
+        output = FrameSpec(size.width, size.height, (Role.COLOUR, *alpha))
+        lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
+        return Reflection(reads=(Role.COLOUR,), may_read=(*PLANES, Role.ALPHA), writes=(Role.COLOUR, *alpha),
+                          output=output, may_read_guides=GUIDE_ROLES if self._has_guided_model() else lost)
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
-        lost = [str(role) for role in GUIDES if not spec.has(role) and role != Role.MOTION]
-        alone = () if spec.has(Role.MOTION) else ("no motion plane, so every frame is denoised alone and may flicker",)
-        return (*alone, *((f"blurs more without the planes {', '.join(lost)}",) if lost else ()))
+        seen = {*spec.roles, *spec.guide_roles}
+        lost = [str(role) for role in GUIDE_ROLES if role not in seen]
+        found = [] if spec.has(Role.MOTION) else ["no motion plane, so every frame is denoised alone and may flicker"]
+        found += [f"blurs more without the planes {', '.join(lost)}"] if lost else []
+        return (*found, *self._guide_remarks(spec))
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        output = self.reflect(spec).output
-        self._sizes = Sizes(spec.height, spec.width, output.height, output.width)
-        self._graph = Graph(device, self._sizes, f"{self.name}.{self.options['model']}")
-        self._absent = {role: self._constant(device, role, spec) for role in GUIDES if not spec.has(role)}
+        self._output, guided = self.reflect(spec).output, self._is_guided(spec)
+        size = Size(self._output.height, self._output.width)
+        self._planes = Planes(device, spec, size, guided)
+        model = f"{self.name}.{self.options['model']}{'.guides' if guided else ''}"
+        self._graph = Graph(device, Sizes(spec.height, spec.width, *size), model, guided)
+        if spec.has(Role.ALPHA):
+            self._alpha = Resampler(device, "alpha", Role.ALPHA, Size(spec.height, spec.width), size)
         super().compile(device, spec)
 
     def reset(self) -> None:
@@ -64,17 +74,61 @@ class DenoiseUpscale(Pass):
         super().encode(commands, frame)
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
-        planes = {role: frame.get(role) or self._absent[role] for role in GUIDES} | {Role.COLOUR: frame[Role.COLOUR]}
         params = np.array([frame.exposure, *frame.jitter, keep, gain], np.float32)
-        frame.set(Role.COLOUR, self._graph.encode(commands, planes, params))
+        colour = self._graph.encode(commands, self._planes.encode(commands, frame), params)
+        frame.set(Role.COLOUR, colour)
         if Role.ALPHA in frame:
-            frame.set(Role.ALPHA, self._graph.encode_alpha(commands, frame[Role.ALPHA], frame.jitter))
-        for role in GUIDES:
+            frame.set(Role.ALPHA, self._encode_alpha(commands, frame))
+        for role in PLANES:
             frame.tensors.pop(role, None)
-        frame.spec, frame.jitter = self.reflect(self._spec).output, (0.0, 0.0)
+        frame.guides.clear()
+        frame.spec, frame.jitter = self._output, (0.0, 0.0)
         self._fresh, self._exposure = True, frame.exposure
 
+    def _encode_alpha(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
+        with commands.compute_encoder("alpha") as encoder:
+            encoder.barrier(after="compute", before="compute")
+            self._alpha.encode(encoder, frame[Role.ALPHA], frame.jitter, (0.0, 0.0))
+        return self._alpha.output
+
+    def _output_size(self, spec: FrameSpec) -> Size:
+        guides = spec.guides
+        scale = self.scale or USUAL
+        size = Size(round(spec.height * scale), round(spec.width * scale))
+        if guides is None or size == (guides.height, guides.width):
+            return size
+        if self.scale is None:
+            return self._guides_size(spec)
+        wanted = f"{size.width}x{size.height}"
+        raise GuideError(
+            f"{guides.source or 'frame'}: guides are {guides.width}x{guides.height}, but scale {self.scale:g} makes "
+            f"{wanted} of {spec.width}x{spec.height}: leave the scale out, or render the guides at {wanted}"
+        )
+
     @staticmethod
-    def _constant(device: Device, role: Role, spec: FrameSpec) -> Tensor:
-        shape = (spec.height, spec.width, ROLES[role].channels)
-        return device.wrap(f"absent {role}", np.full(shape, ABSENT[role], np.float32))
+    def _guides_size(spec: FrameSpec) -> Size:
+        """Size of the guides, if a scale leads there."""
+        guides = spec.guides
+        sides = ((guides.width, spec.width), (guides.height, spec.height))
+        low = max(LEAST, *((out - 0.5) / side for out, side in sides))
+        high = min(MOST, *((out + 0.5) / side for out, side in sides))
+        if low > high:
+            raise GuideError(
+                f"{guides.source or 'frame'}: guides are {guides.width}x{guides.height}, colour is "
+                f"{spec.width}x{spec.height}: render the guides 1 to 3 times as large, by the same factor both ways"
+            )
+        return Size(guides.height, guides.width)
+
+    def _has_guided_model(self) -> bool:
+        return has_model(f"{self.name}.{self.options['model']}.guides")
+
+    def _is_guided(self, spec: FrameSpec) -> bool:
+        return bool(spec.guide_roles) and self._has_guided_model()
+
+    def _guide_remarks(self, spec: FrameSpec) -> list[str]:
+        if spec.guides is None:
+            return []
+        if not self._has_guided_model():
+            return [f"model '{self.options['model']}' does not read guides: they only stand in for missing planes"]
+        rough = [str(role) for role in GUIDE_ROLES if spec.has(role) and role not in spec.guide_roles]
+        return [f"edges are less exact without the guides {', '.join(rough)}"] if rough else []

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from postfx.frame import Frame, Role
+from postfx.frame import GUIDE_ROLES, Frame, Role
 
 PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
 
@@ -22,6 +24,12 @@ def noisy(number: int, height: int = 37, width: int = 50, planes: tuple[Role, ..
     }
     kept = {"jitter": tuple(random.uniform(-0.5, 0.5, 2)), **kept}
     return Frame({role: values[role].astype(np.float32) for role in planes}, number=number, **kept)
+
+
+def guided(frame: Frame, height: int, width: int, roles: tuple[Role, ...] = GUIDE_ROLES, **kept) -> Frame:
+    """The same frame with random guides of this size."""
+    guides = noisy(100 + frame.number, height, width, roles).planes
+    return replace(frame, guides=guides, guide_source="guides.exr", **kept)
 
 
 def flat(number: int, value: float, height: int = 24, width: int = 40, **kept) -> Frame:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from postfx import ROLES, Frame, FrameSpec, Role
-from postfx.frame import ENCODINGS
+from postfx.frame import ENCODINGS, GUIDE_ROLES, GuideSpec
 from postfx.passes import registry
 from postfx.passes.base import NotCompiledError, Pass, PassOptionError, ResidentFrame
 from postfx.pipeline import Pipeline
@@ -19,7 +20,7 @@ SIZE = (37, 29)
 PORTABLE_TOLERANCE = 1e-3
 
 Maker = Callable[..., Pass]
-TOYS = {"toy double": toys.Double, "toy sum": toys.Sum, "toy enlarge": toys.Enlarge}
+TOYS = {"toy double": toys.Double, "toy sum": toys.Sum, "toy enlarge": toys.Enlarge, "toy guide": toys.AddGuide}
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,8 @@ def frame(spec: FrameSpec, number: int = 1, **kept) -> Frame:
         planes[role] = 2 * planes[role] - 1
     if Role.DEPTH in planes:
         planes[Role.DEPTH] = 1 + 9 * planes[Role.DEPTH]
-    return Frame(planes, number=number, encoding=spec.encoding, **kept)
+    guides = toys.make_guides((spec.guides.width, spec.guides.height), spec.guide_roles) if spec.guides else {}
+    return Frame(planes, number=number, encoding=spec.encoding, guides=guides, **kept)
 
 
 def active_spec(instance: Pass, roles=tuple(Role), size=SIZE) -> FrameSpec:
@@ -163,6 +165,17 @@ def test_runs_without_optional_planes(make, device):
     spec = active_spec(instance, roles=instance.reflect(active_spec(instance)).reads)
     (result,) = run(instance, [frame(spec)], device)
     assert all(np.isfinite(plane).all() for plane in result.planes.values())
+
+
+def test_guides_that_are_not_declared_do_not_matter(make, device):
+    instance = make()
+    spec = replace(active_spec(instance), guides=GuideSpec(2 * SIZE[0], 2 * SIZE[1], GUIDE_ROLES))
+    reflection = instance.reflect(spec)
+    given = frame(spec)
+    fewer = replace(given, guides={role: given.guides[role] for role in reflection.may_read_guides})
+    one, other = run(make(), [given], device)[0], run(make(), [fewer], device)[0]
+    assert all(np.array_equal(one[role], other[role]) for role in reflection.writes)
+    assert all(np.isfinite(one[role]).all() for role in reflection.writes)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 50), (64, 16)])

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from postfx.frame import Frame, Role
-from postfx.passes import _denoise_graph
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
-from postfx.runtime import Device, Library
-from tests.passes.denoise_frames import noisy
+from postfx.runtime import Device
+from tests.passes.denoise_frames import guided, noisy
 
 torch = pytest.importorskip("torch")
 
 from tests.training.small_denoiser import one_thread, small_model  # noqa: E402, F401
-from training.export_denoise import export_trunk  # noqa: E402
 from training.networks import denoise_upscale as network  # noqa: E402
 
 TOLERANCE = 1e-3
@@ -25,16 +23,8 @@ EXPOSURES = (1.0, 1.0, 2.5, 0.7)
 CUT = 3  # index of the frame that starts a new shot
 
 
-@pytest.fixture(scope="module")
-def model() -> network.DenoiseUpscale:
-    return small_model().eval()
-
-
-@pytest.fixture(scope="module")
-def folder(model: network.DenoiseUpscale, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("models") / "denoise_upscale.small.onnx"
-    assert export_trunk(model.trunk, path) < TOLERANCE
-    return path.parent
+def as_tensors(planes: dict[Role, np.ndarray]) -> dict[str, torch.Tensor]:
+    return {str(role): torch.from_numpy(plane).permute(2, 0, 1)[None] for role, plane in planes.items()}
 
 
 def in_torch(model: network.DenoiseUpscale, frames: list[Frame], size: tuple[int, int]) -> list[np.ndarray]:
@@ -42,9 +32,10 @@ def in_torch(model: network.DenoiseUpscale, frames: list[Frame], size: tuple[int
     results, state, last = [], None, None
     for frame in frames:
         gain = None if last is None or frame.reset else torch.full((1, 1, 1, 1), frame.exposure / last)
-        planes = {str(role): torch.from_numpy(plane).permute(2, 0, 1)[None] for role, plane in frame.planes.items()}
+        planes, guides = as_tensors(frame.planes), as_tensors(frame.guides)
         planes["colour"] = planes["colour"] * frame.exposure
-        inputs = network.Inputs(**planes, jitter=torch.tensor([frame.jitter], dtype=torch.float32), gain=gain)
+        planes["jitter"] = torch.tensor([frame.jitter], dtype=torch.float32)
+        inputs = network.Inputs(**planes, gain=gain, guides=network.Guides(**guides) if guides else None)
         state = state or network.empty_state(inputs, *size)
         keep = torch.full((1, 1, 1, 1), 0.0 if frame.reset else 1.0)
         with torch.no_grad():
@@ -54,19 +45,29 @@ def in_torch(model: network.DenoiseUpscale, frames: list[Frame], size: tuple[int
     return results
 
 
+def broken_frames(size: tuple[int, int]) -> list[Frame]:
+    """Four frames with what no file should hold in the second."""
+    frames = [noisy(i, *size, exposure=exposure, reset=i == CUT) for i, exposure in enumerate(EXPOSURES)]
+    frames[1][Role.COLOUR][3, 4], frames[1][Role.DEPTH][5, 6], frames[1][Role.NORMAL][7, 8] = np.nan, np.nan, np.inf
+    return frames
+
+
 @pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "portable"])
+@pytest.mark.parametrize("with_guides", [False, True], ids=["alone", "guides"])
 @pytest.mark.parametrize(
     ("scale", "size"), [(2, (48, 64)), (2, (37, 50)), (1, (37, 50)), (1.5, (37, 50)), (3, (21, 35))]
 )
 def test_pass_gives_what_torch_gives(
-    model: network.DenoiseUpscale, folder: Path, scale: float, size: tuple[int, int], compiled: bool, monkeypatch
+    scale: float, size: tuple[int, int], with_guides: bool, compiled: bool, small_models: Path
 ) -> None:
-    monkeypatch.setattr(_denoise_graph, "Library", lambda: Library(folder))
-    frames = [noisy(i, *size, exposure=exposure, reset=i == CUT) for i, exposure in enumerate(EXPOSURES)]
-    frames[1][Role.COLOUR][3, 4], frames[1][Role.DEPTH][5, 6], frames[1][Role.NORMAL][7, 8] = np.nan, np.nan, np.inf
+    output = tuple(round(side * scale) for side in size)
+    frames = broken_frames(size)
+    if with_guides:
+        frames = [guided(frame, *output) for frame in frames]
+        frames[1].guides[Role.DIFFUSE_ALBEDO][3, 4], frames[1].guides[Role.DEPTH][5, 6] = np.nan, np.inf
     device = Device("cpu", threads=2, compiled_kernels=compiled)
     pipeline = Pipeline([DenoiseUpscale(scale=scale, model="small")], device, exposure="metadata")
-    wanted = in_torch(model, frames, tuple(round(side * scale) for side in size))
+    wanted = in_torch(small_model(with_guides).eval(), frames, output)
     for frame, expected in zip(frames, wanted, strict=True):
         found = pipeline(frame)[Role.COLOUR]
         assert np.abs(found - expected).max() <= TOLERANCE * np.abs(expected).max()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -11,10 +13,10 @@ from training.networks.trunk import TrunkConfig
 SMALL = TrunkConfig((16, 16, 16, 16), 1)
 
 
-def small_model() -> DenoiseUpscale:
+def small_model(guides: bool = False) -> DenoiseUpscale:
     """A network whose weights make all its outputs vary."""
     torch.manual_seed(0)
-    model = DenoiseUpscale(SMALL)
+    model = DenoiseUpscale(replace(SMALL, guides=guides))
     with torch.no_grad():
         for parameter in model.parameters():
             parameter += torch.randn_like(parameter) * 0.05

@@ -1,0 +1,95 @@
+"""The planes that the denoised upscaler's kernels read: the frame's own, or what stands in for a missing one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
+from postfx.kernels.resample import RESAMPLE, positions
+from postfx.passes.base import ResidentFrame
+from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
+
+# What stands in for a plane that a frame lacks at both sizes; networks are trained with the same values in its place.
+ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0, Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0,
+          Role.MOTION: 0.0}
+
+
+class Size(NamedTuple):
+    """Height and width."""
+
+    height: int
+    width: int
+
+
+class Resampler:
+    """Brings a plane to another size, every frame anew: cubic, but depth by the nearest sample, for misses do not mix.
+
+    The result is sampled at pixel centres plus `jitter`, in pixels of the result.
+    """
+
+    def __init__(self, device: Device, name: str, role: Role, size: Size, out_size: Size) -> None:
+        self._size, self._out_size, self._nearest = size, out_size, role is Role.DEPTH
+        new = device.heap.tensor
+        self._rows, self._columns = new(f"{name} rows", out_size[:1]), new(f"{name} columns", out_size[1:])
+        self.output = new(name, (*out_size, ROLES[role].channels))
+        tensors = {"rows": self._rows, "columns": self._columns, "output": self.output}
+        self._table = ArgumentTable(device.compute_state(RESAMPLE), tensors)
+
+    def encode(
+        self, encoder: ComputeEncoder, image: Tensor, jitter: tuple[float, float], out_jitter: tuple[float, float]
+    ) -> None:
+        """Record the work for an image whose samples are `jitter` of its own pixels off their centres."""
+        for axis, tensor in enumerate((self._rows, self._columns)):
+            size, out_size = self._size[axis], self._out_size[axis]
+            shift = jitter[1 - axis] - out_jitter[1 - axis] * size / out_size
+            at = positions(size, out_size, shift)
+            tensor.upload(np.rint(at) if self._nearest else at)
+        self._table["image"] = image
+        encoder.dispatch(self._table.state, self._table)
+
+
+class Planes:
+    """Planes and guides under the names that the kernels give them: 'normal', and 'guide_normal' at output size.
+
+    A plane that the frame holds at one size only is resampled to the other; what it does not hold is constant.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool) -> None:
+        render = Size(spec.height, spec.width)
+        self._held = [role for role in ABSENT if spec.has(role)]
+        self._guides = [role for role in spec.guide_roles if guided]
+        self._constants: dict[str, Tensor] = {}
+        self._reduced: dict[Role, Resampler] = {}
+        self._enlarged: dict[Role, Resampler] = {}
+        for role in ABSENT:
+            if role in spec.guide_roles and not spec.has(role):
+                self._reduced[role] = Resampler(device, f"reduced {role}", role, output, render)
+            elif not spec.has(role):
+                self._constants[role] = _constant(device, role, render)
+        for role in GUIDE_ROLES if guided else ():
+            if role not in spec.guide_roles and spec.has(role):
+                self._enlarged[role] = Resampler(device, f"enlarged {role}", role, render, output)
+            elif role not in spec.guide_roles:
+                self._constants[f"guide_{role}"] = _constant(device, role, output)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Mapping[str, Tensor]:
+        """Record the resampling, where there is any; returns every plane by name."""
+        if self._reduced or self._enlarged:
+            with commands.compute_encoder("resample") as encoder:
+                encoder.barrier(after=("compute", "machine-learning"), before="compute")
+                for role, resampler in self._reduced.items():
+                    resampler.encode(encoder, frame.guides[role], frame.guide_jitter, frame.jitter)
+                for role, resampler in self._enlarged.items():
+                    resampler.encode(encoder, frame[role], frame.jitter, frame.guide_jitter)
+        planes = {str(role): frame[role] for role in (Role.COLOUR, *self._held)}
+        planes |= {f"guide_{role}": frame.guides[role] for role in self._guides}
+        planes |= {str(role): resampler.output for role, resampler in self._reduced.items()}
+        planes |= {f"guide_{role}": resampler.output for role, resampler in self._enlarged.items()}
+        return planes | self._constants
+
+
+def _constant(device: Device, role: Role, size: Size) -> Tensor:
+    return device.wrap(f"absent {role}", np.full((*size, ROLES[role].channels), ABSENT[role], np.float32))
