@@ -4,6 +4,7 @@ A clip (``training/clips.py``) is a reference and several independent noisy rend
 float16 on the device, so that a batch costs no transfer; depth is kept as its logarithm to fit the range.
 """
 import random
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,13 +106,14 @@ class ClipPool:
         self.training: dict[tuple[int, ...], list[Clip]] = {}
         self.validation: list[Clip] = []
 
-    def refresh(self, limit: int | None = None) -> int:
-        """Load files that are new (at most ``limit``); one in ``held_out`` scenes is kept for validation."""
+    def refresh(self) -> int:
+        """Load files that are new; one in ``held_out`` scenes is kept for validation."""
         fresh = [p for p in sorted(self.folder.glob("*.npz")) if p not in self.seen]
         mine = [p for p in fresh if self._number(p) % self.shares == self.share]
-        for path in mine[:limit]:
-            self.seen.add(path)
-            clip = load(path, self.device, self.guides)
+        self.seen.update(mine)
+        with ThreadPoolExecutor(8) as threads:
+            clips = list(threads.map(lambda path: load(path, self.device, self.guides), mine))
+        for path, clip in zip(mine, clips, strict=True):
             if (self._number(path) // self.shares) % self.held_out == 0:
                 self.validation.append(clip)
             else:

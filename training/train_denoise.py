@@ -141,7 +141,7 @@ class Trainer:
     def __init__(self, args: argparse.Namespace, rank: int, world: int, device: torch.device):
         self.args, self.rank, self.world, self.device = args, rank, world, device
         self.pool = ClipPool(args.clips, device, args.guides, rank, world)
-        while self.pool.refresh(limit=64) < args.wait:
+        while self.pool.refresh() < args.wait:
             time.sleep(2)
         self.config = TrunkConfig(tuple(args.widths), args.depth, args.guides)
         self.model = DenoiseUpscale(self.config).to(device, memory_format=torch.channels_last)
@@ -153,6 +153,7 @@ class Trainer:
         self.gradient = GradientStep(self.loss, self.flat)
         self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,
                                            fused=device.type == "cuda")
+        print(f"{len(self.pool)} clips to train on, {len(self.pool.validation)} held out", flush=True)
         self.step, self.recent, self.augment = 0, [], Augment()
         self.start = self.kept = time.monotonic()
 
@@ -178,7 +179,7 @@ class Trainer:
             if self.step in (1, 5, 20, 50, 100) or self.step % 250 == 0:
                 self.report(rate)
             if time.monotonic() - self.kept > 60 * KEEP_MINUTES:
-                self.pool.refresh(limit=48)
+                self.pool.refresh()
                 self.keep()
                 self.kept = time.monotonic()
         self.keep()
