@@ -6,6 +6,10 @@ Keys: `reference` (T, H, W, 3) float16 linear Rec.709; for each noisy variant v 
 `v{v}_depth` (T, h, w) float32 along the view axis, misses 1e10; `v{v}_motion` (T, h, w, 2) float32, previous minus
 current position in noisy pixels, x right, y down, without jitter; `v{v}_jitter` (T, 2) float32, sample position minus
 0.5, x right, y down; `v{v}_spp` int; `v{v}_style` 'realtime', 'box' or 'blackman-harris'.
+Guides, the first-hit planes at output size: `guide_diffuse_albedo`, `guide_specular_albedo`, `guide_normal`
+(T, H, W, 3), `guide_roughness` (T, H, W), `guide_depth` (T, H, W), all float16; depth is the base-2 logarithm of the
+depth within 1e-4..1e10, so that it fits. `guide_jitter` (T, 2) float32 in output pixels: where in the pixel the one
+sample lies, minus 0.5, or 0 where the planes are means over samples spread over the pixel (depth is the first one's).
 Also `scale` float, `seed` int, `scene` str, `meta` str (JSON: cameras, field of view, filter, gain, samples).
 """
 
@@ -26,6 +30,8 @@ PLANES = {
     "depth": np.float32,
     "motion": np.float32,
 }
+GUIDES = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth")
+DEPTH_RANGE = (1e-4, 1e10)
 HALF_MAX = 65504.0
 
 
@@ -33,9 +39,26 @@ def to_half(values: np.ndarray) -> np.ndarray:
     return np.clip(values, -HALF_MAX, HALF_MAX).astype(np.float16)
 
 
+def half_depth(depth: np.ndarray) -> np.ndarray:
+    """Depth as guides keep it: float16 base-2 logarithm, within DEPTH_RANGE."""
+    return np.log2(np.clip(depth, *DEPTH_RANGE)).astype(np.float16)
+
+
+def guide_depth(stored: np.ndarray) -> np.ndarray:
+    """Depth float32 from what `half_depth` keeps; misses become 1e10 again."""
+    depth = np.exp2(stored.astype(np.float32))
+    return np.where(stored >= half_depth(np.float32(DEPTH_RANGE[1])), np.float32(DEPTH_RANGE[1]), depth)
+
+
 def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: dict) -> None:
-    """Write a clip atomically. `variants` holds the planes by name plus jitter, spp, style; `facts` scale, seed, ..."""
+    """Write a clip atomically.
+
+    `variants` holds the planes by name plus jitter, spp, style; `facts` scale, seed, ... and, if there are any, guides
+    by name plus jitter.
+    """
     arrays = {"reference": to_half(reference)}
+    if "guides" in facts:
+        arrays |= _guide_arrays(facts["guides"])
     for index, variant in enumerate(variants):
         for name, dtype in PLANES.items():
             values = variant[name]
@@ -51,6 +74,11 @@ def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: di
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial.npz")
     np.savez(partial, **arrays)
     partial.replace(path)
+
+
+def _guide_arrays(guides: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    arrays = {f"guide_{name}": to_half(guides[name]) for name in GUIDES if name != "depth"}
+    return arrays | {"guide_depth": half_depth(guides["depth"]), "guide_jitter": guides["jitter"].astype(np.float32)}
 
 
 def load_clip(path: Path) -> dict:

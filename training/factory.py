@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass
 import mitsuba as mi
 import numpy as np
 
-from training.sampling import FILTERS, Style, draw_styles, filter_table
+from training.clips import GUIDES
+from training.sampling import FILTERS, Style, draw_guide_style, draw_styles, filter_table
 from training.scenes.build import BuiltScene
 from training.scenes.lights import Environments
 from training.scenes.motion import Camera
@@ -50,11 +51,13 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
     size, output = (options.width, options.height), (round(options.width * scale), round(options.height * scale))
     wanted = look.samples_for(options.reference_error, gain)
     spp = int(np.clip(wanted, options.reference_spp / 2, 4 * options.reference_spp)) // 16 * 16 or 1
-    table, references, variants = filter_table(pixel_filter), [], [[] for _ in styles]
+    guide_style = draw_guide_style(options.frames, pixel_filter, rng)
+    table, references, guides, variants = filter_table(pixel_filter), [], [], [[] for _ in styles]
     for frame in range(options.frames):
         built.move(frame, frame - 1)
         camera, previous = path.at(frame), path.at(frame - 1)
         references.append(gain * tracer.reference(built.scene, camera, output, table, spp, _seed(rng)))
+        guides.append(guide_frame(tracer, built, (camera, previous), output, guide_style, frame, rng))
         for style, frames in zip(styles, variants, strict=True):
             frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain, rng))
     meta = {
@@ -63,7 +66,9 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
         "options": asdict(options),
         "to_world": [path.at(f).to_world.tolist() for f in range(options.frames)],
     }
-    facts = {"scale": scale, "seed": index, "scene": description.name, "meta": meta}
+    stacked_guides = {name: np.stack([frame[name] for frame in guides]) for name in GUIDES}
+    facts = {"scale": scale, "seed": index, "scene": description.name, "meta": meta,
+             "guides": stacked_guides | {"jitter": guide_style.jitter}}
     stacked = [_stack(frames, style) for frames, style in zip(variants, styles, strict=True)]
     del built
     gc.collect()
@@ -77,21 +82,36 @@ def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera
     Offline styles average the planes over the samples as renderers do, but depth is the first sample's, and so is
     motion with the box filter (an average of both sides of an edge would belong to neither).
     """
-    width, height = size
-    y, x = np.divmod(np.arange(width * height, dtype=np.float32), width)
-    offsets = style.offsets(frame, width * height, rng)
-    u, v = (x[:, None] + offsets[..., 0]) / width, (y[:, None] + offsets[..., 1]) / height
-    film = Film(mi.Float(u.ravel()), mi.Float(v.ravel()))
-    colour = tracer.radiance(built.scene, cameras[0], width / height, film, _seed(rng)).numpy().T
-    result = {"colour": gain * colour.reshape(height, width, style.spp, 3).mean(2)}
-    once = style.kind == "realtime"
-    if once:
-        film = Film(mi.Float(u[:, 0].copy()), mi.Float(v[:, 0].copy()))
-    for name, values in tracer.planes(built, *cameras, size, film).items():
-        samples = values.reshape(height, width, 1 if once else style.spp, *values.shape[1:])
-        mean = name in AVERAGED or (name == "motion" and style.kind == "blackman-harris")
-        result[name] = samples.mean(2) if mean else samples[:, :, 0]
-    return result
+    film = _film(size, style.offsets(frame, size[0] * size[1], rng))
+    colour = tracer.noisy(built.scene, cameras[0], size[0] / size[1], film, style.spp, _seed(rng))
+    result = {"colour": gain * colour.reshape(size[1], size[0], 3)}
+    return result | plane_images(tracer, built, cameras, size, style, film)
+
+
+def guide_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int], style: Style,
+                frame: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Planes (H, W, C) at output size, without motion."""
+    film = _film(size, style.offsets(frame, size[0] * size[1], rng))
+    planes = plane_images(tracer, built, cameras, size, style, film)
+    return {name: planes[name] for name in GUIDES}
+
+
+def plane_images(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int],
+                 style: Style, film: Film) -> dict[str, np.ndarray]:
+    """Planes (H, W, C) of samples that lie as `style` says; one of real-time samples is enough, they lie together."""
+    spp = style.spp
+    if style.kind == "realtime" and spp > 1:
+        film, spp = film.first(spp), 1
+    mean = (*AVERAGED, "motion") if style.kind == "blackman-harris" else AVERAGED
+    planes = tracer.planes(built, *cameras, size, film, spp, mean)
+    return {name: values.reshape(size[1], size[0], *values.shape[1:]) for name, values in planes.items()}
+
+
+def _film(size: tuple[int, int], offsets: np.ndarray) -> Film:
+    """Samples at `offsets` (pixels, spp, 2) from the corners of the pixels of an image of `size`."""
+    y, x = np.divmod(np.arange(size[0] * size[1], dtype=np.float32), size[0])
+    u, v = (x[:, None] + offsets[..., 0]) / size[0], (y[:, None] + offsets[..., 1]) / size[1]
+    return Film(mi.Float(u.ravel()), mi.Float(v.ravel()))
 
 
 def _scene(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes,

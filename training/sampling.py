@@ -65,11 +65,21 @@ def draw_jitter(frames: int, rng: np.random.Generator) -> np.ndarray:
     return np.array(halton, np.float32) - 0.5
 
 
+def draw_guide_style(frames: int, pixel_filter: str, rng: np.random.Generator) -> Style:
+    """How a clip's guides are sampled: spread like an offline frame, or at one position, jittered or at the centre."""
+    still = np.zeros((frames, 2), np.float32)
+    if rng.random() < 0.5:
+        return Style(pixel_filter, 4, still)
+    return Style("realtime", 1, draw_jitter(frames, rng) if rng.random() < 0.5 else still)
+
+
 def draw_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Generator) -> list[Style]:
     """Styles of a clip's variants: all share the reference's filter; real-time ones occur with the box filter only."""
     styles = []
     for _ in range(count):
         spp = int(rng.choice([1, 2, 3, 4, 6, 8], p=[0.2, 0.25, 0.1, 0.25, 0.08, 0.12]))
+        if rng.random() < 0.12:
+            spp = int(rng.choice([16, 24, 32, 64], p=[0.4, 0.2, 0.3, 0.1]))
         if pixel_filter == "box" and rng.random() < 0.6:
             styles.append(Style("realtime", spp, draw_jitter(frames, rng)))
         else:

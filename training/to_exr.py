@@ -1,6 +1,7 @@
 """Write a clip's noisy variant as an EXR sequence with the generic plane names, half float, ZIP.
 
-python -m training.to_exr CLIP.npz OUT_FOLDER [--variant 0]     ->  noisy.0001.exr ... and reference.0001.exr ...
+python -m training.to_exr CLIP.npz OUT_FOLDER [--variant 0]
+    ->  noisy.0001.exr ..., reference.0001.exr ... and, of clips that have them, guides.0001.exr ... at output size
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from training.clips import load_clip, to_half
+from training.clips import GUIDES, guide_depth, load_clip, to_half
 
 CHANNELS = {
     "colour": ("R", "G", "B"),
@@ -74,6 +75,12 @@ def frame_header(to_world: np.ndarray, fov: float, jitter: np.ndarray, spp: int,
     }
 
 
+def guide_planes(clip: dict, frame: int) -> dict[str, np.ndarray]:
+    """A frame's guides (H, W) or (H, W, 3) float32, by plane."""
+    planes = {name: clip[f"guide_{name}"][frame].astype(np.float32) for name in GUIDES}
+    return planes | {"depth": guide_depth(clip["guide_depth"][frame])}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("clip", type=Path)
@@ -90,6 +97,9 @@ def main() -> None:
         write_exr(args.out / f"noisy.{t + 1:04d}.exr", planes, header)
         facts = {"postfx:exposure": exposure, "postfx:spp": meta["reference_spp"]}
         write_exr(args.out / f"reference.{t + 1:04d}.exr", {"colour": to_half(reference).astype(np.float32)}, facts)
+        if "guide_jitter" in clip:
+            header = {"postfx:jitter": clip["guide_jitter"][t].astype(float)}
+            write_exr(args.out / f"guides.{t + 1:04d}.exr", guide_planes(clip, t), header)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,10 @@ class Film:
     u: mi.Float
     v: mi.Float
 
+    def first(self, spp: int) -> Film:
+        """The first of every `spp` consecutive samples."""
+        return Film(_pixels(self.u, spp, False), _pixels(self.v, spp, False))
+
 
 class Tracer:
     """Holds the integrator and what keeps kernels equal between scenes; one a process."""
@@ -39,6 +43,10 @@ class Tracer:
         colour, _, _ = self._integrator.sample(scene, sampler, ray)
         return mi.Color3f(dr.select(dr.isfinite(colour), colour, 0))
 
+    def noisy(self, scene: mi.Scene, camera: Camera, aspect: float, film: Film, spp: int, seed: int) -> np.ndarray:
+        """Radiance (N, 3) float32: the mean of every `spp` consecutive samples of the film."""
+        return _rows(_pixels(self.radiance(scene, camera, aspect, film, seed), spp, True))
+
     def reference(self, scene: mi.Scene, camera: Camera, size: tuple[int, int], table: np.ndarray, spp: int,
                   seed: int, batch: int = 1 << 25) -> np.ndarray:
         """(H, W, 3) float32 mean of `spp` samples a pixel, spread by the filter's inverse distribution `table`."""
@@ -53,9 +61,13 @@ class Tracer:
             left -= now
         return total / spp
 
-    def planes(self, built: BuiltScene, camera: Camera, previous: Camera, size: tuple[int, int],
-               film: Film) -> dict[str, np.ndarray]:
-        """First-hit planes of every sample, (N,) or (N, C) float32; motion in pixels of an image of `size`."""
+    def planes(self, built: BuiltScene, camera: Camera, previous: Camera, size: tuple[int, int], film: Film,
+               spp: int = 1, mean: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+        """First-hit planes, (N,) or (N, C) float32; motion in pixels of an image of `size`.
+
+        Every `spp` consecutive samples of the film make one of the N rows: the mean in the planes named by `mean`, in
+        the others the first.
+        """
         width, height = size
         ray = _rays(camera, width / height, film)
         si = built.scene.ray_intersect(ray)
@@ -79,7 +91,7 @@ class Tracer:
             "motion": mi.Vector2f(motion_x, motion_y),
         }
         dr.eval(values)
-        return {name: _rows(value) for name, value in values.items()}
+        return {name: _rows(_pixels(value, spp, name in mean)) for name, value in values.items()}
 
 
 def environment_brdf(f0: mi.Color3f, roughness: mi.Float, cosine: mi.Float) -> mi.Color3f:
@@ -88,6 +100,16 @@ def environment_brdf(f0: mi.Color3f, roughness: mi.Float, cosine: mi.Float) -> m
     z, w = 1.04 - 0.572 * roughness, -0.04 + 0.022 * roughness
     a = dr.minimum(x * x, dr.exp2(-9.28 * cosine)) * x + y
     return dr.clip(f0 * (z - 1.04 * a) + (w + 1.04 * a), 0, 1)
+
+
+def _pixels(value: mi.Float, spp: int, mean: bool) -> mi.Float:
+    """One value a pixel from `spp` consecutive samples: their mean or the first."""
+    if spp == 1:
+        return value
+    if mean:
+        return dr.block_sum(value, spp) / _opaque(spp)
+    kept = dr.arange(mi.UInt32, dr.width(value) // spp) * dr.opaque(mi.UInt32, spp)
+    return dr.gather(type(value), value, kept)
 
 
 def _rows(value: mi.Float) -> np.ndarray:

@@ -23,8 +23,8 @@ if _variant() is None:
     pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb", allow_module_level=True)
 mi.set_variant(_variant())
 
-from training.clips import load_clip, save_clip  # noqa: E402
-from training.factory import ClipOptions, make_clip, noisy_frame  # noqa: E402
+from training.clips import guide_depth, half_depth, load_clip, save_clip  # noqa: E402
+from training.factory import ClipOptions, guide_frame, make_clip, noisy_frame  # noqa: E402
 from training.sampling import Style, filter_table  # noqa: E402
 from training.scenes import meshes  # noqa: E402
 from training.scenes.build import BuiltScene, Description  # noqa: E402
@@ -84,8 +84,8 @@ def pixel_centres() -> np.ndarray:
 
 def world_points(depth: np.ndarray, view: Camera, jitter: np.ndarray) -> np.ndarray:
     """World positions (H, W, 3) by the documented conventions: planar depth, x right, y down."""
-    tangent, (width, height) = np.tan(np.radians(view.fov) / 2), SIZE
-    place = pixel_centres() + jitter
+    tangent, (height, width) = np.tan(np.radians(view.fov) / 2), depth.shape
+    place = np.stack(np.mgrid[0:height, 0:width][::-1], -1) + 0.5 + jitter
     x = (1 - 2 * place[..., 0] / width) * tangent
     y = (1 - 2 * place[..., 1] / height) * tangent * height / width
     local = np.stack([x, y, np.ones_like(x)], -1) * depth[..., None]
@@ -149,6 +149,34 @@ def test_reflectances_of_metal_plastic_glass(tracer: Tracer, built: BuiltScene) 
     assert np.allclose(albedo[plastic], 0.5, atol=1e-3) and 0.02 < specular[plastic].min()
 
 
+def test_guides_lie_on_the_reference_grid(tracer: Tracer, built: BuiltScene) -> None:
+    built.move(1, 0)
+    cameras, size, rng = (camera(1), camera(0)), (2 * SIZE[0], 2 * SIZE[1]), np.random.default_rng(0)
+    jitter = (0.25, -0.3)
+    guides = guide_frame(tracer, built, cameras, size, style("realtime", 1, jitter), 1, rng)
+    assert "motion" not in guides and guides["depth"].shape == (64, 96)
+    depth = np.where(guides["depth"] < 1e9, guides["depth"], 1.0)
+    floor = (guides["roughness"] == 1) & (guides["normal"][..., 1] > 0.99) & (guides["depth"] < 1e9)
+    assert np.abs(world_points(depth, camera(1), np.array(jitter))[floor][:, 1]).max() < 1e-4
+    spread = guide_frame(tracer, built, cameras, size, style("box", 4), 1, rng)
+    noisy = noisy_frame(tracer, built, cameras, SIZE, style("box", 16), 1, 1.0, rng)
+    for name in ("diffuse_albedo", "specular_albedo", "normal", "roughness"):
+        small = spread[name].reshape(32, 2, 48, 2, -1).mean((1, 3)).reshape(noisy[name].shape)
+        assert np.corrcoef(small.ravel(), noisy[name].ravel())[0, 1] > 0.97, name
+
+
+def test_real_time_samples_share_their_planes(tracer: Tracer, built: BuiltScene) -> None:
+    one, four = (frame_of(tracer, built, style("realtime", spp, (0.1, 0.2)), 2) for spp in (1, 4))
+    for name in set(one) - {"colour"}:
+        assert np.array_equal(one[name], four[name]), name
+
+
+def test_stored_guide_depth_keeps_misses() -> None:
+    depth = np.array([1e-6, 0.3, 25.0, 1e10], np.float32)
+    assert np.allclose(guide_depth(half_depth(depth)), [1e-4, 0.3, 25.0, 1e10], rtol=6e-3)
+    assert guide_depth(half_depth(depth))[3] == np.float32(1e10)
+
+
 def test_noisy_and_reference_agree_on_average(tracer: Tracer, built: BuiltScene) -> None:
     noisy = frame_of(tracer, built, style("box", 64), 1)["colour"]
     reference = tracer.reference(built.scene, camera(1), (96, 64), filter_table("box"), 32, 9)
@@ -178,6 +206,9 @@ def test_clip_is_complete_and_repeatable(tracer: Tracer, tmp_path: Path) -> None
     clip = load_clip(tmp_path / "clip.00001.npz")
     assert clip["reference"].shape == (2, 24, 36, 3) and clip["reference"].dtype == np.float16
     assert clip["variants"] == 2 and clip["v1_motion"].shape == (2, 16, 24, 2) and clip["v1_depth"].dtype == np.float32
+    assert clip["guide_normal"].shape == (2, 24, 36, 3) and clip["guide_depth"].shape == (2, 24, 36)
+    assert all(clip[f"guide_{name}"].dtype == np.float16 for name in ("diffuse_albedo", "roughness", "depth"))
+    assert clip["guide_jitter"].shape == (2, 2) and clip["guide_jitter"].dtype == np.float32
     assert clip["v0_jitter"].shape == (2, 2) and clip["scale"] == 1.5 and clip["scene"] == first[2]["scene"]
     assert all(np.isfinite(value).all() for value in clip.values() if isinstance(value, np.ndarray))
     assert [p.name for p in tmp_path.iterdir()] == ["clip.00001.npz"]
