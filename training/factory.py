@@ -18,6 +18,7 @@ from training.scenes.real import RealScenes
 from training.scenes.views import choose_path
 from training.tracing import Film, Tracer
 
+REPLACED = 4  # mirrors and faces of glass that planes see through, in the clips that replace primary surfaces
 AVERAGED = ("diffuse_albedo", "specular_albedo", "normal", "roughness")
 
 
@@ -51,19 +52,20 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
     size, output = (options.width, options.height), (round(options.width * scale), round(options.height * scale))
     wanted = look.samples_for(options.reference_error, gain)
     spp = int(np.clip(wanted, options.reference_spp / 2, 4 * options.reference_spp)) // 16 * 16 or 1
+    steps = REPLACED if rng.random() < 0.5 else 0
     guide_style = draw_guide_style(options.frames, pixel_filter, rng)
     table, references, guides, variants = filter_table(pixel_filter), [], [], [[] for _ in styles]
     for frame in range(options.frames):
         built.move(frame, frame - 1)
         camera, previous = path.at(frame), path.at(frame - 1)
         references.append(gain * tracer.reference(built.scene, camera, output, table, spp, _seed(rng)))
-        guides.append(guide_frame(tracer, built, (camera, previous), output, guide_style, frame, rng))
+        guides.append(guide_frame(tracer, built, (camera, previous), output, guide_style, frame, rng, steps))
         for style, frames in zip(styles, variants, strict=True):
-            frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain, rng))
+            frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain, rng, steps))
     meta = {
         "filter": pixel_filter, "gain": gain, "reference_spp": spp, "wanted_spp": wanted,
         "fov": path.fov, "camera": path.kind, "amplitude": path.amplitude, "movers": len(description.movers),
-        "options": asdict(options),
+        "replaced": steps, "options": asdict(options),
         "to_world": [path.at(f).to_world.tolist() for f in range(options.frames)],
     }
     stacked_guides = {name: np.stack([frame[name] for frame in guides]) for name in GUIDES}
@@ -76,7 +78,7 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
 
 
 def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int], style: Style,
-                frame: int, gain: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+                frame: int, gain: float, rng: np.random.Generator, steps: int = 0) -> dict[str, np.ndarray]:
     """Colour and planes (H, W, C) of one noisy frame; `cameras` are this frame's and the previous one's.
 
     Offline styles average the planes over the samples as renderers do, but depth is the first sample's, and so is
@@ -85,25 +87,25 @@ def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera
     film = _film(size, style.offsets(frame, size[0] * size[1], rng))
     colour = tracer.noisy(built.scene, cameras[0], size[0] / size[1], film, style.spp, _seed(rng))
     result = {"colour": gain * colour.reshape(size[1], size[0], 3)}
-    return result | plane_images(tracer, built, cameras, size, style, film)
+    return result | plane_images(tracer, built, cameras, size, style, film, steps)
 
 
 def guide_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int], style: Style,
-                frame: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+                frame: int, rng: np.random.Generator, steps: int = 0) -> dict[str, np.ndarray]:
     """Planes (H, W, C) at output size, without motion."""
     film = _film(size, style.offsets(frame, size[0] * size[1], rng))
-    planes = plane_images(tracer, built, cameras, size, style, film)
+    planes = plane_images(tracer, built, cameras, size, style, film, steps)
     return {name: planes[name] for name in GUIDES}
 
 
 def plane_images(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int],
-                 style: Style, film: Film) -> dict[str, np.ndarray]:
+                 style: Style, film: Film, steps: int = 0) -> dict[str, np.ndarray]:
     """Planes (H, W, C) of samples that lie as `style` says; one of real-time samples is enough, they lie together."""
     spp = style.spp
     if style.kind == "realtime" and spp > 1:
         film, spp = film.first(spp), 1
     mean = (*AVERAGED, "motion") if style.kind == "blackman-harris" else AVERAGED
-    planes = tracer.planes(built, *cameras, size, film, spp, mean)
+    planes = tracer.planes(built, *cameras, size, film, spp, mean, steps)
     return {name: values.reshape(size[1], size[0], *values.shape[1:]) for name, values in planes.items()}
 
 

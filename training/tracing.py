@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from training.follow import Path, follow, moved_point
 from training.scenes.build import ROW, BuiltScene, anchors
 from training.scenes.materials import palette
 from training.scenes.motion import Camera
@@ -62,32 +63,35 @@ class Tracer:
         return total / spp
 
     def planes(self, built: BuiltScene, camera: Camera, previous: Camera, size: tuple[int, int], film: Film,
-               spp: int = 1, mean: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+               spp: int = 1, mean: tuple[str, ...] = (), steps: int = 0) -> dict[str, np.ndarray]:
         """First-hit planes, (N,) or (N, C) float32; motion in pixels of an image of `size`.
 
         Every `spp` consecutive samples of the film make one of the N rows: the mean in the planes named by `mean`, in
-        the others the first.
+        the others the first. With `steps` the planes are those of what is seen in and through that many mirrors and
+        faces of glass: albedos times their reflectance, normals as mirrored, depth of the whole way along the first
+        ray, motion of the mirrored image.
         """
         width, height = size
-        ray = _rays(camera, width / height, film)
+        first = _rays(camera, width / height, film)
+        path = follow(built.scene, first, built.properties, built.motions, steps)
+        ray = mi.RayDifferential3f(path.origin, path.direction)
         si = built.scene.ray_intersect(ray)
         hit = si.is_valid()
-        row = dr.reinterpret_array(mi.UInt32, si.shape)
-        row = dr.select(hit, row, 0)
+        row = dr.select(hit, dr.reinterpret_array(mi.UInt32, si.shape), 0)
         f0, coloured, diffuse, roughness, emissive = _properties(built.properties, row, hit)
         base = mi.Color3f(si.bsdf().eval_diffuse_reflectance(si, hit))
         normal = dr.select(dr.dot(si.sh_frame.n, ray.d) > 0, -si.sh_frame.n, si.sh_frame.n)
         specular = environment_brdf(f0 + coloured * base, roughness, dr.abs(dr.dot(normal, ray.d)))
         lit = hit & (emissive < 0.5)
-        moved = _moved(built.motions, row, si.p)
-        motion_x, motion_y = _motion(previous, (width, height), film, hit, moved, ray.d)
-        axis = _column(camera.to_world, 2)
+        way = first.d * (path.length + dr.select(hit, si.t, 0))
+        motion_x, motion_y = _motion(previous, (width, height), film, hit | path.curved,
+                                     _previous_point(path, first, way, hit, row, si, built.motions))
         values = {
-            "diffuse_albedo": dr.select(lit, base * diffuse, 0),
-            "specular_albedo": dr.select(lit, specular, 0),
-            "normal": dr.select(hit, normal, 0),
+            "diffuse_albedo": dr.select(lit, path.tint * base * diffuse, 0),
+            "specular_albedo": dr.select(lit, path.tint * specular, 0),
+            "normal": dr.select(hit, path.now.linear(normal), 0),
             "roughness": dr.select(lit, roughness, 1),
-            "depth": dr.select(hit, dr.dot(si.p - ray.o, axis), MISS_DEPTH),
+            "depth": dr.select(hit, dr.dot(way, _column(camera.to_world, 2)), MISS_DEPTH),
             "motion": mi.Vector2f(motion_x, motion_y),
         }
         dr.eval(values)
@@ -163,19 +167,26 @@ def _properties(table: mi.Float, row: mi.UInt32, active: mi.Bool) -> tuple:
     return mi.Color3f(*value[:3]), *value[3:]
 
 
-def _moved(motions: mi.Float, row: mi.UInt32, point: mi.Point3f) -> mi.Point3f:
-    m = [dr.gather(mi.Float, motions, row * 12 + k) for k in range(12)]
-    return mi.Point3f(*(m[4 * i] * point.x + m[4 * i + 1] * point.y + m[4 * i + 2] * point.z + m[4 * i + 3]
-                        for i in range(3)))
+def _previous_point(path: Path, first: mi.RayDifferential3f, way: mi.Vector3f, hit: mi.Bool, row: mi.UInt32,
+                    si: mi.SurfaceInteraction3f, motions: mi.Float) -> mi.Vector3f:
+    """Where what a ray shows was in the previous frame: a point of world space, or a direction for misses.
+
+    What flat mirrors show was mirrored before as well, by the mirrors of that time. Glass shifts what is behind it by
+    as much as now. Bent mirrors and glass take their own motion.
+    """
+    then = path.before.point(moved_point(motions, row, si.p))
+    shift = mi.Vector3f(first.o) + way - path.now.point(si.p)
+    far = path.before.linear(path.direction) + first.d - path.now.linear(path.direction)
+    return dr.select(path.curved, mi.Vector3f(path.surface), dr.select(hit, then + shift, far))
 
 
-def _motion(previous: Camera, size: tuple[int, int], film: Film, hit: mi.Bool, point: mi.Point3f,
-            direction: mi.Vector3f) -> tuple[mi.Float, mi.Float]:
-    """Previous minus current position in pixels; misses move as points at infinity."""
+def _motion(previous: Camera, size: tuple[int, int], film: Film, near: mi.Bool,
+            place: mi.Vector3f) -> tuple[mi.Float, mi.Float]:
+    """Previous minus current position in pixels, of points where `near`, else of directions."""
     left, up, forward, origin = (_column(previous.to_world, k) for k in range(4))
     tangent = _opaque(np.tan(np.radians(previous.fov) / 2))
     columns, rows = _opaque(size[0]), _opaque(size[1])
-    offset = dr.select(hit, point - mi.Point3f(origin), mi.Point3f(direction))
+    offset = dr.select(near, place - origin, place)
     depth = dr.dot(offset, forward)
     scale = dr.select(depth > 1e-4, 0.5 * dr.rcp(depth * tangent), 0)
     x = columns * (0.5 - dr.dot(offset, left) * scale) - columns * film.u

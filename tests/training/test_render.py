@@ -30,7 +30,7 @@ from training.scenes import meshes  # noqa: E402
 from training.scenes.build import BuiltScene, Description  # noqa: E402
 from training.scenes.lights import Environments  # noqa: E402
 from training.scenes.materials import Material  # noqa: E402
-from training.scenes.motion import Camera, look_at, object_path  # noqa: E402
+from training.scenes.motion import Camera, look_at, object_path, translation  # noqa: E402
 from training.scenes.real import RealScenes  # noqa: E402
 from training.tracing import Tracer  # noqa: E402
 
@@ -169,6 +169,47 @@ def test_real_time_samples_share_their_planes(tracer: Tracer, built: BuiltScene)
     one, four = (frame_of(tracer, built, style("realtime", spp, (0.1, 0.2)), 2) for spp in (1, 4))
     for name in set(one) - {"colour"}:
         assert np.array_equal(one[name], four[name]), name
+
+
+def mirrored_scene(virtual: bool) -> BuiltScene:
+    """A moving box before a moving mirror, seen in the mirror only; or the same box where the mirror shows it."""
+    d = Description("mirror")
+    checks = (np.indices((4, 4)).sum(0) % 2)[..., None] * np.ones(3) * 0.6 + 0.2
+    boxes = d.material(Material("diffuse", checks.astype(np.float32)))
+    flip = np.diag([1.0, 1.0, -1.0, 1.0])
+    here, glass = object_path(np.array([0.1, 0.6, 7.5]), MOVE, np.array([0.3, 1, 0]), 0.2), np.array([0, 0, 0.04])
+    through = object_path(np.zeros(3), 2 * glass, np.array([0.0, 1, 0]), 0.0)
+    d.movers += [lambda t: through(t) @ flip @ here(t) if virtual else here(t)]
+    d.movers += [lambda t: translation(*(glass * (t - 3.5)))]
+    d.add(meshes.box([-2, -1.5, -0.4], [2, 1.5, 0.4]), boxes, 0)
+    if not virtual:
+        d.add(meshes.quad([-9, -9, 0], [18, 0, 0], [0, 18, 0]), d.material(Material("conductor")), 1)
+    d.environment = np.full((8, 16, 3), 0.3, np.float32)
+    return BuiltScene(d)
+
+
+def test_planes_seen_in_a_mirror_are_those_of_its_image(tracer: Tracer) -> None:
+    cameras, planes = (camera(2), camera(1)), []
+    for virtual in (False, True):
+        scene = mirrored_scene(virtual)
+        scene.move(2, 1)
+        rng = np.random.default_rng(0)
+        planes.append(guided_planes(tracer, scene, cameras, rng))
+    mirror, image = planes
+    box = image["depth"] < 1e9
+    assert box.sum() > 100 and np.mean((mirror["depth"] < 1e9) == box) > 0.99
+    box &= mirror["depth"] < 1e9
+    assert np.abs(mirror["depth"] - image["depth"])[box].max() < 1e-3
+    assert np.abs(mirror["normal"] - image["normal"])[box].max() < 1e-3
+    assert np.abs(mirror["motion"] - image["motion"])[box].max() < 1e-2
+    assert np.abs(image["motion"][box]).mean() > 0.5
+    ratio = mirror["diffuse_albedo"][box] / image["diffuse_albedo"][box]
+    assert np.all((ratio > 0.3) & (ratio < 0.8)) and ratio.std(0).max() < 0.05
+    assert np.abs(mirror["motion"] - image["motion"])[image["depth"] > 1e9].max() < 1e-2
+
+
+def guided_planes(tracer: Tracer, scene: BuiltScene, cameras: tuple, rng: np.random.Generator) -> dict:
+    return noisy_frame(tracer, scene, cameras, SIZE, style("realtime", 1), 2, 1.0, rng, steps=3)
 
 
 def test_stored_guide_depth_keeps_misses() -> None:

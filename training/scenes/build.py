@@ -54,7 +54,8 @@ class _Shape:
 
 
 BLACK = Material("diffuse", np.zeros((1, 1, 3), np.float32))
-ROW = 9  # f0.rgb, albedo-coloured part of f0, diffuse factor, roughness, emissive, mover, spare
+ROW = 8  # f0.rgb, albedo-coloured part of f0, diffuse factor, roughness, emissive, follow
+FOLLOW = 7  # column: -1 mirror, index of refraction of glass, 0 for surfaces that end a camera ray
 
 
 class BuiltScene:
@@ -142,7 +143,7 @@ def _shape(index: int, group: list[Part], description: Description, bsdfs: list,
     material = BLACK if first.emission is not None else description.materials[first.material]
     f0, coloured, diffuse = material.reflectance()
     emissive = float(first.emission is not None)
-    row = np.array([*f0, coloured, diffuse, material.roughness, emissive, 0.0, 0.0], np.float32)
+    row = np.array([*f0, coloured, diffuse, material.roughness, emissive, material.follow], np.float32)
     return _Shape(mesh, source, row, first.mover)
 
 

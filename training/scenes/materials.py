@@ -44,6 +44,11 @@ class Material:
             return 1.0
         return 0.0 if self.kind in ("conductor", "dielectric") else float(np.sqrt(self.alpha))
 
+    @property
+    def follow(self) -> float:
+        """For primary surface replacement: -1 mirrors, the index of glass, 0 all others."""
+        return {"conductor": -1.0, "dielectric": self.ior}.get(self.kind, 0.0)
+
     def reflectance(self) -> tuple[np.ndarray, float, float]:
         """(constant specular F0 (3,), part of F0 that follows the albedo, factor on the diffuse albedo)."""
         if self.kind == "diffuse":

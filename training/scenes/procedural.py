@@ -15,7 +15,7 @@ from training.scenes.room import room
 def product(rng: np.random.Generator, maps: Environments) -> Draft:
     """A few objects on a floor under an environment, soft boxes or both; often metals that turn."""
     d = Description("product")
-    metals = rng.random() < 0.35
+    metals = rng.random() < 0.45
     glass = 0.12 if rng.random() < 0.3 else 0.0
     pool = Pool(d, rng, int(rng.integers(4, 8)), gloss=0.4, metal=0.7 if metals else 0.15, glass=glass)
     calm = metals or glass > 0

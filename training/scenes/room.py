@@ -52,7 +52,7 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
     d = Description("room")
     w, h, depth = rng.uniform(3, 8), rng.uniform(2.3, 4), rng.uniform(3, 9)
     calm = rng.random() < 0.3
-    pool = Pool(d, rng, int(rng.integers(5, 9)), gloss=0.4, metal=0.12, glass=0.1 if calm else 0.0)
+    pool = Pool(d, rng, int(rng.integers(5, 9)), gloss=0.4, metal=0.2, glass=0.1 if calm else 0.0)
     floor, walls = d.material(surface(rng, 0.5)), d.material(surface(rng, 0.1))
     pale = d.material(Material("diffuse", np.full((1, 1, 3), rng.uniform(0.5, 0.9), np.float32)))
     other = walls if rng.random() < 0.5 else d.material(surface(rng, 0.2))
