@@ -7,10 +7,10 @@ import sys
 from collections.abc import Sequence
 
 from postfx import __version__
-from postfx.cli import inspect, models, run
+from postfx.cli import bench, inspect, models, run
 from postfx.errors import PostfxError
 
-VERBS = (run, inspect, models)
+VERBS = (run, inspect, bench, models)
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 

@@ -1,0 +1,1 @@
+"""Run time against error: methods measured side by side on a sequence with references."""

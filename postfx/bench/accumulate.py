@@ -1,0 +1,106 @@
+"""Motion-compensated accumulation at output size: what people put behind a denoiser of single frames.
+
+The history is followed by motion, dropped where depth or normal show another surface, and averaged over up to ten
+frames.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from postfx.bench.host_kernels import HostKernels
+from postfx.frame import Frame, Role
+from postfx.kernels.kernel import Kernel
+from postfx.kernels.numeric import centre, compiled, inline
+
+LONGEST = 10
+DEPTH_STEP, FACING = np.float32(0.1), np.float32(0.8)
+ONE = np.float32(1)
+
+
+@inline
+def same_surface(depth, normal, past_depth, past_normal, y, x, py, px):
+    """Whether depth agrees within 10 % and the normals within 37 degrees; pixels without a normal agree."""
+    near = abs(past_depth[py, px, 0] - depth[y, x, 0]) < DEPTH_STEP * depth[y, x, 0]
+    dot, now, past = np.float32(0), np.float32(0), np.float32(0)
+    for c in range(3):
+        dot += normal[y, x, c] * past_normal[py, px, c]
+        now += normal[y, x, c] * normal[y, x, c]
+        past += past_normal[py, px, c] * past_normal[py, px, c]
+    return near and (dot > FACING * math.sqrt(now * past) or now + past == np.float32(0))
+
+
+@compiled
+def accumulate_rows(y0, y1, current, history, motion, depth, normal, past_depth, past_normal, output):
+    """output (H, W, 4): colour and the count of frames in it. `history` is the last output; planes are (h, w, C)."""
+    height, width = current.shape[:2]
+    h, w = motion.shape[:2]
+    for y in range(y0, y1):
+        row, _ = centre(y, h, height)
+        for x in range(width):
+            column, _ = centre(x, w, width)
+            py = np.float32(y) + motion[row, column, 1] * np.float32(height) / np.float32(h)
+            px = np.float32(x) + motion[row, column, 0] * np.float32(width) / np.float32(w)
+            half = np.float32(0.5)
+            count = ONE
+            if -half < py < height - half and -half < px < width - half:
+                near_y, near_x = int(math.floor(py + half)), int(math.floor(px + half))
+                past_row, _ = centre(near_y, h, height)
+                past_column, _ = centre(near_x, w, width)
+                if same_surface(depth, normal, past_depth, past_normal, row, column, past_row, past_column):
+                    count = min(history[near_y, near_x, 3] + ONE, np.float32(LONGEST))
+            output[y, x, 3] = count
+            top, left = int(math.floor(py)), int(math.floor(px))
+            for c in range(3):
+                value = current[y, x, c]
+                if count > ONE:
+                    up, down = max(top, 0), min(top + 1, height - 1)
+                    before, after = max(left, 0), min(left + 1, width - 1)
+                    fy, fx = py - np.float32(top), px - np.float32(left)
+                    above = history[up, before, c] * (ONE - fx) + history[up, after, c] * fx
+                    below = history[down, before, c] * (ONE - fx) + history[down, after, c] * fx
+                    past = above * (ONE - fy) + below * fy
+                    value = past + (value - past) / count
+                output[y, x, c] = value
+
+
+ACCUMULATE = Kernel(
+    "accumulate", ("current", "history", "motion", "depth", "normal", "past_depth", "past_normal"), ("output",),
+    accumulate_rows, ("output", 0),
+    {"current": ("height", "width", 3), "history": ("height", "width", 4), "motion": ("h", "w", 2),
+     "depth": ("h", "w", 1), "normal": ("h", "w", 3), "past_depth": ("h", "w", 1), "past_normal": ("h", "w", 3),
+     "output": ("height", "width", 4)},
+)
+
+
+class Accumulator:
+    """Averages colours at output size over frames; a frame's depth or normals may be missing."""
+
+    def __init__(self, kernels: HostKernels) -> None:
+        self._kernels = kernels
+        self.reset()
+
+    def reset(self) -> None:
+        """Drop the history."""
+        self._history: np.ndarray | None = None
+        self._past: dict[str, np.ndarray] = {}
+
+    def __call__(self, current: np.ndarray, frame: Frame) -> np.ndarray:
+        """Mean (H, W, 3) of `current` and what the motion of `frame` leads back to."""
+        height, width = current.shape[:2]
+        shape = frame[Role.MOTION].shape[:2]
+        now = {"depth": _plane(frame, Role.DEPTH, np.ones((*shape, 1), np.float32)),
+               "normal": _plane(frame, Role.NORMAL, np.zeros((*shape, 3), np.float32))}
+        fresh = self._history is None or frame.reset
+        history = np.zeros((height, width, 4), np.float32) if fresh else self._history
+        past = now if fresh else self._past
+        reads = {"current": current, "history": history, "motion": frame[Role.MOTION], **now,
+                 **{f"past_{name}": plane for name, plane in past.items()}}
+        self._history, self._past = self._kernels.run(ACCUMULATE, reads, (height, width, 4)), now
+        return np.ascontiguousarray(self._history[..., :3])
+
+
+def _plane(frame: Frame, role: Role, absent: np.ndarray) -> np.ndarray:
+    return frame[role] if role in frame else absent

@@ -1,0 +1,148 @@
+"""One benchmark: what is asked for, the loop over the methods, and the files that come out."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from postfx import __version__
+from postfx.bench.errors import BenchError, require
+from postfx.bench.material import Material, Sources, output_pattern
+from postfx.bench.methods import LeftOut, catalogue, select
+from postfx.bench.progress import BenchProgress
+from postfx.bench.report import compare, front, write_csv
+from postfx.bench.worker import Task
+from postfx.errors import WriteError
+from postfx.frame import Role
+from postfx.runtime import Device, Library
+
+LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"), ("matplotlib", "matplotlib"))
+
+
+@dataclass(frozen=True)
+class Wish:
+    """Arguments of `postfx bench` beside the frames."""
+
+    output: Path
+    methods: str | None = None
+    models: str | None = None
+    runs: int = 3
+    device: str = "auto"
+    threads: int | None = None
+
+
+class Bench:
+    """A benchmark. Making it checks everything that can be checked before measuring.
+
+    Raises PostfxError when frames, methods or installed libraries do not fit.
+    """
+
+    def __init__(self, sources: Sources, wish: Wish) -> None:
+        for module, package in LIBRARIES:
+            require(module, package, "measures or draws")
+        self.material = Material(sources)
+        device = Device(wish.device, wish.threads)
+        self._device, self._threads, self._wish = device.name, device.threads, wish
+        kind, motion = device.name.split(":")[0], self.material.spec.has(Role.MOTION)
+        found = catalogue(Library().names(), kind, bool(self.material.spec.guides), motion)
+        self.methods, self.left_out = select(found, wish.methods, wish.models)
+        if any(method.quality for method in self.methods):
+            require("pyoidn", "pyoidn", "runs Open Image Denoise (--methods ours,plain leaves it out)")
+        try:
+            wish.output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise WriteError(f"{wish.output}: cannot be made: {error.strerror}; choose another folder") from error
+
+    def run(self) -> dict[str, Any]:
+        """Measure and score all methods; returns everything that is known, in plain types."""
+        rows = []
+        with BenchProgress([method.name for method in self.methods], self._wish.runs) as progress:
+            for method in self.methods:
+                try:
+                    rows.append(self._row(method, progress))
+                except BenchError as error:
+                    self.left_out = (*self.left_out, LeftOut(method.title, str(error)))
+                    progress.failed(method.name, str(error))
+        if not rows:
+            raise BenchError(f"no method could be measured; the last one said: {self.left_out[-1].why}")
+        facts = self._facts(rows)
+        self._write(facts)
+        return facts
+
+    def _write(self, facts: dict[str, Any]) -> None:
+        from postfx.bench.crops import draw_crops  # these load the libraries that were asked for above
+        from postfx.bench.plots import pareto
+
+        folder = self._wish.output
+        try:
+            (folder / "bench.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+            write_csv(folder / "bench.csv", facts["methods"])
+            pareto(facts, "psnr_late", folder / "pareto_psnr.png")
+            pareto(facts, "flicker_late", folder / "pareto_flicker.png")
+            draw_crops(self.material, facts["methods"], folder / "crops.png")
+        except OSError as error:
+            raise WriteError(f"{folder}: cannot be written: {error.strerror}; check rights and free space") from error
+
+    def _row(self, method: Any, progress: BenchProgress) -> dict[str, Any]:
+        from postfx.bench.measure import run_task, score, timing  # loads the libraries that were asked for above
+
+        progress.begin(method.name)
+        task = self._task(method)
+        time = timing(run_task(task, progress.ran), self._device)
+        progress.scoring()
+        scores = score(self.material, task.output)
+        summary = scores.summary()
+        progress.done(time, summary)
+        return {**asdict(method), "time": time, "scores": summary, "frames": scores.frames, "output": task.output}
+
+    def _task(self, method: Any) -> Task:
+        sources = self.material.sources
+        return Task(method, sources.noisy, sources.guides if method.guides else None, sources.profile,
+                    self.material.noisy.numbers, self.material.scale, self.material.size, self._device, self._threads,
+                    self._wish.runs, output_pattern(self._wish.output, method.name))
+
+    def _facts(self, rows: list[dict[str, Any]]) -> dict[str, Any]:
+        spec, size = self.material.spec, self.material.size
+        time = "wall_ms" if self._device == "cpu" else "gpu_ms"
+        return {
+            "sequence": {**asdict(self.material.sources), "frames": list(self.material.noisy.numbers)},
+            "render_size": [spec.width, spec.height],
+            "output_size": [size[1], size[0]],
+            "scale": self.material.scale,
+            "planes": [str(role) for role in spec.roles],
+            "guides": [str(role) for role in spec.guide_roles],
+            "device": self._device,
+            "threads": self._threads,
+            "runs": self._wish.runs,
+            "machine": machine(),
+            "versions": versions(),
+            "methods": rows,
+            "fronts": {figure: front(rows, figure, time) for figure in ("psnr_late", "flicker_late")},
+            "against_best_baseline": compare(rows),
+            "left_out": [item._asdict() for item in self.left_out],
+        }
+
+
+def machine() -> dict[str, Any]:
+    """Processor and operating system."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return {"processor": names[0] if names else platform.processor(), "cores": os.cpu_count(),
+            "system": platform.platform()}
+
+
+def versions() -> dict[str, str]:
+    """Versions of what was measured and what measured."""
+    found = {"postfx": __version__}
+    for name in ("onnxruntime", "onnxruntime-gpu", "pyoidn", "flip-evaluator", "scikit-image"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,147 @@
+"""The methods that a benchmark can measure, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from postfx.bench.errors import BenchError
+
+PASS = "denoise_upscale"
+GUIDES = "guides"
+PRECISIONS = {"fp32": ("cpu", "cuda"), "int8": ("cpu",), "fp16": ("cuda",)}
+"""Precision -> devices that it is meant for."""
+FAMILIES = {"ours": "this project's networks", "oidn": "Open Image Denoise", "plain": "no denoiser"}
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to make the output.
+
+    Attributes:
+        name: as `--methods` takes it.
+        title: for tables and plots.
+        family: one of FAMILIES.
+        model: tag of the network with its precision, as the option `model` of the pass; '' where there is none.
+        precision: of the network's weights and arithmetic.
+        guides: whether planes at output size are read.
+        alone: whether the history is dropped at every frame.
+        quality: of OIDN; '' where it is not used.
+        accumulated: whether frames are accumulated at output size along the motion.
+    """
+
+    name: str
+    title: str
+    family: str
+    model: str = ""
+    precision: str = "fp32"
+    guides: bool = False
+    alone: bool = False
+    quality: str = ""
+    accumulated: bool = False
+
+
+class LeftOut(NamedTuple):
+    """What is not measured, and why."""
+
+    what: str
+    why: str
+
+
+class Catalogue(NamedTuple):
+    """Methods that can be measured, and what is left out."""
+
+    methods: tuple[Method, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+OTHERS = (
+    Method("oidn-fast", "OIDN fast", "oidn", quality="fast"),
+    Method("oidn-balanced", "OIDN balanced", "oidn", quality="balanced"),
+    Method("oidn-high", "OIDN high", "oidn", quality="high"),
+    Method("oidn-high-accumulated", "OIDN high + accumulation", "oidn", quality="high", accumulated=True),
+    Method("accumulation", "accumulation", "plain", accumulated=True),
+    Method("bicubic", "bicubic", "plain"),
+)
+
+
+def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool) -> Catalogue:
+    """All methods for models of a library, a device 'cpu' or 'cuda', and frames with or without guides and motion."""
+    names = [name.removeprefix(f"{PASS}.") for name in models if name.startswith(f"{PASS}.")]
+    methods: list[Method] = []
+    left_out: list[LeftOut] = _absent_precisions(names)
+    for name in sorted(names, key=_place):
+        made = _of_model(name, motion)
+        reason = _unfit(made[0], device, guides)
+        methods += [] if reason else made
+        left_out += [LeftOut(made[0].title, reason)] if reason else []
+    for method in OTHERS:
+        if method.accumulated and not motion:
+            left_out.append(LeftOut(method.title, "the frames have no motion plane"))
+        else:
+            methods.append(method)
+    return Catalogue(tuple(methods), tuple(left_out))
+
+
+def select(found: Catalogue, names: str | None, models: str | None) -> Catalogue:
+    """The methods named by `names` (names or families) and, of ours, of the model tags `models`; comma-separated lists.
+
+    Raises BenchError when a name fits nothing.
+    """
+    tags = {method.model.split(".")[0] for method in found.methods if method.model}
+    chosen_tags = _words(models, tags, "--models") if models else tags
+    known = {method.name for method in found.methods} | set(FAMILIES)
+    chosen = _words(names, known, "--methods") if names else known
+    methods = tuple(
+        method
+        for method in found.methods
+        if (method.name in chosen or method.family in chosen)
+        and (not method.model or method.model.split(".")[0] in chosen_tags)
+    )
+    if not methods:
+        raise BenchError(f"--methods {names} --models {models} leaves nothing to measure: leave one of them out")
+    kept = tuple(item for item in found.left_out if item.what.split(" ")[0] in chosen_tags or not models)
+    return Catalogue(methods, kept)
+
+
+def _of_model(name: str, motion: bool) -> list[Method]:
+    """A network with its history and, where frames have motion, without."""
+    parts = name.split(".")
+    guides, kept = GUIDES in parts, [part for part in parts if part != GUIDES]
+    precision = next((part for part in kept if part in PRECISIONS), "fp32")
+    words = [*kept, *([GUIDES] if guides else [])]
+    plain = Method("-".join(words), " ".join([kept[0], precision, *words[len(kept) :]]), "ours",
+                   ".".join(kept), precision, guides)
+    alone = Method(f"{plain.name}-alone", f"{plain.title}, no history", "ours", plain.model, precision, guides, True)
+    return [plain, alone] if motion else [plain]
+
+
+def _unfit(method: Method, device: str, guides: bool) -> str | None:
+    if method.guides and not guides:
+        return "the frames have no planes at output size"
+    if device not in PRECISIONS[method.precision]:
+        return f"{method.precision} is for {' and '.join(PRECISIONS[method.precision])}, not for {device}"
+    return None
+
+
+def _absent_precisions(names: list[str]) -> list[LeftOut]:
+    tags = dict.fromkeys(name.split(".")[0] for name in names)
+    wanted = [(tag, precision) for tag in tags for precision in PRECISIONS if precision != "fp32"]
+    return [LeftOut(f"{tag} {precision}", f"there is no model {PASS}.{tag}.{precision}")
+            for tag, precision in wanted if f"{tag}.{precision}" not in names]
+
+
+def _place(name: str) -> tuple[int, str]:
+    """Order of networks: small to large, then others by name."""
+    sizes = "sml"
+    tag = name.split(".")[0]
+    return (sizes.index(tag) if tag in ("s", "m", "l") else len(sizes), name)
+
+
+def _words(text: str, known: set[str], option: str) -> set[str]:
+    words = {word.strip() for word in text.split(",") if word.strip()}
+    unknown = sorted(words - known)
+    if unknown:
+        raise BenchError(f"{option} {text}: there is no '{unknown[0]}' here: choose among {', '.join(sorted(known))}")
+    return words

@@ -1,0 +1,143 @@
+"""Errors of a picture and of a sequence against a reference.
+
+Pictures are compared as people see them: exposed, brought to 0..1 by x / (1 + x), and sRGB-encoded. relMSE is of linear
+light. Colours are (height, width, 3), scene-linear Rec.709, float32.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import flip_evaluator
+import numpy as np
+from scipy.ndimage import map_coordinates
+from skimage.metrics import structural_similarity
+
+from postfx.frame import Frame, Role
+from postfx.io.srgb import srgb_encode
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+KEY = 0.18
+TRIMMED = 0.999
+FOLLOWED = 0.1
+FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
+"""Names of the figures. More is better for psnr (dB) and ssim (up to 1), less for flip (0..1), relmse and flicker."""
+
+
+def shown(colour: np.ndarray, exposure: float) -> np.ndarray:
+    """What the eye compares: sRGB code values 0..1 of x / (1 + x), x = colour * exposure; not finite counts as 0."""
+    exposed = np.maximum(np.nan_to_num(colour * exposure), 0)
+    return srgb_encode(exposed / (1 + exposed))
+
+
+def grey_exposure(colour: np.ndarray) -> float:
+    """Multiplier that brings the log-average luminance to 0.18 (Reinhard 2002, with a floor of 0.1 % of the mean)."""
+    luminance = colour @ LUMINANCE
+    return float(KEY / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean()))))
+
+
+def psnr(picture: np.ndarray, reference: np.ndarray) -> float:
+    """Peak signal to noise ratio of code values 0..1, in dB, at most 120."""
+    return float(-10 * np.log10(np.square(picture - reference).mean() + 1e-12))
+
+
+def ssim(picture: np.ndarray, reference: np.ndarray) -> float:
+    """Structural similarity (Wang 2004) of code values, mean over pixels and channels."""
+    return float(structural_similarity(picture, reference, channel_axis=2, data_range=1))
+
+
+def flip(picture: np.ndarray, reference: np.ndarray) -> float:
+    """Mean LDR-FLIP error (Andersson 2020), 0..1, at 67 pixels a degree."""
+    return float(flip_evaluator.evaluate(reference, picture, "LDR")[1])
+
+
+def relmse(colour: np.ndarray, reference: np.ndarray, exposure: float) -> float:
+    """Mean of (colour - reference)^2 / (reference^2 + 0.01 / exposure^2), without the worst 0.1 % of the pixels."""
+    error = np.square(np.nan_to_num(colour) - reference) / (np.square(reference) + 1e-2 / exposure**2)
+    pixels = np.sort(error.mean(-1).ravel())
+    return float(pixels[: int(pixels.size * TRIMMED)].mean())
+
+
+def moved(image: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """`image` (H, W, C) sampled where `motion` (H, W, 2), x and y in pixels, points to; bilinear, edges repeated."""
+    height, width = image.shape[:2]
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    place = [y + motion[..., 1], x + motion[..., 0]]
+    return np.stack([map_coordinates(plane, place, order=1, mode="nearest") for plane in np.moveaxis(image, 2, 0)], -1)
+
+
+def enlarged_motion(motion: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Motion (h, w, 2) in its own pixels -> (height, width, 2) in output pixels, of the render pixel at each centre."""
+    h, w = motion.shape[:2]
+    rows = ((2 * np.arange(height) + 1) * h) // (2 * height)
+    columns = ((2 * np.arange(width) + 1) * w) // (2 * width)
+    return motion[rows[:, None], columns] * np.array([width / w, height / h], np.float32)
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """A result and its reference as they are shown."""
+
+    result: np.ndarray
+    reference: np.ndarray
+
+
+def flicker(before: Pictures, now: Pictures, motion: np.ndarray) -> float | None:
+    """1000 times the mean absolute error of the change since the frame before, followed by `motion` (H, W, 2).
+
+    Counts pixels where the motion explains the reference (within 0.1); None when there is no such pixel.
+    """
+    result, reference = moved(before.result, motion), moved(before.reference, motion)
+    followed = np.abs(reference - now.reference).max(-1) < FOLLOWED
+    if not followed.any():
+        return None
+    return float(1000 * np.abs((now.result - result) - (now.reference - reference)).mean(-1)[followed].mean())
+
+
+class SequenceScore:
+    """Scores frames given in order; `frames` holds their figures, `summary` the means."""
+
+    def __init__(self) -> None:
+        self.frames: list[dict[str, float | int | None]] = []
+        self._exposure: float | None = None
+        self._before: Pictures | None = None
+
+    def add(self, result: np.ndarray, reference: Frame, noisy: Frame) -> None:
+        """Score a result (H, W, 3) against the reference's colour; `noisy` gives motion, cuts and the frame number.
+
+        The exposure is the reference's, or the one that makes the first reference mid grey.
+        """
+        target = reference[Role.COLOUR]
+        self._exposure = self._exposure or grey_exposure(target)
+        exposure = reference.exposure or self._exposure
+        now = Pictures(shown(result, exposure), shown(target, exposure))
+        self.frames.append({
+            "frame": noisy.number,
+            "psnr": psnr(now.result, now.reference),
+            "ssim": ssim(now.result, now.reference),
+            "flip": flip(now.result, now.reference),
+            "relmse": relmse(result, target, exposure),
+            "flicker": self._flicker(now, noisy),
+            "not_finite": int(result.size - np.isfinite(result).sum()),
+        })
+        self._before = now
+
+    def summary(self) -> dict[str, float | int | None]:
+        """Means over all frames and, with the suffix _late, over the second half; the worst frame; broken values."""
+        late = self.frames[len(self.frames) // 2 :]
+        found: dict[str, float | int | None] = {name: _mean(self.frames, name) for name in FIGURES}
+        found |= {f"{name}_late": _mean(late, name) for name in FIGURES}
+        worst = min(self.frames, key=lambda row: row["psnr"])
+        found |= {"worst_frame": worst["frame"], "worst_psnr": worst["psnr"]}
+        return found | {"not_finite": sum(row["not_finite"] for row in self.frames)}
+
+    def _flicker(self, now: Pictures, noisy: Frame) -> float | None:
+        if self._before is None or noisy.reset or Role.MOTION not in noisy:
+            return None
+        height, width = now.reference.shape[:2]
+        return flicker(self._before, now, enlarged_motion(noisy[Role.MOTION], height, width))
+
+
+def _mean(rows: list[dict], name: str) -> float | None:
+    values = [row[name] for row in rows if row[name] is not None]
+    return float(np.mean(values)) if values else None

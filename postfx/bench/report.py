@@ -1,0 +1,137 @@
+"""What a benchmark found, as a table, as CSV and as comparisons."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+HIGHER_IS_BETTER = ("psnr", "ssim")
+COMPARED = ("psnr_late", "ssim_late", "flip_late", "flicker_late")
+TIMES = ("wall_ms", "wall_ms_min", "wall_ms_max", "cpu_s", "gpu_ms", "first_ms", "peak_mb")
+FACTS = ("name", "title", "family", "model", "precision", "guides", "alone")
+
+
+def is_better(figure: str, one: float, other: float) -> bool:
+    """Whether `one` beats `other` in a figure."""
+    return one > other if _rises(figure) else one < other
+
+
+def front(rows: list[dict[str, Any]], figure: str, time: str = "wall_ms") -> list[str]:
+    """Names of the methods that no other one beats in both time and a figure, fastest first."""
+    known = [row for row in rows if row["scores"][figure] is not None and row["time"][time] is not None]
+    best: dict[str, Any] | None = None
+    found = []
+    for row in sorted(known, key=lambda row: (row["time"][time], row["name"])):
+        if best is None or is_better(figure, row["scores"][figure], best["scores"][figure]):
+            best = row
+            found.append(row["name"])
+    return found
+
+
+def compare(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each of our methods against the best of the others, figure by figure; empty where there is no other.
+
+    psnr_late and ssim_late are differences, flip_late and flicker_late quotients; frames_below_oidn counts frames
+    whose PSNR is below that of OIDN high.
+    """
+    others = [row for row in rows if row["family"] != "ours"]
+    oidn = next((row for row in rows if row["name"] == "oidn-high"), None)
+    found = []
+    for row in [row for row in rows if row["family"] == "ours"] if others else []:
+        entry: dict[str, Any] = {"name": row["name"]}
+        for figure in COMPARED:
+            entry[figure] = _against(row["scores"][figure], figure, others)
+        if oidn:
+            pairs = zip(row["frames"], oidn["frames"], strict=True)
+            entry["frames_below_oidn"] = sum(ours["psnr"] < its["psnr"] for ours, its in pairs)
+        found.append(entry)
+    return found
+
+
+def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    """One line a method: facts, times and figures; empty where something is not known."""
+    figures = list(rows[0]["scores"])
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*FACTS, *TIMES, *figures])
+        for row in rows:
+            writer.writerow([*(row[key] for key in FACTS), *(row["time"][key] for key in TIMES),
+                             *(row["scores"][key] for key in figures)])
+
+
+def print_table(facts: dict[str, Any]) -> None:
+    """The table on standard output, then comparisons and what was left out."""
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=160)
+    console.print(_table(facts))
+    for line in _notes(facts):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def _table(facts: dict[str, Any]) -> Any:
+    from rich.table import Table
+
+    gpu = facts["device"] != "cpu"
+    sizes = ["x".join(map(str, facts[key])) for key in ("render_size", "output_size")]
+    title = f"{sizes[0]} to {sizes[1]}, {len(facts['sequence']['frames'])} frames, {facts['device']}"
+    table = Table(title=f"{title}, {facts['threads']} threads, median of {facts['runs']} runs", header_style="bold")
+    table.add_column("method", no_wrap=True)
+    heads = ["ms/frame", "min..max", "CPU s", *(["GPU ms"] if gpu else []), "peak MB", "PSNR", "SSIM", "FLIP", "relMSE",
+             "flicker", "PSNR all", "flicker all", "worst"]
+    for head in heads:
+        table.add_column(head, justify="right", no_wrap=True)
+    family = None
+    for row in facts["methods"]:
+        if family not in (None, row["family"]):
+            table.add_section()
+        family = row["family"]
+        table.add_row(row["title"], *_cells(row, gpu))
+    table.caption = "Figures are means over the second half of the frames, 'all' over all of them; worst: least PSNR"
+    return table
+
+
+def _cells(row: dict[str, Any], gpu: bool) -> list[str]:
+    time, scores = row["time"], row["scores"]
+    cells = [f"{time['wall_ms']:.1f}", f"{time['wall_ms_min']:.1f}..{time['wall_ms_max']:.1f}", f"{time['cpu_s']:.3f}"]
+    cells += [_number(time["gpu_ms"], ".2f")] if gpu else []
+    cells += [f"{time['peak_mb']:.0f}"]
+    for figure, form in (("psnr_late", ".2f"), ("ssim_late", ".4f"), ("flip_late", ".4f"), ("relmse_late", ".4g"),
+                         ("flicker_late", ".2f"), ("psnr", ".2f"), ("flicker", ".2f")):
+        cells.append(_number(scores[figure], form))
+    return [*cells, f"{scores['worst_psnr']:.2f} @{scores['worst_frame']}"]
+
+
+def _notes(facts: dict[str, Any]) -> list[str]:
+    titles = {row["name"]: row["title"] for row in facts["methods"]}
+    lines = []
+    for entry in facts["against_best_baseline"]:
+        parts = [f"PSNR {_number(entry['psnr_late'], '+.2f')} dB", f"SSIM {_number(entry['ssim_late'], '+.4f')}",
+                 f"FLIP {_number(entry['flip_late'], '.2f')}x", f"flicker {_number(entry['flicker_late'], '.2f')}x"]
+        if "frames_below_oidn" in entry:
+            parts.append(f"{entry['frames_below_oidn']} frames below OIDN high")
+        lines.append(f"{titles[entry['name']]} against the best of the others: {', '.join(parts)}")
+    broken = [row for row in facts["methods"] if row["scores"]["not_finite"]]
+    lines += [f"warning: {row['title']} wrote {row['scores']['not_finite']} values that are not finite"
+              for row in broken]
+    return lines + [f"not measured: {item['what']}: {item['why']}" for item in facts["left_out"]]
+
+
+def _against(value: float | None, figure: str, others: list[dict[str, Any]]) -> float | None:
+    values = [row["scores"][figure] for row in others if row["scores"][figure] is not None]
+    if value is None or not values:
+        return None
+    best = max(values) if _rises(figure) else min(values)
+    return value - best if _rises(figure) else value / best
+
+
+def _rises(figure: str) -> bool:
+    return figure.removesuffix("_late") in HIGHER_IS_BETTER
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+

@@ -1,0 +1,116 @@
+"""Measures one method in a process of its own, so that its peak of memory is its own: python -m postfx.bench.worker
+
+Reads a task as JSON on standard input, writes progress, and at the end the times, as lines of JSON on standard output.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from postfx.bench.methods import Method
+from postfx.bench.reconstruct import Chain, Network, make
+from postfx.errors import PostfxError
+from postfx.frame import Frame, Role
+from postfx.io.sequence import Sequence
+from postfx.io.writer import write_frame
+from postfx.runtime import Device
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to measure: a method on a sequence, `runs` times; `output` holds '{number}' for the frame number."""
+
+    method: Method
+    noisy: str
+    guides: str | None
+    profile: str | None
+    frames: tuple[int, ...]
+    scale: float
+    size: tuple[int, int]
+    device: str
+    threads: int
+    runs: int
+    output: str
+
+    def to_json(self) -> str:
+        """The task as one line."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Task:
+        """The task that `to_json` wrote."""
+        values = json.loads(text)
+        method = Method(**values.pop("method"))
+        return cls(method, **values | {"frames": tuple(values["frames"]), "size": tuple(values["size"])})
+
+
+def main() -> int:
+    """Carry out the task on standard input."""
+    task = Task.from_json(sys.stdin.readline())
+    try:
+        _say(times=measure(task))
+    except PostfxError as error:
+        _say(error=str(error))
+        return 2
+    return 0
+
+
+def measure(task: Task) -> dict:
+    """Milliseconds (wall, device) and CPU seconds of every frame of every run, and the peak of memory in MB.
+
+    One frame before the runs, `first_ms`, compiles and warms up. Reading and writing files is not timed.
+    """
+    device = Device(task.device, task.threads)
+    sequence = Sequence(task.noisy, task.frames, task.profile, guides=task.guides)
+    method = make(task.method, device, task.scale, task.size)
+    first = _timed(method, next(iter(sequence)))
+    runs = []
+    for index in range(task.runs):
+        method.reset()
+        runs.append([_frame(task, method, frame, index == task.runs - 1) for frame in sequence])
+        _say(run=index + 1)
+    columns = {key: [[row[key] for row in run] for run in runs] for key in ("wall_ms", "cpu_s", "device_ms")}
+    return {**columns, "first_ms": first["wall_ms"], "peak_mb": peak_memory()}
+
+
+def peak_memory() -> float:
+    """Greatest resident memory of this process in MB (10^6 bytes).
+
+    From the kernel's mark for this program: `ru_maxrss` would also count the process that started it.
+    """
+    status = Path("/proc/self/status")
+    if status.is_file():
+        marks = [line for line in status.read_text().splitlines() if line.startswith("VmHWM:")]
+        if marks:
+            return int(marks[0].split()[1]) * 1024 / 1e6
+    factor = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * factor / 1e6
+
+
+def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> dict:
+    row = _timed(method, frame)
+    result = row.pop("result")
+    if write:
+        path = task.output.replace("{number}", f"{frame.number:04d}")
+        write_frame(path, replace(frame, planes={Role.COLOUR: result}, guides={}, jitter=(0.0, 0.0)))
+    return row
+
+
+def _timed(method: Network | Chain, frame: Frame) -> dict:
+    device, cpu, wall = method.device_ms, time.process_time(), time.perf_counter()
+    result = method(frame)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return {"wall_ms": 1e3 * wall, "cpu_s": cpu, "device_ms": method.device_ms - device, "result": result}
+
+
+def _say(**values: object) -> None:
+    print(json.dumps(values), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,75 @@
+"""`postfx bench`: run time against error."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+HELP = "measure run time against error on a sequence with references"
+DESCRIPTION = """\
+Measure run time against error: this project's networks, Open Image Denoise, accumulation and plain enlargement, side by
+side on noisy frames with references. Needs: pip install 'postfx[bench]'
+
+The scale follows from the sizes of the frames and of the references. Every method runs in a process of its own, so its
+peak of memory is its own; reading, writing and scoring are not timed. Times are medians of several runs.
+
+Figures are of what is seen (exposure, x / (1 + x), sRGB): PSNR, SSIM, FLIP; relMSE of linear light; flicker is 1000
+times the mean absolute error of the change from frame to frame along the motion. 'late' is the second half.
+
+Methods: the networks by tag, as 'm' (with '-int8', '-fp16' and '-guides' where there are such models), and the same
+with '-alone', the history dropped at every frame; oidn-fast, oidn-balanced, oidn-high (at render size, then
+enlarged), oidn-high-accumulated (and then accumulated along the motion at output size), accumulation, bicubic; or
+families of them: ours, oidn, plain.
+"""
+EXAMPLES = """\
+examples:
+  postfx bench shot/noisy.####.exr --reference shot/reference.####.exr -o out/bench
+  postfx bench shot/noisy.####.exr --reference shot/reference.####.exr -o out/bench --methods ours,oidn-high --models m
+  postfx bench shot/noisy.####.exr --guides shot/guides.####.exr --reference shot/reference.####.exr -o out/bench
+  postfx bench shot/noisy.####.exr --reference shot/reference.####.exr -o out/bench --threads 1 --runs 5 --json
+
+writes OUT: bench.csv (a line a method), bench.json (everything, frame by frame), pareto_psnr.png, pareto_flicker.png,
+crops.png (details where methods differ most) and the results under OUT/frames/METHOD/.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this verb's arguments."""
+    parser.add_argument("input", metavar="NOISY", help="noisy frames: a pattern, a folder or a file")
+    parser.add_argument("--reference", metavar="REF", required=True, help="references, numbered like the frames")
+    parser.add_argument("-o", "--output", metavar="OUT", required=True, help="folder for tables, plots and results")
+    parser.add_argument("--guides", metavar="GUIDES", help="planes at output size, numbered like the frames")
+    parser.add_argument("--frames", metavar="RANGE", help="frames to measure, e.g. 1-8")
+    parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile of NOISY (default: found)")
+    parser.add_argument("--methods", metavar="LIST", help="names or families, comma-separated (default: all)")
+    parser.add_argument("--models", metavar="LIST", help="tags of networks, e.g. s,m,l (default: all there are)")
+    parser.add_argument("--runs", type=_positive, default=3, metavar="N", help="runs a method (default: 3)")
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
+    parser.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all cores)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object in place of the table")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Measure; returns the exit code."""
+    from pathlib import Path
+
+    from postfx.bench.job import Bench, Wish  # loads the runtime, which --help must not wait for
+    from postfx.bench.material import Sources
+    from postfx.bench.report import print_table
+
+    sources = Sources(arguments.input, arguments.reference, arguments.guides, arguments.frames, arguments.profile)
+    wish = Wish(Path(arguments.output), arguments.methods, arguments.models, arguments.runs, arguments.device,
+                arguments.threads)
+    facts = Bench(sources, wish).run()
+    if arguments.json:
+        print(json.dumps(facts))
+    else:
+        print_table(facts)
+        print(f"wrote {wish.output}: bench.csv, bench.json, pareto_psnr.png, pareto_flicker.png, crops.png, frames/")
+    return 0
+
+
+def _positive(text: str) -> int:
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 1")
+    return int(text)
