@@ -53,7 +53,8 @@ def flip(picture: np.ndarray, reference: np.ndarray) -> float:
 
 def relmse(colour: np.ndarray, reference: np.ndarray, exposure: float) -> float:
     """Mean of (colour - reference)^2 / (reference^2 + 0.01 / exposure^2), without the worst 0.1 % of the pixels."""
-    error = np.square(np.nan_to_num(colour) - reference) / (np.square(reference) + 1e-2 / exposure**2)
+    result, wanted = np.nan_to_num(colour).astype(np.float64), reference.astype(np.float64)
+    error = np.square(result - wanted) / (np.square(wanted) + 1e-2 / exposure**2)
     pixels = np.sort(error.mean(-1).ravel())
     return float(pixels[: int(pixels.size * TRIMMED)].mean())
 

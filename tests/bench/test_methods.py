@@ -1,0 +1,55 @@
+"""Which methods there are, and choosing among them."""
+
+import pytest
+
+from postfx.bench.errors import BenchError
+from postfx.bench.methods import OTHERS, catalogue, select
+
+MODELS = ("denoise_upscale.l", "denoise_upscale.m", "denoise_upscale.m.guides", "denoise_upscale.m.int8",
+          "denoise_upscale.m.fp16", "denoise_upscale.s", "tonemap.aces2")
+
+
+def names(found):
+    return [method.name for method in found.methods]
+
+
+def test_networks_come_by_size_with_and_without_history():
+    found = catalogue(MODELS, "cpu", guides=False, motion=True)
+    ours = [name for name in names(found) if name[0] in "sml"]
+    assert ours == ["s", "s-alone", "m", "m-alone", "m-int8", "m-int8-alone", "l", "l-alone"]
+    assert names(found)[len(ours) :] == [method.name for method in OTHERS]
+
+
+def test_what_is_left_out_says_why():
+    left_out = dict(catalogue(MODELS, "cpu", guides=False, motion=False).left_out)
+    assert left_out["m fp16"] == "fp16 is for cuda, not for cpu"
+    assert left_out["l int8"] == "there is no model denoise_upscale.l.int8"
+    assert left_out["m fp32 guides"] == "the frames have no planes at output size"
+    assert left_out["accumulation"] == "the frames have no motion plane"
+
+
+def test_a_network_that_reads_guides():
+    found = catalogue(MODELS, "cuda", guides=True, motion=False)
+    guided = next(method for method in found.methods if method.guides)
+    assert (guided.name, guided.model, guided.title) == ("m-guides", "m", "m fp32 guides")
+    assert "m-fp16" in names(found) and "m-int8" not in names(found)
+    assert not any(method.alone or method.accumulated for method in found.methods)
+
+
+def test_selection_by_name_family_and_tag():
+    found = catalogue(MODELS, "cpu", guides=False, motion=True)
+    assert names(select(found, "bicubic,oidn-high", None)) == ["oidn-high", "bicubic"]
+    assert names(select(found, "ours", "s")) == ["s", "s-alone"]
+    assert names(select(found, "ours,plain", "l")) == ["l", "l-alone", "accumulation", "bicubic"]
+    assert select(found, None, None) == found
+
+
+@pytest.mark.parametrize(
+    ("methods", "models", "message"),
+    [("oidn-best", None, "--methods oidn-best: there is no 'oidn-best' here: choose among accumulation, bicubic"),
+     (None, "xl", "--models xl: there is no 'xl' here: choose among l, m, s"),
+     ("m", "s", "leaves nothing to measure")],
+)
+def test_names_that_fit_nothing(methods, models, message):
+    with pytest.raises(BenchError, match=message):
+        select(catalogue(MODELS, "cpu", guides=False, motion=True), methods, models)

@@ -1,0 +1,88 @@
+"""What is told of the measurements: fronts, comparisons, CSV and pictures."""
+
+import csv
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from postfx.bench import report
+
+FIGURES = {"ssim_late": 0.9, "flip_late": 0.1, "relmse_late": 0.01, "worst_frame": 1, "worst_psnr": 1.0,
+           "not_finite": 0}
+
+
+def row(name, time, psnr, flicker=10.0, family="plain", **facts):
+    scores = {"psnr_late": psnr, "psnr": psnr, "flicker_late": flicker, "flicker": flicker, **FIGURES}
+    times = {"wall_ms": time, "wall_ms_min": 0.9 * time, "wall_ms_max": 1.2 * time, "cpu_s": time / 500, "gpu_ms": None,
+             "first_ms": 5 * time, "peak_mb": 300.0}
+    plain = {"title": name, "model": "", "precision": "fp32", "guides": False, "alone": False}
+    return {"name": name, "family": family, **plain, **facts, "time": times, "scores": scores,
+            "frames": [{"frame": 1, "psnr": psnr}]}
+
+
+ROWS = [row("m", 60, 32.6, 8, "ours"), row("m-alone", 61, 31.0, 19, "ours", alone=True),
+        row("oidn-high", 200, 31.5, 16, "oidn"), row("oidn-fast", 55, 31.1, 17, "oidn"), row("bicubic", 10, 17, 130)]
+
+
+def test_the_front_holds_what_nothing_beats_in_both():
+    assert report.front(ROWS, "psnr_late") == ["bicubic", "oidn-fast", "m"]
+    assert report.front(ROWS, "flicker_late") == ["bicubic", "oidn-fast", "m"]
+
+
+def test_ours_against_the_best_of_the_others():
+    ours, alone = report.compare(ROWS)
+    assert ours["psnr_late"] == pytest.approx(1.1) and ours["flicker_late"] == pytest.approx(0.5)
+    assert (ours["frames_below_oidn"], alone["frames_below_oidn"]) == (0, 1)
+    assert report.compare(ROWS[:2]) == []
+
+
+def test_csv_has_a_line_a_method_and_leaves_the_unknown_empty(tmp_path):
+    report.write_csv(tmp_path / "bench.csv", ROWS)
+    with (tmp_path / "bench.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert [line["name"] for line in lines] == [entry["name"] for entry in ROWS]
+    assert (lines[0]["wall_ms"], lines[0]["gpu_ms"], lines[0]["psnr_late"]) == ("60", "", "32.6")
+
+
+def facts():
+    return {"device": "cpu", "threads": 2, "runs": 3, "render_size": [32, 18], "output_size": [64, 36], "methods": ROWS,
+            "sequence": {"frames": [1]}, "against_best_baseline": report.compare(ROWS),
+            "left_out": [{"what": "m int8", "why": "there is no such model"}],
+            "fronts": {figure: report.front(ROWS, figure) for figure in ("psnr_late", "flicker_late")}}
+
+
+def test_the_table_is_whole_outside_a_terminal(capsys):
+    report.print_table(facts())
+    text = capsys.readouterr().out
+    assert all(entry["title"] in text for entry in ROWS)
+    assert "m against the best of the others: PSNR +1.10 dB, SSIM +0.0000, FLIP 1.00x, flicker 0.50x" in text
+    assert "not measured: m int8: there is no such model" in text
+    assert "…" not in text
+
+
+@pytest.mark.parametrize("figure", ["psnr_late", "flicker_late"])
+def test_labels_of_the_plot_stand_apart(tmp_path, figure, monkeypatch):
+    pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
+    from postfx.bench import plots
+
+    boxes, place = [], plots._place
+    monkeypatch.setattr(plots, "_place", lambda *arguments: boxes.append(place(*arguments)) or boxes[-1])
+    plots.pareto(facts(), figure, tmp_path / "plot.png")
+    assert len(boxes) == len(ROWS)
+    pairs = [(one, other) for index, one in enumerate(boxes) for other in boxes[:index]]
+    assert not any(plots._overlap(one, other) for one, other in pairs)
+    picture = oiio.ImageBuf(str(tmp_path / "plot.png")).get_pixels(oiio.UINT8)
+    assert picture.shape[:2] == (780, 1170) and np.ptp(picture) == 255
+
+
+def test_crops_are_where_pictures_differ_and_do_not_overlap():
+    pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
+    from postfx.bench.crops import pick
+
+    difference = np.zeros((60, 100))
+    difference[10:31, 70:91] = 1.0
+    difference[35:56, 5:26] = 0.5
+    places = pick(difference, 2)
+    assert places == [(10, 70), (35, 5)]
+    assert len(pick(np.ones((20, 20)), 9)) <= 9
