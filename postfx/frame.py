@@ -162,6 +162,7 @@ class Frame:
         source: file that the frame was read from, or None.
         encoding: meaning of the colour plane, one of `ENCODINGS`.
         guides: role -> array like those of `planes`, at output size; roles are among `GUIDE_ROLES`.
+        guide_size: width and height of the guides; given only for a frame whose guides were not read.
         guide_jitter: like `jitter`, of the guides' samples, in pixels of the guides.
         guide_source: file that the guides were read from, or None.
 
@@ -181,6 +182,7 @@ class Frame:
     source: str | None = None
     encoding: str = "scene-linear"
     guides: dict[Role, np.ndarray] = field(default_factory=dict)
+    guide_size: tuple[int, int] | None = None
     guide_jitter: tuple[float, float] = (0.0, 0.0)
     guide_source: str | None = None
 
@@ -189,6 +191,8 @@ class Frame:
             raise FrameError(f"frame {self._name()} has no planes")
         self.planes = self._all_checked(self.planes, "plane", self.source)
         self.guides = self._all_checked(self.guides, "guide", self.guide_source)
+        if self.guides:
+            self.guide_size = next(iter(self.guides.values())).shape[1::-1]
         if self.world_to_camera is not None:
             self.world_to_camera = np.asarray(self.world_to_camera, np.float64).reshape(4, 4)
 
@@ -197,7 +201,8 @@ class Frame:
         """Size, planes and encoding of this frame."""
         height, width = next(iter(self.planes.values())).shape[:2]
         channels = {role: plane.shape[2] for role, plane in self.planes.items()}
-        return FrameSpec(width, height, channels, self.encoding, self._guide_spec())
+        guides = GuideSpec(*self.guide_size, tuple(self.guides), self.guide_source) if self.guide_size else None
+        return FrameSpec(width, height, channels, self.encoding, guides)
 
     def __getitem__(self, role: Role) -> np.ndarray:
         """Plane of a role, (height, width, channels); FrameError when the frame does not hold it."""
@@ -207,12 +212,6 @@ class Frame:
 
     def __contains__(self, role: object) -> bool:
         return role in self.planes
-
-    def _guide_spec(self) -> GuideSpec | None:
-        if not self.guides:
-            return None
-        height, width = next(iter(self.guides.values())).shape[:2]
-        return GuideSpec(width, height, tuple(self.guides), self.guide_source)
 
     def _all_checked(self, planes: dict[Role, np.ndarray], kind: str, source: str | None) -> dict[Role, np.ndarray]:
         checked = {Role(role): self._checked(Role(role), plane, kind) for role, plane in planes.items()}

@@ -156,9 +156,8 @@ def _finished(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Ro
     planes = {role: frame[role] for role in unread}
     for role, tensor in resident.tensors.items():
         planes[role] = frame[role] if tensor is inputs.get(role) else tensor.download()
-    guides = frame.guides if same_size else {}
-    changed = {"encoding": plan.output.encoding, "jitter": resident.jitter}
-    return dataclasses.replace(frame, planes=planes, guides=guides, **changed)
+    gone = {} if same_size else {"guides": {}, "guide_size": None, "guide_jitter": (0.0, 0.0), "guide_source": None}
+    return dataclasses.replace(frame, planes=planes, encoding=plan.output.encoding, jitter=resident.jitter, **gone)
 
 
 def _milliseconds(commands: CommandBuffer, name: str) -> float:

@@ -126,7 +126,7 @@ def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
         current = step.reflection.output
     planes, guides = _needed(spec, steps), _needed_guides(spec, steps)
     skipped += [Skipped(f"plane '{role}'", "no pass reads it") for role in spec.roles if role not in planes]
-    skipped += [Skipped(f"guide '{role}'", "no pass reads it") for role in spec.guide_roles if role not in guides]
+    skipped += _unread_guides(spec, guides)
     return _narrowed(Plan(spec, planes, tuple(steps), tuple(skipped), current, guides=guides))
 
 
@@ -154,6 +154,12 @@ def _needed(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
 def _needed_guides(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
     used = {role for step in steps for role in step.uses_guides}
     return tuple(role for role in spec.guide_roles if role in used)
+
+
+def _unread_guides(spec: FrameSpec, used: Sequence[Role]) -> list[Skipped]:
+    if spec.guide_roles and not used:
+        return [Skipped("guides", "no pass reads them")]
+    return [Skipped(f"guide '{role}'", "no pass reads it") for role in spec.guide_roles if role not in used]
 
 
 def _check(step: Step, spec: FrameSpec) -> None:

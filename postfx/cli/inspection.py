@@ -8,15 +8,16 @@ import numpy as np
 
 from postfx.frame import DEPTH_MISS, ROLES, Frame, Role
 from postfx.io.aov import FrameFiles
+from postfx.io.layout import Match
 from postfx.io.sequence import Sequence
 
 
-def inspect(source: str, frames: str | None, profile: str | None) -> dict[str, Any]:
+def inspect(source: str, frames: str | None, profile: str | None, guides: str | None = None) -> dict[str, Any]:
     """Facts about a sequence and one of its frames, in plain types.
 
-    Raises SequenceError, MissingFrameError, ReadError or ProfileError.
+    Raises SequenceError, MissingFrameError, MissingPlaneError, GuideError, ReadError or ProfileError.
     """
-    sequence = Sequence(source, frames, profile)
+    sequence = Sequence(source, frames, profile, guides=guides)
     with sequence.open(sequence.numbers[0]) as files:
         frame = files.read(sequence.numbers[0])
         spec, layout = frame.spec, files.layout
@@ -27,7 +28,8 @@ def inspect(source: str, frames: str | None, profile: str | None) -> dict[str, A
             "profile": {"name": layout.profile.name, "title": layout.profile.title},
             "width": spec.width,
             "height": spec.height,
-            "planes": [_plane(frame, role, files) for role in spec.roles],
+            "planes": [_plane(frame[role], role, layout.planes[role]) for role in spec.roles],
+            "guides": _guides(frame, files),
             "missing": [{"role": str(role), "mend": _mend(files, role)} for role in Role if role not in frame],
             "header": _header(frame),
             "warnings": sequence.warnings,
@@ -43,6 +45,7 @@ def text_of(found: dict[str, Any]) -> str:
         "",
         *(_plane_line(plane) for plane in found["planes"]),
         "",
+        *_guide_lines(found["guides"]),
         *(f"missing  {item['role']}{': ' + item['mend'] if item['mend'] else ''}" for item in found["missing"]),
         *(f"header   {name}: {value}" for name, value in found["header"].items()),
         *(f"warning  {warning}" for warning in found["warnings"]),
@@ -56,14 +59,30 @@ def _frames_text(frames: dict[str, int]) -> str:
     return f"{frames['count']} frames, {frames['first']} to {frames['last']}" if frames["count"] > 1 else "1 frame"
 
 
-def _plane(frame: Frame, role: Role, files: FrameFiles) -> dict[str, Any]:
-    pixels = frame[role]
+def _guides(frame: Frame, files: FrameFiles) -> dict[str, Any] | None:
+    if not frame.guides:
+        return None
+    planes = [_plane(frame.guides[role], role, files.guides.planes[role]) for role in frame.spec.guide_roles]
+    jitter = list(frame.guide_jitter) if any(frame.guide_jitter) else None
+    width, height = frame.guide_size
+    return {"source": frame.guide_source, "width": width, "height": height, "jitter": jitter, "planes": planes}
+
+
+def _guide_lines(guides: dict[str, Any] | None) -> list[str]:
+    if guides is None:
+        return []
+    jitter = f", jitter {guides['jitter']}" if guides["jitter"] else ""
+    head = f"guides {guides['width']}x{guides['height']} in {guides['source']}{jitter}"
+    return [head, "", *map(_plane_line, guides["planes"]), ""]
+
+
+def _plane(pixels: np.ndarray, role: Role, match: Match) -> dict[str, Any]:
     valid = np.isfinite(pixels)
     valid &= (pixels < DEPTH_MISS) if role is Role.DEPTH else True
     low, high = (float(pixels[valid].min()), float(pixels[valid].max())) if valid.any() else (None, None)
     return {
         "role": str(role),
-        "channels": files.layout.planes[role].names,
+        "channels": match.names,
         "min": low,
         "max": high,
         "misses": int((pixels >= DEPTH_MISS).sum()) if role is Role.DEPTH else 0,

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from postfx.cli.progress import FrameProgress
 from postfx.cli.summary import Report
-from postfx.errors import WriteError
-from postfx.frame import FrameSpec
+from postfx.errors import GuideError, WriteError
+from postfx.frame import Frame, FrameSpec
 from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
@@ -38,7 +38,7 @@ class Job:
     """
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        self.sequence = Sequence(arguments.input, arguments.frames, arguments.profile)
+        self.sequence = Sequence(arguments.input, arguments.frames, arguments.profile, guides=arguments.guides)
         self.outputs = _outputs(arguments, self.sequence)
         if self.outputs and not arguments.explain:
             self.outputs.check(self.sequence.numbers)
@@ -46,7 +46,7 @@ class Job:
         device = Device(arguments.device, arguments.threads)
         self.pipeline = Pipeline(self._passes(arguments), device, arguments.exposure)
         self.plan = self.pipeline.explain(self._first_spec())
-        self._preroll = arguments.preroll
+        self._preroll, self._scale = arguments.preroll, arguments.scale
         self._seconds = 0.0
         self._frame_ms: list[float] = []
         self._pass_ms: dict[str, list[float]] = {}
@@ -89,11 +89,13 @@ class Job:
             skipped=[*self.plan.skipped, *self.left_out],
             warnings=[*self.plan.remarks, *self.sequence.warnings],
             outputs=self._written,
+            guides=self._guides(),
             error=str(failure) or "interrupted" if failure is not None else None,
         )
 
     def _process(self, work: Work, outputs: OutputFiles, progress: FrameProgress) -> None:
-        frame = self.sequence.read(work.number, self.plan.planes)
+        frame = self.sequence.read(work.number, self.plan.planes, self.plan.guides)
+        self._check_guides(frame)
         begin = time.perf_counter()
         result = self.pipeline(frame)
         elapsed = (time.perf_counter() - begin) * 1000
@@ -105,6 +107,25 @@ class Job:
             self._pass_ms.setdefault(name, []).append(milliseconds)
         self._written.append(path)
         progress.advance(path)
+
+    def _check_guides(self, frame: Frame) -> None:
+        """The output's size may follow from the guides, so all frames must have them in one."""
+        found, wanted = frame.spec.guides, self.plan.input.guides
+        if found and wanted and (found.width, found.height) != (wanted.width, wanted.height):
+            raise GuideError(
+                f"{found.source}: guides are {found.width}x{found.height}, those of the first frame "
+                f"{wanted.width}x{wanted.height}: render them at one size"
+            )
+
+    def _guides(self) -> dict[str, Any] | None:
+        """Size of the guides, which of them are used, and whether the output's size follows from them."""
+        guides = self.plan.available.guides
+        if guides is None:
+            return None
+        output = self.plan.output
+        follows = self._scale is None and (output.width, output.height) == (guides.width, guides.height)
+        used = [str(role) for role in self.plan.guides]
+        return {"width": guides.width, "height": guides.height, "used": used, "output_follows": follows}
 
     def _schedule(self, target: OutputFiles, progress: FrameProgress) -> list[Work]:
         """Frames to process in order: those to write, and before each run of them those that fill the history."""

@@ -15,12 +15,16 @@ Denoise, upscale and tone-map a rendered sequence.
 EXR output stays scene-linear unless --tonemap is given. PNG, JPEG and TIFF output is tone-mapped and display-encoded.
 INPUT is a file name with ####, %04d, @@@@ or $F4 for the frame number, a folder that holds one sequence, or a single
 file. Where every plane has a file of its own, put {plane} where their names differ: shot_{plane}.####.exr
+
+Albedo, normal, roughness and depth may come at output size as guides, which make edges exact: in files of their own
+(--guides), or as planes larger than the colour in INPUT. The output then has their size.
 """
 EXAMPLES = """\
 examples:
   postfx run shot/noisy.####.exr -o out/clean.####.exr
   postfx run shot/noisy.%04d.exr -o out/picture.%04d.png --frames 1-100x2
   postfx run shot/ -o out/ --skip-existing --scale 1.5
+  postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr --explain
 
 exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 130 interrupted
@@ -31,6 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
     parser.add_argument("input", metavar="INPUT", help="frames to read")
     parser.add_argument("-o", "--output", metavar="OUTPUT", help="files to write: a pattern, a folder or one file")
+    parser.add_argument(
+        "--guides", metavar="GUIDES", help="frames of planes at output size, named like INPUT and numbered alike"
+    )
     parser.add_argument("--frames", metavar="RANGE", help="frames to process, e.g. 1-100, 1-100x2 or 1,5,8-12")
     existing = parser.add_mutually_exclusive_group()
     existing.add_argument("--overwrite", action="store_true", help="replace output files that are there")
@@ -72,7 +79,12 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _add_passes(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--scale", type=float, metavar="S", help="output size over render size, 1 to 3 (default: 2)")
+    group.add_argument(
+        "--scale",
+        type=float,
+        metavar="S",
+        help="output size over render size, 1 to 3 (default: the size of the guides, or 2 without guides)",
+    )
     group.add_argument("--no-denoise", action="store_true", help="leave denoising and upscaling out")
     group.add_argument("--model", metavar="TAG", help="denoiser to use; 'postfx models' lists them")
     tonemap = group.add_mutually_exclusive_group()

@@ -25,6 +25,8 @@ class Report:
         skipped: passes, planes and frames that were left out, and why.
         warnings: what was odd, each once.
         outputs: paths that were written.
+        guides: size of the planes at output size, roles that were used, and whether the output's size follows from
+            them; None without guides.
         error: why the run ended early, or None.
     """
 
@@ -36,6 +38,7 @@ class Report:
     skipped: list[Skipped]
     warnings: list[str]
     outputs: list[str]
+    guides: dict[str, Any] | None = None
     error: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -48,6 +51,7 @@ class Report:
             "skipped": [{"what": item.what, "why": item.why} for item in self.skipped],
             "warnings": self.warnings,
             "outputs": self.outputs,
+            "guides": self.guides,
         }
         return {**result, "error": self.error} if self.error else result
 
@@ -55,6 +59,7 @@ class Report:
         """The report in a few lines."""
         lines = [f"{self.frames} of {self.wanted} frames in {self.seconds:.1f} s{self._speed()}"]
         lines += [f"ran      {name}: {median(times):.1f} ms a frame" for name, times in self.pass_ms.items()]
+        lines += [f"guides   {self._guides_text()}"] if self.guides else []
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
         lines += [f"warning  {warning}" for warning in self.warnings]
         if self.outputs:
@@ -62,13 +67,18 @@ class Report:
             lines.append(f"wrote    {self.outputs[0]}{more}")
         return "\n".join(lines)
 
+    def _guides_text(self) -> str:
+        text = f"{self.guides['width']}x{self.guides['height']}"
+        text += f", used: {', '.join(self.guides['used'])}" if self.guides["used"] else ", not used"
+        return text + ("; the output has their size" if self.guides["output_follows"] else "")
+
     def _skipped_by_reason(self) -> list[tuple[str, str]]:
         """Planes together, since they share a reason; of frames the first few."""
         planes = [
             item.what.removeprefix("plane ").strip("'") for item in self.skipped if item.what.startswith("plane ")
         ]
         frames = [item for item in self.skipped if item.what.startswith("frame ")]
-        passes = [item for item in self.skipped if not item.what.startswith(("plane ", "frame "))]
+        passes = [item for item in self.skipped if not item.what.startswith(("plane ", "guide ", "frame "))]
         rows = [(item.what, item.why) for item in passes + frames[:SHOWN_FRAMES]]
         rows += [("planes " + ", ".join(planes), "no pass reads them")] if planes else []
         more = len(frames) - SHOWN_FRAMES

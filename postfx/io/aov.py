@@ -11,36 +11,41 @@ import numpy as np
 
 from postfx.errors import MissingPlaneError, ReadError
 from postfx.frame import Frame, FrameSpec, Role
-from postfx.io.channels import COLOUR_FILES, Channel, ChannelIndex
+from postfx.io.channels import Channel, ChannelIndex
 from postfx.io.convert import Camera, convert, fill_value
 from postfx.io.exr import ImageFile, Part
+from postfx.io.guides import GuideLayout, larger_planes, planes_that_guide
 from postfx.io.layout import Header, Match, make_layout
 from postfx.io.profile import load_profile
-
-
-def is_plane_word(word: str) -> bool:
-    """Whether a word in file names stands for a plane: one for the colour, or a layer name of the generic profile."""
-    layers = {name for rule in load_profile("generic").planes for name in rule.names if name}
-    return word.lower() in {*COLOUR_FILES, *layers}
 
 
 class FrameFiles:
     """The open files of one frame. Use as a context manager.
 
-    `paths` maps a plane's word ('' where one file holds all planes) to its file. Raises MissingFrameError or ReadError
-    when one of them cannot be opened.
+    `paths` maps a plane's word ('' where one file holds all planes) to its file; `guides` likewise, where planes at
+    output size have files of their own. Else the planes that are larger than the colour are guides. Raises
+    MissingFrameError or ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide.
+
+    Attributes:
+        layout: planes of the frame's size.
+        guides: planes at output size, or None.
     """
 
-    def __init__(self, paths: Mapping[str, Path], profile: str | None = None) -> None:
+    def __init__(
+        self, paths: Mapping[str, Path], profile: str | None = None, guides: Mapping[str, Path] | None = None
+    ) -> None:
         self._stack = ExitStack()
         try:
             self._files = {word: self._stack.enter_context(ImageFile(path)) for word, path in paths.items()}
+            self.path = next(iter(self._files.values())).path
+            index = ChannelIndex(self._files)
+            self.layout = make_layout(index, self._attributes(), load_profile(profile) if profile else None)
+            self.guides = larger_planes(self.layout)
+            if guides:
+                self.guides = self._own_guides(guides, profile)
         except BaseException:
             self._stack.close()
             raise
-        self.path = next(iter(self._files.values())).path
-        index = ChannelIndex(self._files)
-        self.layout = make_layout(index, self._attributes(), load_profile(profile) if profile else None)
 
     def __enter__(self) -> FrameFiles:
         return self
@@ -49,23 +54,35 @@ class FrameFiles:
         self._stack.close()
 
     def spec(self) -> FrameSpec:
-        """Size and planes of the frame; MissingPlaneError when there is no colour."""
-        display = self.match(Role.COLOUR).channels[0].part.display
-        return FrameSpec(display.width, display.height, tuple(self.layout.planes))
+        """Size, planes and guides of the frame; MissingPlaneError when there is no colour."""
+        width, height = self.match(Role.COLOUR).size
+        guides = self.guides.spec() if self.guides else None
+        return FrameSpec(width, height, tuple(self.layout.planes), guides=guides)
 
-    def read(self, number: int, roles: Iterable[Role] | None = None) -> Frame:
-        """Frame with the planes of `roles` (None: all that are there).
+    def read(
+        self, number: int, roles: Iterable[Role] | None = None, guides: Iterable[Role] | None = None
+    ) -> Frame:
+        """Frame with the planes of `roles` (None: all that are there) and these guides.
 
-        Raises MissingPlaneError when one of `roles` is not there, ReadError when pixels cannot be decoded.
+        Without `guides`, `roles` tells what to read at whatever size it is there. Raises MissingPlaneError when one
+        of them is not there, ReadError when pixels cannot be decoded.
         """
-        wanted = list(self.layout.planes) if roles is None else [Role(role) for role in roles]
+        wanted, guiding = self._wanted(roles, guides)
         if not wanted:
             raise self.missing(Role.COLOUR)
         matches = {role: self.match(role) for role in wanted}
-        pixels = _read_channels(matches.values())
-        camera = self.layout.camera
-        planes = {role: _assemble(match, pixels, camera) for role, match in matches.items()}
-        return self._frame(number, planes, next(iter(matches.values())).channels[0].part)
+        guide_matches = {role: self.guide(role) for role in guiding}
+        pixels = _read_channels([*matches.values(), *guide_matches.values()])
+        planes = {role: _assemble(match, pixels, self.layout.camera) for role, match in matches.items()}
+        guides = {role: _assemble(match, pixels, self.guides.camera) for role, match in guide_matches.items()}
+        return self._frame(number, planes, guides, next(iter(matches.values())).channels[0].part)
+
+    def guide(self, role: Role) -> Match:
+        """Where a guide is; MissingPlaneError when it is not there at output size."""
+        if self.guides is None or role not in self.guides.planes:
+            path = self.guides.path if self.guides else self.path
+            raise MissingPlaneError(f"{path}: no plane '{role}' at output size, unlike frames before: render it so")
+        return self.guides.planes[role]
 
     def match(self, role: Role) -> Match:
         """Where a plane is; MissingPlaneError when the profile finds none."""
@@ -86,14 +103,39 @@ class FrameFiles:
         )
 
     def _attributes(self) -> dict[str, Any]:
-        """Header attributes of all parts; where several parts have one, the first part's counts."""
+        """Header attributes of all parts; where several have one, that of the smallest, first part counts.
+
+        A larger part's jitter is that of guides.
+        """
         merged: dict[str, Any] = {}
-        for file in self._files.values():
-            for part in file.parts:
-                merged = {**part.attributes, **merged}
+        parts = [part for file in self._files.values() for part in file.parts]
+        for part in sorted(parts, key=lambda part: part.display.width * part.display.height):
+            merged = {**part.attributes, **merged}
         return merged
 
-    def _frame(self, number: int, planes: dict[Role, np.ndarray], part: Part) -> Frame:
+    def _own_guides(self, paths: Mapping[str, Path], profile: str | None) -> GuideLayout:
+        files = self._stack.enter_context(FrameFiles(paths, profile))
+        if self.guides:
+            names = ", ".join(self.guides.planes)
+            self.layout.warnings.append(f"planes {names} are larger than the colour: not read beside the guides given")
+        self.layout.warnings += [f"guides: {warning}" for warning in files.layout.warnings]
+        return planes_that_guide(files.layout, files.path)
+
+    def _wanted(
+        self, roles: Iterable[Role] | None, guides: Iterable[Role] | None
+    ) -> tuple[list[Role], list[Role]]:
+        """Roles to read as planes and as guides."""
+        held, offered = self.layout.planes, self.guides.planes if self.guides else {}
+        planes = list(held) if roles is None else [Role(role) for role in roles]
+        if guides is not None:
+            return planes, [Role(role) for role in guides]
+        if roles is None:
+            return planes, list(offered)
+        return [role for role in planes if role in held or role not in offered], [r for r in planes if r in offered]
+
+    def _frame(
+        self, number: int, planes: dict[Role, np.ndarray], guides: dict[Role, np.ndarray], part: Part
+    ) -> Frame:
         header, camera = Header(self.layout), self.layout.camera
         windows = {"displayWindow": tuple(part.display), "dataWindow": tuple(part.data)}
         return Frame(
@@ -107,6 +149,10 @@ class FrameFiles:
             fov_x=camera.fov_x,
             metadata={**self.layout.attributes, **windows},
             source=str(self.path),
+            guides=guides,
+            guide_size=self.guides.size if self.guides else None,
+            guide_jitter=self.guides.camera.jitter if self.guides else (0.0, 0.0),
+            guide_source=str(self.guides.path) if self.guides else None,
         )
 
 

@@ -7,9 +7,16 @@ from fnmatch import fnmatchcase
 from typing import NamedTuple
 
 from postfx.io.exr import ImageFile, Part
+from postfx.io.profile import load_profile
 
 COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image", "noisy")
 """Words that stand for the colour plane where every plane has its own file."""
+
+
+def is_plane_word(word: str) -> bool:
+    """Whether a word in file or part names stands for a plane: one for the colour, or a generic profile's layer."""
+    layers = {name for rule in load_profile("generic").planes for name in rule.names if name}
+    return word.lower() in {*COLOUR_FILES, *layers}
 
 
 class Channel(NamedTuple):
@@ -23,16 +30,18 @@ class Channel(NamedTuple):
 class ChannelIndex:
     """Channels by full name: 'albedo.R' is channel R of part or file albedo, or a channel of that very name.
 
-    `files` maps a plane's word ('' where one file holds all planes) to its file. Letter case does not count. Parts of
-    another view than the first part's are left out.
+    `files` maps a plane's word ('' where one file holds all planes) to its file. A channel R without more is that of
+    a part named after the colour, else of the first part that is not named after another plane. Letter case does not
+    count. Parts of another view than the first part's are left out.
     """
 
     def __init__(self, files: Mapping[str, ImageFile]) -> None:
         self._channels: dict[str, Channel] = {}
         for word, file in files.items():
-            for part in file.parts:
-                if part.view in ("", file.parts[0].view):
-                    self._add(word, file, part)
+            parts = [part for part in file.parts if part.view in ("", file.parts[0].view)]
+            plain = _plain(parts) if word == "" or word.lower() in COLOUR_FILES else []
+            for part in plain + [part for part in parts if part not in plain]:
+                self._add(word, file, part, part in plain)
 
     def find(self, names: Iterable[str]) -> tuple[Channel, ...] | None:
         """Channels by full name, * matching anything; None unless all are there."""
@@ -48,10 +57,15 @@ class ChannelIndex:
             return self._channels.get(name)
         return next((channel for key, channel in self._channels.items() if fnmatchcase(key, name)), None)
 
-    def _add(self, word: str, file: ImageFile, part: Part) -> None:
-        own_names = word == "" or word.lower() in COLOUR_FILES
+    def _add(self, word: str, file: ImageFile, part: Part, plain: bool) -> None:
         for name in part.channels:
-            full = [name] if own_names or "." in name else []
+            full = [name] if plain or "." in name else []
             full += [f"{part.name}.{name}"] if part.name else []
             for key in full + ([f"{word}.{name}"] if word else []):
                 self._channels.setdefault(key.lower(), Channel(file, part, name))
+
+
+def _plain(parts: list[Part]) -> list[Part]:
+    """Parts whose channels go by their bare names as well, best first."""
+    colour = [part for part in parts if part.name.lower() in COLOUR_FILES]
+    return colour + [part for part in parts if not is_plane_word(part.name)] or parts

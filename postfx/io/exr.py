@@ -8,7 +8,7 @@ a fill value, overscan is cut off.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -117,7 +117,7 @@ class ImageFile:
         if not parts:
             reason = "deep data is not supported: flatten it first, e.g. with oiiotool --flatten"
             raise ReadError(f"{self.path}: {reason if deep else 'holds no image'}")
-        return tuple(parts)
+        return _own_windows(parts)
 
 
 def to_display_window(pixels: np.ndarray, part: Part, fill: float) -> np.ndarray:
@@ -132,6 +132,24 @@ def to_display_window(pixels: np.ndarray, part: Part, fill: float) -> np.ndarray
         inside = pixels[y0 - data.y0 : y1 - data.y0, x0 - data.x0 : x1 - data.x0]
         result[y0 - display.y0 : y1 - display.y0, x0 - display.x0 : x1 - display.x0] = inside
     return result
+
+
+def _own_windows(parts: list[Part]) -> tuple[Part, ...]:
+    """The parts, each with a display window of its own where they hold the picture at two sizes.
+
+    OpenEXR wants one display window in all parts of a file, so it is that of the smaller or of the larger picture.
+    """
+    windows = sorted({part.data for part in parts}, key=lambda window: window.width)
+    two_sizes = len(windows) == 2 and _is_enlarged(*windows) and all(part.display in windows for part in parts)
+    return tuple(replace(part, display=part.data) if two_sizes else part for part in parts)
+
+
+def _is_enlarged(small: Window, large: Window) -> bool:
+    """Whether a window is another one enlarged up to 3 times, to the pixel, with the same origin."""
+    sides = ((large.width, small.width), (large.height, small.height))
+    least, most = max((outer - 1) / side for outer, side in sides), min((outer + 1) / side for outer, side in sides)
+    enlarged = all(outer > side for outer, side in sides) and least <= min(most, 3)
+    return enlarged and (small.x0, small.y0) == (large.x0, large.y0)
 
 
 def _part(index: int, spec: oiio.ImageSpec) -> Part:

@@ -25,6 +25,12 @@ class Match(NamedTuple):
     channels: tuple[Channel, ...]
 
     @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the plane, which are those of its display window."""
+        display = self.channels[0].part.display
+        return display.width, display.height
+
+    @property
     def names(self) -> str:
         """Channel names, the common part once: 'albedo.R,G,B'."""
         heads, tails = zip(*(channel.name.rpartition(".")[::2] for channel in self.channels), strict=True)

@@ -52,7 +52,7 @@ class OutputFiles:
         return self.existing is Existing.SKIP and is_complete(self.path(number), width, height)
 
     def _refuse_inputs(self, sequence: Sequence) -> None:
-        inputs = {path.resolve() for number in sequence.present() for path in sequence.files(number).values()}
+        inputs = {path.resolve() for path in sequence.all_files()}
         for path in map(self.path, sequence.numbers):
             if path.resolve() in inputs:
                 raise WriteError(f"{path}: is an input: write to another folder or name")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from postfx.errors import MissingFrameError, SequenceError
 from postfx.frame import Frame, Role
-from postfx.io.aov import FrameFiles, is_plane_word
-from postfx.io.channels import COLOUR_FILES
+from postfx.io.aov import FrameFiles
+from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.exr import READABLE
 from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, parse_pattern, pattern_of, patterns_in
 
@@ -22,6 +22,7 @@ class Sequence:
 
     Attributes:
         pattern: how the files are named.
+        guides: sequence of the files of the planes at output size, None where they are in the same files or absent.
         numbers: frame numbers, in order of processing. Holes in what is on the disk are kept as numbers: reading such
             a frame raises MissingFrameError.
         warnings: what was odd about the files read so far, each once.
@@ -33,9 +34,11 @@ class Sequence:
         frames: str | Iterable[int] | None = None,
         profile: str | None = None,
         planes: Iterable[Role] | None = None,
+        guides: str | PathLike[str] | None = None,
     ) -> None:
         self.pattern, named = _locate(str(source))
         self.profile = profile
+        self.guides = None if guides is None else Sequence(guides, profile=profile)
         self.planes = None if planes is None else tuple(Role(role) for role in planes)
         self.warnings: list[str] = []
         self._found = self.pattern.found()
@@ -45,6 +48,8 @@ class Sequence:
         self._last: int | None = None
         wanted = frames if frames is not None else named or self._on_disk()
         self.numbers = tuple(parse_frames(wanted) if isinstance(wanted, str) else map(int, wanted))
+        if self.guides and not self.guides.pattern.numbered and len(self.numbers) > 1:
+            raise SequenceError(f"{guides}: one file of guides for {len(self)} frames: name them like guides.####.exr")
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -57,11 +62,18 @@ class Sequence:
         """Up to `count` frames that lead to a frame without a hole between them, on the disk and in order."""
         earlier = [number - self._step * distance for distance in range(count, 0, -1)]
         holes = [index for index, candidate in enumerate(earlier) if candidate not in self._found]
-        return earlier[holes[-1] + 1 :] if holes else earlier
+        if self.guides:
+            holes += [index for index, candidate in enumerate(earlier) if candidate not in self.guides.present()]
+        return earlier[max(holes) + 1 :] if holes else earlier
 
     def present(self) -> list[int]:
         """Numbers of the frames on the disk, wanted or not."""
         return list(self._found)
+
+    def all_files(self) -> list[Path]:
+        """Files of all frames on the disk, wanted or not, and of their guides."""
+        own = [path for words in self._found.values() for path in words.values()]
+        return own + (self.guides.all_files() if self.guides else [])
 
     def files(self, number: int) -> dict[str, Path]:
         """Plane word ('' where one file holds all planes) -> file of a frame; MissingFrameError when it has none."""
@@ -70,19 +82,34 @@ class Sequence:
             raise MissingFrameError(f"{path}: frame {number} is missing: render it or leave it out with --frames")
         return self._found[number]
 
+    def guide_files(self, number: int) -> dict[str, Path] | None:
+        """Likewise, files of a frame's guides; None where they have no files of their own."""
+        if self.guides is None:
+            return None
+        if not self.guides.pattern.numbered:
+            return next(iter(self.guides._found.values()))
+        if number not in self.guides._found:
+            path = self.guides.pattern.path(number)
+            raise MissingFrameError(
+                f"{path}: guides of frame {number} are missing: render them or leave the frame out with --frames"
+            )
+        return self.guides._found[number]
+
     def open(self, number: int) -> FrameFiles:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
-        files = FrameFiles(self.files(number), self.profile)
+        files = FrameFiles(self.files(number), self.profile, self.guide_files(number))
         self.warnings += [warning for warning in files.layout.warnings if warning not in self.warnings]
         return files
 
-    def read(self, number: int, planes: Iterable[Role] | None = None) -> Frame:
-        """One frame with the wanted planes (None: those of the constructor, or all).
+    def read(
+        self, number: int, planes: Iterable[Role] | None = None, guides: Iterable[Role] | None = None
+    ) -> Frame:
+        """One frame with the wanted planes and guides (None: those of the constructor, or all).
 
-        Raises MissingFrameError, MissingPlaneError or ReadError.
+        Raises MissingFrameError, MissingPlaneError, GuideError or ReadError.
         """
         with self.open(number) as files:
-            frame = files.read(number, self.planes if planes is None else planes)
+            frame = files.read(number, self.planes if planes is None else planes, guides)
         frame.reset = frame.reset or self._is_cut(number)
         return frame
 
@@ -106,6 +133,7 @@ def read_sequence(
     frames: str | Iterable[int] | None = None,
     profile: str | None = None,
     planes: Iterable[Role] | None = None,
+    guides: str | PathLike[str] | None = None,
 ) -> Sequence:
     """Frames of a sequence, read one at a time while iterating.
 
@@ -114,11 +142,14 @@ def read_sequence(
             {plane} for the plane; or a folder; or a single file.
         frames: '1-100x2', '1,5,8-12' or numbers; None for all that are on the disk.
         profile: name of a built-in renderer profile or path of a TOML file; None to detect it.
-        planes: roles to read; None for all that are there.
+        planes: roles to read, of planes and guides; None for all that are there.
+        guides: files of planes at output size (albedos, normal, roughness, depth), named like `pattern`; frame numbers
+            must match. None: planes of `pattern` that are larger than the colour, if there are any.
 
-    Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError or ReadError.
+    Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError or
+    ReadError.
     """
-    return Sequence(pattern, frames, profile, planes)
+    return Sequence(pattern, frames, profile, planes, guides)
 
 
 def _locate(source: str) -> tuple[Pattern, list[int] | None]:

@@ -92,31 +92,23 @@ class DenoiseUpscale(Pass):
         return self._alpha.output
 
     def _output_size(self, spec: FrameSpec) -> Size:
-        guides = spec.guides
-        scale = self.scale or USUAL
+        """The guides' size, if the scale leads there, rounded or cut; without guides the scaled size, rounded."""
+        guides, scale = spec.guides, self.scale or USUAL
         size = Size(round(spec.height * scale), round(spec.width * scale))
-        if guides is None or size == (guides.height, guides.width):
+        if guides is None:
             return size
-        if self.scale is None:
-            return self._guides_size(spec)
-        wanted = f"{size.width}x{size.height}"
-        raise GuideError(
-            f"{guides.source or 'frame'}: guides are {guides.width}x{guides.height}, but scale {self.scale:g} makes "
-            f"{wanted} of {spec.width}x{spec.height}: leave the scale out, or render the guides at {wanted}"
-        )
-
-    @staticmethod
-    def _guides_size(spec: FrameSpec) -> Size:
-        """Size of the guides, if a scale leads there."""
-        guides = spec.guides
         sides = ((guides.width, spec.width), (guides.height, spec.height))
-        low = max(LEAST, *((out - 0.5) / side for out, side in sides))
-        high = min(MOST, *((out + 0.5) / side for out, side in sides))
-        if low > high:
-            raise GuideError(
-                f"{guides.source or 'frame'}: guides are {guides.width}x{guides.height}, colour is "
-                f"{spec.width}x{spec.height}: render the guides 1 to 3 times as large, by the same factor both ways"
-            )
+        if self.scale is None:
+            low = max(LEAST, *((outer - 0.5) / side for outer, side in sides))
+            high = min(MOST, *((outer + 1) / side for outer, side in sides))
+            mend = "render them 1 to 3 times as large as the colour, by the same factor both ways"
+            fits = low <= high
+        else:
+            mend = f"leave the scale out, or render them at {size.width}x{size.height} for a scale of {scale:g}"
+            fits = all(outer in (round(side * scale), int(side * scale)) for outer, side in sides)
+        if not fits:
+            found = f"guides are {guides.width}x{guides.height}, the colour is {spec.width}x{spec.height}"
+            raise GuideError(f"{guides.source or 'frame'}: {found}: {mend}")
         return Size(guides.height, guides.width)
 
     def _has_guided_model(self) -> bool:
