@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from training.scenes import furniture, meshes, textures
+from training.scenes import foliage, furniture, meshes, textures
 from training.scenes.build import Description
 from training.scenes.materials import Material, random_material
 from training.scenes.motion import object_path
@@ -34,6 +34,12 @@ class Pool:
     def slots(self) -> dict[str, int]:
         names = ("main", "second", "third", "leaf")
         return {name: int(self.rng.choice(self.indices)) for name in names}
+
+
+def draft_thing(rng: np.random.Generator, kinds: tuple = furniture.OBJECTS) -> furniture.Thing:
+    """Mostly one of `kinds`, at times a plant of many leaves or something thin."""
+    pick = rng.random()
+    return furniture.pick(rng, foliage.FOLIAGE if pick < 0.1 else foliage.THIN if pick < 0.2 else kinds)
 
 
 def place(d: Description, thing: furniture.Thing, slots: dict[str, int], matrix: np.ndarray, uv: float) -> None:

@@ -20,8 +20,11 @@ def tint(rng: np.random.Generator, strong: float = 0.25) -> np.ndarray:
     return np.array([1.0, 1 - 0.25 * warm, 1 - 0.6 * warm]) if warm > 0 else np.array([1 + warm, 1 + 0.5 * warm, 1.0])
 
 
-def sky(rng: np.random.Generator, width: int = 256) -> np.ndarray:
-    """A made-up sky (width/2, width, 3): gradient, ground, and a soft sun of 4 to 15 degrees."""
+def sky(rng: np.random.Generator, width: int = 256, sunny: bool = False) -> np.ndarray:
+    """A made-up sky (width/2, width, 3): gradient, ground, and a soft sun of 4 to 15 degrees.
+
+    A sunny one has a sun of 1.5 to 3 degrees that gives one to eight times as much light as the sky.
+    """
     v, u = np.mgrid[0 : width // 2, 0:width] + 0.5
     theta, phi = np.pi * v / (width // 2), 2 * np.pi * u / width
     up = np.cos(theta)
@@ -33,7 +36,12 @@ def sky(rng: np.random.Generator, width: int = 256) -> np.ndarray:
     sun = np.array([np.cos(elevation), np.sin(elevation), 0])
     direction = np.stack([np.sin(theta) * np.cos(phi), up, np.sin(theta) * np.sin(phi)], -1)
     edge = np.clip((direction @ sun - np.cos(size)) / (1 - np.cos(size)), 0, 1)
-    return (image + edge[..., None] * tint(rng, 0.1) * rng.choice([0.0, 20.0, 80.0])).astype(np.float32)
+    strength = rng.choice([0.0, 20.0, 80.0])
+    if sunny:
+        disc = (direction @ sun > np.cos(np.radians(rng.uniform(1.5, 3)) / 2 + np.pi / width)).astype(float)
+        area = (disc * np.sin(theta)).sum() / np.sin(theta).sum()
+        edge, strength = disc, rng.uniform(1, 8) * image.mean() / max(area, 1e-6)
+    return (image + edge[..., None] * tint(rng, 0.1) * strength).astype(np.float32)
 
 
 class Environments:
@@ -43,10 +51,10 @@ class Environments:
         self._paths = sorted(Path(folder).glob("*.hdr")) if folder else []
         self._images: dict[Path, np.ndarray] = {}
 
-    def draw(self, rng: np.random.Generator, calm: bool = False) -> np.ndarray:
+    def draw(self, rng: np.random.Generator, calm: bool = False, sunny: bool = False) -> np.ndarray:
         """Radiance (H, W, 3), mean 1. `calm` cuts small bright suns, for scenes with mirrors or glass."""
-        if not self._paths or rng.random() < 0.35:
-            image = sky(rng)
+        if sunny or not self._paths or rng.random() < 0.35:
+            image = sky(rng, sunny=sunny)
         else:
             path = self._paths[int(rng.integers(len(self._paths)))]
             if path not in self._images:
@@ -54,12 +62,12 @@ class Environments:
                 self._images[path] = image
             image = self._images[path]
         image = image / max(image.mean(), 1e-6)
-        return np.minimum(image, 12.0 if calm else 2000.0).astype(np.float32)
+        return np.minimum(image, 12.0 if calm else 20000.0 if sunny else 2000.0).astype(np.float32)
 
 
 def set_environment(d: Description, rng: np.random.Generator, maps: Environments, calm: bool,
-                    gain: float = 1.0) -> None:
-    d.environment = maps.draw(rng, calm)
+                    gain: float = 1.0, sunny: bool = False) -> None:
+    d.environment = maps.draw(rng, calm, sunny)
     d.environment_turn = float(rng.uniform(0, 360))
     d.environment_gain = gain
 

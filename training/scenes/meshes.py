@@ -38,7 +38,7 @@ def merge(meshes: list[Mesh]) -> Mesh:
     )
 
 
-def _grid_faces(rows: int, columns: int) -> np.ndarray:
+def grid_faces(rows: int, columns: int) -> np.ndarray:
     """Two triangles for each cell of a (rows+1) x (columns+1) vertex grid."""
     i, j = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
     a = (i * (columns + 1) + j).ravel()
@@ -78,7 +78,7 @@ def lathe(radii: np.ndarray, heights: np.ndarray, segments: int = 32) -> Mesh:
     length = np.concatenate([[0], np.cumsum(np.hypot(np.diff(radii), np.diff(heights)))])
     around = np.maximum(radii.max(), 1e-3) * phi
     uvs = np.stack(np.broadcast_arrays(around[None, :], length[:, None]), -1)
-    faces = _grid_faces(len(radii) - 1, segments)
+    faces = grid_faces(len(radii) - 1, segments)
     return Mesh(vertices.reshape(-1, 3), normals.reshape(-1, 3), uvs.reshape(-1, 2), faces)
 
 
@@ -111,7 +111,7 @@ def torus(ring: float, tube: float, segments: int = 40, sides: int = 20) -> Mesh
     normals = np.stack([np.cos(theta) * np.cos(phi), np.sin(theta), np.cos(theta) * np.sin(phi)], -1)
     centre = np.stack([np.cos(phi), np.zeros_like(phi), np.sin(phi)], -1) * ring
     uvs = np.stack([ring * phi, tube * theta], -1)
-    faces = _grid_faces(segments, sides)[:, ::-1]
+    faces = grid_faces(segments, sides)[:, ::-1]
     return Mesh((centre + tube * normals).reshape(-1, 3), normals.reshape(-1, 3), uvs.reshape(-1, 2), faces)
 
 
@@ -124,7 +124,7 @@ def height_field(size: float, heights: np.ndarray) -> Mesh:
     normals = np.stack([-dx, np.ones_like(dx), -dz], -1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     vertices = np.stack([x, heights, z], -1).reshape(-1, 3)
-    return Mesh(vertices, normals.reshape(-1, 3), np.stack([x, z], -1).reshape(-1, 2), _grid_faces(n - 1, n - 1))
+    return Mesh(vertices, normals.reshape(-1, 3), np.stack([x, z], -1).reshape(-1, 2), grid_faces(n - 1, n - 1))
 
 
 def blob(radius: float, rng: np.random.Generator, bumps: float = 0.25) -> Mesh:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
-from training.scenes import furniture, lights, meshes, textures
+from training.scenes import foliage, furniture, lights, meshes, textures
 from training.scenes.build import Description
-from training.scenes.draft import Draft, Pool, View, moving_thing, place, surface
+from training.scenes.draft import Draft, Pool, View, draft_thing, moving_thing, place, surface
 from training.scenes.lights import Environments
 from training.scenes.motion import object_path
 from training.scenes.room import room
@@ -36,7 +37,7 @@ def product(rng: np.random.Generator, maps: Environments) -> Draft:
             lights.panel(d, rng, centre, float(rng.choice([0.5, 1.5, 3.0])), rng.uniform(10, 60), mover)
     moving = int(rng.choice([0, 1, 2, 4], p=[0.3, 0.3, 0.25, 0.15]))
     for index in range(int(rng.integers(4, 13))):
-        thing = furniture.resized(furniture.pick(rng), rng.uniform(0.5, 1.3))
+        thing = furniture.resized(draft_thing(rng), rng.uniform(0.5, 1.3))
         home = np.array([rng.normal(0, 0.8), 0, rng.normal(0, 0.8)])
         uv = float(rng.choice([0.5, 1, 2, 5]))
         if index < moving:
@@ -61,12 +62,15 @@ def outdoor(rng: np.random.Generator, maps: Environments) -> Draft:
     n = 48
     heights = (textures.noise(n, 4, rng) - 0.5) * rng.choice([0.0, 0.4, 1.2])
     d.add(meshes.height_field(24, heights).scaled_uvs(rng.uniform(0.3, 2)), ground)
-    lights.set_environment(d, rng, maps, False)
+    lights.set_environment(d, rng, maps, False, sunny=rng.random() < 0.5)
+    green = rng.choice([0.15, 0.5, 0.85])
+    if rng.random() < 0.3:
+        _meadow(d, rng, pool, heights)
     moving = int(rng.choice([0, 1, 2, 3], p=[0.35, 0.3, 0.2, 0.15]))
     for index in range(int(rng.integers(10, 26))):
         x, z = rng.normal(0, 2.5, 2)
         y = heights[int(np.clip((z + 12) / 24 * n, 0, n - 1)), int(np.clip((x + 12) / 24 * n, 0, n - 1))]
-        thing = furniture.tree(rng) if rng.random() < 0.3 else furniture.pick(rng)
+        thing = _outdoor_thing(rng, green)
         thing = furniture.resized(thing, rng.uniform(0.5, 1.8))
         uv = float(rng.choice([0.5, 1, 2, 4]))
         if index < moving:
@@ -83,7 +87,24 @@ def outdoor(rng: np.random.Generator, maps: Environments) -> Draft:
     return Draft(d, view)
 
 
-FAMILIES = ((room, 0.6), (product, 0.27), (outdoor, 0.13))
+def _outdoor_thing(rng: np.random.Generator, green: float) -> furniture.Thing:
+    if rng.random() < green:
+        return furniture.pick(rng, (*foliage.FOLIAGE, furniture.tree))
+    return furniture.pick(rng, foliage.THIN if rng.random() < 0.25 else furniture.OBJECTS)
+
+
+def _meadow(d: Description, rng: np.random.Generator, pool: Pool, heights: np.ndarray) -> None:
+    """Grass all over the inner part of the ground."""
+    n, count = len(heights), int(rng.integers(1500, 6000))
+    place = rng.uniform(-4, 4, (count, 2))
+    cell = np.clip((place + 12) / 24 * (n - 1), 0, n - 1)
+    y = ndimage.map_coordinates(heights, [cell[:, 1], cell[:, 0]], order=1)
+    root = np.stack([place[:, 0], y, place[:, 1]], 1)
+    length = rng.uniform(0.1, 0.5)
+    d.add(foliage.blades(rng, root, length, rng.uniform(0.004, 0.015), rng.uniform(0.1, 0.8)), pool.slots()["leaf"])
+
+
+FAMILIES = ((room, 0.55), (product, 0.25), (outdoor, 0.2))
 
 
 def draft(rng: np.random.Generator, maps: Environments) -> Draft:

@@ -6,7 +6,7 @@ import numpy as np
 
 from training.scenes import furniture, lights, meshes, textures
 from training.scenes.build import Description
-from training.scenes.draft import Draft, Pool, View, moving_thing, place, surface
+from training.scenes.draft import Draft, Pool, View, draft_thing, moving_thing, place, surface
 from training.scenes.lights import Environments
 from training.scenes.materials import Material
 from training.scenes.motion import object_path
@@ -81,7 +81,7 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
         lights.set_environment(d, rng, maps, calm, gain=float(rng.uniform(2, 8)))
     _light_room(d, rng, light, (w, h, depth))
     _furnish(d, rng, pool, (w, h, depth))
-    if rng.random() < 0.15:
+    if rng.random() < 0.22:
         mirror = d.material(Material("conductor"))
         d.add(meshes.quad([w / 2 - 0.01, 0.5, -0.5], [0, 0, 1], [0, 1.5, 0]), mirror)
 
@@ -128,7 +128,7 @@ def _furnish(d: Description, rng: np.random.Generator, pool: Pool, size: tuple) 
     w, h, depth = size
     moving = int(rng.choice([0, 1, 2, 3], p=[0.35, 0.35, 0.2, 0.1]))
     for index in range(int(rng.integers(5, 14))):
-        thing = furniture.pick(rng, furniture.FURNITURE if rng.random() < 0.6 else furniture.OBJECTS)
+        thing = draft_thing(rng, furniture.FURNITURE if rng.random() < 0.6 else furniture.OBJECTS)
         home = np.array([rng.uniform(-0.42, 0.42) * w, 0, rng.uniform(-0.42, 0.42) * depth])
         uv = float(rng.choice([0.5, 1, 2, 4]))
         if index < moving:
