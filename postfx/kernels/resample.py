@@ -18,6 +18,33 @@ def catmull_rom(t):
             ((np.float32(-1.5) * t + np.float32(2)) * t + half) * t, (half * t - half) * t * t)
 
 
+@inline
+def known(value):
+    return value if abs(value) < np.inf else ZERO
+
+
+@compiled
+def down_rows(a, b, c, d, weights, value, low, high):
+    """Cubic sum of four flat rows, and the least and the largest of the two in the middle."""
+    u, v, w, z = weights
+    for i in range(value.size):
+        before, left, right, after = known(a[i]), known(b[i]), known(c[i]), known(d[i])
+        value[i] = u * before + v * left + w * right + z * after
+        low[i], high[i] = min(left, right), max(left, right)
+
+
+@compiled
+def across_row(value, low, high, index, weights, channels, row):
+    """The same along a row, held within the four nearest samples."""
+    for x in range(index.shape[1]):
+        u, v, w, z = weights[0, x], weights[1, x], weights[2, x], weights[3, x]
+        a, b, c, d = index[0, x], index[1, x], index[2, x], index[3, x]
+        for k in range(channels):
+            least, most = min(low[b + k], low[c + k]), max(high[b + k], high[c + k])
+            cubic = u * value[a + k] + v * value[b + k] + w * value[c + k] + z * value[d + k]
+            row[channels * x + k] = min(max(cubic, least), most)
+
+
 @compiled
 def resample_rows(y0, y1, image, rows, columns, output):
     """Cubic interpolation at `rows` (height,) and `columns` (width,), positions in the image, pixel centres whole.
@@ -26,26 +53,22 @@ def resample_rows(y0, y1, image, rows, columns, output):
     not finite counts as 0.
     """
     h, w, channels = image.shape
-    column = np.empty(4, np.int64)
+    width = output.shape[1]
+    flat = image.reshape(h, w * channels)
+    index, weights = np.empty((4, width), np.int64), np.empty((4, width), np.float32)
+    for x in range(width):
+        left = math.floor(columns[x])
+        weights[0, x], weights[1, x], weights[2, x], weights[3, x] = catmull_rom(columns[x] - np.float32(left))
+        for i in range(4):
+            index[i, x] = channels * min(max(int(left) - 1 + i, 0), w - 1)
+    value, low = np.empty(w * channels, np.float32), np.empty(w * channels, np.float32)
+    high = np.empty(w * channels, np.float32)
     for y in range(y0, y1):
         top = math.floor(rows[y])
-        down = catmull_rom(rows[y] - np.float32(top))
-        for x in range(output.shape[1]):
-            left = math.floor(columns[x])
-            across = catmull_rom(columns[x] - np.float32(left))
-            for i in range(4):
-                column[i] = min(max(int(left) - 1 + i, 0), w - 1)
-            for c in range(channels):
-                value, low, high = ZERO, np.float32(np.inf), np.float32(-np.inf)
-                for j in range(4):
-                    row = image[min(max(int(top) - 1 + j, 0), h - 1)]
-                    for i in range(4):
-                        sample = row[column[i], c]
-                        sample = sample if abs(sample) < np.inf else ZERO
-                        value += down[j] * across[i] * sample
-                        if 0 < i < 3 and 0 < j < 3:
-                            low, high = min(low, sample), max(high, sample)
-                output[y, x, c] = min(max(value, low), high)
+        near = [min(max(int(top) - 1 + j, 0), h - 1) for j in range(4)]
+        down_rows(flat[near[0]], flat[near[1]], flat[near[2]], flat[near[3]], catmull_rom(rows[y] - np.float32(top)),
+                  value, low, high)
+        across_row(value, low, high, index, weights, channels, output[y].reshape(width * channels))
 
 
 def positions(size: int, out_size: int, shift: float = 0.0) -> np.ndarray:
