@@ -17,6 +17,7 @@ from postfx.runtime import CommandBuffer, Device, Tensor
 
 PLANES = tuple(ABSENT)
 LEAST, MOST, USUAL = 1.0, 3.0, 2.0
+GUIDED = ".guides"
 
 
 class DenoiseUpscale(Pass):
@@ -27,8 +28,8 @@ class DenoiseUpscale(Pass):
         model: tag of the network, as in ``denoise_upscale.<tag>``.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. Without a
-    motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, GuideError for guides of
-    another size than the output's.
+    motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3 and a model that is only
+    for guides, GuideError for guides of another size than the output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
@@ -40,6 +41,9 @@ class DenoiseUpscale(Pass):
         self.scale = None if given is None else float(given)
         if self.scale is not None and not LEAST <= self.scale <= MOST:
             raise PassOptionError(f"pass '{self.name}' scales by 1 to 3, not {self.scale:g}: give a scale in between")
+        plain = str(self.options["model"]).removesuffix(GUIDED)
+        if plain != self.options["model"]:
+            raise PassOptionError(f"model '{plain}{GUIDED}' runs when a frame has guides: give the model '{plain}'")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         alpha = tuple(role for role in (Role.ALPHA,) if spec.has(role))
@@ -60,7 +64,7 @@ class DenoiseUpscale(Pass):
         self._output, guided = self.reflect(spec).output, self._is_guided(spec)
         size = Size(self._output.height, self._output.width)
         self._planes = Planes(device, spec, size, guided)
-        model = f"{self.name}.{self.options['model']}{'.guides' if guided else ''}"
+        model = f"{self.name}.{self.options['model']}{GUIDED if guided else ''}"
         self._graph = Graph(device, Sizes(spec.height, spec.width, *size), model, guided)
         if spec.has(Role.ALPHA):
             self._alpha = Resampler(device, "alpha", Role.ALPHA, Size(spec.height, spec.width), size)
@@ -112,7 +116,7 @@ class DenoiseUpscale(Pass):
         return Size(guides.height, guides.width)
 
     def _has_guided_model(self) -> bool:
-        return has_model(f"{self.name}.{self.options['model']}.guides")
+        return has_model(f"{self.name}.{self.options['model']}{GUIDED}")
 
     def _is_guided(self, spec: FrameSpec) -> bool:
         return bool(spec.guide_roles) and self._has_guided_model()

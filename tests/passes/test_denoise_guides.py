@@ -12,6 +12,7 @@ import pytest
 from postfx.errors import GuideError
 from postfx.frame import GUIDE_ROLES, Frame, Role
 from postfx.passes import _denoise_graph
+from postfx.passes.base import PassOptionError
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
@@ -129,6 +130,11 @@ def test_a_model_that_reads_no_guides_says_so_and_uses_them_for_missing_planes_o
     lacking = replace(frame, planes={role: p for role, p in frame.planes.items() if role != Role.NORMAL})
     assert chain(lacking)[Role.COLOUR].shape == alone.shape
     assert chain.plan.guides == (Role.NORMAL,)
+
+
+def test_the_variant_for_guides_is_not_chosen_by_name() -> None:
+    with pytest.raises(PassOptionError, match="runs when a frame has guides: give the model 'small'"):
+        DenoiseUpscale(model="small.guides")
 
 
 def test_lost_guides_are_remarked() -> None:
