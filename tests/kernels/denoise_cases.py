@@ -52,8 +52,8 @@ class Case(NamedTuple):
 
 
 CASES = (Case(64, 64, 128, 128), Case(50, 66, 50, 66), Case(45, 77, 90, 154), Case(34, 66, 51, 99, 26),
-         Case(51, 30, 153, 90, 25), Case(33, 47, 89, 127), Case(17, 5, 34, 10), Case(3, 40, 4, 52), Case(1, 1, 2, 2),
-         Case(1, 1, 3, 3), Case(1, 1, 1, 1))
+         Case(51, 30, 153, 90, 25), Case(33, 47, 89, 127), Case(17, 5, 34, 10), Case(3, 40, 4, 52),
+         Case(20, 24, 39, 48), Case(1, 1, 2, 2), Case(1, 1, 3, 3), Case(1, 1, 1, 1))
 
 
 def shape(kernel: Kernel, binding: str, case: Case) -> tuple[int, ...]:
