@@ -10,6 +10,8 @@ Guides, the first-hit planes at output size: `guide_diffuse_albedo`, `guide_spec
 (T, H, W, 3), `guide_roughness` (T, H, W), `guide_depth` (T, H, W), all float16; depth is the base-2 logarithm of the
 depth within 1e-4..1e10, so that it fits. `guide_jitter` (T, 2) float32 in output pixels: where in the pixel the one
 sample lies, minus 0.5, or 0 where the planes are means over samples spread over the pixel (depth is the first one's).
+`reset` (T,) uint8: 1 where history starts, at the first frame and after a cut (there motion has no meaning); files
+without it have no cuts.
 Also `scale` float, `seed` int, `scene` str, `meta` str (JSON: cameras, field of view, filter, gain, samples).
 """
 
@@ -39,6 +41,11 @@ def to_half(values: np.ndarray) -> np.ndarray:
     return np.clip(values, -HALF_MAX, HALF_MAX).astype(np.float16)
 
 
+def first_only(frames: int) -> np.ndarray:
+    """The `reset` of a clip without cuts, (frames,) uint8."""
+    return np.eye(1, frames, dtype=np.uint8)[0]
+
+
 def half_depth(depth: np.ndarray) -> np.ndarray:
     """Depth as guides keep it: float16 base-2 logarithm, within DEPTH_RANGE."""
     return np.log2(np.clip(depth, *DEPTH_RANGE)).astype(np.float16)
@@ -66,6 +73,7 @@ def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: di
         arrays[f"v{index}_jitter"] = np.asarray(variant["jitter"], np.float32)
         arrays[f"v{index}_spp"] = np.int32(variant["spp"])
         arrays[f"v{index}_style"] = np.str_(variant["style"])
+    arrays["reset"] = np.asarray(facts.get("reset", first_only(len(reference))), np.uint8)
     arrays["scale"] = np.float32(facts["scale"])
     arrays["seed"] = np.int64(facts["seed"])
     arrays["scene"] = np.str_(facts["scene"])
@@ -86,5 +94,6 @@ def load_clip(path: Path) -> dict:
     with np.load(path) as file:
         clip = {key: file[key] if file[key].ndim else file[key].item() for key in file.files}
     clip["meta"] = json.loads(clip["meta"])
+    clip.setdefault("reset", first_only(len(clip["reference"])))
     clip["variants"] = sum(key.endswith("_style") for key in clip)
     return clip

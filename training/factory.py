@@ -8,11 +8,12 @@ from dataclasses import asdict, dataclass
 import mitsuba as mi
 import numpy as np
 
-from training.clips import GUIDES
+from training.clips import GUIDES, first_only
 from training.sampling import FILTERS, Style, draw_guide_style, draw_styles, filter_table
 from training.scenes.build import BuiltScene
+from training.scenes.draft import Draft
 from training.scenes.lights import Environments
-from training.scenes.motion import Camera
+from training.scenes.motion import Camera, CameraPath, Cut
 from training.scenes.procedural import draft
 from training.scenes.real import RealScenes
 from training.scenes.views import choose_path
@@ -39,13 +40,16 @@ class ClipOptions:
     scales: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0)
     scale_chances: tuple[float, ...] = (0.1, 0.1, 0.7, 0.1)
     real_share: float = 0.25
+    cut_share: float = 0.04
 
 
 def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes, seed: int,
               index: int) -> tuple[np.ndarray, list[dict], dict]:
     """Reference (T, H, W, 3), variants and facts, as `save_clip` takes them; the same for the same seed and index."""
     rng = np.random.default_rng([seed, index])
-    description, built, path, gain, look = _scene(tracer, options, maps, real, rng)
+    drafted, built, path, gain, look = _scene(tracer, options, maps, real, rng)
+    description = drafted.description
+    path, reset = _cut(tracer, options, drafted, built, path, gain, rng)
     scale = float(rng.choice(options.scales, p=options.scale_chances))
     pixel_filter = FILTERS[int(rng.random() < 0.35)]
     styles = draw_styles(options.variants, options.frames, pixel_filter, rng)
@@ -64,13 +68,13 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
             frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain, rng, steps))
     meta = {
         "filter": pixel_filter, "gain": gain, "reference_spp": spp, "wanted_spp": wanted,
-        "fov": path.fov, "camera": path.kind, "amplitude": path.amplitude, "movers": len(description.movers),
+        "fov": [path.at(f).fov for f in range(options.frames)], **_path_facts(path), "movers": len(description.movers),
         "replaced": steps, "options": asdict(options),
         "to_world": [path.at(f).to_world.tolist() for f in range(options.frames)],
     }
     stacked_guides = {name: np.stack([frame[name] for frame in guides]) for name in GUIDES}
     facts = {"scale": scale, "seed": index, "scene": description.name, "meta": meta,
-             "guides": stacked_guides | {"jitter": guide_style.jitter}}
+             "reset": reset, "guides": stacked_guides | {"jitter": guide_style.jitter}}
     stacked = [_stack(frames, style) for frames, style in zip(variants, styles, strict=True)]
     del built
     gc.collect()
@@ -125,9 +129,28 @@ def _scene(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealS
         built.move(3.5, 2.5)
         chosen = choose_path(tracer, built, drafted.view, rng, options.width, drafted.near)
         if chosen and _affordable(chosen[2].samples_for(options.reference_error, chosen[1]), options, rng):
-            return drafted.description, built, *chosen
+            return drafted, built, *chosen
         del built
         gc.collect()
+
+
+def _cut(tracer: Tracer, options: ClipOptions, drafted: Draft, built: BuiltScene, path: CameraPath, gain: float,
+         rng: np.random.Generator) -> tuple[CameraPath | Cut, np.ndarray]:
+    """Few clips go on from another view; also where the history starts, (T,) uint8."""
+    reset = first_only(options.frames)
+    if rng.random() >= options.cut_share or options.frames < 2:
+        return path, reset
+    second = choose_path(tracer, built, drafted.view, rng, options.width, drafted.near)
+    if second is None or not 0.02 < gain * second[2].level() < 2:
+        return path, reset
+    frame = int(rng.integers(1, options.frames))
+    reset[frame] = 1
+    return Cut(path, second[0], frame), reset
+
+
+def _path_facts(path: CameraPath | Cut) -> dict:
+    first = path.before if isinstance(path, Cut) else path
+    return {"camera": first.kind, "amplitude": first.amplitude}
 
 
 def _affordable(wanted: float, options: ClipOptions, rng: np.random.Generator) -> bool:

@@ -67,11 +67,11 @@ def _set(spec: oiio.ImageSpec, name: str, value: float | int | np.ndarray) -> No
         spec.attribute(name, value)
 
 
-def frame_header(to_world: np.ndarray, fov: float, jitter: np.ndarray, spp: int, exposure: float, first: bool) -> dict:
+def frame_header(to_world: np.ndarray, fov: float, jitter: np.ndarray, spp: int, exposure: float, reset: bool) -> dict:
     """Headers of a noisy frame; worldToCamera is for row vectors: the camera looks along +Z, +X is left."""
     return {
         "postfx:jitter": np.asarray(jitter, float), "postfx:exposure": exposure, "postfx:spp": int(spp),
-        "postfx:reset": int(first), "postfx:fovX": float(fov), "worldToCamera": np.linalg.inv(to_world).T,
+        "postfx:reset": int(reset), "postfx:fovX": float(fov), "worldToCamera": np.linalg.inv(to_world).T,
     }
 
 
@@ -93,7 +93,8 @@ def main() -> None:
     for t, reference in enumerate(clip["reference"]):
         planes = {name: clip[v + name][t].astype(np.float32) for name in CHANNELS}
         pose, jitter = np.array(meta["to_world"][t]), clip[v + "jitter"][t]
-        header = frame_header(pose, meta["fov"], jitter, clip[v + "spp"], exposure, t == 0)
+        fov, reset = np.broadcast_to(meta["fov"], len(clip["reference"]))[t], clip["reset"][t]
+        header = frame_header(pose, fov, jitter, clip[v + "spp"], exposure, bool(reset))
         write_exr(args.out / f"noisy.{t + 1:04d}.exr", planes, header)
         facts = {"postfx:exposure": exposure, "postfx:spp": meta["reference_spp"]}
         write_exr(args.out / f"reference.{t + 1:04d}.exr", {"colour": to_half(reference).astype(np.float32)}, facts)

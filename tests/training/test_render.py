@@ -236,6 +236,25 @@ def test_blackman_harris_samples_have_the_filters_spread() -> None:
     assert abs(offsets.std() - expected) < 0.005
 
 
+def test_clips_may_go_on_from_another_view(tracer: Tracer) -> None:
+    options = ClipOptions(16, 16, 4, 1, reference_spp=4, scales=(1.0,), scale_chances=(1.0,), cut_share=1)
+    clips = [make_clip(tracer, options, Environments(None), RealScenes(None), 3, index) for index in range(2)]
+    cut = [facts for _, _, facts in clips if facts["reset"].sum() == 2]
+    assert cut
+    frame, poses = int(np.flatnonzero(cut[0]["reset"])[1]), np.array(cut[0]["meta"]["to_world"])
+    steps = np.linalg.norm(np.diff(poses[:, :3].reshape(4, -1), axis=0), axis=1)
+    assert cut[0]["reset"][0] == 1 and steps[frame - 1] > 3 * np.delete(steps, frame - 1).max()
+
+
+def test_lights_follow_their_strength(tracer: Tracer) -> None:
+    d = Description("glow", glows=[lambda frame: 0.25 * (1 + frame)])
+    d.add(meshes.quad([-4, 0, 4], [8, 0, 0], [0, 0, -8]), d.material(Material("diffuse")))
+    d.emit(meshes.quad([-0.5, 1.9, -0.5], [1, 0, 0], [0, 0, 1]), np.array([9.0, 9.0, 9.0]), glow=0)
+    scene = BuiltScene(d)
+    levels = [frame_of(tracer, scene, style("box", 16), frame)["colour"].mean() for frame in (0, 3)]
+    assert abs(levels[1] / levels[0] - 4) < 0.4
+
+
 def test_clip_is_complete_and_repeatable(tracer: Tracer, tmp_path: Path) -> None:
     options = ClipOptions(24, 16, frames=2, variants=2, reference_spp=4, scales=(1.5,), scale_chances=(1.0,))
     maps, real = Environments(None), RealScenes(None)
@@ -250,6 +269,7 @@ def test_clip_is_complete_and_repeatable(tracer: Tracer, tmp_path: Path) -> None
     assert clip["guide_normal"].shape == (2, 24, 36, 3) and clip["guide_depth"].shape == (2, 24, 36)
     assert all(clip[f"guide_{name}"].dtype == np.float16 for name in ("diffuse_albedo", "roughness", "depth"))
     assert clip["guide_jitter"].shape == (2, 2) and clip["guide_jitter"].dtype == np.float32
+    assert clip["reset"].dtype == np.uint8 and clip["reset"][0] == 1
     assert clip["v0_jitter"].shape == (2, 2) and clip["scale"] == 1.5 and clip["scene"] == first[2]["scene"]
     assert all(np.isfinite(value).all() for value in clip.values() if isinstance(value, np.ndarray))
     assert [p.name for p in tmp_path.iterdir()] == ["clip.00001.npz"]

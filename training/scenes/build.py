@@ -14,22 +14,27 @@ from training.scenes.meshes import Mesh, merge
 
 @dataclass(frozen=True)
 class Part:
-    """A mesh with a material, or with an emitted radiance (3,); `mover` is an index into Description.movers."""
+    """A mesh with a material, or with an emitted radiance (3,); `mover` and `glow` are indices into a Description's."""
 
     mesh: Mesh
     material: int
     emission: np.ndarray | None = None
     mover: int | None = None
+    glow: int | None = None
 
 
 @dataclass
 class Description:
-    """Everything of a scene but the camera. Environment: a (H, W, 3) radiance image or None, turned about y."""
+    """Everything of a scene but the camera. Environment: a (H, W, 3) radiance image or None, turned about y.
+
+    Movers are functions of the frame to 4x4 matrices, glows to factors on a radiance.
+    """
 
     name: str
     materials: list[Material] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
     movers: list = field(default_factory=list)
+    glows: list = field(default_factory=list)
     environment: np.ndarray | None = None
     environment_turn: float = 0.0
     environment_gain: float = 1.0
@@ -41,8 +46,8 @@ class Description:
     def add(self, mesh: Mesh, material: int, mover: int | None = None) -> None:
         self.parts.append(Part(mesh, material, None, mover))
 
-    def emit(self, mesh: Mesh, radiance: np.ndarray, mover: int | None = None) -> None:
-        self.parts.append(Part(mesh, -1, np.asarray(radiance, float), mover))
+    def emit(self, mesh: Mesh, radiance: np.ndarray, mover: int | None = None, glow: int | None = None) -> None:
+        self.parts.append(Part(mesh, -1, np.asarray(radiance, float), mover, glow))
 
 
 @dataclass
@@ -50,7 +55,11 @@ class _Shape:
     mesh: mi.Mesh
     source: Mesh
     row: np.ndarray
-    mover: int | None
+    first: Part
+
+    @property
+    def mover(self) -> int | None:
+        return self.first.mover
 
 
 BLACK = Material("diffuse", np.zeros((1, 1, 3), np.float32))
@@ -81,14 +90,19 @@ class BuiltScene:
         self.motions = self._motion_table(0.0, 0.0)
 
     def move(self, time: float, previous: float) -> None:
-        """Put every mover where it is at frame `time`; `motions` then leads back to frame `previous`."""
+        """Put every mover where it is at frame `time`, set lights; `motions` then leads back to frame `previous`."""
         moved = [s for s in self._shapes if s.mover is not None]
         for shape in moved:
             mesh = shape.source.transformed(self.description.movers[shape.mover](time))
             key = shape.mesh.id()
             self._params[f"{key}.vertex_positions"] = mi.Float(mesh.vertices.astype(np.float32).ravel())
             self._params[f"{key}.vertex_normals"] = mi.Float(mesh.normals.astype(np.float32).ravel())
-        if moved:
+        glowing = [s for s in self._shapes if s.first.glow is not None]
+        for shape in glowing:
+            radiance = shape.first.emission * self.description.glows[shape.first.glow](time)
+            value = mi.Color3f(*(dr.opaque(mi.Float, float(x)) for x in radiance))
+            self._params[f"{shape.mesh.id()}.emitter.radiance.value"] = value
+        if moved or glowing:
             self._params.update()
         self.motions = self._motion_table(time, previous)
 
@@ -119,7 +133,7 @@ def _grouped(parts: list[Part]) -> list[list[Part]]:
     groups: dict[tuple, list[Part]] = {}
     for part in parts:
         light = None if part.emission is None else tuple(part.emission)
-        groups.setdefault((part.mover, part.material, light), []).append(part)
+        groups.setdefault((part.mover, part.material, part.glow, light), []).append(part)
     return list(groups.values())
 
 
@@ -144,7 +158,7 @@ def _shape(index: int, group: list[Part], description: Description, bsdfs: list,
     f0, coloured, diffuse = material.reflectance()
     emissive = float(first.emission is not None)
     row = np.array([*f0, coloured, diffuse, material.roughness, emissive, material.follow], np.float32)
-    return _Shape(mesh, source, row, first.mover)
+    return _Shape(mesh, source, row, first)
 
 
 def _environment(description: Description) -> dict:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from training.scenes import foliage, furniture, meshes, textures
+from training.scenes import foliage, furniture, lights, meshes, textures
 from training.scenes.build import Description
 from training.scenes.materials import Material, random_material
 from training.scenes.motion import object_path
@@ -63,6 +63,18 @@ def moving_thing(d: Description, rng: np.random.Generator, thing: furniture.Thin
     mover = len(d.movers) - 1
     for mesh, slot in thing:
         d.add(mesh.transformed(meshes.translation(0, -lift, 0)).scaled_uvs(uv), slots[slot], mover)
+
+
+def add_glowing(d: Description, rng: np.random.Generator, home: np.ndarray, power: float) -> None:
+    """A thing that shines itself, like a neon sign or a paper lamp; at times it moves."""
+    things = (furniture.ball, furniture.ring, furniture.ring, furniture.lump, furniture.pillar)
+    thing = furniture.resized(furniture.pick(rng, things), rng.uniform(0.2, 0.7))
+    mesh = meshes.merge([mesh for mesh, _ in thing])
+    mover, matrix = None, meshes.translation(*home)
+    if rng.random() < 0.4:
+        d.movers.append(object_path(home, rng.normal(0, 0.03, 3) * [1, 0.3, 1], rng.normal(0, 1, 3), 0.1))
+        mover, matrix = len(d.movers) - 1, np.eye(4)
+    d.emit(mesh.transformed(matrix), lights.tint(rng, 0.6) * power, mover)
 
 
 def add_moving(d: Description, rng: np.random.Generator, home: np.ndarray, metre: float) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from training.scenes import meshes
 from training.scenes.build import Description
+from training.scenes.motion import flicker
 
 
 def tint(rng: np.random.Generator, strong: float = 0.25) -> np.ndarray:
@@ -72,15 +73,24 @@ def set_environment(d: Description, rng: np.random.Generator, maps: Environments
     d.environment_gain = gain
 
 
+def _glow(d: Description, rng: np.random.Generator) -> int | None:
+    """Few lights flicker."""
+    if rng.random() > 0.12:
+        return None
+    d.glows.append(flicker(rng))
+    return len(d.glows) - 1
+
+
 def panel(d: Description, rng: np.random.Generator, centre: np.ndarray, size: float, power: float,
           mover: int | None = None) -> None:
     """A square lamp facing down, `power` shared over its area."""
     w, h = size * rng.uniform(0.3, 1.0, 2)
     x, y, z = centre
-    d.emit(meshes.quad([x - w / 2, y, z - h / 2], [w, 0, 0], [0, 0, h]), tint(rng) * power / (w * h), mover)
+    mesh = meshes.quad([x - w / 2, y, z - h / 2], [w, 0, 0], [0, 0, h])
+    d.emit(mesh, tint(rng) * power / (w * h), mover, _glow(d, rng))
 
 
 def bulb(d: Description, rng: np.random.Generator, centre: np.ndarray, radius: float, power: float,
          mover: int | None = None) -> None:
     mesh = meshes.sphere(radius, 16).transformed(meshes.translation(*centre))
-    d.emit(mesh, tint(rng) * power / (4 * np.pi * radius**2), mover)
+    d.emit(mesh, tint(rng) * power / (4 * np.pi * radius**2), mover, _glow(d, rng))

@@ -83,6 +83,32 @@ class CameraPath:
         return Camera(look_at(eye, target), self.fov)
 
 
+@dataclass(frozen=True)
+class Cut:
+    """Two camera paths after one another, the second from frame `frame` on."""
+
+    before: CameraPath
+    after: CameraPath
+    frame: int
+
+    def at(self, frame: float) -> Camera:
+        return (self.after if frame >= self.frame else self.before).at(frame)
+
+
+def flicker(rng: np.random.Generator) -> Callable[[float], float]:
+    """A light's strength over the frames, 0.15 to 1: a slow wave, on and off, or at random like a flame."""
+    kind, rate, phase = str(rng.choice(["wave", "switch", "flame"])), rng.uniform(0.2, 1.5), rng.uniform(0, 2 * np.pi)
+    low, seed = rng.uniform(0.15, 0.7), int(rng.integers(1 << 30))
+
+    def strength(frame: float) -> float:
+        if kind == "flame":
+            return low + (1 - low) * np.random.default_rng([seed, int(round(frame * 16)) + 1024]).random()
+        wave = np.sin(rate * frame + phase)
+        return low + (1 - low) * float(wave > 0 if kind == "switch" else 0.5 + 0.5 * wave)
+
+    return strength
+
+
 def object_path(
     home: np.ndarray, velocity: np.ndarray, axis: np.ndarray, spin: float, wobble: float = 0.0
 ) -> Path:

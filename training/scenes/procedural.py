@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from training.scenes import foliage, furniture, lights, meshes, textures
 from training.scenes.build import Description
-from training.scenes.draft import Draft, Pool, View, draft_thing, moving_thing, place, surface
+from training.scenes.draft import Draft, Pool, View, add_glowing, draft_thing, moving_thing, place, surface
 from training.scenes.lights import Environments
 from training.scenes.motion import object_path
 from training.scenes.room import room
@@ -45,6 +45,9 @@ def product(rng: np.random.Generator, maps: Environments) -> Draft:
         else:
             turn = meshes.rotation(furniture.Y, rng.uniform(0, 6.3))
             place(d, thing, pool.slots(), meshes.translation(*home) @ turn, uv)
+
+    if rng.random() < 0.12:
+        add_glowing(d, rng, np.array([rng.normal(0, 0.8), 0, rng.normal(0, 0.8)]), rng.uniform(0.5, 5))
 
     def view(rng: np.random.Generator) -> View:
         angle, distance, height = rng.uniform(0, 6.3), rng.uniform(1.5, 4), rng.uniform(0.3, 2.2)

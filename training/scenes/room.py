@@ -6,7 +6,7 @@ import numpy as np
 
 from training.scenes import furniture, lights, meshes, textures
 from training.scenes.build import Description
-from training.scenes.draft import Draft, Pool, View, draft_thing, moving_thing, place, surface
+from training.scenes.draft import Draft, Pool, View, add_glowing, draft_thing, moving_thing, place, surface
 from training.scenes.lights import Environments
 from training.scenes.materials import Material
 from training.scenes.motion import object_path
@@ -81,6 +81,9 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
         lights.set_environment(d, rng, maps, calm, gain=float(rng.uniform(2, 8)))
     _light_room(d, rng, light, (w, h, depth))
     _furnish(d, rng, pool, (w, h, depth))
+    if rng.random() < 0.12:
+        home = np.array([rng.uniform(-0.4, 0.4) * w, rng.uniform(0, 1.5), rng.uniform(-0.4, 0.4) * depth])
+        add_glowing(d, rng, home, rng.uniform(2, 20))
     if rng.random() < 0.22:
         mirror = d.material(Material("conductor"))
         d.add(meshes.quad([w / 2 - 0.01, 0.5, -0.5], [0, 0, 1], [0, 1.5, 0]), mirror)
