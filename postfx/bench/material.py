@@ -45,6 +45,7 @@ class Material:
         target = _one_spec(self._references, [self._reference_number(number) for number in self.noisy.numbers])
         self.size = (target.height, target.width)
         self.scale = _scale(self.spec, target, self._references)
+        _check_guides(self.spec, target)
 
     def reference(self, number: int) -> Frame:
         """Reference of a frame: its colour and header."""
@@ -99,6 +100,15 @@ def _scale(spec: FrameSpec, target: FrameSpec, references: Sequence) -> float:
         f"{references.pattern}: references are {target.width}x{target.height}, frames {spec.width}x{spec.height}: "
         f"references must be 1 to 3 times as large, by the same factor both ways"
     )
+
+
+def _check_guides(spec: FrameSpec, target: FrameSpec) -> None:
+    guides = spec.guides
+    if guides and (guides.width, guides.height) != (target.width, target.height):
+        raise BenchError(
+            f"{guides.source}: guides are {guides.width}x{guides.height}, references {target.width}x{target.height}: "
+            f"render both at one size, the output's"
+        )
 
 
 def output_pattern(folder: Path, method: str) -> str:

@@ -70,7 +70,7 @@ def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool) ->
     """All methods for models of a library, a device 'cpu' or 'cuda', and frames with or without guides and motion."""
     names = [name.removeprefix(f"{PASS}.") for name in models if name.startswith(f"{PASS}.")]
     methods: list[Method] = []
-    left_out: list[LeftOut] = _absent_precisions(names)
+    left_out: list[LeftOut] = _absent(names, guides)
     for name in sorted(names, key=_place):
         made = _of_model(name, motion)
         reason = _unfit(made[0], device, guides)
@@ -125,11 +125,13 @@ def _unfit(method: Method, device: str, guides: bool) -> str | None:
     return None
 
 
-def _absent_precisions(names: list[str]) -> list[LeftOut]:
+def _absent(names: list[str], guides: bool) -> list[LeftOut]:
+    """Precisions that networks do not come in and, for frames with guides, networks that do not read them."""
     tags = dict.fromkeys(name.split(".")[0] for name in names)
     wanted = [(tag, precision) for tag in tags for precision in PRECISIONS if precision != "fp32"]
-    return [LeftOut(f"{tag} {precision}", f"there is no model {PASS}.{tag}.{precision}")
-            for tag, precision in wanted if f"{tag}.{precision}" not in names]
+    wanted += [(tag, GUIDES) for tag in tags if guides]
+    return [LeftOut(f"{tag} {word}", f"there is no model {PASS}.{tag}.{word}")
+            for tag, word in wanted if f"{tag}.{word}" not in names]
 
 
 def _place(name: str) -> tuple[int, str]:

@@ -32,6 +32,8 @@ def test_a_network_that_reads_guides():
     found = catalogue(MODELS, "cuda", guides=True, motion=False)
     guided = next(method for method in found.methods if method.guides)
     assert (guided.name, guided.model, guided.title) == ("m-guides", "m", "m fp32 guides")
+    left_out = dict(catalogue(MODELS, "cuda", guides=True, motion=False).left_out)
+    assert left_out["s guides"] == "there is no model denoise_upscale.s.guides" and "m guides" not in left_out
     assert "m-fp16" in names(found) and "m-int8" not in names(found)
     assert not any(method.alone or method.accumulated for method in found.methods)
 

@@ -75,6 +75,30 @@ def test_one_frame_and_one_reference_need_no_common_number(postfx, scene):
     assert done.code == 0 and done.json["scale"] == 1.0, done.err
 
 
+def test_guides_of_another_size_than_the_references(postfx, scene, write_exr):
+    scene(1)
+    write_exr("in/guides.0001.exr", {f"albedo.{name}": np.ones((48, 72)) for name in "RGB"})
+    done = postfx("bench", *INPUTS, "--guides", "in/guides.####.exr")
+    assert done.code == 2
+    assert "in/guides.0001.exr: guides are 72x48, references 96x64: render both at one size" in done.err
+
+
+def test_guides_that_no_network_reads_are_told(postfx, scene, write_exr):
+    scene(1)
+    write_exr("in/guides.0001.exr", {f"albedo.{name}": np.ones((64, 96)) for name in "RGB"})
+    done = postfx("bench", *INPUTS, "--guides", "in/guides.####.exr", "--methods", "m,bicubic", "--json")
+    assert done.code == 0, done.err
+    guided = "m-guides" in [row["name"] for row in done.json["methods"]]
+    told = "there is no model denoise_upscale.m.guides" in [item["why"] for item in done.json["left_out"]]
+    assert done.json["guides"] == ["diffuse_albedo"] and not guided and told != _has_guided_model()
+
+
+def _has_guided_model():
+    from postfx.runtime import Library
+
+    return "denoise_upscale.m.guides" in Library().names()
+
+
 @pytest.mark.parametrize(
     ("numbers", "facts", "arguments", "message"),
     [((1, 2), {"references": [1]}, (), "in/reference.0002.exr: frame 2 has no reference: render it, or choose frames"),
