@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from training.scenes.build import FOLLOW, ROW
+from training.scenes.moved import Motions
 
 FLAT = 1e-3  # change of the normal along the texture coordinates below which a mirror counts as flat
 
@@ -57,7 +58,7 @@ class Path:
     active: mi.Bool
 
 
-def follow(scene: mi.Scene, ray: mi.RayDifferential3f, properties: mi.Float, motions: mi.Float, steps: int) -> Path:
+def follow(scene: mi.Scene, ray: mi.RayDifferential3f, properties: mi.Float, motions: Motions, steps: int) -> Path:
     """Follow rays through at most `steps` mirrors and faces of glass; 0 leaves them as they are, in the same kernel."""
     count = dr.width(ray.d)
     steps_left = dr.full(mi.UInt32, 0, count) + dr.opaque(mi.UInt32, steps)
@@ -68,9 +69,10 @@ def follow(scene: mi.Scene, ray: mi.RayDifferential3f, properties: mi.Float, mot
                          labels=("path",))[0]
 
 
-def _step(scene: mi.Scene, path: Path, properties: mi.Float, motions: mi.Float) -> Path:
+def _step(scene: mi.Scene, path: Path, properties: mi.Float, motions: Motions) -> Path:
     ray = mi.Ray3f(path.origin, path.direction)
-    si = scene.ray_intersect(ray, mi.RayFlags.All | mi.RayFlags.dNSdUV, False, path.active)
+    found = scene.ray_intersect_preliminary(ray, False, path.active)
+    si = found.compute_surface_interaction(ray, mi.RayFlags.All | mi.RayFlags.dNSdUV, path.active)
     hit = path.active & si.is_valid()
     row = dr.select(hit, dr.reinterpret_array(mi.UInt32, si.shape), 0)
     kind = dr.gather(mi.Float, properties, row * ROW + FOLLOW, hit)
@@ -85,7 +87,7 @@ def _step(scene: mi.Scene, path: Path, properties: mi.Float, motions: mi.Float) 
     onward = si.spawn_ray(si.to_world(local))
     mirror, normal = on & ~through, si.sh_frame.n
     bent = on & (dr.norm(si.dn_du) + dr.norm(si.dn_dv) > FLAT)
-    moved, turned = moved_point(motions, row, si.p), dr.normalize(moved_vector(motions, row, mi.Vector3f(normal)))
+    moved, turned = motions.point(row, found, si.p), dr.normalize(motions.vector(row, mi.Vector3f(normal)))
     first = on & (path.length == 0)
     steps = dr.select(on, path.steps - 1, path.steps)
     return Path(
@@ -93,20 +95,6 @@ def _step(scene: mi.Scene, path: Path, properties: mi.Float, motions: mi.Float) 
         dr.select(on, path.tint * tint, path.tint), path.length + dr.select(on, si.t, 0),
         path.now.mirrored(si.p, normal, mirror), path.before.mirrored(moved, turned, mirror), path.curved | bent,
         dr.select(first, moved, path.surface), steps, on & (steps > 0))
-
-
-def moved_point(motions: mi.Float, row: mi.UInt32, point: mi.Point3f) -> mi.Point3f:
-    """Where a point of shape `row` was in the previous frame."""
-    return mi.Point3f(*(moved_vector(motions, row, point) + _entries(motions, row, 3)))
-
-
-def moved_vector(motions: mi.Float, row: mi.UInt32, v: mi.Vector3f) -> mi.Vector3f:
-    columns = [_entries(motions, row, k) for k in range(3)]
-    return columns[0] * v.x + columns[1] * v.y + columns[2] * v.z
-
-
-def _entries(motions: mi.Float, row: mi.UInt32, column: int) -> mi.Vector3f:
-    return mi.Vector3f(*(dr.gather(mi.Float, motions, row * 12 + 4 * i + column) for i in range(3)))
 
 
 def _identity(count: int) -> Image:

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from training.follow import Path, follow, moved_point
+from training.follow import Path, follow
 from training.scenes.build import ROW, BuiltScene, anchors
 from training.scenes.materials import palette
 from training.scenes.motion import Camera
@@ -75,7 +75,8 @@ class Tracer:
         first = _rays(camera, width / height, film)
         path = follow(built.scene, first, built.properties, built.motions, steps)
         ray = mi.RayDifferential3f(path.origin, path.direction)
-        si = built.scene.ray_intersect(ray)
+        found = built.scene.ray_intersect_preliminary(ray, False, True)
+        si = found.compute_surface_interaction(ray)
         hit = si.is_valid()
         row = dr.select(hit, dr.reinterpret_array(mi.UInt32, si.shape), 0)
         f0, coloured, diffuse, roughness, emissive = _properties(built.properties, row, hit)
@@ -84,8 +85,8 @@ class Tracer:
         specular = environment_brdf(f0 + coloured * base, roughness, dr.abs(dr.dot(normal, ray.d)))
         lit = hit & (emissive < 0.5)
         way = first.d * (path.length + dr.select(hit, si.t, 0))
-        motion_x, motion_y = _motion(previous, (width, height), film, hit | path.curved,
-                                     _previous_point(path, first, way, hit, row, si, built.motions))
+        then = _previous_point(path, first, way, hit, si.p, built.motions.point(row, found, si.p))
+        motion_x, motion_y = _motion(previous, (width, height), film, hit | path.curved, then)
         values = {
             "diffuse_albedo": dr.select(lit, path.tint * base * diffuse, 0),
             "specular_albedo": dr.select(lit, path.tint * specular, 0),
@@ -167,15 +168,15 @@ def _properties(table: mi.Float, row: mi.UInt32, active: mi.Bool) -> tuple:
     return mi.Color3f(*value[:3]), *value[3:]
 
 
-def _previous_point(path: Path, first: mi.RayDifferential3f, way: mi.Vector3f, hit: mi.Bool, row: mi.UInt32,
-                    si: mi.SurfaceInteraction3f, motions: mi.Float) -> mi.Vector3f:
+def _previous_point(path: Path, first: mi.RayDifferential3f, way: mi.Vector3f, hit: mi.Bool, point: mi.Point3f,
+                    moved: mi.Point3f) -> mi.Vector3f:
     """Where what a ray shows was in the previous frame: a point of world space, or a direction for misses.
 
     What flat mirrors show was mirrored before as well, by the mirrors of that time. Glass shifts what is behind it by
     as much as now. Bent mirrors and glass take their own motion.
     """
-    then = path.before.point(moved_point(motions, row, si.p))
-    shift = mi.Vector3f(first.o) + way - path.now.point(si.p)
+    then = path.before.point(moved)
+    shift = mi.Vector3f(first.o) + way - path.now.point(point)
     far = path.before.linear(path.direction) + first.d - path.now.linear(path.direction)
     return dr.select(path.curved, mi.Vector3f(path.surface), dr.select(hit, then + shift, far))
 

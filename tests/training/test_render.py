@@ -27,6 +27,7 @@ from training.clips import guide_depth, half_depth, load_clip, save_clip  # noqa
 from training.factory import ClipOptions, guide_frame, make_clip, noisy_frame  # noqa: E402
 from training.sampling import Style, filter_table  # noqa: E402
 from training.scenes import meshes  # noqa: E402
+from training.scenes.bending import bent  # noqa: E402
 from training.scenes.build import BuiltScene, Description  # noqa: E402
 from training.scenes.lights import Environments  # noqa: E402
 from training.scenes.materials import Material  # noqa: E402
@@ -244,6 +245,29 @@ def test_clips_may_go_on_from_another_view(tracer: Tracer) -> None:
     frame, poses = int(np.flatnonzero(cut[0]["reset"])[1]), np.array(cut[0]["meta"]["to_world"])
     steps = np.linalg.norm(np.diff(poses[:, :3].reshape(4, -1), axis=0), axis=1)
     assert cut[0]["reset"][0] == 1 and steps[frame - 1] > 3 * np.delete(steps, frame - 1).max()
+
+
+def test_motion_of_things_that_bend(tracer: Tracer) -> None:
+    """A shear that grows with time, on top of a slide: every point's previous place is known."""
+    d = Description("bend", bends=[lambda v, t: v + 0.05 * t * v[:, 1:2] * np.array([1.0, 0, 0.3])])
+    d.movers.append(object_path(np.array([0, 0.6, 0]), MOVE, np.array([0.0, 1, 0]), 0.0))
+    d.add(meshes.sphere(0.8), d.material(Material("diffuse")), 0, bend=0)
+    scene = BuiltScene(d)
+    planes = frame_of(tracer, scene, style("realtime", 1), 3)
+    points, hit = world_points(planes["depth"], camera(3), np.zeros(2)), planes["depth"] < 1e9
+    assert hit.sum() > 80
+    local = points - d.movers[0](3)[:3, 3]
+    before = local - 0.05 * local[..., 1:2] * np.array([1.0, 0, 0.3]) + d.movers[0](2)[:3, 3]
+    place = camera(2).project(before.reshape(-1, 3), *SIZE).reshape(*SIZE[::-1], 2)
+    error = (planes["motion"] - (place - pixel_centres()))[hit]
+    rigid = camera(2).project((points - MOVE).reshape(-1, 3), *SIZE).reshape(*SIZE[::-1], 2)
+    assert np.abs(error).max() < 2e-2 and np.abs(place - rigid)[hit].max() > 0.3
+
+
+def test_normals_follow_what_bends() -> None:
+    mesh = bent(meshes.quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), lambda v, t: v + v[:, 1:2] * np.array([0, 0, t]), 1.0)
+    assert np.allclose(mesh.vertices[:, 2], mesh.vertices[:, 1])
+    assert np.allclose(mesh.normals, np.array([0, -1, 1]) / np.sqrt(2), atol=1e-6)
 
 
 def test_lights_follow_their_strength(tracer: Tracer) -> None:

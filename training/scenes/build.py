@@ -8,26 +8,33 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from training.scenes.bending import bent
 from training.scenes.materials import Material
 from training.scenes.meshes import Mesh, merge
+from training.scenes.moved import Motions
 
 
 @dataclass(frozen=True)
 class Part:
-    """A mesh with a material, or with an emitted radiance (3,); `mover` and `glow` are indices into a Description's."""
+    """A mesh with a material, or with an emitted radiance (3,).
+
+    `mover`, `glow` and `bend` are indices into a Description's; what bends is displaced first and moved then.
+    """
 
     mesh: Mesh
     material: int
     emission: np.ndarray | None = None
     mover: int | None = None
     glow: int | None = None
+    bend: int | None = None
 
 
 @dataclass
 class Description:
     """Everything of a scene but the camera. Environment: a (H, W, 3) radiance image or None, turned about y.
 
-    Movers are functions of the frame to 4x4 matrices, glows to factors on a radiance.
+    Movers are functions of the frame to 4x4 matrices, glows to factors on a radiance, bends of vertices (N, 3) and
+    the frame to vertices.
     """
 
     name: str
@@ -35,6 +42,7 @@ class Description:
     parts: list[Part] = field(default_factory=list)
     movers: list = field(default_factory=list)
     glows: list = field(default_factory=list)
+    bends: list = field(default_factory=list)
     environment: np.ndarray | None = None
     environment_turn: float = 0.0
     environment_gain: float = 1.0
@@ -43,8 +51,8 @@ class Description:
         self.materials.append(material)
         return len(self.materials) - 1
 
-    def add(self, mesh: Mesh, material: int, mover: int | None = None) -> None:
-        self.parts.append(Part(mesh, material, None, mover))
+    def add(self, mesh: Mesh, material: int, mover: int | None = None, bend: int | None = None) -> None:
+        self.parts.append(Part(mesh, material, None, mover, bend=bend))
 
     def emit(self, mesh: Mesh, radiance: np.ndarray, mover: int | None = None, glow: int | None = None) -> None:
         self.parts.append(Part(mesh, -1, np.asarray(radiance, float), mover, glow))
@@ -58,8 +66,8 @@ class _Shape:
     first: Part
 
     @property
-    def mover(self) -> int | None:
-        return self.first.mover
+    def moves(self) -> bool:
+        return self.first.mover is not None or self.first.bend is not None
 
 
 BLACK = Material("diffuse", np.zeros((1, 1, 3), np.float32))
@@ -87,13 +95,13 @@ class BuiltScene:
             properties[shape_id] = shape.row
         self._ids = ids
         self.properties = mi.Float(properties.ravel())
-        self.motions = self._motion_table(0.0, 0.0)
+        self.motions = self._motions(0.0, 0.0)
 
     def move(self, time: float, previous: float) -> None:
         """Put every mover where it is at frame `time`, set lights; `motions` then leads back to frame `previous`."""
-        moved = [s for s in self._shapes if s.mover is not None]
+        moved = [s for s in self._shapes if s.moves]
         for shape in moved:
-            mesh = shape.source.transformed(self.description.movers[shape.mover](time))
+            mesh = _posed(shape.source, shape.first, self.description, time)
             key = shape.mesh.id()
             self._params[f"{key}.vertex_positions"] = mi.Float(mesh.vertices.astype(np.float32).ravel())
             self._params[f"{key}.vertex_normals"] = mi.Float(mesh.normals.astype(np.float32).ravel())
@@ -104,16 +112,21 @@ class BuiltScene:
             self._params[f"{shape.mesh.id()}.emitter.radiance.value"] = value
         if moved or glowing:
             self._params.update()
-        self.motions = self._motion_table(time, previous)
+        self.motions = self._motions(time, previous)
 
-    def _motion_table(self, time: float, previous: float) -> mi.Float:
-        """3x4 matrices, one for each shape id: world position now -> world position in the previous frame."""
-        table = np.tile(np.eye(4)[:3].ravel(), (self._rows, 1))
+    def _motions(self, time: float, previous: float) -> Motions:
+        """World position now -> world position in the previous frame, for all shapes."""
+        matrices, bending = np.tile(np.eye(4)[:3], (self._rows, 1, 1)), {}
         for shape_id, shape in zip(self._ids, self._shapes, strict=True):
-            if shape.mover is not None:
-                path = self.description.movers[shape.mover]
-                table[shape_id] = (path(previous) @ np.linalg.inv(path(time)))[:3].ravel()
-        return mi.Float(table.astype(np.float32).ravel())
+            part, d = shape.first, self.description
+            if part.mover is not None:
+                path = d.movers[part.mover]
+                matrices[shape_id] = (path(previous) @ np.linalg.inv(path(time)))[:3]
+            if part.bend is not None:
+                now, then = (_posed(shape.source, part, d, t).vertices for t in (time, previous))
+                rigid = now @ matrices[shape_id, :, :3].T + matrices[shape_id, :, 3]
+                bending[shape_id] = (then - rigid)[shape.source.faces]
+        return Motions.of(matrices, bending)
 
 
 def anchors(count: int = 96) -> list:
@@ -128,12 +141,18 @@ def anchors(count: int = 96) -> list:
     return [bsdfs[-1], shapes[-1]]
 
 
+def _posed(source: Mesh, part: Part, description: Description, time: float) -> Mesh:
+    """A part's mesh in the world at frame `time`."""
+    mesh = source if part.bend is None else bent(source, description.bends[part.bend], time)
+    return mesh if part.mover is None else mesh.transformed(description.movers[part.mover](time))
+
+
 def _grouped(parts: list[Part]) -> list[list[Part]]:
     """Parts that can be one shape: same mover, and same material or same emission. Few shapes trace faster."""
     groups: dict[tuple, list[Part]] = {}
     for part in parts:
         light = None if part.emission is None else tuple(part.emission)
-        groups.setdefault((part.mover, part.material, part.glow, light), []).append(part)
+        groups.setdefault((part.mover, part.material, part.glow, part.bend, light), []).append(part)
     return list(groups.values())
 
 
@@ -145,9 +164,7 @@ def _shape(index: int, group: list[Part], description: Description, bsdfs: list,
         props["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "rgb", "value": list(first.emission)}})
     mesh = mi.Mesh(f"shape{index}", len(source.vertices), len(source.faces), props, True, True)
     mesh.set_id(f"shape{index}")
-    start = source
-    if first.mover is not None:
-        start = source.transformed(description.movers[first.mover](0.0))
+    start = _posed(source, first, description, 0.0)
     params = mi.traverse(mesh)
     params["vertex_positions"] = mi.Float(start.vertices.astype(np.float32).ravel())
     params["vertex_normals"] = mi.Float(start.normals.astype(np.float32).ravel())

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from training.scenes import foliage, furniture, lights, meshes, textures
+from training.scenes.bending import random_bend
 from training.scenes.build import Description
 from training.scenes.materials import Material, random_material
 from training.scenes.motion import object_path
@@ -42,14 +43,20 @@ def draft_thing(rng: np.random.Generator, kinds: tuple = furniture.OBJECTS) -> f
     return furniture.pick(rng, foliage.FOLIAGE if pick < 0.1 else foliage.THIN if pick < 0.2 else kinds)
 
 
-def place(d: Description, thing: furniture.Thing, slots: dict[str, int], matrix: np.ndarray, uv: float) -> None:
+def place(d: Description, thing: furniture.Thing, slots: dict[str, int], matrix: np.ndarray, uv: float,
+          bend: int | None = None) -> None:
     for mesh, slot in thing:
-        d.add(mesh.transformed(matrix).scaled_uvs(uv), slots[slot])
+        d.add(mesh.transformed(matrix).scaled_uvs(uv), slots[slot], bend=bend)
+
+
+def fine(thing: furniture.Thing) -> bool:
+    """Whether it has vertices enough to bend."""
+    return sum(len(mesh.vertices) for mesh, _ in thing) > 300
 
 
 def moving_thing(d: Description, rng: np.random.Generator, thing: furniture.Thing, slots: dict[str, int],
                  home: np.ndarray, uv: float, metre: float = 1.0) -> None:
-    """Add a thing that slides, turns or tumbles; speeds from slow to fast, metres and radians a frame."""
+    """Add a thing that slides, turns or tumbles, and may bend; speeds from slow to fast, metres and radians a frame."""
     height = max(mesh.vertices[:, 1].max() for mesh, _ in thing)
     kind = rng.choice(["slide", "turn", "tumble", "both"])
     speed = 0.02 * metre * np.exp(rng.normal(0, 0.9)) * (kind in ("slide", "both", "tumble"))
@@ -60,9 +67,12 @@ def moving_thing(d: Description, rng: np.random.Generator, thing: furniture.Thin
     lift = 0.5 * height
     raised = home + np.array([0, lift + (0.5 * height if kind == "tumble" else 0.0), 0])
     d.movers.append(object_path(raised, velocity, axis, spin))
-    mover = len(d.movers) - 1
+    mover, bend = len(d.movers) - 1, None
+    if fine(thing) and rng.random() < 0.35:
+        d.bends.append(random_bend(rng, np.array([0, -lift, 0]), height, any(slot == "leaf" for _, slot in thing)))
+        bend = len(d.bends) - 1
     for mesh, slot in thing:
-        d.add(mesh.transformed(meshes.translation(0, -lift, 0)).scaled_uvs(uv), slots[slot], mover)
+        d.add(mesh.transformed(meshes.translation(0, -lift, 0)).scaled_uvs(uv), slots[slot], mover, bend)
 
 
 def add_glowing(d: Description, rng: np.random.Generator, home: np.ndarray, power: float) -> None:

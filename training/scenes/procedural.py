@@ -6,6 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from training.scenes import foliage, furniture, lights, meshes, textures
+from training.scenes.bending import random_bend
 from training.scenes.build import Description
 from training.scenes.draft import Draft, Pool, View, add_glowing, draft_thing, moving_thing, place, surface
 from training.scenes.lights import Environments
@@ -67,9 +68,13 @@ def outdoor(rng: np.random.Generator, maps: Environments) -> Draft:
     d.add(meshes.height_field(24, heights).scaled_uvs(rng.uniform(0.3, 2)), ground)
     lights.set_environment(d, rng, maps, False, sunny=rng.random() < 0.5)
     green = rng.choice([0.15, 0.5, 0.85])
-    if rng.random() < 0.3:
-        _meadow(d, rng, pool, heights)
     moving = int(rng.choice([0, 1, 2, 3], p=[0.35, 0.3, 0.2, 0.15]))
+    wind = None
+    if rng.random() < 0.4:
+        d.bends.append(random_bend(rng, np.array([0, heights.min(), 0]), 1.5, True))
+        wind = len(d.bends) - 1
+    if rng.random() < 0.3:
+        _meadow(d, rng, pool, heights, wind)
     for index in range(int(rng.integers(10, 26))):
         x, z = rng.normal(0, 2.5, 2)
         y = heights[int(np.clip((z + 12) / 24 * n, 0, n - 1)), int(np.clip((x + 12) / 24 * n, 0, n - 1))]
@@ -80,7 +85,8 @@ def outdoor(rng: np.random.Generator, maps: Environments) -> Draft:
             moving_thing(d, rng, thing, pool.slots(), np.array([0.5 * x, y, 0.5 * z]), uv)
         else:
             turn = meshes.rotation(furniture.Y, rng.uniform(0, 6.3))
-            place(d, thing, pool.slots(), meshes.translation(x, y, z) @ turn, uv)
+            sways = wind if any(slot == "leaf" for _, slot in thing) else None
+            place(d, thing, pool.slots(), meshes.translation(x, y, z) @ turn, uv, sways)
 
     def view(rng: np.random.Generator) -> View:
         angle, distance = rng.uniform(0, 6.3), rng.uniform(2, 7)
@@ -96,7 +102,8 @@ def _outdoor_thing(rng: np.random.Generator, green: float) -> furniture.Thing:
     return furniture.pick(rng, foliage.THIN if rng.random() < 0.25 else furniture.OBJECTS)
 
 
-def _meadow(d: Description, rng: np.random.Generator, pool: Pool, heights: np.ndarray) -> None:
+def _meadow(d: Description, rng: np.random.Generator, pool: Pool, heights: np.ndarray,
+            wind: int | None) -> None:
     """Grass all over the inner part of the ground."""
     n, count = len(heights), int(rng.integers(1500, 6000))
     place = rng.uniform(-4, 4, (count, 2))
@@ -104,7 +111,8 @@ def _meadow(d: Description, rng: np.random.Generator, pool: Pool, heights: np.nd
     y = ndimage.map_coordinates(heights, [cell[:, 1], cell[:, 0]], order=1)
     root = np.stack([place[:, 0], y, place[:, 1]], 1)
     length = rng.uniform(0.1, 0.5)
-    d.add(foliage.blades(rng, root, length, rng.uniform(0.004, 0.015), rng.uniform(0.1, 0.8)), pool.slots()["leaf"])
+    blades = foliage.blades(rng, root, length, rng.uniform(0.004, 0.015), rng.uniform(0.1, 0.8))
+    d.add(blades, pool.slots()["leaf"], bend=wind)
 
 
 FAMILIES = ((room, 0.55), (product, 0.25), (outdoor, 0.2))
