@@ -44,6 +44,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     compare = commands.add_parser("compare", help="measure both ways")
     compare.add_argument("out", type=Path, help="folder that 'render' filled")
     compare.add_argument("-o", "--results", type=Path, required=True)
+    compare.add_argument("--methods", help="as 'postfx bench' takes them (default: all)")
     compare.add_argument("--models", help="tags of networks (default: all)")
     compare.add_argument("--runs", type=int, default=1)
     compare.add_argument("--device", default="auto")
@@ -134,7 +135,8 @@ def compare(args: argparse.Namespace) -> None:
             for way in ("half", "full"):
                 guides = str(folder / f"{style}.guides.####.exr") if way == "half" else None
                 sources = Sources(str(folder / f"{style}.{way}.####.exr"), str(folder / "reference.####.exr"), guides)
-                wish = Wish(args.results / folder.name / f"{style}.{way}", None, args.models, args.runs, args.device)
+                output = args.results / folder.name / f"{style}.{way}"
+                wish = Wish(output, args.methods, args.models, args.runs, args.device)
                 rows += [_row(folder.name, style, way, method) for method in Bench(sources, wish).run()["methods"]]
     _report(args.results, rows)
 
@@ -150,7 +152,7 @@ def _report(folder: Path, rows: list[dict[str, Any]]) -> None:
         same = [row for row in rows if (row["way"], row["method"]) == (way, method)]
         keys = ("wall_ms", "psnr_late", "ssim_late", "flip_late", "flicker_late")
         means.append({"way": way, "method": method, "sequences": len(same),
-                      **{key: float(np.mean([row[key] for row in same])) for key in keys}})
+                      **{key: _mean([row[key] for row in same]) for key in keys}})
     (folder / "equal_rays.json").write_text(json.dumps({"means": means, "rows": rows}, indent=1) + "\n")
     with (folder / "equal_rays.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))
@@ -158,8 +160,14 @@ def _report(folder: Path, rows: list[dict[str, Any]]) -> None:
         writer.writerows(rows)
     print(f"{'rendered':<10}{'method':<24}{'ms':>8}{'PSNR':>8}{'SSIM':>8}{'FLIP':>8}{'flicker':>9}")
     for row in means:
-        figures = f"{row['psnr_late']:>8.2f}{row['ssim_late']:>8.4f}{row['flip_late']:>8.4f}{row['flicker_late']:>9.2f}"
+        flicker = "-" if row["flicker_late"] is None else f"{row['flicker_late']:.2f}"
+        figures = f"{row['psnr_late']:>8.2f}{row['ssim_late']:>8.4f}{row['flip_late']:>8.4f}{flicker:>9}"
         print(f"{row['way']:<10}{row['method']:<24}{row['wall_ms']:>8.1f}{figures}")
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
 
 
 if __name__ == "__main__":

@@ -18,32 +18,45 @@ from postfx.bench.material import Material
 from postfx.bench.metrics import SequenceScore
 from postfx.bench.worker import Task
 
+ATTEMPTS = 4
+"""The first process may compile kernels, and so may others on the machine meanwhile."""
+
 
 def run_task(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
     """Times of a task, as `worker.measure` gives them; `tell` is called with the count of finished runs.
 
     Raises BenchError when the process fails.
     """
+    for _ in range(ATTEMPTS):
+        last = _run_process(task, tell)
+        if "times" in last:
+            return last["times"]
+        if "error" in last:
+            break
+    raise BenchError(f"method '{task.method.name}': {last.get('error', 'kernels keep being compiled: try again')}")
+
+
+def _run_process(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
+    """The last thing that the worker said; an error where it ended badly."""
     package = str(Path(postfx.__file__).resolve().parent.parent)
     path = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
     command = [sys.executable, "-m", "postfx.bench.worker"]
     last: dict[str, Any] = {}
-    with tempfile.TemporaryFile("w+") as complaints:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=complaints,
-                                   text=True, env={**os.environ, "PYTHONPATH": path})
-        with process:
-            process.stdin.write(task.to_json() + "\n")
-            process.stdin.close()
+    with tempfile.TemporaryFile("w+") as words, tempfile.TemporaryFile("w+") as complaints:
+        words.write(task.to_json() + "\n")
+        words.seek(0)
+        environment = {**os.environ, "PYTHONPATH": path}
+        with subprocess.Popen(command, stdin=words, stdout=subprocess.PIPE, stderr=complaints, text=True,
+                              env=environment) as process:
             for line in process.stdout:
                 last = _message(line) or last
                 if "run" in last:
                     tell(last["run"])
         complaints.seek(0)
         lines = complaints.read().strip().splitlines()
-    if "times" not in last:
-        reason = last.get("error") or (lines[-1] if lines else f"it ended with code {process.returncode}")
-        raise BenchError(f"method '{task.method.name}': {reason}")
-    return last["times"]
+    if process.returncode and "error" not in last:
+        return {"error": lines[-1] if lines else f"it ended with code {process.returncode}"}
+    return last
 
 
 def timing(times: dict[str, Any], device: str) -> dict[str, Any]:

@@ -95,6 +95,8 @@ def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure
         axes.plot([], [], "o", color=COLOURS[family], label=FAMILIES[family])
     if any(row["alone"] for row in rows):
         axes.plot([], [], "o", color=COLOURS["ours"], markerfacecolor="white", label="history reset every frame")
+    if any(row["guides"] for row in rows):
+        axes.plot([], [], "D", color=COLOURS["ours"], label="with guides at output size")
     axes.figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
 
 

@@ -5,9 +5,14 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
-from postfx.bench.measure import timing
-from postfx.bench.worker import peak_memory
+pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
+from postfx.bench import measure  # noqa: E402
+from postfx.bench.errors import BenchError  # noqa: E402
+from postfx.bench.measure import run_task, timing  # noqa: E402
+from postfx.bench.methods import OTHERS, Method  # noqa: E402
+from postfx.bench.worker import Task, peak_memory  # noqa: E402
 
 
 def test_timing_of_runs():
@@ -26,3 +31,41 @@ def test_peak_memory_is_the_process_own():
     before, after = json.loads(subprocess.check_output([sys.executable, "-c", code], text=True))
     assert 190 < after - before < 230
     assert peak_memory() > before + ballast.nbytes / 1e6 / 2
+
+
+@pytest.fixture
+def task(write_exr, tmp_path):
+    """Makes a task on one small frame."""
+    path = write_exr("in/noisy.0001.exr", dict.fromkeys("RGB", np.ones((16, 24))))
+
+    def make(method: Method, **facts) -> Task:
+        usual = {"guides": None, "profile": None, "frames": (1,), "scale": 2.0, "size": (32, 48), "device": "cpu",
+                 "threads": 1, "runs": 2, "output": str(tmp_path / "out.{number}.exr")}
+        return Task(method, str(path.parent / "noisy.####.exr"), **usual | facts)
+
+    return make
+
+
+def test_a_task_survives_json(task):
+    assert Task.from_json(task(OTHERS[0]).to_json()) == task(OTHERS[0])
+
+
+def test_the_first_use_of_a_machine_does_not_count(task, tmp_path, monkeypatch):
+    """Kernels are compiled in a first process, whose memory and time are forgotten."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    runs = []
+    times = run_task(task(OTHERS[-1]), runs.append)
+    assert list((tmp_path / "cache").rglob("*.nbc"))
+    assert runs == [1, 2] and times["first_ms"] < 1000 and len(times["wall_ms"]) == 2
+    assert (tmp_path / "out.0001.exr").is_file()
+
+
+def test_a_method_that_fails_says_why(task):
+    with pytest.raises(BenchError, match="method 'x': no model 'denoise_upscale.none'"):
+        run_task(task(Method("x", "x", "ours", model="none")), print)
+
+
+def test_a_process_that_ends_without_a_word(task, monkeypatch):
+    monkeypatch.setattr(measure.sys, "executable", "/bin/false")
+    with pytest.raises(BenchError, match="method 'bicubic': it ended with code 1"):
+        run_task(task(OTHERS[-1]), print)
