@@ -10,7 +10,7 @@ import numpy as np
 from training.scenes import foliage, furniture, lights, meshes, textures
 from training.scenes.bending import random_bend
 from training.scenes.build import Description
-from training.scenes.materials import Material, random_material
+from training.scenes.materials import Material, polished, random_material
 from training.scenes.motion import object_path
 
 View = tuple[np.ndarray, np.ndarray]
@@ -56,9 +56,15 @@ def fine(thing: furniture.Thing) -> bool:
 
 def moving_thing(d: Description, rng: np.random.Generator, thing: furniture.Thing, slots: dict[str, int],
                  home: np.ndarray, uv: float, metre: float = 1.0) -> None:
-    """Add a thing that slides, turns or tumbles, and may bend; speeds from slow to fast, metres and radians a frame."""
+    """Add a thing that slides, turns or tumbles, and may bend; some are of polished metal.
+
+    Speeds are from slow to fast, in metres and radians a frame.
+    """
     height = max(mesh.vertices[:, 1].max() for mesh, _ in thing)
     kind = rng.choice(["slide", "turn", "tumble", "both"])
+    if rng.random() < 0.2:
+        shiny, kind = d.material(polished(rng)), rng.choice(["turn", "tumble"])
+        slots = {name: shiny for name in slots}
     speed = 0.02 * metre * np.exp(rng.normal(0, 0.9)) * (kind in ("slide", "both", "tumble"))
     spin = float(np.clip(rng.normal(0, 0.12), -0.4, 0.4)) * (kind != "slide")
     heading = rng.uniform(0, 2 * np.pi)

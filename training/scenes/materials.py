@@ -104,6 +104,14 @@ def random_metal(rng: np.random.Generator, smooth: float = 0.15) -> Material:
     return Material("roughconductor", alpha=float(rng.uniform(0.08, 0.6) ** 2 + 0.005), eta=eta, k=k)
 
 
+def polished(rng: np.random.Generator) -> Material:
+    """A shiny metal whose highlights are sharp, seldom a mirror."""
+    eta, k = METALS[str(rng.choice(list(METALS)))]
+    if rng.random() < 0.2:
+        return Material("conductor", eta=eta, k=k)
+    return Material("roughconductor", alpha=float(rng.uniform(0.1, 0.3) ** 2), eta=eta, k=k)
+
+
 def random_material(rng: np.random.Generator, gloss: float = 0.4, metal: float = 0.1, glass: float = 0.0) -> Material:
     """A material for an object; `gloss`, `metal` and `glass` are probabilities, the rest is diffuse."""
     pick = rng.random()

@@ -6,7 +6,7 @@ import colorsys
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
-from scipy import ndimage
+from scipy import ndimage, spatial
 
 GLYPHS = "ABCDEFGHKMNRSTWXYZabdefghkmnqrstuwxyz0123456789&%#@*+=<>"
 
@@ -138,12 +138,62 @@ def _picture(size: int, rng: np.random.Generator) -> np.ndarray:
     return image
 
 
-KINDS = (_cloudy, _speckle, _checker, _wood, _wood, _stripes, _tiles, _tiles, _marble, _print, _weave, _dots, _picture)
+def _carpet(size: int, rng: np.random.Generator) -> np.ndarray:
+    """Short fibres: noise of single texels, stretched a little one way, over a faint large pattern."""
+    fibres = ndimage.uniform_filter1d(rng.random((size, size)), int(rng.choice([2, 4, 8])), axis=0, mode="wrap")
+    fibres = (fibres - fibres.mean()) / (fibres.std() + 1e-6)
+    pattern = noise(size, int(rng.choice([2, 8])), rng) > rng.uniform(0.3, 0.7)
+    return _mix(colour(rng), colour(rng), 0.8 * pattern) * np.clip(1 + 0.3 * fibres, 0.2, 1.8)[..., None]
+
+
+def _gravel(size: int, rng: np.random.Generator) -> np.ndarray:
+    """Pebbles or cracked earth: cells about random points, dark between them."""
+    points = rng.random((int(rng.choice([150, 500, 1500])), 2)) * size
+    tree = spatial.cKDTree(points, boxsize=size)
+    grid = np.stack(np.mgrid[0:size, 0:size], -1).reshape(-1, 2)
+    distance, index = tree.query(grid, 2)
+    gap = np.clip((distance[:, 1] - distance[:, 0]) / rng.uniform(1.5, 4), 0, 1).reshape(size, size)
+    tone = rng.random(len(points))[index[:, 0]].reshape(size, size)
+    return _mix(colour(rng), colour(rng), tone) * (0.15 + 0.85 * gap[..., None])
+
+
+def _plaid(size: int, rng: np.random.Generator) -> np.ndarray:
+    """Bands of fine threads crossing, as in cloth."""
+    sett = np.repeat(rng.random((32, 1)) > 0.5, size // 32, axis=0)[:size, 0].astype(float)
+    thread = (np.add.outer(np.arange(size), np.arange(size)) // 2 % 2).astype(float)
+    return _mix(colour(rng), colour(rng), np.where(thread > 0, sett[:, None], sett[None, :]))
+
+
+def _plan(size: int, rng: np.random.Generator) -> np.ndarray:
+    """Fine lines on plain ground: a map, a drawing or squared paper."""
+    image = Image.new("L", (size, size), 0)
+    draw, thick = ImageDraw.Draw(image), int(rng.integers(1, 3))
+    pitch = int(rng.choice([8, 16, 32]))
+    if rng.random() < 0.4:
+        for at in range(0, size, pitch):
+            draw.line([(at, 0), (at, size)], 255, thick)
+            draw.line([(0, at), (size, at)], 255, thick)
+    for _ in range(int(rng.integers(20, 90))):
+        x, y, r = *rng.uniform(0, size, 2), rng.uniform(4, 0.3 * size)
+        angle = rng.choice([0, np.pi / 2, rng.uniform(0, np.pi)])
+        if rng.random() < 0.3:
+            draw.ellipse([x - r / 2, y - r / 2, x + r / 2, y + r / 2], outline=255, width=thick)
+        else:
+            draw.line([(x, y), (x + r * np.cos(angle), y + r * np.sin(angle))], 255, thick)
+    return _mix(colour(rng), colour(rng), np.asarray(image, float) / 255)
+
+
+KINDS = (_cloudy, _speckle, _checker, _wood, _wood, _stripes, _tiles, _tiles, _marble, _print, _weave, _dots, _picture,
+         _carpet, _gravel, _plaid, _plan)
 
 
 def texture(rng: np.random.Generator, size: int = 256, flat: float = 0.35) -> np.ndarray:
-    """A random texture (S, S, 3) float32, linear reflectance 0..0.95; with probability `flat` one colour."""
+    """A random texture (S, S, 3) float32, linear reflectance 0..0.95; with probability `flat` one colour.
+
+    One in six is twice as fine.
+    """
     kind = _flat if rng.random() < flat else KINDS[int(rng.integers(len(KINDS)))]
+    size = 2 * size if rng.random() < 1 / 6 else size
     return np.clip(kind(size, rng), 0.0, 0.95).astype(np.float32)
 
 

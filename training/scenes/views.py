@@ -56,8 +56,9 @@ class Probe:
         return float(total / 2)
 
     def level(self) -> float:
-        """Geometric mean of the luminance, without its darkest depths."""
-        return float(np.exp(np.log(np.maximum(self.luminance, 1e-3 * self.luminance.mean() + 1e-12)).mean()))
+        """Geometric mean of the luminance, without its darkest depths and without a black background."""
+        seen = self.luminance[self.hits | (self.luminance > 0)]
+        return float(np.exp(np.log(np.maximum(seen, 1e-3 * seen.mean() + 1e-12)).mean()))
 
     def gain(self, rng: np.random.Generator) -> float:
         """Factor that brings the level to a drawn one: median 0.2, mostly 0.07 to 0.6."""
