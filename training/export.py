@@ -24,6 +24,7 @@ logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of optional 
 
 OPSET = 20  # the first with 5-D GridSample
 MODELS = Path(__file__).resolve().parent.parent / "models"
+LARGE = 1024  # smaller weights are not worth a cast
 PARITY = 1e-3  # largest difference to torch that is let through, relative to the largest value
 
 
@@ -59,6 +60,7 @@ def export(
     )
     model = program.model_proto
     strip(model)
+    store_half(model.graph)
     for value in (*model.graph.input, *model.graph.output):
         declare(value, (names or {}).get(value.name))
     onnx.checker.check_model(model)
@@ -92,6 +94,23 @@ def strip(model: onnx.ModelProto) -> None:
     for item in [*model.graph.node, *model.graph.input, *model.graph.output, *model.graph.initializer]:
         del item.metadata_props[:]
         item.doc_string = ""
+
+
+def store_half(graph: onnx.GraphProto) -> None:
+    """Keep weights that half precision holds exactly as such, half the file; a session casts them once, as it loads."""
+    casts = []
+    for weight in graph.initializer:
+        values = onnx.numpy_helper.to_array(weight)
+        if values.dtype != np.float32 or values.size < LARGE:
+            continue
+        half = values.astype(np.float16)
+        if np.array_equal(half.astype(np.float32), values):
+            name = weight.name
+            weight.CopyFrom(onnx.numpy_helper.from_array(half, f"{name}_half"))
+            casts.append(onnx.helper.make_node("Cast", [f"{name}_half"], [name], to=onnx.TensorProto.FLOAT))
+    nodes = [*casts, *graph.node]
+    del graph.node[:]
+    graph.node.extend(nodes)
 
 
 def declare(value: onnx.ValueInfoProto, shape: tuple[int | str, ...] | None) -> None:

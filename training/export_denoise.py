@@ -75,9 +75,9 @@ def export_kernels(folder: Path) -> None:
 
 
 def load_trunk(checkpoint: dict[str, Any]) -> Trunk:
-    """The trunk of a checkpoint of train_denoise.py, in float32."""
+    """The trunk of a checkpoint of train_denoise.py: weights rounded to half precision, kept as float32."""
     trunk = Trunk(TrunkConfig.from_dict(checkpoint["config"]))
-    weights = {key.removeprefix("trunk."): value.float() for key, value in checkpoint["weights"].items()}
+    weights = {key.removeprefix("trunk."): value.half().float() for key, value in checkpoint["weights"].items()}
     trunk.load_state_dict(weights)
     return trunk.eval()
 
