@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator
 from matplotlib.transforms import Bbox
 
@@ -17,7 +18,8 @@ COLOURS = {"ours": "#0b62b8", "oidn": "#c8500a", "plain": "#666666"}
 LABELS = {"psnr_late": "PSNR, dB (up is better)", "flicker_late": "flicker, x1000 (down is better)"}
 SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14, -4), (10, 18), (10, -26), (-10, 18),
          (-10, -26), (0, 26), (0, -34), (24, 30), (24, -38)]
-"""Where a label may stand, in points from its dot; the first free one is taken."""
+"""Where a label may stand, in points from its dot; the first free one is taken, and a line drawn to those not NEAR."""
+NEAR = 8
 
 
 def pareto(facts: dict[str, Any], figure: str, path: Path) -> None:
@@ -107,19 +109,29 @@ def _label(axes: Axes, points: list[tuple], figure: str) -> None:
     taken = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in dots]
     frame = axes.get_window_extent(renderer)
     for x, y, row in points:
-        value, text = row["scores"][figure], row["title"]
+        value, text = row["scores"][figure], _name(row)
         text += f" {value:.3g}" if value != y else ""
         taken.append(_place(axes, (x, y), text, COLOURS[row["family"]], taken, frame))
+
+
+def _name(row: dict[str, Any]) -> str:
+    """Short name: the marker says what is not in it."""
+    if row["family"] != "ours":
+        return row["title"]
+    return row["model"].split(".")[0] + ("" if row["precision"] == "fp32" else f" {row['precision']}")
 
 
 def _place(axes: Axes, dot: tuple[float, float], text: str, colour: str, taken: list[Bbox], frame: Bbox) -> Bbox:
     """Write a label at the first free spot, else at the one that covers least; returns where it stands."""
     renderer = axes.figure.canvas.get_renderer()
-    label = axes.annotate(text, dot, (0, 0), textcoords="offset points", fontsize=10, color=colour, zorder=4)
+    label = axes.annotate(text, dot, (0, 0), textcoords="offset points", fontsize=10.5, color=colour, zorder=4,
+                          fontweight="bold" if len(text) <= 2 else "normal",
+                          arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkB": 4})
     found: list[tuple[float, int, Bbox]] = []
     for index, (dx, dy) in enumerate(SPOTS):
         _stand(label, dx, dy)
-        box = label.get_window_extent(renderer)
+        label.update_positions(renderer)
+        box = Text.get_window_extent(label, renderer)  # the annotation's own would hold its line, too
         outside = box.x0 < frame.x0 or box.x1 > frame.x1 or box.y0 < frame.y0 or box.y1 > frame.y1
         cost = sum(_overlap(box, other) for other in taken) + (1e6 if outside else 0)
         found.append((cost, index, box))
@@ -127,6 +139,7 @@ def _place(axes: Axes, dot: tuple[float, float], text: str, colour: str, taken: 
             break
     _, index, box = min(found, key=lambda item: item[:2])
     _stand(label, *SPOTS[index])
+    label.arrow_patch.set_visible(index >= NEAR)
     return box
 
 
