@@ -123,7 +123,7 @@ def test_a_cut_in_a_clip_drops_the_history(tmp_path: Path) -> None:
     write_clips(tmp_path, 1)
     path = tmp_path / "clip0000.npz"
     with np.load(path) as file:
-        np.savez(path, **file, reset=np.array([1, 0], np.uint8))
+        np.savez(path, **{**file, "reset": np.array([1, 0], np.uint8)})
     clip = load(path, torch.device("cpu"))
     assert clip.keep.tolist() == [0.0, 1.0]
 
