@@ -15,10 +15,11 @@ from postfx.bench.errors import BenchError, require
 from postfx.bench.material import Material, Sources, output_pattern
 from postfx.bench.methods import LeftOut, catalogue, select
 from postfx.bench.progress import BenchProgress
-from postfx.bench.report import compare, front, write_csv
+from postfx.bench.report import ablations, compare, front, offered, write_csv
 from postfx.bench.worker import Task
 from postfx.errors import WriteError
 from postfx.frame import Role
+from postfx.passes.denoise_upscale import ABSENT
 from postfx.runtime import Device, Library
 
 LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"), ("matplotlib", "matplotlib"))
@@ -34,6 +35,7 @@ class Wish:
     runs: int = 3
     device: str = "auto"
     threads: int | None = None
+    ablations: bool = False
 
 
 class Bench:
@@ -49,7 +51,8 @@ class Bench:
         device = Device(wish.device, wish.threads)
         self._device, self._threads, self._wish = device.name, device.threads, wish
         kind, motion = device.name.split(":")[0], self.material.spec.has(Role.MOTION)
-        found = catalogue(Library().names(), kind, bool(self.material.spec.guides), motion)
+        lost = [str(role) for role in ABSENT if self.material.spec.has(role)] if wish.ablations else []
+        found = catalogue(Library().names(), kind, bool(self.material.spec.guides), motion, lost)
         self.methods, self.left_out = select(found, wish.methods, wish.models)
         if any(method.quality for method in self.methods):
             require("pyoidn", "pyoidn", "runs Open Image Denoise (--methods ours,plain leaves it out)")
@@ -84,7 +87,7 @@ class Bench:
             write_csv(folder / "bench.csv", facts["methods"])
             pareto(facts, "psnr_late", folder / "pareto_psnr.png")
             pareto(facts, "flicker_late", folder / "pareto_flicker.png")
-            draw_crops(self.material, facts["methods"], folder / "crops.png")
+            draw_crops(self.material, offered(facts["methods"]), folder / "crops.png")
         except OSError as error:
             raise WriteError(f"{folder}: cannot be written: {error.strerror}; check rights and free space") from error
 
@@ -122,8 +125,9 @@ class Bench:
             "machine": machine(),
             "versions": versions(),
             "methods": rows,
-            "fronts": {figure: front(rows, figure, time) for figure in ("psnr_late", "flicker_late")},
-            "against_best_baseline": compare(rows),
+            "fronts": {figure: front(offered(rows), figure, time) for figure in ("psnr_late", "flicker_late")},
+            "against_best_baseline": compare(offered(rows)),
+            "ablations": ablations(rows),
             "left_out": [item._asdict() for item in self.left_out],
         }
 

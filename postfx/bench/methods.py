@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from postfx.bench.errors import BenchError
@@ -29,6 +29,7 @@ class Method:
         alone: whether the history is dropped at every frame.
         quality: of OIDN; '' where it is not used.
         accumulated: whether frames are accumulated at output size along the motion.
+        without: names of planes that the frames have and the network is not given; empty in all but ablations.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Method:
     alone: bool = False
     quality: str = ""
     accumulated: bool = False
+    without: tuple[str, ...] = ()
 
 
 class LeftOut(NamedTuple):
@@ -66,15 +68,18 @@ OTHERS = (
 )
 
 
-def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool) -> Catalogue:
-    """All methods for models of a library, a device 'cpu' or 'cuda', and frames with or without guides and motion."""
+def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool, lost: Sequence[str] = ()) -> Catalogue:
+    """All methods for models of a library, a device 'cpu' or 'cuda', and frames with or without guides and motion.
+
+    `lost`: planes of the frames that ablations leave out, each alone and all together.
+    """
     names = [name.removeprefix(f"{PASS}.") for name in models if name.startswith(f"{PASS}.")]
     methods: list[Method] = []
     left_out: list[LeftOut] = _absent(names, guides)
     for name in sorted(names, key=_place):
         made = _of_model(name, motion)
         reason = _unfit(made[0], device, guides)
-        methods += [] if reason else made
+        methods += [] if reason else made + _ablations(made[0], lost)
         left_out += [LeftOut(made[0].title, reason)] if reason else []
     for method in OTHERS:
         if method.accumulated and not motion:
@@ -115,6 +120,16 @@ def _of_model(name: str, motion: bool) -> list[Method]:
                    ".".join(kept), precision, guides)
     alone = Method(f"{plain.name}-alone", f"{plain.title}, no history", "ours", plain.model, precision, guides, True)
     return [plain, alone] if motion else [plain]
+
+
+def _ablations(method: Method, lost: Sequence[str]) -> list[Method]:
+    """A network without each of some planes and without all: in full precision only, which they do not depend on, and
+    without guides, which would stand in for the planes."""
+    if method.guides or method.precision != "fp32":
+        return []
+    chosen = {name: (name,) for name in lost} | ({"all": tuple(lost)} if len(lost) > 1 else {})
+    return [replace(method, name=f"{method.name}-without-{name}", title=f"{method.title}, no {name.replace('_', ' ')}",
+                    without=planes) for name, planes in chosen.items()]
 
 
 def _unfit(method: Method, device: str, guides: bool) -> str | None:

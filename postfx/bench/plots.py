@@ -13,6 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator
 from matplotlib.transforms import Bbox
 
 from postfx.bench.methods import FAMILIES
+from postfx.bench.report import offered
 
 COLOURS = {"ours": "#0b62b8", "oidn": "#c8500a", "plain": "#666666"}
 LABELS = {"psnr_late": "PSNR, dB (up is better)", "flicker_late": "flicker, x1000 (down is better)"}
@@ -29,7 +30,8 @@ def pareto(facts: dict[str, Any], figure: str, path: Path) -> None:
     """
     gpu = facts["device"] != "cpu"
     time = "gpu_ms" if gpu else "wall_ms"
-    rows = [row for row in facts["methods"] if row["scores"][figure] is not None and row["time"][time] is not None]
+    rows = [row for row in offered(facts["methods"])
+            if row["scores"][figure] is not None and row["time"][time] is not None]
     if not rows:
         return
     picture = Figure(figsize=(9, 6), dpi=130, layout="constrained")

@@ -21,6 +21,7 @@ class Network:
 
     def __init__(self, method: Method, device: Device, scale: float) -> None:
         self._method = method
+        self._lost = frozenset(map(Role, method.without))
         self._pipeline = Pipeline([DenoiseUpscale(model=method.model, scale=scale)], device)
         self.device_ms = 0.0
 
@@ -31,7 +32,8 @@ class Network:
     def __call__(self, frame: Frame) -> np.ndarray:
         """Colour (H, W, 3) of a frame."""
         guides = frame.guides if self._method.guides else {}
-        result = self._pipeline(replace(frame, reset=frame.reset or self._method.alone, guides=guides))
+        planes = {role: plane for role, plane in frame.planes.items() if role not in self._lost}
+        result = self._pipeline(replace(frame, reset=frame.reset or self._method.alone, guides=guides, planes=planes))
         self.device_ms += sum(self._pipeline.timings.values())
         return result[Role.COLOUR]
 

@@ -9,7 +9,7 @@ from typing import Any
 HIGHER_IS_BETTER = ("psnr", "ssim")
 COMPARED = ("psnr_late", "ssim_late", "flip_late", "flicker_late")
 TIMES = ("wall_ms", "wall_ms_min", "wall_ms_max", "cpu_s", "gpu_ms", "first_ms", "peak_mb")
-FACTS = ("name", "title", "family", "model", "precision", "guides", "alone")
+FACTS = ("name", "title", "family", "model", "precision", "guides", "alone", "without")
 
 
 def is_better(figure: str, one: float, other: float) -> bool:
@@ -49,6 +49,26 @@ def compare(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
+def offered(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Methods that one would choose: no ablations."""
+    return [row for row in rows if not row["without"]]
+
+
+def ablations(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each network without some planes against the same with all: differences and quotients as in `compare`."""
+    found = []
+    for row in rows:
+        whole = next((other for other in offered(rows) if row["without"] and _is_same_network(row, other)), None)
+        if whole:
+            against = {figure: _against(row["scores"][figure], figure, [whole]) for figure in COMPARED}
+            found.append({"name": row["name"], "of": whole["name"], **against})
+    return found
+
+
+def _is_same_network(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    return all(one[key] == other[key] for key in ("family", "model", "guides", "alone"))
+
+
 def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     """One line a method: facts, times and figures; empty where something is not known."""
     figures = list(rows[0]["scores"])
@@ -56,7 +76,8 @@ def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
         writer = csv.writer(file)
         writer.writerow([*FACTS, *TIMES, *figures])
         for row in rows:
-            writer.writerow([*(row[key] for key in FACTS), *(row["time"][key] for key in TIMES),
+            facts = {**row, "without": " ".join(row["without"])}
+            writer.writerow([*(facts[key] for key in FACTS), *(row["time"][key] for key in TIMES),
                              *(row["scores"][key] for key in figures)])
 
 
@@ -109,15 +130,21 @@ def _notes(facts: dict[str, Any]) -> list[str]:
     titles = {row["name"]: row["title"] for row in facts["methods"]}
     lines = []
     for entry in facts["against_best_baseline"]:
-        parts = [f"PSNR {_number(entry['psnr_late'], '+.2f')} dB", f"SSIM {_number(entry['ssim_late'], '+.4f')}",
-                 f"FLIP {_number(entry['flip_late'], '.2f')}x", f"flicker {_number(entry['flicker_late'], '.2f')}x"]
+        parts = _differences(entry)
         if "frames_below_oidn" in entry:
             parts.append(f"{entry['frames_below_oidn']} frames below OIDN high")
         lines.append(f"{titles[entry['name']]} against the best of the others: {', '.join(parts)}")
+    lines += [f"{titles[entry['name']]} against {titles[entry['of']]}: {', '.join(_differences(entry))}"
+              for entry in facts["ablations"]]
     broken = [row for row in facts["methods"] if row["scores"]["not_finite"]]
     lines += [f"warning: {row['title']} wrote {row['scores']['not_finite']} values that are not finite"
               for row in broken]
     return lines + [f"not measured: {item['what']}: {item['why']}" for item in facts["left_out"]]
+
+
+def _differences(entry: dict[str, Any]) -> list[str]:
+    return [f"PSNR {_number(entry['psnr_late'], '+.2f')} dB", f"SSIM {_number(entry['ssim_late'], '+.4f')}",
+            f"FLIP {_number(entry['flip_late'], '.2f')}x", f"flicker {_number(entry['flicker_late'], '.2f')}x"]
 
 
 def _against(value: float | None, figure: str, others: list[dict[str, Any]]) -> float | None:

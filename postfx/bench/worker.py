@@ -46,7 +46,8 @@ class Task:
     def from_json(cls, text: str) -> Task:
         """The task that `to_json` wrote."""
         values = json.loads(text)
-        method = Method(**values.pop("method"))
+        facts = values.pop("method")
+        method = Method(**facts | {"without": tuple(facts["without"])})
         return cls(method, **values | {"frames": tuple(values["frames"]), "size": tuple(values["size"])})
 
 

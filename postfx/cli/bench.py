@@ -19,7 +19,8 @@ times the mean absolute error of the change from frame to frame along the motion
 Methods: the networks by tag, as 'm' (with '-int8', '-fp16' and '-guides' where there are such models), and the same
 with '-alone', the history dropped at every frame; oidn-fast, oidn-balanced, oidn-high (at render size, then
 enlarged), oidn-high-accumulated (and then accumulated along the motion at output size), accumulation, bicubic; or
-families of them: ours, oidn, plain.
+families of them: ours, oidn, plain. --ablations adds 'm-without-roughness' and so on for each plane that the frames
+have beside the colour, and 'm-without-all'.
 """
 EXAMPLES = """\
 examples:
@@ -43,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile of NOISY (default: found)")
     parser.add_argument("--methods", metavar="LIST", help="names or families, comma-separated (default: all)")
     parser.add_argument("--models", metavar="LIST", help="tags of networks, e.g. s,m,l (default: all there are)")
+    parser.add_argument("--ablations", action="store_true", help="also measure networks that lack planes")
     parser.add_argument("--runs", type=_positive, default=3, metavar="N", help="runs a method (default: 3)")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
     parser.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all cores)")
@@ -59,7 +61,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     sources = Sources(arguments.input, arguments.reference, arguments.guides, arguments.frames, arguments.profile)
     wish = Wish(Path(arguments.output), arguments.methods, arguments.models, arguments.runs, arguments.device,
-                arguments.threads)
+                arguments.threads, arguments.ablations)
     facts = Bench(sources, wish).run()
     if arguments.json:
         print(json.dumps(facts))

@@ -38,6 +38,17 @@ def test_a_network_that_reads_guides():
     assert not any(method.alone or method.accumulated for method in found.methods)
 
 
+def test_ablations_leave_each_plane_out_and_all():
+    found = catalogue(MODELS, "cpu", guides=True, motion=True, lost=["depth", "specular_albedo"])
+    ours = [method for method in found.methods if method.model == "m" and method.precision == "fp32"]
+    assert [method.name for method in ours] == ["m", "m-alone", "m-without-depth", "m-without-specular_albedo",
+                                                "m-without-all", "m-guides", "m-guides-alone"]
+    assert ours[3].without == ("specular_albedo",) and ours[3].title == "m fp32, no specular albedo"
+    assert ours[4].without == ("depth", "specular_albedo") and ours[0].without == ()
+    assert "m-int8-without-depth" not in names(found)
+    assert names(catalogue(MODELS, "cpu", False, False, ["depth"]))[2:4] == ["m", "m-without-depth"]
+
+
 def test_selection_by_name_family_and_tag():
     found = catalogue(MODELS, "cpu", guides=False, motion=True)
     assert names(select(found, "bicubic,oidn-high", None)) == ["oidn-high", "bicubic"]

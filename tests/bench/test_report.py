@@ -16,13 +16,25 @@ def row(name, time, psnr, flicker=10.0, family="plain", **facts):
     scores = {"psnr_late": psnr, "psnr": psnr, "flicker_late": flicker, "flicker": flicker, **FIGURES}
     times = {"wall_ms": time, "wall_ms_min": 0.9 * time, "wall_ms_max": 1.2 * time, "cpu_s": time / 500, "gpu_ms": None,
              "first_ms": 5 * time, "peak_mb": 300.0}
-    plain = {"title": name, "model": "", "precision": "fp32", "guides": False, "alone": False}
+    plain = {"title": name, "model": "", "precision": "fp32", "guides": False, "alone": False, "without": ()}
     return {"name": name, "family": family, **plain, **facts, "time": times, "scores": scores,
             "frames": [{"frame": 1, "psnr": psnr}]}
 
 
 ROWS = [row("m", 60, 32.6, 8, "ours"), row("m-alone", 61, 31.0, 19, "ours", alone=True),
         row("oidn-high", 200, 31.5, 16, "oidn"), row("oidn-fast", 55, 31.1, 17, "oidn"), row("bicubic", 10, 17, 130)]
+
+
+LACKING = [ROWS[0], row("m-without-depth", 60, 32.1, 10, "ours", without=("depth",)), *ROWS[1:]]
+
+
+def test_ablations_are_compared_with_the_same_network_and_offered_to_nobody(tmp_path):
+    (entry,) = report.ablations(LACKING)
+    assert (entry["name"], entry["of"]) == ("m-without-depth", "m")
+    assert entry["psnr_late"] == pytest.approx(-0.5) and entry["flicker_late"] == pytest.approx(1.25)
+    assert report.offered(LACKING) == ROWS and report.ablations(ROWS) == []
+    report.write_csv(tmp_path / "bench.csv", [row("x", 1, 1, without=("depth", "normal"))])
+    assert "depth normal" in (tmp_path / "bench.csv").read_text()
 
 
 def test_the_front_holds_what_nothing_beats_in_both():
@@ -47,7 +59,7 @@ def test_csv_has_a_line_a_method_and_leaves_the_unknown_empty(tmp_path):
 
 def facts():
     return {"device": "cpu", "threads": 2, "runs": 3, "render_size": [32, 18], "output_size": [64, 36], "methods": ROWS,
-            "sequence": {"frames": [1]}, "against_best_baseline": report.compare(ROWS),
+            "sequence": {"frames": [1]}, "against_best_baseline": report.compare(ROWS), "ablations": [],
             "left_out": [{"what": "m int8", "why": "there is no such model"}],
             "fronts": {figure: report.front(ROWS, figure) for figure in ("psnr_late", "flicker_late")}}
 
@@ -57,6 +69,9 @@ def test_the_table_is_whole_outside_a_terminal(capsys):
     text = capsys.readouterr().out
     assert all(entry["title"] in text for entry in ROWS)
     assert "m against the best of the others: PSNR +1.10 dB, SSIM +0.0000, FLIP 1.00x, flicker 0.50x" in text
+    facts_of_ablations = {**facts(), "methods": LACKING, "ablations": report.ablations(LACKING)}
+    report.print_table(facts_of_ablations)
+    assert "m-without-depth against m: PSNR -0.50 dB, SSIM +0.0000, FLIP 1.00x" in capsys.readouterr().out
     assert "not measured: m int8: there is no such model" in text
     assert "…" not in text
 

@@ -75,6 +75,19 @@ def test_one_frame_and_one_reference_need_no_common_number(postfx, scene):
     assert done.code == 0 and done.json["scale"] == 1.0, done.err
 
 
+def test_ablations_tell_what_a_plane_is_worth(postfx, scene):
+    scene(1, 2)
+    names = ["m", "m-without-depth", "m-without-all"]
+    done = postfx("bench", *INPUTS, "--ablations", "--methods", ",".join(names), "--json")
+    assert done.code == 0, done.err
+    rows = {row["name"]: row for row in done.json["methods"]}
+    assert list(rows) == ["m", "m-without-depth", "m-without-all"]
+    assert set(rows["m-without-all"]["without"]) == {"diffuse_albedo", "normal", "depth", "motion"}
+    assert rows["m-without-all"]["scores"]["psnr"] != rows["m"]["scores"]["psnr"]
+    assert [entry["of"] for entry in done.json["ablations"]] == ["m", "m"]
+    assert postfx("bench", *INPUTS, "--methods", "m-without-depth").code == 2
+
+
 def test_guides_of_another_size_than_the_references(postfx, scene, write_exr):
     scene(1)
     write_exr("in/guides.0001.exr", {f"albedo.{name}": np.ones((48, 72)) for name in "RGB"})
