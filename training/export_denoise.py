@@ -18,6 +18,7 @@ from postfx.kernels import (
     denoise_guides,
     denoise_history,
     denoise_prepare,
+    denoise_strength,
     denoise_upsample,
 )
 from postfx.kernels.resample import RESAMPLE
@@ -64,6 +65,7 @@ KERNELS = {
     denoise_filter.REMODULATE: definitions.Remodulate,
     denoise_upsample.UPSAMPLE: definitions.Upsample,
     denoise_upsample.UPSAMPLE_GUIDED: definitions.UpsampleGuided,
+    denoise_strength.STRENGTH: definitions.Strength,
     RESAMPLE: definitions.Resample,
 }
 

@@ -14,6 +14,7 @@ from postfx.kernels import (
     denoise_history,
     denoise_layout,
     denoise_prepare,
+    denoise_strength,
     denoise_upsample,
 )
 from postfx.kernels.kernel import Kernel
@@ -25,11 +26,11 @@ KERNELS = (
     denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_history.HISTORY, denoise_features.FEATURE,
     denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
     denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
-    RESAMPLE,
+    denoise_strength.STRENGTH, RESAMPLE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image",
-         *denoise_layout.GUIDE_PLANES)
+         "strength", *denoise_layout.GUIDE_PLANES)
 
 
 class Case(NamedTuple):
