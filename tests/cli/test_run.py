@@ -171,7 +171,8 @@ def test_no_strength_resamples(postfx, shot, tmp_path):
     shot(1)
     done = postfx("run", "in/shot.####.exr", "-o", "out/", "--strength", "0", "--scale", "1", "--exposure", "0")
     assert done.code == 0 and "strength 0: the input is only resampled" in done.err, done.err
-    np.testing.assert_array_equal(pixels_of(tmp_path / "out/shot.0001.exr"), pixels_of(tmp_path / "in/shot.0001.exr"))
+    given, found = (pixels_of(tmp_path / folder / "shot.0001.exr") for folder in ("in", "out"))
+    np.testing.assert_array_equal(found, given[..., :3].astype(np.float16))
     assert "has strengths 0 to 1, not 2" in postfx("run", "in/shot.####.exr", "-o", "o/", "--strength", "2").err
 
 
