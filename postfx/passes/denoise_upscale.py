@@ -12,6 +12,7 @@ from postfx.errors import GuideError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_graph import Graph, Sizes, has_model
 from postfx.passes._denoise_planes import ABSENT, Planes, Resampler, Size
+from postfx.passes._denoise_restore import Restore
 from postfx.passes._denoise_strength import Plain, Strength
 from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device, Tensor
@@ -86,6 +87,7 @@ class DenoiseUpscale(Pass):
         self._planes = Planes(device, spec, size, guided)
         model = f"{self.name}.{self.options['model']}{GUIDED if guided else ''}"
         self._graph = Graph(device, Sizes(spec.height, spec.width, *size), model, guided)
+        self._restore = Restore(device, size) if size == (spec.height, spec.width) else None
         full = self.strength == 1 and not spec.has(Role.STRENGTH)
         self._strength = None if full else Strength(device, spec, size, self.strength)
 
@@ -112,6 +114,7 @@ class DenoiseUpscale(Pass):
         params = np.array([frame.exposure, *frame.jitter, keep, gain], np.float32)
         colour = self._graph.encode(commands, self._planes.encode(commands, frame), params)
         self._fresh, self._exposure = True, frame.exposure
+        colour = self._restore.encode(commands, frame, colour) if self._restore else colour
         return self._strength.encode(commands, frame, colour) if self._strength else colour
 
     def _encode_alpha(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:

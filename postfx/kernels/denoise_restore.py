@@ -1,0 +1,155 @@
+"""Kernels that give back what the upscaler's network took for noise though it was not.
+
+What the network removed, input minus result, is white where it was noise and has structure where it was detail. Tiles
+of the picture are judged by that: by the correlation of neighbouring pixels of the difference, and by its size, for
+what is barely visible does no harm. Where most of what was removed is detail, the whole frame counts as clean. Only
+for results of the input's size whose samples are spread over the pixel.
+"""
+
+import math
+
+import numpy as np
+
+from postfx.kernels.denoise_layout import EXPOSURE, MAX_FLOAT, PLANES, kernel
+from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, inline
+
+TILE = 16
+LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
+COUNT, POWER, HELD, FIRST = 0, 1, 2, 3
+SUMS = FIRST + len(LAGS)
+LIMIT = 3.0  # times a tile's root mean square: larger differences, fireflies among them, are held there
+DARK = 1e-3  # exposed luminance below which differences are seen no better
+STRUCTURE = (0.3, 0.6)  # root of the summed squares of the correlations, from noise to detail
+FAINT = (10**-5.2, 10**-4.2)  # mean square of what is seen, from invisible to visible
+CLEAN = (0.3, 0.5)  # share of detail in what was removed from the frame, from noisy to clean
+SPREAD_NOISE = 2.25  # squares of the weights 1 2 1 by 1 2 1, summed, over their sum: how noisy a spread tile is
+ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-12)
+
+
+@inline
+def light(colour, y, x, exposure):
+    """Exposed luminance of a pixel, within what the network sees."""
+    r = min(clamp(colour[y, x, 0], ZERO, MAX_FLOAT) * exposure, np.float32(MAX_COLOUR))
+    g = min(clamp(colour[y, x, 1], ZERO, MAX_FLOAT) * exposure, np.float32(MAX_COLOUR))
+    b = min(clamp(colour[y, x, 2], ZERO, MAX_FLOAT) * exposure, np.float32(MAX_COLOUR))
+    return np.float32(0.2126) * r + np.float32(0.7152) * g + np.float32(0.0722) * b
+
+
+@compiled
+def difference_rows(top, colour, denoised, exposure, removed):
+    """What was removed as it is seen: times the slope of sqrt(y / (1 + y)) at the result, within [-1, 1]."""
+    for y in range(removed.shape[0]):
+        for x in range(removed.shape[1]):
+            clean = light(denoised, top + y, x, exposure)
+            seen = max(clean, np.float32(DARK))
+            slope = np.float32(0.5) / (np.sqrt(seen * (ONE + seen)) * (ONE + seen))
+            removed[y, x] = min(max((light(colour, top + y, x, exposure) - clean) * slope, -ONE), ONE)
+
+
+@compiled
+def tile_sums(tile, sums):
+    """Pixels, power, power of the held differences and their products with neighbours at each lag."""
+    height, width = tile.shape
+    power = ZERO
+    for y in range(height):
+        for x in range(width):
+            power += tile[y, x] * tile[y, x]
+    limit = np.float32(LIMIT) * np.sqrt(power / np.float32(height * width))
+    sums[:] = ZERO
+    sums[COUNT], sums[POWER] = np.float32(height * width), power
+    for y in range(height):
+        for x in range(width):
+            tile[y, x] = min(max(tile[y, x], -limit), limit)
+            sums[HELD] += tile[y, x] * tile[y, x]
+    for k, (dy, dx) in enumerate(LAGS):
+        total = ZERO
+        for y in range(height - dy):
+            for x in range(max(0, -dx), width - max(0, dx)):
+                total += tile[y, x] * tile[y + dy, x + dx]
+        sums[FIRST + k] = total * np.float32(TILE * TILE / ((TILE - dy) * (TILE - abs(dx))))
+
+
+@compiled
+def judge_rows(y0, y1, colour, denoised, params, sums):
+    """Sums over what was removed in each tile of 16 x 16 pixels."""
+    h, w = colour.shape[:2]
+    removed = np.empty((TILE, w), np.float32)
+    for row in range(y0, y1):
+        rows = min(TILE, h - row * TILE)
+        difference_rows(row * TILE, colour, denoised, params[EXPOSURE], removed[:rows])
+        for column in range(sums.shape[1]):
+            left = column * TILE
+            tile_sums(removed[:rows, left:min(left + TILE, w)], sums[row, column])
+
+
+@inline
+def ramp(value, low, high):
+    return min(max((value - np.float32(low)) / np.float32(high - low), ZERO), ONE)
+
+
+@compiled
+def detail_of(y, x, sums, spread):
+    """Share of detail in what was removed around a tile, and its power; neighbours count by 1 2 1 both ways."""
+    spread[:] = ZERO
+    for j in range(max(0, y - 1), min(sums.shape[0], y + 2)):
+        for i in range(max(0, x - 1), min(sums.shape[1], x + 2)):
+            weight = np.float32((2 - abs(j - y)) * (2 - abs(i - x)))
+            for k in range(sums.shape[2]):
+                spread[k] += weight * sums[j, i, k]
+    power, structure = spread[POWER] / spread[COUNT], ZERO
+    for k in range(FIRST, SUMS):
+        correlation = spread[k] / (spread[HELD] + TINY)
+        structure += correlation * correlation
+    structure -= np.float32(SPREAD_NOISE * len(LAGS)) / spread[COUNT]
+    faint = ramp(-np.log(power + TINY), -math.log(FAINT[1]), -math.log(FAINT[0]))
+    return max(ramp(np.sqrt(max(structure, ZERO)), STRUCTURE[0], STRUCTURE[1]), faint), power
+
+
+@compiled
+def detail_rows(y0, y1, sums, detail):
+    """Share of each tile's difference to give back; every band of rows judges the whole frame for itself."""
+    spread = np.empty(sums.shape[2], np.float32)
+    share, total = 0.0, 0.0
+    for y in range(sums.shape[0]):
+        for x in range(sums.shape[1]):
+            own, power = detail_of(y, x, sums, spread)
+            weight = np.sqrt(power) * sums[y, x, COUNT]
+            share, total = share + own * weight, total + weight
+    clean = ramp(np.float32(share / max(total, 1e-12)), CLEAN[0], CLEAN[1])
+    for y in range(y0, y1):
+        for x in range(sums.shape[1]):
+            own, _ = detail_of(y, x, sums, spread)
+            detail[y, x, 0] = own + (ONE - own) * clean
+
+
+@inline
+def between(position, count):
+    """The tile before a pixel, the one after it, and how far the pixel lies between their centres."""
+    at = min(max((np.float32(position) + np.float32(0.5)) / np.float32(TILE) - np.float32(0.5), ZERO),
+             np.float32(count - 1))
+    first = int(at)
+    return first, min(first + 1, count - 1), at - np.float32(first)
+
+
+@compiled
+def restore_rows(y0, y1, colour, denoised, detail, output):
+    """From the result to the input by the share of detail, linear between the tiles' centres."""
+    tiles_high, tiles_wide = detail.shape[:2]
+    for y in range(y0, y1):
+        top, bottom, v = between(y, tiles_high)
+        for x in range(output.shape[1]):
+            left, right, u = between(x, tiles_wide)
+            upper = detail[top, left, 0] + (detail[top, right, 0] - detail[top, left, 0]) * u
+            lower = detail[bottom, left, 0] + (detail[bottom, right, 0] - detail[bottom, left, 0]) * u
+            share = upper + (lower - upper) * v
+            for c in range(3):
+                clean, noisy = denoised[y, x, c], clamp(colour[y, x, c], ZERO, MAX_FLOAT)
+                output[y, x, c] = noisy if share == ONE else clean + (noisy - clean) * share
+
+
+IMAGE, TILES = PLANES["colour"], ("tiles_high", "tiles_wide")
+JUDGE = kernel("judge", ("colour", "denoised", "params"), ("sums",), judge_rows, ("sums", 0),
+               denoised=IMAGE, sums=(*TILES, SUMS))
+DETAIL = kernel("detail", ("sums",), ("detail",), detail_rows, ("detail", 0), sums=(*TILES, SUMS), detail=(*TILES, 1))
+RESTORE = kernel("restore", ("colour", "denoised", "detail"), ("output",), restore_rows, ("output", 0),
+                 denoised=IMAGE, detail=(*TILES, 1), output=IMAGE)
