@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from postfx.kernels.denoise_layout import EXPOSURE, MAX_FLOAT, PLANES, kernel
-from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, inline
+from postfx.kernels.numeric import MAX_COLOUR, add_product, clamp, compiled, inline, vectorised
 
 TILE = 16
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
@@ -46,40 +46,56 @@ def difference_rows(top, colour, denoised, exposure, removed):
             removed[y, x] = min(max((light(colour, top + y, x, exposure) - clean) * slope, -ONE), ONE)
 
 
+@vectorised
+def hold(row, limit):
+    for x in range(row.size):
+        row[x] = min(max(row[x], -limit[x]), limit[x])
+
+
 @compiled
-def tile_sums(tile, sums):
-    """Pixels, power, power of the held differences and their products with neighbours at each lag."""
-    height, width = tile.shape
-    power = ZERO
-    for y in range(height):
-        for x in range(width):
-            power += tile[y, x] * tile[y, x]
-    limit = np.float32(LIMIT) * np.sqrt(power / np.float32(height * width))
-    sums[:] = ZERO
-    sums[COUNT], sums[POWER] = np.float32(height * width), power
-    for y in range(height):
-        for x in range(width):
-            tile[y, x] = min(max(tile[y, x], -limit), limit)
-            sums[HELD] += tile[y, x] * tile[y, x]
-    for k, (dy, dx) in enumerate(LAGS):
-        total = ZERO
-        for y in range(height - dy):
-            for x in range(max(0, -dx), width - max(0, dx)):
-                total += tile[y, x] * tile[y + dy, x + dx]
-        sums[FIRST + k] = total * np.float32(TILE * TILE / ((TILE - dy) * (TILE - abs(dx))))
+def products(removed, dy, dx, total):
+    """Products of pixels with their neighbours at a lag, summed down the rows of ``removed``."""
+    height, width = removed.shape
+    first, last = max(0, -dx), max(0, width - max(0, dx))
+    total[:] = ZERO
+    for y in range(height - dy):
+        add_product(removed[y, first:last], removed[y + dy, first + dx:last + dx], total[first:last])
+
+
+@compiled
+def across_tiles(total, dy, dx, sums):
+    """Sums of the columns of every tile, without those whose neighbour lies in another, per whole tile of pairs."""
+    scale = np.float32(TILE * TILE / ((TILE - dy) * (TILE - abs(dx))))
+    for column in range(sums.size):
+        left = column * TILE
+        found = ZERO
+        for x in range(left + max(0, -dx), min(left + TILE - max(0, dx), total.size)):
+            found += total[x]
+        sums[column] = found * scale
 
 
 @compiled
 def judge_rows(y0, y1, colour, denoised, params, sums):
     """Sums over what was removed in each tile of 16 x 16 pixels."""
     h, w = colour.shape[:2]
-    removed = np.empty((TILE, w), np.float32)
+    removed, total, limit = np.empty((TILE, w), np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
     for row in range(y0, y1):
         rows = min(TILE, h - row * TILE)
-        difference_rows(row * TILE, colour, denoised, params[EXPOSURE], removed[:rows])
+        inner = removed[:rows]
+        difference_rows(row * TILE, colour, denoised, params[EXPOSURE], inner)
+        products(inner, 0, 0, total)
+        across_tiles(total, 0, 0, sums[row, :, POWER])
         for column in range(sums.shape[1]):
-            left = column * TILE
-            tile_sums(removed[:rows, left:min(left + TILE, w)], sums[row, column])
+            left, right = column * TILE, min(column * TILE + TILE, w)
+            sums[row, column, COUNT] = np.float32(rows * (right - left))
+            limit[left:right] = np.float32(LIMIT) * np.sqrt(sums[row, column, POWER] / sums[row, column, COUNT])
+        for y in range(rows):
+            hold(inner[y], limit)
+        products(inner, 0, 0, total)
+        across_tiles(total, 0, 0, sums[row, :, HELD])
+        for k, (dy, dx) in enumerate(LAGS):
+            products(inner, dy, dx, total)
+            across_tiles(total, dy, dx, sums[row, :, FIRST + k])
 
 
 @inline
