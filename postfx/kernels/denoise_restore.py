@@ -1,9 +1,10 @@
 """Kernels that give back what the upscaler's network took for noise though it was not.
 
-What the network removed, input minus result, is white where it was noise and has structure where it was detail. Tiles
-of the picture are judged by that: by the correlation of neighbouring pixels of the difference, and by its size, for
-what is barely visible does no harm. Where most of what was removed is detail, the whole frame counts as clean. Only
-for results of the input's size whose samples are spread over the pixel.
+What the network removed, input minus result, is alike everywhere where it was noise and has structure where it was
+detail. Tiles of the picture are judged by that: by the correlations of near pixels of the difference, less what the
+whole frame has in common, for a renderer's filter may spread samples over several pixels; by those of far pixels,
+which no filter reaches; and by its size, for what is barely visible does no harm. Where most of what was removed is
+detail, the whole frame counts as clean. Only for results of the input's size, samples spread over the pixel.
 """
 
 import math
@@ -14,14 +15,16 @@ from postfx.kernels.denoise_layout import EXPOSURE, MAX_FLOAT, PLANES, kernel
 from postfx.kernels.numeric import MAX_COLOUR, add_product, clamp, compiled, inline, vectorised
 
 TILE = 16
-LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
+LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (0, 4), (4, 0))
+NEAR = 6  # the first lags, which a pixel filter reaches
 COUNT, POWER, HELD, FIRST = 0, 1, 2, 3
 SUMS = FIRST + len(LAGS)
 LIMIT = 3.0  # times a tile's root mean square: larger differences, fireflies among them, are held there
 DARK = 1e-3  # exposed luminance below which differences are seen no better
 STRUCTURE = (0.3, 0.6)  # root of the summed squares of the correlations, from noise to detail
 FAINT = (10**-5.2, 10**-4.2)  # mean square of what is seen, from invisible to visible
-CLEAN = (0.3, 0.5)  # share of detail in what was removed from the frame, from noisy to clean
+CLEAN = (0.25, 0.42)  # share of detail in what was removed from the frame, from noisy to clean
+FILTERED = (10**-4.2, 10**-3.5)  # mean square of the frame, from too little to enough for filtered noise
 SPREAD_NOISE = 2.25  # squares of the weights 1 2 1 by 1 2 1, summed, over their sum: how noisy a spread tile is
 ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-12)
 
@@ -104,37 +107,57 @@ def ramp(value, low, high):
 
 
 @compiled
-def detail_of(y, x, sums, spread):
-    """Share of detail in what was removed around a tile, and its power; neighbours count by 1 2 1 both ways."""
+def gather(y, x, sums, spread, found):
+    """Power, noise of the structure and correlations around a tile; neighbours count by 1 2 1 both ways."""
     spread[:] = ZERO
     for j in range(max(0, y - 1), min(sums.shape[0], y + 2)):
         for i in range(max(0, x - 1), min(sums.shape[1], x + 2)):
             weight = np.float32((2 - abs(j - y)) * (2 - abs(i - x)))
             for k in range(sums.shape[2]):
                 spread[k] += weight * sums[j, i, k]
-    power, structure = spread[POWER] / spread[COUNT], ZERO
-    for k in range(FIRST, SUMS):
-        correlation = spread[k] / (spread[HELD] + TINY)
-        structure += correlation * correlation
-    structure -= np.float32(SPREAD_NOISE * len(LAGS)) / spread[COUNT]
-    faint = ramp(-np.log(power + TINY), -math.log(FAINT[1]), -math.log(FAINT[0]))
-    return max(ramp(np.sqrt(max(structure, ZERO)), STRUCTURE[0], STRUCTURE[1]), faint), power
+    found[0] = spread[POWER] / spread[COUNT]
+    found[1] = np.float32(SPREAD_NOISE * len(LAGS)) / spread[COUNT]
+    for k in range(len(LAGS)):
+        found[2 + k] = spread[FIRST + k] / (spread[HELD] + TINY)
 
 
 @compiled
-def detail_rows(y0, y1, sums, detail):
-    """Share of each tile's difference to give back; every band of rows judges the whole frame for itself."""
-    spread = np.empty(sums.shape[2], np.float32)
-    share, total = 0.0, 0.0
-    for y in range(sums.shape[0]):
-        for x in range(sums.shape[1]):
-            own, power = detail_of(y, x, sums, spread)
-            weight = np.sqrt(power) * sums[y, x, COUNT]
-            share, total = share + own * weight, total + weight
-    clean = ramp(np.float32(share / max(total, 1e-12)), CLEAN[0], CLEAN[1])
+def detail_of(found, common):
+    """Share of detail in what was removed around a tile, from what ``gather`` found."""
+    structure = -found[1]
+    for k in range(len(LAGS)):
+        own = found[2 + k] - common[k]
+        structure += own * own
+    faint = ramp(-np.log(found[0] + TINY), -math.log(FAINT[1]), -math.log(FAINT[0]))
+    return max(ramp(np.sqrt(max(structure, ZERO)), STRUCTURE[0], STRUCTURE[1]), faint)
+
+
+@compiled
+def detail_rows(y0, y1, sums, evidence, detail):
+    """Share of each tile's difference to give back; every band of rows judges the whole frame for itself.
+
+    ``evidence`` multiplies the share of detail by which the frame counts as clean: many samples make it likely.
+    """
+    height, width = sums.shape[:2]
+    found, weight = np.empty((height, width, 2 + len(LAGS)), np.float32), np.empty((height, width), np.float32)
+    spread, common, total = np.empty(sums.shape[2], np.float32), np.zeros(len(LAGS), np.float32), 1e-12
+    for y in range(height):
+        for x in range(width):
+            gather(y, x, sums, spread, found[y, x])
+            weight[y, x] = np.sqrt(found[y, x, 0]) * sums[y, x, COUNT]
+            total += weight[y, x]
+    power = sums[:, :, POWER].sum() / sums[:, :, COUNT].sum()
+    filtered = ramp(np.log(power + TINY), math.log(FILTERED[0]), math.log(FILTERED[1]))
+    for k in range(NEAR):
+        common[k] = filtered * max((weight * found[:, :, 2 + k]).sum() / total, 0.0)
+    share = 0.0
+    for y in range(height):
+        for x in range(width):
+            share += detail_of(found[y, x], common) * weight[y, x]
+    clean = ramp(np.float32(share / total) * evidence[0], CLEAN[0], CLEAN[1])
     for y in range(y0, y1):
-        for x in range(sums.shape[1]):
-            own, _ = detail_of(y, x, sums, spread)
+        for x in range(width):
+            own = detail_of(found[y, x], common)
             detail[y, x, 0] = own + (ONE - own) * clean
 
 
@@ -166,6 +189,7 @@ def restore_rows(y0, y1, colour, denoised, detail, output):
 IMAGE, TILES = PLANES["colour"], ("tiles_high", "tiles_wide")
 JUDGE = kernel("judge", ("colour", "denoised", "params"), ("sums",), judge_rows, ("sums", 0),
                denoised=IMAGE, sums=(*TILES, SUMS))
-DETAIL = kernel("detail", ("sums",), ("detail",), detail_rows, ("detail", 0), sums=(*TILES, SUMS), detail=(*TILES, 1))
+DETAIL = kernel("detail", ("sums", "evidence"), ("detail",), detail_rows, ("detail", 0), sums=(*TILES, SUMS),
+                evidence=(1,), detail=(*TILES, 1))
 RESTORE = kernel("restore", ("colour", "denoised", "detail"), ("output",), restore_rows, ("output", 0),
                  denoised=IMAGE, detail=(*TILES, 1), output=IMAGE)

@@ -9,7 +9,7 @@ from postfx.passes._denoise_planes import Size
 from postfx.passes.base import ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
-FEW = 8
+FEW, MANY = 8, 64
 
 
 class Restore:
@@ -18,9 +18,9 @@ class Restore:
 
     def __init__(self, device: Device, size: Size) -> None:
         new, tiles = device.heap.tensor, (-(-size.height // TILE), -(-size.width // TILE))
-        self._params = new("restore params", (5,))
+        self._params, self._evidence = new("restore params", (5,)), new("evidence", (1,))
         self._output = new("restored", (*size, 3))
-        self._tensors = {"params": self._params, "sums": new("sums", (*tiles, SUMS)),
+        self._tensors = {"params": self._params, "evidence": self._evidence, "sums": new("sums", (*tiles, SUMS)),
                          "detail": new("detail", (*tiles, 1)), "output": self._output}
         self._tables = [self._table(device, kernel) for kernel in (JUDGE, DETAIL, RESTORE)]
 
@@ -29,6 +29,7 @@ class Restore:
         if frame.jitter != (0.0, 0.0) or (frame.samples or FEW) < FEW:
             return denoised
         self._params.upload([frame.exposure, 0.0, 0.0, 0.0, 0.0])
+        self._evidence.upload([(frame.samples or MANY) / MANY])
         planes = {"colour": frame[Role.COLOUR], "denoised": denoised}
         with commands.compute_encoder("restore") as encoder:
             encoder.barrier(after="compute", before="compute")

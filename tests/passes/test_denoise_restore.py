@@ -69,7 +69,7 @@ def judged(removed: np.ndarray) -> np.ndarray:
     tiles = [-(-side // 16) for side in removed.shape]
     sums, detail = np.empty((*tiles, SUMS), np.float32), np.empty((*tiles, 1), np.float32)
     JUDGE.rows(0, tiles[0], grey + removed.astype(np.float32)[..., None], grey, np.ones(5, np.float32), sums)
-    DETAIL.rows(0, tiles[0], sums, detail)
+    DETAIL.rows(0, tiles[0], sums, np.ones(1, np.float32), detail)
     return detail[..., 0]
 
 

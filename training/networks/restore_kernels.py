@@ -10,10 +10,12 @@ from postfx.kernels.denoise_restore import (
     COUNT,
     DARK,
     FAINT,
+    FILTERED,
     FIRST,
     HELD,
     LAGS,
     LIMIT,
+    NEAR,
     POWER,
     SPREAD_NOISE,
     STRUCTURE,
@@ -26,7 +28,7 @@ TINY = 1e-12
 
 
 class Judge(nn.Module):
-    """colour, denoised (h, w, 3), params -> sums (tiles_high, tiles_wide, 9): pixels, power, held power, products."""
+    """colour, denoised (h, w, 3), params -> sums (tiles_high, tiles_wide, 11): pixels, power, held power, products."""
 
     def forward(self, colour: Tensor, denoised: Tensor, params: Tensor) -> Tensor:
         clean = light(denoised, params)
@@ -46,17 +48,24 @@ class Judge(nn.Module):
 
 
 class Detail(nn.Module):
-    """sums (tiles_high, tiles_wide, 9) -> detail (tiles_high, tiles_wide, 1), the share to give back."""
+    """sums (tiles_high, tiles_wide, 11), evidence (1,) -> detail (tiles_high, tiles_wide, 1).
 
-    def forward(self, sums: Tensor) -> Tensor:
+    It is the share to give back.
+    """
+
+    def forward(self, sums: Tensor, evidence: Tensor) -> Tensor:
         spread = binomial(binomial(sums, 0), 1)
         power = spread[..., POWER] / spread[..., COUNT]
-        structure = (spread[..., FIRST:] / (spread[..., HELD:FIRST] + TINY)).square().sum(-1)
-        structure = structure - SPREAD_NOISE * len(LAGS) / spread[..., COUNT]
+        weight = torch.sqrt(power) * sums[..., COUNT]
+        total = weight.sum().clamp(min=TINY)
+        found = spread[..., FIRST:] / (spread[..., HELD:FIRST] + TINY)
+        common = F.pad((found * weight[..., None]).sum((0, 1))[:NEAR].clamp(min=0) / total, (0, len(LAGS) - NEAR))
+        mean = sums[..., POWER].sum() / sums[..., COUNT].sum()
+        filtered = ramp(torch.log(mean + TINY), math.log(FILTERED[0]), math.log(FILTERED[1]))
+        structure = (found - filtered * common).square().sum(-1) - SPREAD_NOISE * len(LAGS) / spread[..., COUNT]
         faint = ramp(-torch.log(power + TINY), -math.log(FAINT[1]), -math.log(FAINT[0]))
         own = torch.maximum(ramp(torch.sqrt(structure.clamp(min=0)), *STRUCTURE), faint)
-        weight = torch.sqrt(power) * sums[..., COUNT]
-        clean = ramp((own * weight).sum() / weight.sum().clamp(min=TINY), *CLEAN)
+        clean = ramp((own * weight).sum() / total * evidence, *CLEAN)
         return (own + (1 - own) * clean)[..., None]
 
 
