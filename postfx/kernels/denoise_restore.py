@@ -23,7 +23,7 @@ LIMIT = 3.0  # times a tile's root mean square: larger differences, fireflies am
 DARK = 1e-3  # exposed luminance below which differences are seen no better
 STRUCTURE = (0.3, 0.6)  # root of the summed squares of the correlations, from noise to detail
 FAINT = (10**-5.2, 10**-4.2)  # mean square of what is seen, from invisible to visible
-CLEAN = (0.25, 0.42)  # share of detail in what was removed from the frame, from noisy to clean
+CLEAN = (0.22, 0.38)  # share of detail in what was removed from the frame, from noisy to clean
 FILTERED = (10**-4.2, 10**-3.5)  # mean square of the frame, from too little to enough for filtered noise
 SPREAD_NOISE = 2.25  # squares of the weights 1 2 1 by 1 2 1, summed, over their sum: how noisy a spread tile is
 ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-12)
@@ -122,21 +122,22 @@ def gather(y, x, sums, spread, found):
 
 
 @compiled
-def detail_of(found, common):
+def detail_of(found, common, evidence):
     """Share of detail in what was removed around a tile, from what ``gather`` found."""
     structure = -found[1]
     for k in range(len(LAGS)):
         own = found[2 + k] - common[k]
         structure += own * own
     faint = ramp(-np.log(found[0] + TINY), -math.log(FAINT[1]), -math.log(FAINT[0]))
-    return max(ramp(np.sqrt(max(structure, ZERO)), STRUCTURE[0], STRUCTURE[1]), faint)
+    return max(ramp(np.sqrt(max(structure, ZERO)), STRUCTURE[0], STRUCTURE[1]), faint) * min(evidence, ONE)
 
 
 @compiled
 def detail_rows(y0, y1, sums, evidence, detail):
     """Share of each tile's difference to give back; every band of rows judges the whole frame for itself.
 
-    ``evidence`` multiplies the share of detail by which the frame counts as clean: many samples make it likely.
+    ``evidence`` for detail, 1 when nothing is known: below it multiplies every tile's share, and always that by which
+    the frame counts as clean.
     """
     height, width = sums.shape[:2]
     found, weight = np.empty((height, width, 2 + len(LAGS)), np.float32), np.empty((height, width), np.float32)
@@ -153,11 +154,11 @@ def detail_rows(y0, y1, sums, evidence, detail):
     share = 0.0
     for y in range(height):
         for x in range(width):
-            share += detail_of(found[y, x], common) * weight[y, x]
+            share += detail_of(found[y, x], common, evidence[0]) * weight[y, x]
     clean = ramp(np.float32(share / total) * evidence[0], CLEAN[0], CLEAN[1])
     for y in range(y0, y1):
         for x in range(width):
-            own = detail_of(found[y, x], common)
+            own = detail_of(found[y, x], common, evidence[0])
             detail[y, x, 0] = own + (ONE - own) * clean
 
 

@@ -9,11 +9,11 @@ from postfx.passes._denoise_planes import Size
 from postfx.passes.base import ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
-FEW, MANY = 8, 64
+FEW, MANY = 16, 64
 
 
 class Restore:
-    """For results of the input's size. Leaves frames alone that are known to have fewer than 8 samples a pixel, and
+    """For results of the input's size. Leaves frames alone that are known to have at most 16 samples a pixel, and
     jittered ones, whose samples do not lie where the result's pixels do."""
 
     def __init__(self, device: Device, size: Size) -> None:
@@ -26,7 +26,7 @@ class Restore:
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor) -> Tensor:
         """Record the work on the frame's own colour and the denoised one; returns the colour."""
-        if frame.jitter != (0.0, 0.0) or (frame.samples or FEW) < FEW:
+        if frame.jitter != (0.0, 0.0) or (frame.samples or MANY) <= FEW:
             return denoised
         self._params.upload([frame.exposure, 0.0, 0.0, 0.0, 0.0])
         self._evidence.upload([(frame.samples or MANY) / MANY])

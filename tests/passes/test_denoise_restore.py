@@ -94,7 +94,7 @@ def test_the_next_frame_sees_what_the_network_made(device: Device, monkeypatch: 
     np.testing.assert_array_equal(restored[1], plain_first[1])
 
 
-@pytest.mark.parametrize("facts", [{"jitter": (0.2, 0.0)}, {"samples": 4}], ids=["jittered", "few samples"])
+@pytest.mark.parametrize("facts", [{"jitter": (0.2, 0.0)}, {"samples": 16}], ids=["jittered", "few samples"])
 def test_frames_it_leaves_alone(facts: dict, device: Device, request: pytest.FixtureRequest) -> None:
     given = replace(frame(0), **facts)
     found = run([given], device)[0]
