@@ -9,7 +9,8 @@ from typing import Any
 HELP = "list the trained models"
 DESCRIPTION = """\
 List the models that are installed, with what their cards say. PASS.TAG is used as --model TAG, PASS.TAG.int8 (integers,
-for the CPU) as --model TAG.int8. PASS.TAG.guides is taken by itself when there are planes at output size."""
+for the CPU) as --model TAG.int8, PASS.TAG.fp16 (half precision, for CUDA) as --model TAG.fp16. Variants .guides are
+taken by themselves when there are planes at output size."""
 EXAMPLES = """\
 examples:
   postfx models
@@ -37,4 +38,4 @@ def execute(arguments: argparse.Namespace) -> int:
 def _line(name: str, card: dict[str, Any], size: int) -> str:
     parameters = f"{card['parameters'] / 1e6:.2f} M parameters" if "parameters" in card else "no card"
     precision = card.get("precision", "fp32") if card else ""
-    return f"{name:<31}{precision:<6}{size / 1e6:5.1f} MB  {parameters:<19}{card.get('summary', '')}".rstrip()
+    return f"{name:<31}{precision:<6}{size / 1e6:5.2f} MB  {parameters:<19}{card.get('summary', '')}".rstrip()

@@ -27,7 +27,7 @@ class DenoiseUpscale(Pass):
 
     Options:
         scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 2 without guides.
-        model: tag of the network, as in ``denoise_upscale.<tag>``.
+        model: tag of the network, as in ``denoise_upscale.<tag>``; 'm.int8' and 'm.fp16' are other precisions.
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength`
             says the same pixel by pixel, and both are multiplied.
 
