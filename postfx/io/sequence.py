@@ -110,7 +110,8 @@ class Sequence:
         """
         with self.open(number) as files:
             frame = files.read(number, self.planes if planes is None else planes, guides)
-        frame.reset = frame.reset or self._is_cut(number)
+        cut = self._is_cut(number)  # asked for every frame, as it keeps the number
+        frame.reset = frame.reset or cut
         return frame
 
     def _is_cut(self, number: int) -> bool:

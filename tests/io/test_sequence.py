@@ -84,6 +84,14 @@ def test_leaving_frames_out_is_a_cut(shot):
     assert "history is dropped" in sequence.warnings[0]
 
 
+def test_a_cut_of_the_header_is_one_cut(write_exr):
+    for number in (1, 2, 3, 4):
+        write_exr(f"shot.{number:04d}.exr", {name: np.ones((4, 6)) for name in "RGB"}, postfx__reset=number in (1, 3))
+    sequence = read_sequence(write_exr("shot.0005.exr", {name: np.ones((4, 6)) for name in "RGB"}).parent)
+    for _ in range(2):
+        assert [sequence.read(number).reset for number in sequence.numbers] == [True, False, True, False, False]
+
+
 def test_folder_single_file_and_first_file(shot):
     folder = shot(3, 4)
     assert [frame.number for frame in read_sequence(folder)] == [3, 4]
