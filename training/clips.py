@@ -35,6 +35,7 @@ PLANES = {
 GUIDES = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth")
 DEPTH_RANGE = (1e-4, 1e10)
 HALF_MAX = 65504.0
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def to_half(values: np.ndarray) -> np.ndarray:
@@ -55,6 +56,18 @@ def guide_depth(stored: np.ndarray) -> np.ndarray:
     """Depth float32 from what `half_depth` keeps; misses become 1e10 again."""
     depth = np.exp2(stored.astype(np.float32))
     return np.where(stored >= half_depth(np.float32(DEPTH_RANGE[1])), np.float32(DEPTH_RANGE[1]), depth)
+
+
+def exposure_of(colour: np.ndarray, key: float = 0.18, block: int = 4) -> float:
+    """Multiplier that brings the geometric mean luminance of frames (T, H, W, 3) to `key`.
+
+    Luminance is averaged over `block` x `block` pixels first: the logarithm of noisy pixels is too low.
+    """
+    luminance = colour.astype(np.float64) @ LUMINANCE
+    frames, height, width = luminance.shape
+    cut = luminance[:, : height // block * block, : width // block * block]
+    mean = cut.reshape(frames, height // block, block, width // block, block).mean((2, 4))
+    return float(key / np.exp(np.log(mean + 1e-4).mean()))
 
 
 def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: dict) -> None:

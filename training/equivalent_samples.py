@@ -38,7 +38,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     render.add_argument("view", type=Path, help="file to write")
     render.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
     render.add_argument("--seed", type=int, default=9000)
-    render.add_argument("--family", default="room", help="room, product or outdoor")
+    render.add_argument("--family", default="room", help="interior, room, product or outdoor")
     render.add_argument("--width", type=int, default=480)
     render.add_argument("--height", type=int, default=270)
     render.add_argument("--samples", type=int, default=2048, help="images of one sample a pixel")
@@ -60,12 +60,13 @@ def render(args: argparse.Namespace) -> None:
 
     mi.set_variant(args.variant)
     from training.factory import noisy_frame  # these import Mitsuba types, so only after the variant is set
-    from training.held_out import held_out_view
+    from training.held_out import Kind, held_out_view
     from training.sampling import Style, filter_table
     from training.tracing import Tracer
 
     tracer, size = Tracer(), (args.width, args.height)
-    view = held_out_view(tracer, args.seed, args.width, args.reference_error, 2 * args.half_spp, args.family)
+    view = held_out_view(tracer, args.seed, args.width, args.reference_error, 2 * args.half_spp,
+                         Kind(args.family))
     view.built.move(0, 0)
     camera, table = view.path.at(0), filter_table("box")
     style = Style("box", 1, np.zeros((1, 2), np.float32))

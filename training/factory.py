@@ -16,7 +16,7 @@ from training.scenes.lights import Environments
 from training.scenes.motion import Camera, CameraPath, Cut
 from training.scenes.procedural import draft
 from training.scenes.real import RealScenes
-from training.scenes.views import choose_path
+from training.scenes.views import Probe, choose_path
 from training.tracing import Film, Tracer
 
 REPLACED = 4  # mirrors and faces of glass that planes see through, in the clips that replace primary surfaces
@@ -134,14 +134,21 @@ def _scene(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealS
         gc.collect()
 
 
+def other_path(tracer: Tracer, built: BuiltScene, drafted: Draft, rng: np.random.Generator, width: int,
+               gain: float) -> tuple[CameraPath, Probe] | None:
+    """Another view of a scene, to cut to, and a look from it; None where none is of use at this gain."""
+    found = choose_path(tracer, built, drafted.view, rng, width, drafted.near)
+    return (found[0], found[2]) if found and 0.02 < gain * found[2].level() < 2 else None
+
+
 def _cut(tracer: Tracer, options: ClipOptions, drafted: Draft, built: BuiltScene, path: CameraPath, gain: float,
          rng: np.random.Generator) -> tuple[CameraPath | Cut, np.ndarray]:
     """Few clips go on from another view; also where the history starts, (T,) uint8."""
     reset = first_only(options.frames)
     if rng.random() >= options.cut_share or options.frames < 2:
         return path, reset
-    second = choose_path(tracer, built, drafted.view, rng, options.width, drafted.near)
-    if second is None or not 0.02 < gain * second[2].level() < 2:
+    second = other_path(tracer, built, drafted, rng, options.width, gain)
+    if second is None:
         return path, reset
     frame = int(rng.integers(1, options.frames))
     reset[frame] = 1

@@ -3,19 +3,46 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from training.scenes.build import BuiltScene
+from training.factory import other_path
+from training.scenes.build import BuiltScene, Description
+from training.scenes.draft import Draft
 from training.scenes.lights import Environments
-from training.scenes.motion import CameraPath
+from training.scenes.motion import CameraPath, Cut
 from training.scenes.procedural import draft
 from training.scenes.views import choose_path
 from training.tracing import Tracer
 
 FIRST_SEED = 9000
 """Clips for training are drawn with seeds below 1000; from here on everything is for validation."""
+METALS = ("conductor", "roughconductor")
+TRAITS: dict[str, Callable[[Description], bool]] = {
+    "moving": lambda d: bool(d.movers),
+    "metal": lambda d: bool(d.movers) and any(material.kind in METALS for material in d.materials),
+    "glass": lambda d: any(material.kind == "dielectric" for material in d.materials),
+    "bending": lambda d: bool(d.bends),
+    "flicker": lambda d: bool(d.glows),
+}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a scene is to be: of a family, with one of TRAITS, and cut at a frame.
+
+    Families are 'interior', 'room', 'product' and 'outdoor'.
+    """
+
+    family: str | None = None
+    trait: str | None = None
+    cut: int | None = None
+
+    def fits(self, d: Description) -> bool:
+        """Whether a scene is of this kind."""
+        return self.family in (None, d.name) and (self.trait is None or TRAITS[self.trait](d))
 
 
 @dataclass(frozen=True)
@@ -27,32 +54,44 @@ class HeldOut:
 
     name: str
     built: BuiltScene
-    path: CameraPath
+    path: CameraPath | Cut
     gain: float
     samples: float
     rng: np.random.Generator
 
 
 def held_out_view(tracer: Tracer, seed: int, width: int, error: float, most_samples: float,
-                  family: str | None = None) -> HeldOut:
+                  kind: Kind | None = None) -> HeldOut:
     """The view of a seed; the same for the same arguments.
 
     Views are passed over whose references would need more than `most_samples` samples a pixel for a root mean square
-    error of `error` after x/(1+x). `width` of the noisy frames sets the speed of the camera. `family` keeps to scenes
-    of a name ('room', 'product', 'outdoor'). Raises ValueError for a seed that training may use.
+    error of `error` after x/(1+x). `width` of the noisy frames sets the speed of the camera. Raises ValueError for a
+    seed that training may use.
     """
     if seed < FIRST_SEED:
         raise ValueError(f"seed {seed} may be a training clip's: take one from {FIRST_SEED} on")
-    rng, maps = np.random.default_rng([seed, 0]), Environments(None)
+    rng, maps, kind = np.random.default_rng([seed, 0]), Environments(None), kind or Kind()
     while True:
         drafted = draft(rng, maps)
-        if family not in (None, drafted.description.name):
-            continue
-        built = BuiltScene(drafted.description)
-        built.move(3.5, 2.5)
-        chosen = choose_path(tracer, built, drafted.view, rng, width, drafted.near)
-        samples = chosen[2].samples_for(error, chosen[1]) if chosen else np.inf
-        if samples <= most_samples:
-            return HeldOut(drafted.description.name, built, chosen[0], chosen[1], samples, rng)
-        del built
+        view = _view(tracer, drafted, rng, width, error, kind) if kind.fits(drafted.description) else None
+        if view and view.samples <= most_samples:
+            return view
+        del view
         gc.collect()
+
+
+def _view(tracer: Tracer, drafted: Draft, rng: np.random.Generator, width: int, error: float,
+          kind: Kind) -> HeldOut | None:
+    built = BuiltScene(drafted.description)
+    built.move(3.5, 2.5)
+    chosen = choose_path(tracer, built, drafted.view, rng, width, drafted.near)
+    if chosen is None:
+        return None
+    path, gain, look = chosen
+    samples = look.samples_for(error, gain)
+    if kind.cut is not None:
+        other = other_path(tracer, built, drafted, rng, width, gain)
+        if other is None:
+            return None
+        path, samples = Cut(path, other[0], kind.cut), max(samples, other[1].samples_for(error, gain))
+    return HeldOut(drafted.description.name, built, path, gain, samples, rng)

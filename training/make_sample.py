@@ -23,11 +23,12 @@ def main() -> None:
     parser.add_argument("--reference-spp", type=int, default=0, help="also write references of twice the size")
     args = parser.parse_args()
     mi.set_variant(args.variant)
+    from training.clips import exposure_of
     from training.factory import noisy_frame  # these import Mitsuba types, so only after the variant is set
     from training.sampling import Style, filter_table, radical_inverse
     from training.scenes.build import BuiltScene
     from training.scenes.sample_room import sample_camera, sample_room
-    from training.to_exr import CHANNELS, exposure_of, frame_header, write_exr
+    from training.to_exr import CHANNELS, frame_header, write_exr
     from training.tracing import Tracer
 
     tracer, built, rng = Tracer(), BuiltScene(sample_room()), np.random.default_rng(1)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from training.clips import GUIDES, guide_depth, load_clip, to_half
+from training.clips import GUIDES, exposure_of, guide_depth, load_clip, to_half
 
 CHANNELS = {
     "colour": ("R", "G", "B"),
@@ -24,19 +24,6 @@ CHANNELS = {
     "motion": ("motion.X", "motion.Y"),
 }
 FULL = ("depth",)  # misses are 1e10, beyond half float
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-
-
-def exposure_of(colour: np.ndarray, key: float = 0.18, block: int = 4) -> float:
-    """Multiplier that brings the geometric mean luminance of frames (T, H, W, 3) to `key`.
-
-    Luminance is averaged over `block` x `block` pixels first: the logarithm of noisy pixels is too low.
-    """
-    luminance = colour.astype(np.float64) @ LUMINANCE
-    frames, height, width = luminance.shape
-    cut = luminance[:, : height // block * block, : width // block * block]
-    mean = cut.reshape(frames, height // block, block, width // block, block).mean((2, 4))
-    return float(key / np.exp(np.log(mean + 1e-4).mean()))
 
 
 def write_exr(path: Path, planes: dict[str, np.ndarray], header: dict) -> None:

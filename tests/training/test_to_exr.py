@@ -9,8 +9,8 @@ import pytest
 
 import postfx
 from postfx.frame import Role
-from training.clips import GUIDES, half_depth
-from training.to_exr import CHANNELS, exposure_of, frame_header, guide_planes, write_exr
+from training.clips import GUIDES, exposure_of, half_depth
+from training.to_exr import CHANNELS, frame_header, guide_planes, write_exr
 
 
 def planes(rng: np.random.Generator) -> dict[str, np.ndarray]:

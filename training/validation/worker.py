@@ -1,0 +1,58 @@
+"""Renders clips of the validation set in one process: see `training.validation render`, which starts it.
+
+python -m training.validation.worker --out DIR --clips N [--start K --stride M]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+
+from training.render import add_share, clip_path, work
+from training.validation.pack import save
+
+
+def add_options(parser: argparse.ArgumentParser) -> list[str]:
+    """How clips are rendered; the names of the options, for those who hand them on."""
+    before = {action.dest for action in parser._actions}
+    parser.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
+    parser.add_argument("--width", type=int, default=432, help="of the output")
+    parser.add_argument("--height", type=int, default=240)
+    parser.add_argument("--frames", type=int, default=8)
+    parser.add_argument("--reference-error", type=float, default=0.004, help="of references after x/(1+x)")
+    parser.add_argument("--most-spp", type=int, default=8192, help="views that need more for it are passed over")
+    return [action.dest for action in parser._actions if action.dest not in before]
+
+
+def maker(args: argparse.Namespace) -> Callable[[int], tuple[str, int]]:
+    """A function that renders and writes a clip, as `training.render.work` takes it."""
+    import mitsuba as mi
+
+    mi.set_variant(args.variant)
+    from training.tracing import Tracer  # these import Mitsuba types, so only after the variant is set
+    from training.validation.render import Options, light_paths, render_clip
+
+    batch = 1 << (25 if args.variant.startswith("cuda") else 21)
+    options = Options((args.width, args.height), args.frames, args.reference_error, args.most_spp, batch)
+    tracer = Tracer()
+
+    def make(index: int) -> tuple[str, int]:
+        reference, renders, facts = render_clip(tracer, index, options)
+        save(clip_path(args.out, index), reference, renders, facts)
+        what = f"{facts['scene']} ({facts['trait']}), reference of {facts['reference_spp']} samples,"
+        return what, light_paths(facts, args.frames)
+
+    return make
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_share(parser)
+    add_options(parser)
+    args = parser.parse_args(argv)
+    return work(args, maker(args))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
