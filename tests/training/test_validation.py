@@ -13,7 +13,7 @@ from postfx.frame import Role
 from postfx.io.sequence import read_sequence
 from training.clips import HALF_MAX
 from training.validation import __main__ as validation
-from training.validation import pack, report
+from training.validation import compare, pack, report
 from training.validation.plan import FULL, HALF, SCENES, STYLES, renders
 
 SIZE = (64, 48)
@@ -81,8 +81,19 @@ def test_gains_are_over_the_best_of_oidn(tmp_path: Path, capsys: pytest.CaptureF
     assert found["bicubic"]["flicker_late"] is None and facts["scales"]["x2"][0]["gain"] is None
     assert [entry["method"] for entry in facts["equal_rays"]][:2] == ["m (half, 4 spp)", "m (full, 1 spp)"]
     assert facts["equal_rays"][0]["gain"] == pytest.approx(29 - 28)
-    assert "noise is at 50.0 dB" in capsys.readouterr().out
+    assert "noise, 50.0 dB, is taken out" in capsys.readouterr().out
     assert len((tmp_path / "comparison.csv").read_text().splitlines()) == 1 + len(rows)
+
+
+def test_the_reference_s_noise_is_taken_out_of_psnr() -> None:
+    rng = np.random.default_rng(3)
+    truth = rng.random((90, 100, 3))
+    halves = truth + rng.normal(0, 0.02, (2, *truth.shape))
+    noise = np.square(halves[0] - halves[1]).mean() / 4
+    picture = truth + rng.normal(0, 0.02, truth.shape)
+    found = [-10 * np.log10(np.square(picture - other).mean()) for other in (halves.mean(0), truth)]
+    assert found[0] < found[1] - 1 and compare.without_noise(found[0], noise) == pytest.approx(found[1], abs=0.1)
+    assert compare.without_noise(30.0, 1.0) == pytest.approx(40)
 
 
 def test_a_folder_without_clips_is_told(tmp_path: Path) -> None:

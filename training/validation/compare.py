@@ -1,4 +1,7 @@
-"""Measures every method on every render of the clips."""
+"""Measures every method on every render of the clips.
+
+PSNR here is that of `postfx bench` with the reference's own noise, known from its halves, taken out of the error.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from postfx.bench.job import Bench, Wish
 from postfx.bench.material import Sources
 from training.validation.expand import expand
+from training.validation.report import mean
 
-FIGURES = ("psnr", "ssim", "flip", "flicker")
+FIGURES = ("ssim", "flip", "flicker")
 
 
 def compare(clips: list[Path], args: argparse.Namespace) -> list[dict[str, Any]]:
@@ -38,11 +44,18 @@ def _measured(folder: Path, name: str, args: argparse.Namespace) -> list[dict[st
 
 def _row(scene: str, name: str, facts: dict[str, Any], method: dict[str, Any]) -> dict[str, Any]:
     scores, render = method["scores"], facts["renders"][name]
+    pairs = zip(method["frames"], facts["reference_noise"], strict=True)
+    psnr = [without_noise(frame["psnr"], noise) for frame, noise in pairs]
     return {
         "scene": scene, "trait": facts["trait"], "style": facts["style"], "render": name, "scale": render["scale"],
         "spp": render["spp"], "method": method["name"], "family": method["family"],
-        "wall_ms": method["time"]["wall_ms"],
+        "wall_ms": method["time"]["wall_ms"], "psnr": mean(psnr), "psnr_late": mean(psnr[len(psnr) // 2 :]),
         **{key: scores[key] for figure in FIGURES for key in (figure, f"{figure}_late")},
-        "psnr_frames": [frame["psnr"] for frame in method["frames"]],
-        "reference_noise": facts["reference_noise"],
+        "psnr_frames": psnr, "reference_noise": facts["reference_noise"],
     }
+
+
+def without_noise(psnr: float, noise: float) -> float:
+    """PSNR against a reference without the noise (mean square) that this one has; raised by 10 dB at most."""
+    error = 10 ** (-psnr / 10)
+    return float(-10 * np.log10(max(error - noise, error / 10)))

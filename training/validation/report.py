@@ -31,10 +31,7 @@ def report(folder: Path, rows: list[Row]) -> None:
         writer.writeheader()
         writer.writerows(rows)
     for render, table in tables.items():
-        own = [row for row in rows if row["render"] == render]
-        ceiling = np.mean([-10 * np.log10(np.mean(row["reference_noise"]) + 1e-12) for row in own])
-        print("\n".join([f"{own[0]['scale']:g}x, {len({row['scene'] for row in own})} clips; the references' own noise "
-                         f"is at {ceiling:.1f} dB", *_lines(table), ""]))
+        print("\n".join([_title([row for row in rows if row["render"] == render]), *_lines(table), ""]))
     if rays:
         print("\n".join(["equally many light paths; gain over the best of OIDN at full size", *_lines(rays)]))
 
@@ -103,6 +100,12 @@ def mean(values: list[float | None]) -> float | None:
     """Of the values that are known; None where none is."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None
+
+
+def _title(rows: list[Row]) -> str:
+    noise = np.mean([-10 * np.log10(np.mean(row["reference_noise"]) + 1e-12) for row in rows])
+    clips = len({row["scene"] for row in rows})
+    return f"{rows[0]['scale']:g}x, {clips} clips; the references' own noise, {noise:.1f} dB, is taken out of PSNR"
 
 
 def _lines(table: list[Row]) -> Iterator[str]:
