@@ -17,16 +17,13 @@ def light(house: House, maps: Environments, calm: bool) -> None:
     lit = [side for side in house.sides if any(hole.kind == "window" for hole in side.holes)]
     every = [*lit, *house.far_windows]
     gap = float(rng.uniform(0.15, 0.8))
-    if rng.random() < 0.5:
-        sheets = [mesh.transformed(side.matrix) for side in every for mesh in _sheet(side, house.style.thick, gap)]
-        house.d.emit(meshes.merge(sheets), lights.tint(rng, 0.03) * rng.uniform(4, 12))
-        for side in every:
-            house.put([(_ground(side, house.style.thick, gap), "ground")], side.matrix)
-    else:
+    if house.sky:
         lights.set_environment(house.d, rng, maps, calm, float(rng.uniform(2, 8)), rng.random() < 0.25)
         outward = np.stack([-side.matrix[:3, 2] for side in every])
         house.d.environment = outside_only(house.d.environment, house.d.environment_turn, outward)
         gap = 2.0
+    else:
+        _sheets(house, every, gap)
     for side in lit:
         if not side.slope and rng.random() < 0.3:
             _before_windows(house, side, gap)
@@ -49,14 +46,29 @@ def _ground(side: Side, thick: float, gap: float) -> Mesh:
     return meshes.quad([x0, y0, -thick], [x1 - x0, 0, 0], [0, 0, -gap])
 
 
-def _sheet(side: Side, thick: float, gap: float) -> list[Mesh]:
-    """A shallow lit box outside all windows of a wall, open towards them; it shines inwards only."""
-    x0, x1, y0, y1 = _around(side, gap)
-    z, back = -thick, -thick - gap
-    return [solids.face(x0, y0, x1, y1, back),
-            meshes.quad([x0, y1, back], [x1 - x0, 0, 0], [0, 0, gap]),
-            meshes.quad([x0, y0, back], [0, y1 - y0, 0], [0, 0, gap]),
-            meshes.quad([x1, y0, z], [0, y1 - y0, 0], [0, 0, -gap])]
+def _sheets(house: House, sides: list[Side], gap: float) -> None:
+    """Shallow boxes outside the windows of each wall, open towards them, that shine inwards; half of them are darker
+    below a horizon."""
+    rng = house.rng
+    bright, cut = lights.tint(rng, 0.03) * rng.uniform(4, 12), rng.uniform(0.2, 0.6) if rng.random() < 0.5 else 0.0
+    dim = bright * rng.uniform(0.15, 0.7) * lights.tint(rng, 0.1)
+    for start, end, radiance in ((0.0, cut, dim), (cut, 1.0, bright)):
+        if end > start:
+            made = [mesh.transformed(side.matrix) for side in sides
+                    for mesh in _sheet(side, house.style.thick, gap, start, end)]
+            house.d.emit(meshes.merge(made), radiance)
+    for side in sides:
+        house.put([(_ground(side, house.style.thick, gap), "ground")], side.matrix)
+
+
+def _sheet(side: Side, thick: float, gap: float, start: float, end: float) -> list[Mesh]:
+    """The back and the sides of a box between two parts of its height, and its top if `end` is 1."""
+    x0, x1, low, high = _around(side, gap)
+    y0, y1 = low + start * (high - low), low + end * (high - low)
+    z, back, up = -thick, -thick - gap, [0, y1 - y0, 0]
+    made = [solids.face(x0, y0, x1, y1, back), meshes.quad([x0, y0, back], up, [0, 0, gap]),
+            meshes.quad([x1, y0, z], up, [0, 0, -gap])]
+    return made if end < 1 else [*made, meshes.quad([x0, y1, back], [x1 - x0, 0, 0], [0, 0, gap])]
 
 
 def _before_windows(house: House, side: Side, gap: float) -> None:

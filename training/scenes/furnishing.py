@@ -28,7 +28,16 @@ class Kind:
     tiled: float = 0.0
 
 
+def brick_wall(house: House) -> None:
+    """One wall of painted bricks or stone blocks."""
+    side = house.sides[int(house.rng.integers(4))]
+    for a, b in between(side.width, side.holes, 0.15, side.height - 0.2, 0.12):
+        made = fittings.tiles(house.rng, a, 0.12, b, side.height - 0.02, 0.004)
+        house.put([(mesh, "wall") for mesh, _ in made], side.matrix)
+
+
 def tile_walls(house: House) -> None:
+    """The same tiles on all walls, up to some height."""
     high, seed = house.rng.uniform(1.2, house.size[1]), int(house.rng.integers(1 << 30))
     for side in house.sides:
         for a, b in between(side.width, side.holes, 0.15, high, 0.12):
@@ -102,11 +111,13 @@ def _blocked(side: Side, thing: Thing, x: float) -> bool:
 
 
 def stairs(house: House) -> None:
-    """A flight along a wall, from its left."""
-    side = house.sides[int(house.rng.choice([k for k in range(4) if not house.sides[k].holes] or [1]))]
-    steps = int(house.rng.integers(7, 16))
-    flight = fixtures.stairs(house.rng, min(0.18 * steps, house.size[1] - 0.2), steps, house.rng.uniform(0.75, 1.1))
-    _place(house, flight, side.matrix @ translation(house.rng.uniform(0.1, 1.0), 0, 0.03))
+    """A flight along a wall, where one is long enough and free."""
+    rng, steps = house.rng, int(house.rng.integers(7, 16))
+    flight = fixtures.stairs(rng, min(0.18 * steps, house.size[1] - 0.2), steps, rng.uniform(0.75, 1.1))
+    for index in rng.permutation(4):
+        side, x = house.sides[index], rng.uniform(0.1, 0.5)
+        if not _blocked(side, flight, x) and _place(house, flight, side.matrix @ translation(x, 0, 0.03)):
+            break
 
 
 def hang(house: House) -> None:

@@ -48,13 +48,16 @@ def interior(rng: np.random.Generator, maps: Environments) -> Draft:
     size = (rng.uniform(2.2, 3.6), 0.0, rng.uniform(2.2, 3.6)) if name == "bathroom" else (
         rng.uniform(3.0, 6.5), 0.0, rng.uniform(3.0, 7.0))
     size = (size[0], float(rng.uniform(*kind.height)), size[2])
-    house = House(d, rng, Roles(d, rng), Joinery.draw(rng), size)
+    house = House(d, rng, Roles(d, rng), Joinery.draw(rng), size, rng.random() < 0.4)
     if name == "attic":
         house.pitch = float(np.tan(np.radians(rng.uniform(32, 50))))
     _openings(house)
     if rng.random() < kind.tiled:
         house.style = replace(house.style, panels="none")
         furnishing.tile_walls(house)
+    elif rng.random() < 0.12:
+        house.style = replace(house.style, panels="none")
+        furnishing.brick_wall(house)
     shell.build(house)
     shell.dress(house)
     if name in ("hall", "living") and rng.random() < (0.7 if name == "hall" else 0.12):
@@ -70,16 +73,15 @@ def _openings(house: House) -> None:
     """Large windows in one or two walls, at times roof windows, doors in the others."""
     rng, (w, h, depth) = house.rng, house.size
     walls = shell.frames(w, depth)
-    order = [0, 2] if house.pitch else list(range(4))
-    count = 1 if rng.random() < 0.65 else 2
-    lit = rng.permutation(order)[:count]
-    sill = float(rng.choice([0.02, rng.uniform(0.3, 0.6), rng.uniform(0.7, 1.0)], p=[0.2, 0.3, 0.5]))
+    count = 1 if rng.random() < (0.35 if house.sky else 0.65) else 2
+    lit = rng.permutation(4)[:count]
+    chances = [0.4, 0.5, 0.1] if house.sky else [0.2, 0.3, 0.5]
+    sill = float(rng.choice([0.02, rng.uniform(0.3, 0.6), rng.uniform(0.7, 1.0)], p=chances))
+    share = rng.uniform(0.7, 0.9) if house.sky else rng.uniform(0.45, 0.8)
     for index, (matrix, width) in enumerate(walls):
         holes = []
-        if house.pitch and index in (0, 2):
-            h = house.size[1]
         if index in lit and not house.pitch:
-            holes = _windows(rng, width, sill, h - rng.uniform(0.15, 0.5))
+            holes = _windows(rng, share * width, width, sill, h - rng.uniform(0.15, 0.5))
         elif rng.random() < 0.55 and h > 2.2:
             at, wide = rng.uniform(0.25, width - 1.25), rng.uniform(0.72, 0.95)
             holes = [Opening(at, 0.0, at + wide, rng.uniform(1.95, 2.15), "door" if rng.random() < 0.75 else "arch")]
@@ -87,15 +89,15 @@ def _openings(house: House) -> None:
     if house.pitch:
         for index in (1, 3):
             matrix, width, high = shell.slope_frame(house, index)
-            holes = _windows(rng, width, 0.25 * high, rng.uniform(0.6, 0.85) * high)
+            holes = _windows(rng, share * width, width, 0.25 * high, rng.uniform(0.6, 0.85) * high)
             shut = index == 3 and rng.random() < 0.5
             house.sides.append(Side(matrix, width, high, [] if shut else holes, True))
 
 
-def _windows(rng: np.random.Generator, width: float, sill: float, top: float) -> list[Opening]:
-    """One to four windows that take 45 to 80 % of a wall's width."""
+def _windows(rng: np.random.Generator, glazed: float, width: float, sill: float, top: float) -> list[Opening]:
+    """One to four windows that take `glazed` metres of a wall's width."""
     count = max(1, min(4, round(width / rng.uniform(1.2, 3.5))))
-    share = width * rng.uniform(0.45, 0.8) / count
+    share = glazed / count
     middle = (np.arange(count) + 0.5) * width / count
     return [Opening(x - share / 2, sill, x + share / 2, max(top, sill + 0.7)) for x in middle]
 

@@ -116,7 +116,7 @@ def _meadow(d: Description, rng: np.random.Generator, pool: Pool, heights: np.nd
     d.add(blades, pool.slots()["leaf"], bend=wind)
 
 
-FAMILIES = ((interior, 0.45), (room, 0.22), (product, 0.19), (outdoor, 0.14))
+FAMILIES = ((interior, 0.48), (room, 0.2), (product, 0.18), (outdoor, 0.14))
 
 
 def draft(rng: np.random.Generator, maps: Environments) -> Draft:

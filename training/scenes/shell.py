@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from training.scenes import cloth, joinery, meshes, solids
+from training.scenes import cloth, joinery, meshes, profiles, solids
 from training.scenes.bending import hanging
 from training.scenes.build import Description
 from training.scenes.furniture import Thing, Y
@@ -32,6 +32,7 @@ class Side:
 class House:
     """A room being furnished: `size` is width, height, depth; `taken` are boxes (x0, x1, z0, z1, top) on the floor.
 
+    With `sky` an environment shines in, which needs large windows; else bright sheets stand outside.
     `sights` are points worth looking at, `far_windows` the ends of lit passages behind doors.
     """
 
@@ -40,6 +41,7 @@ class House:
     roles: Roles
     style: Joinery
     size: tuple[float, float, float]
+    sky: bool = False
     sides: list[Side] = field(default_factory=list)
     pitch: float = 0.0
     taken: list[tuple] = field(default_factory=list)
@@ -88,8 +90,20 @@ def build(house: House) -> None:
             plan = solids.rectangle(-w / 2, -depth / 2, w / 2, depth / 2)
             loop = solids.moulding(plan, house.style.cornice, closed=True)
             house.put([(loop, str(house.rng.choice(["trim", "ceiling"])))], translation(0, h, 0) @ DOWN)
+        if house.rng.random() < 0.18:
+            _coffers(house)
     for index, side in enumerate(house.sides):
         _wall(house, side, gable=bool(house.pitch) and index in (0, 2))
+
+
+def _coffers(house: House) -> None:
+    """Mouldings in fields on the ceiling."""
+    rng, (w, h, depth) = house.rng, house.size
+    pitch, rim = rng.uniform(0.6, 1.6), profiles.frame(rng, rng.uniform(0.03, 0.1), rng.uniform(0.01, 0.06))
+    columns, rows = (max(1, round((size - 0.5) / pitch)) for size in (w, depth))
+    fields = joinery.panel_grid(0.3 - w / 2, 0.3 - depth / 2, w / 2 - 0.3, depth / 2 - 0.3, columns, rows, 0.12)
+    made = [solids.moulding(corners, rim, closed=True) for corners in fields]
+    house.put([(meshes.merge(made), "ceiling")], translation(0, h, 0) @ DOWN)
 
 
 def _wall(house: House, side: Side, gable: bool) -> None:
