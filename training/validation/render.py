@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,8 +34,12 @@ class Options:
     batch: int = 1 << 25
 
 
-def render_clip(tracer: Tracer, index: int, options: Options) -> tuple[np.ndarray, dict[str, Planes], dict[str, Any]]:
-    """References (T, H, W, 3), planes (T, h, w, C) of every render, and facts, as `pack.save` takes them."""
+def render_clip(tracer: Tracer, index: int, options: Options,
+                tell: Callable[[str], None]) -> tuple[np.ndarray, dict[str, Planes], dict[str, Any]]:
+    """References (T, H, W, 3), planes (T, h, w, C) of every render, and facts, as `pack.save` takes them.
+
+    `tell` hears how far it is.
+    """
     kind, cut = _kind(index, options.frames)
     half_width = HALF.size(options.size)[0]
     view = held_out_view(tracer, FIRST_SEED + index, half_width, options.error, options.most_spp, kind)
@@ -42,6 +47,7 @@ def render_clip(tracer: Tracer, index: int, options: Options) -> tuple[np.ndarra
     styles = {render: _style(index, render, options.frames) for render in renders(index)}
     halves, frames = [], []
     for t in range(options.frames):
+        tell(f"{view.name}, reference of {spp} samples, frame {t + 1} of {options.frames}")
         view.built.move(t, t - 1)
         halves.append([_reference(tracer, view, t, spp // 2, options) for _ in range(2)])
         frames.append(_noisy(tracer, view, t, styles, options.size))

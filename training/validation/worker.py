@@ -38,10 +38,10 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple[str, int]]:
     tracer = Tracer()
 
     def make(index: int) -> tuple[str, int]:
-        reference, renders, facts = render_clip(tracer, index, options)
+        reference, renders, facts = render_clip(
+            tracer, index, options, lambda text: print(f"clip.{index:05d} {text}", file=sys.stderr, flush=True))
         save(clip_path(args.out, index), reference, renders, facts)
-        what = f"{facts['scene']} ({facts['trait']}), reference of {facts['reference_spp']} samples,"
-        return what, light_paths(facts, args.frames)
+        return f"{facts['scene']} ({facts['trait']})", light_paths(facts, args.frames)
 
     return make
 
