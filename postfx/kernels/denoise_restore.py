@@ -25,6 +25,7 @@ STRUCTURE = (0.3, 0.6)  # root of the summed squares of the correlations, from n
 FAINT = (10**-5.2, 10**-4.2)  # mean square of what is seen, from invisible to visible
 CLEAN = (0.22, 0.38)  # share of detail in what was removed from the frame, from noisy to clean
 FILTERED = (10**-4.2, 10**-3.5)  # mean square of the frame, from too little to enough for filtered noise
+LOUD = (10**-1.8, 10**-1.4)  # the same, from what may be clean to what is noisy whatever it looks like
 SPREAD_NOISE = 2.25  # squares of the weights 1 2 1 by 1 2 1, summed, over their sum: how noisy a spread tile is
 ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-12)
 
@@ -122,14 +123,14 @@ def gather(y, x, sums, spread, found):
 
 
 @compiled
-def detail_of(found, common, evidence):
+def detail_of(found, common):
     """Share of detail in what was removed around a tile, from what ``gather`` found."""
     structure = -found[1]
     for k in range(len(LAGS)):
         own = found[2 + k] - common[k]
         structure += own * own
     faint = ramp(-np.log(found[0] + TINY), -math.log(FAINT[1]), -math.log(FAINT[0]))
-    return max(ramp(np.sqrt(max(structure, ZERO)), STRUCTURE[0], STRUCTURE[1]), faint) * min(evidence, ONE)
+    return max(ramp(np.sqrt(max(structure, ZERO)), STRUCTURE[0], STRUCTURE[1]), faint)
 
 
 @compiled
@@ -149,17 +150,18 @@ def detail_rows(y0, y1, sums, evidence, detail):
             total += weight[y, x]
     power = sums[:, :, POWER].sum() / sums[:, :, COUNT].sum()
     filtered = ramp(np.log(power + TINY), math.log(FILTERED[0]), math.log(FILTERED[1]))
+    quiet = ramp(-np.log(power + TINY), -math.log(LOUD[1]), -math.log(LOUD[0])) * min(evidence[0], ONE)
     for k in range(NEAR):
         common[k] = filtered * max((weight * found[:, :, 2 + k]).sum() / total, 0.0)
     share = 0.0
     for y in range(height):
         for x in range(width):
-            share += detail_of(found[y, x], common, evidence[0]) * weight[y, x]
+            found[y, x, 1] = quiet * detail_of(found[y, x], common)
+            share += found[y, x, 1] * weight[y, x]
     clean = ramp(np.float32(share / total) * evidence[0], CLEAN[0], CLEAN[1])
     for y in range(y0, y1):
         for x in range(width):
-            own = detail_of(found[y, x], common, evidence[0])
-            detail[y, x, 0] = own + (ONE - own) * clean
+            detail[y, x, 0] = found[y, x, 1] + (ONE - found[y, x, 1]) * clean
 
 
 @inline

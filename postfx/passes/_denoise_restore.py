@@ -9,7 +9,7 @@ from postfx.passes._denoise_planes import Size
 from postfx.passes.base import ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
-FEW, MANY = 16, 64
+FEW, MANY, MOST = 16, 64, 96
 
 
 class Restore:
@@ -29,7 +29,7 @@ class Restore:
         if frame.jitter != (0.0, 0.0) or (frame.samples or MANY) <= FEW:
             return denoised
         self._params.upload([frame.exposure, 0.0, 0.0, 0.0, 0.0])
-        self._evidence.upload([(frame.samples or MANY) / MANY])
+        self._evidence.upload([min(frame.samples or MANY, MOST) / MANY])
         planes = {"colour": frame[Role.COLOUR], "denoised": denoised}
         with commands.compute_encoder("restore") as encoder:
             encoder.barrier(after="compute", before="compute")

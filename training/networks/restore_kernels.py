@@ -15,6 +15,7 @@ from postfx.kernels.denoise_restore import (
     HELD,
     LAGS,
     LIMIT,
+    LOUD,
     NEAR,
     POWER,
     SPREAD_NOISE,
@@ -64,7 +65,8 @@ class Detail(nn.Module):
         filtered = ramp(torch.log(mean + TINY), math.log(FILTERED[0]), math.log(FILTERED[1]))
         structure = (found - filtered * common).square().sum(-1) - SPREAD_NOISE * len(LAGS) / spread[..., COUNT]
         faint = ramp(-torch.log(power + TINY), -math.log(FAINT[1]), -math.log(FAINT[0]))
-        own = torch.maximum(ramp(torch.sqrt(structure.clamp(min=0)), *STRUCTURE), faint) * evidence.clamp(max=1)
+        quiet = ramp(-torch.log(mean + TINY), -math.log(LOUD[1]), -math.log(LOUD[0])) * evidence.clamp(max=1)
+        own = torch.maximum(ramp(torch.sqrt(structure.clamp(min=0)), *STRUCTURE), faint) * quiet
         clean = ramp((own * weight).sum() / total * evidence, *CLEAN)
         return (own + (1 - own) * clean)[..., None]
 
