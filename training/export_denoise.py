@@ -41,8 +41,8 @@ ALIGN = 16  # height and width of the trunk's input are multiples of this
 CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
 OUTPUTS = ("fine", "level1", "level2", "level3", "level4")
 MEANING = {
-    "fine": f"5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and sharpening at four "
-    f"phases 4 + 4, mix, distrust, importance, hidden state {HIDDEN}",
+    "fine": f"5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend, sharpening and shading at "
+    f"four phases 4 + 4 + 4, mix, distrust, importance, hidden state {HIDDEN}",
     "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
     "level4": f"5x5 kernel {KERNEL}",
 }

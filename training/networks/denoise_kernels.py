@@ -105,7 +105,7 @@ class Pool(nn.Module):
 
 
 class Mix(nn.Module):
-    """coarse (3, hp / 2, wp / 2), level (4, hp, wp), heads (1, 26 or 80, hp, wp) -> mixed (3, hp, wp)."""
+    """coarse (3, hp / 2, wp / 2), level (4, hp, wp), heads (1, 26 or 84, hp, wp) -> mixed (3, hp, wp)."""
 
     def forward(self, coarse: Tensor, level: Tensor, heads: Tensor) -> Tensor:
         # The mix is the last of a level's 26 channels, but not of the fine head's: by arithmetic, without a branch.

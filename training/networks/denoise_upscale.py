@@ -179,18 +179,23 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
 
 def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, inside: Tensor,
             factor: Tensor | None) -> Tensor:
-    """Upsample radiance, sharpen it, multiply it by a ``factor`` (N, 3, H, W) if there is one, and blend it with the
-    reprojected history ``warped``, which is log-encoded, as is the result."""
+    """Upsample radiance, shade and sharpen it, multiply it by a ``factor`` (N, 3, H, W) if there is one, and blend it
+    with the reprojected history ``warped``, which is log-encoded, as is the result.
+
+    Shading, a factor of 0 to 2, brings back what the planes tell and no filter of few samples can:
+    mouldings, folds, contact shadows.
+    """
     n, _, h, w = radiance.shape
     height, width = warped.shape[-2:]
     weights = fine[:, KERNEL:BLEND].reshape(n, 9, 4, h, w)
-    detail, soft = (ops.log_encode(x) for x in phases.upsample(radiance, weights, jitter, height, width))
-    controls = fine[:, BLEND:MIX].reshape(n, 2, 4, h, w)
-    blend, sharpen = phases.interpolate_phases(controls, height, width).unbind(1)
-    current = (detail + sharpen[:, None] * (detail - soft)).clamp(min=0)
+    controls = fine[:, BLEND:MIX].reshape(n, 3, 4, h, w)
+    blend, sharpen, shade = phases.interpolate_phases(controls, height, width)[:, :, None].unbind(1)
+    pictures = phases.upsample(radiance, weights, jitter, height, width)
+    detail, soft = (ops.log_encode(x * (2 * shade)) for x in pictures)
+    current = (detail + sharpen * (detail - soft)).clamp(min=0)
     if factor is not None:
         current = ops.log_encode(torch.expm1(current) * factor)
-    return torch.lerp(warped, current, 1 - inside * (1 - blend[:, None]))
+    return torch.lerp(warped, current, 1 - inside * (1 - blend))
 
 
 class DenoiseUpscale(nn.Module):

@@ -8,12 +8,13 @@ from torch import Tensor, nn
 HIDDEN = 8
 KERNEL = 25
 PHASES = 36
-# Channels of the fine head, in order: 5x5 kernel, 3x3 weights at four phases, history blend and sharpening at four
-# phases each, mix, distrust, importance, hidden state.
+# Channels of the fine head, in order: 5x5 kernel, 3x3 weights at four phases, history blend, sharpening and shading at
+# four phases each, mix, distrust, importance, hidden state.
 BLEND = KERNEL + PHASES
 SHARPEN = BLEND + 4
-MIX, DISTRUST, IMPORTANCE = BLEND + 8, BLEND + 9, BLEND + 10
-MEMORY = BLEND + 11
+SHADE = BLEND + 8
+MIX, DISTRUST, IMPORTANCE = BLEND + 12, BLEND + 13, BLEND + 14
+MEMORY = BLEND + 15
 FINE = MEMORY + HIDDEN
 FEATURES = 27 + HIDDEN
 GUIDES = 4 * 11  # diffuse and specular albedo, normal, roughness, depth at each of the four phases
@@ -55,7 +56,7 @@ class Block(nn.Sequential):
 class Trunk(nn.Module):
     """Features (N, 35, h, w) and guides (N, 44, h, w) or none, h and w multiples of 16 -> the heads, all activated.
 
-    ``fine`` (N, 80, h, w); ``level1`` .. ``level3`` (N, 26, h/2 .. h/8, w/2 .. w/8): 5x5 kernel and mix;
+    ``fine`` (N, 84, h, w); ``level1`` .. ``level3`` (N, 26, h/2 .. h/8, w/2 .. w/8): 5x5 kernel and mix;
     ``level4`` (N, 25, h/16, w/16): 5x5 kernel.
     """
 
@@ -73,7 +74,8 @@ class Trunk(nn.Module):
         for head in (*self.heads, self.fine):
             nn.init.normal_(head.weight, std=0.01)
             nn.init.zeros_(head.bias)
-        nn.init.constant_(self.fine.bias[4 * SHARPEN:4 * MIX], NO_SHARPENING)
+        nn.init.constant_(self.fine.bias[4 * SHARPEN:4 * SHADE], NO_SHARPENING)
+        nn.init.zeros_(self.fine.weight[4 * SHADE:4 * MIX])  # a factor of 1
 
     def forward(self, features: Tensor, guides: Tensor | None = None) -> tuple[Tensor, ...]:
         x = self.stem(features)
