@@ -95,6 +95,12 @@ def prefix_counts(most: int) -> list[int]:
     return sorted({min(most, round(step)) for step in steps} | {min(most, n) for n in (1, 2, 3, 4)} | {most})
 
 
+def load_view(path: Path) -> dict[str, np.ndarray]:
+    """Everything in a view's file, by name."""
+    with np.load(path) as file:
+        return {name: file[name] for name in file.files}
+
+
 class Errors:
     """Errors against a reference of two independent halves, whose noise is taken out. Images are (H, W, 3)."""
 
@@ -137,8 +143,7 @@ def measure(args: argparse.Namespace) -> None:
     """Write the counts and the plot."""
     from postfx.bench.metrics import grey_exposure
 
-    with np.load(args.view) as file:
-        view = {name: file[name] for name in file.files}
+    view = load_view(args.view)
     exposure = grey_exposure((view["reference_a"] + view["reference_b"]) / 2)
     errors = Errors(view["reference_a"], view["reference_b"], exposure)
     rows = [errors(mean) for mean in view["means"]]

@@ -19,11 +19,14 @@ from postfx.kernels import (
     denoise_guides,
     denoise_history,
     denoise_prepare,
+    denoise_restore,
+    denoise_strength,
     denoise_upsample,
 )
 from postfx.kernels.resample import RESAMPLE
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.networks import denoise_kernels as definitions
+from training.networks import restore_kernels as restore
 from training.networks.trunk import (
     BLEND,
     FEATURES,
@@ -51,7 +54,7 @@ MEANING = {
 
 # Kernel -> its torch definition, and the sizes to trace with: a picture of 21x33 padded to 32x48, enlarged to 29x51.
 SIZES = {"h": 21, "w": 33, "hp": 32, "wp": 48, "height": 29, "width": 51, "padded_h": 23, "padded_w": 35,
-         "half_hp": 16, "half_wp": 24, "heads": FINE, "channels": 3}
+         "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3, "heads": FINE, "channels": 3}
 KERNELS = {
     denoise_prepare.SCALE: definitions.Scale,
     denoise_prepare.DILATE: definitions.Dilate,
@@ -67,6 +70,10 @@ KERNELS = {
     denoise_filter.REMODULATE: definitions.Remodulate,
     denoise_upsample.UPSAMPLE: definitions.Upsample,
     denoise_upsample.UPSAMPLE_GUIDED: definitions.UpsampleGuided,
+    denoise_restore.JUDGE: restore.Judge,
+    denoise_restore.DETAIL: restore.Detail,
+    denoise_restore.RESTORE: restore.Restore,
+    denoise_strength.STRENGTH: definitions.Strength,
     RESAMPLE: definitions.Resample,
 }
 

@@ -35,14 +35,19 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_share(parser)
+    add_options(parser)
+    return parser.parse_args(argv)
+
+
+def add_share(parser: argparse.ArgumentParser) -> None:
+    """Which clips are this process's; `work` reads it."""
     parser.add_argument("--out", type=Path, required=True, help="folder for clip.NNNNN.npz")
     parser.add_argument("--clips", type=int, required=True, help="clips of the whole job")
     parser.add_argument("--start", type=int, default=0, help="first clip of this process")
     parser.add_argument("--stride", type=int, default=1, help="step between the clips of this process")
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after this time")
     parser.add_argument("--listen", action="store_true", help="take clip numbers from standard input, one a line")
-    add_options(parser)
-    return parser.parse_args(argv)
 
 
 def clip_path(folder: Path, index: int) -> Path:
@@ -86,24 +91,33 @@ def numbers(args: argparse.Namespace) -> Iterator[int]:
             yield index
 
 
-def main(argv: list[str] | None = None) -> int:
-    args = arguments(argv)
-    make = maker(args)
-    from training.clips import save_clip
-
+def work(args: argparse.Namespace, make: Callable[[int], tuple[str, int]]) -> int:
+    """Make the clips of this process. `make` writes one; it tells what that shows, and its count of camera samples."""
     args.out.mkdir(parents=True, exist_ok=True)
     if args.listen:
         print(json.dumps({"ready": True}), flush=True)
     began, made = time.perf_counter(), 0
     for index in numbers(args):
-        reference, variants, facts = make(index)
-        save_clip(clip_path(args.out, index), reference, variants, facts)
+        what, samples = make(index)
         made += 1
         rate = made / (time.perf_counter() - began)
-        print(f"clip.{index:05d} {facts['scene']} x{facts['scale']:g} {rate:.3f} clips/s", file=sys.stderr, flush=True)
+        print(f"clip.{index:05d} {what} {rate:.3f} clips/s", file=sys.stderr, flush=True)
         if args.listen:
-            print(json.dumps({"clip": index, "samples": light_paths(reference, variants, facts)}), flush=True)
+            print(json.dumps({"clip": index, "samples": samples}), flush=True)
     return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = arguments(argv)
+    make = maker(args)
+    from training.clips import save_clip
+
+    def write(index: int) -> tuple[str, int]:
+        reference, variants, facts = make(index)
+        save_clip(clip_path(args.out, index), reference, variants, facts)
+        return f"{facts['scene']} x{facts['scale']:g}", light_paths(reference, variants, facts)
+
+    return work(args, write)
 
 
 if __name__ == "__main__":

@@ -40,6 +40,14 @@ class Worker:
 
 def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_farm(parser)
+    handed = add_options(parser)
+    args = parser.parse_args(argv)
+    return args, worker_command("training.render", args, handed)
+
+
+def add_farm(parser: argparse.ArgumentParser) -> None:
+    """What a Farm is told."""
     parser.add_argument("--out", type=Path, required=True, help="folder for clip.NNNNN.npz")
     parser.add_argument("--clips", type=int, required=True, help="clips of the whole job, of earlier commands too")
     parser.add_argument("--gpus", default="0", help="numbers of the GPUs, with commas between")
@@ -47,12 +55,13 @@ def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[s
     parser.add_argument("--minutes", type=float, default=1e9, help="start no clip after this time")
     parser.add_argument("--clip-minutes", type=float, default=5, help="a clip that takes longer is given up")
     parser.add_argument("--report", type=float, default=10, help="seconds between two lines of progress")
-    handed = add_options(parser)
-    args = parser.parse_args(argv)
+
+
+def worker_command(module: str, args: argparse.Namespace, handed: list[str]) -> list[str]:
+    """How to start a worker with the options that are handed on by name."""
     values = {name: getattr(args, name) for name in handed}
     options = [f"--{name.replace('_', '-')}={value}" for name, value in values.items() if value is not None]
-    command = [sys.executable, "-m", "training.render", "--listen", f"--out={args.out}", f"--clips={args.clips}"]
-    return args, command + options
+    return [sys.executable, "-m", module, "--listen", f"--out={args.out}", f"--clips={args.clips}", *options]
 
 
 class Farm:
@@ -198,8 +207,8 @@ class Farm:
                 f"{self.there + self.made} of {self._args.clips} are in {self._args.out}, {size / 2**30:.2f} GiB")
 
 
-def main(argv: list[str] | None = None) -> int:
-    args, command = arguments(argv)
+def run(args: argparse.Namespace, command: list[str]) -> int:
+    """Let a farm work until all is made; the exit code."""
     args.out.mkdir(parents=True, exist_ok=True)
     farm = Farm(args, command)
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -210,4 +219,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(*arguments()))

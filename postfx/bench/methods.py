@@ -128,7 +128,8 @@ def _ablations(method: Method, lost: Sequence[str]) -> list[Method]:
     if method.guides or method.precision != "fp32":
         return []
     chosen = {name: (name,) for name in lost} | ({"all": tuple(lost)} if len(lost) > 1 else {})
-    return [replace(method, name=f"{method.name}-without-{name}", title=f"{method.title}, no {name.replace('_', ' ')}",
+    titles = {name: f"no {name.replace('_', ' ')}" for name in lost} | {"all": "colour only"}
+    return [replace(method, name=f"{method.name}-without-{name}", title=f"{method.title}, {titles[name]}",
                     without=planes) for name, planes in chosen.items()]
 
 

@@ -158,7 +158,7 @@ class Job:
             self._refuse_denoise_options(arguments)
             self.left_out.append(Skipped("denoise_upscale", "--no-denoise"))
         else:
-            options = {"scale": arguments.scale, "model": arguments.model}
+            options = {"scale": arguments.scale, "model": arguments.model, "strength": arguments.strength}
             passes.append(create("denoise_upscale", **_given(options)))
         reason = self._no_tonemap(arguments)
         if reason:
@@ -177,7 +177,8 @@ class Job:
         return None
 
     def _refuse_denoise_options(self, arguments: argparse.Namespace) -> None:
-        for option, value in (("--scale", arguments.scale), ("--model", arguments.model)):
+        for name in ("scale", "model", "strength"):
+            option, value = f"--{name}", getattr(arguments, name)
             if value is not None:
                 raise PassOptionError(f"{option} is for the denoiser, which --no-denoise leaves out: give one of them")
 

@@ -7,7 +7,10 @@ import json
 from typing import Any
 
 HELP = "list the trained models"
-DESCRIPTION = "List the models that are installed, with what their cards say. PASS.TAG is used as --model TAG."
+DESCRIPTION = """\
+List the models that are installed, with what their cards say. PASS.TAG is used as --model TAG, PASS.TAG.int8 (integers,
+for the CPU) as --model TAG.int8, PASS.TAG.fp16 (half precision, for CUDA) as --model TAG.fp16. Variants .guides are
+taken by themselves when there are planes at output size."""
 EXAMPLES = """\
 examples:
   postfx models
@@ -27,10 +30,12 @@ def execute(arguments: argparse.Namespace) -> int:
 
     library = Library(models_dir())
     cards = {name: library.card(name) for name in library.names()}
-    print(json.dumps(cards) if arguments.json else "\n".join(_line(name, card) for name, card in cards.items()))
+    lines = [_line(name, card, library.path(name).stat().st_size) for name, card in cards.items()]
+    print(json.dumps(cards) if arguments.json else "\n".join(lines))
     return 0
 
 
-def _line(name: str, card: dict[str, Any]) -> str:
-    size = f"{card['parameters'] / 1e6:.2f} M parameters" if "parameters" in card else "no card"
-    return f"{name:<28}{size:<20}{card.get('summary', '')}".rstrip()
+def _line(name: str, card: dict[str, Any], size: int) -> str:
+    parameters = f"{card['parameters'] / 1e6:.2f} M parameters" if "parameters" in card else "no card"
+    precision = card.get("precision", "fp32") if card else ""
+    return f"{name:<31}{precision:<6}{size / 1e6:5.2f} MB  {parameters:<19}{card.get('summary', '')}".rstrip()

@@ -87,6 +87,10 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument("--no-denoise", action="store_true", help="leave denoising and upscaling out")
     group.add_argument("--model", metavar="TAG", help="denoiser to use; 'postfx models' lists them")
+    group.add_argument(
+        "--strength", type=float, metavar="S",
+        help="of denoising, 0 (only resample) to 1 (fully), times the plane 'strength' if there is one (default: 1)",
+    )
     tonemap = group.add_mutually_exclusive_group()
     tonemap.add_argument(
         "--tonemap", nargs="?", const="", metavar="TAG", help="tone-map, with this look or the default one"

@@ -12,6 +12,8 @@ from postfx.errors import GuideError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_graph import Graph, Sizes, has_model
 from postfx.passes._denoise_planes import ABSENT, Planes, Resampler, Size
+from postfx.passes._denoise_restore import Restore
+from postfx.passes._denoise_strength import Plain, Strength
 from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device, Tensor
 
@@ -25,15 +27,17 @@ class DenoiseUpscale(Pass):
 
     Options:
         scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 2 without guides.
-        model: tag of the network, as in ``denoise_upscale.<tag>``.
+        model: tag of the network, as in ``denoise_upscale.<tag>``; 'm.int8' and 'm.fp16' are other precisions.
+        strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength`
+            says the same pixel by pixel, and both are multiplied.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. Without a
-    motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3 and a model that is only
-    for guides, GuideError for guides of another size than the output's.
+    motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, a strength outside 0 to 1
+    and a model that is only for guides, GuideError for guides of another size than the output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
-    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"scale": None, "model": "m"})
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"scale": None, "model": "m", "strength": 1.0})
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -41,6 +45,9 @@ class DenoiseUpscale(Pass):
         self.scale = None if given is None else float(given)
         if self.scale is not None and not LEAST <= self.scale <= MOST:
             raise PassOptionError(f"pass '{self.name}' scales by 1 to 3, not {self.scale:g}: give a scale in between")
+        self.strength = float(self.options["strength"])
+        if not 0 <= self.strength <= 1:
+            raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not {self.strength:g}: give one of them")
         plain = str(self.options["model"]).removesuffix(GUIDED)
         if plain != self.options["model"]:
             raise PassOptionError(f"model '{plain}{GUIDED}' runs when a frame has guides: give the model '{plain}'")
@@ -50,10 +57,14 @@ class DenoiseUpscale(Pass):
         size = self._output_size(spec)
         output = FrameSpec(size.width, size.height, (Role.COLOUR, *alpha))
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
-        return Reflection(reads=(Role.COLOUR,), may_read=(*PLANES, Role.ALPHA), writes=(Role.COLOUR, *alpha),
-                          output=output, may_read_guides=GUIDE_ROLES if self._has_guided_model() else lost)
+        guides = GUIDE_ROLES if self._has_guided_model() else lost
+        planes = (*PLANES, Role.STRENGTH) if self.strength else ()
+        return Reflection(reads=(Role.COLOUR,), may_read=(*planes, Role.ALPHA), writes=(Role.COLOUR, *alpha),
+                          output=output, may_read_guides=guides if self.strength else ())
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
+        if not self.strength:
+            return ("strength 0: the input is only resampled",)
         seen = {*spec.roles, *spec.guide_roles}
         lost = [str(role) for role in GUIDE_ROLES if role not in seen]
         found = [] if spec.has(Role.MOTION) else ["no motion plane, so every frame is denoised alone and may flicker"]
@@ -61,14 +72,24 @@ class DenoiseUpscale(Pass):
         return (*found, *self._guide_remarks(spec))
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        self._output, guided = self.reflect(spec).output, self._is_guided(spec)
+        self._output = self.reflect(spec).output
         size = Size(self._output.height, self._output.width)
-        self._planes = Planes(device, spec, size, guided)
-        model = f"{self.name}.{self.options['model']}{GUIDED if guided else ''}"
-        self._graph = Graph(device, Sizes(spec.height, spec.width, *size), model, guided)
+        if self.strength:
+            self._compile_network(device, spec, size)
+        else:
+            self._plain = Plain(device, spec, size)
         if spec.has(Role.ALPHA):
             self._alpha = Resampler(device, "alpha", Role.ALPHA, Size(spec.height, spec.width), size)
         super().compile(device, spec)
+
+    def _compile_network(self, device: Device, spec: FrameSpec, size: Size) -> None:
+        guided = self._is_guided(spec)
+        self._planes = Planes(device, spec, size, guided)
+        model = f"{self.name}.{self.options['model']}{GUIDED if guided else ''}"
+        self._graph = Graph(device, Sizes(spec.height, spec.width, *size), model, guided)
+        self._restore = Restore(device, size) if size == (spec.height, spec.width) else None
+        full = self.strength == 1 and not spec.has(Role.STRENGTH)
+        self._strength = None if full else Strength(device, spec, size, self.strength)
 
     def reset(self) -> None:
         self._fresh = False
@@ -76,18 +97,25 @@ class DenoiseUpscale(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
+        encode = self._encode_network if self.strength else self._plain.encode
+        colour = encode(commands, frame)
+        frame.set(Role.COLOUR, colour)
+        if Role.ALPHA in frame:
+            frame.set(Role.ALPHA, self._encode_alpha(commands, frame))
+        for role in (*PLANES, Role.STRENGTH):
+            frame.tensors.pop(role, None)
+        frame.guides.clear()
+        frame.spec, frame.jitter = self._output, (0.0, 0.0)
+
+    def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
+        """The denoised colour, blended by strength; the history stays fully denoised."""
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
         params = np.array([frame.exposure, *frame.jitter, keep, gain], np.float32)
         colour = self._graph.encode(commands, self._planes.encode(commands, frame), params)
-        frame.set(Role.COLOUR, colour)
-        if Role.ALPHA in frame:
-            frame.set(Role.ALPHA, self._encode_alpha(commands, frame))
-        for role in PLANES:
-            frame.tensors.pop(role, None)
-        frame.guides.clear()
-        frame.spec, frame.jitter = self._output, (0.0, 0.0)
         self._fresh, self._exposure = True, frame.exposure
+        colour = self._restore.encode(commands, frame, colour) if self._restore else colour
+        return self._strength.encode(commands, frame, colour) if self._strength else colour
 
     def _encode_alpha(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
         with commands.compute_encoder("alpha") as encoder:

@@ -104,7 +104,7 @@ class Device:
         Raises ModelError when the model is missing, damaged or cannot run here, or a dimension is left free.
         """
         fixed = {key: int(size) for key, size in (dims or {}).items()}
-        session = Session(library.load(name), name, self._placement, fixed)
+        session = Session(library.load(name), name, self._placement, fixed, library.path(name).parent)
         for value in (*session.inputs, *session.outputs):
             free = [str(size or "?") for size in value.shape if not isinstance(size, int)]
             if free:

@@ -50,13 +50,19 @@ class Library:
         return card
 
     def load(self, name: str) -> bytes:
-        """The model's content. Raises ModelError when it is not the file whose `sha256` the card gives."""
-        path = self.path(name)
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise ModelError(f"model '{path}' cannot be read: {error}") from error
-        expected = self.card(name).get("sha256")
-        if expected is not None and hashlib.sha256(content).hexdigest() != expected:
-            raise ModelError(f"model '{path}' is not the file that its card describes (sha256 differs): get it again")
-        return content
+        """The model's content. Raises ModelError when it, or a file beside it that it has weights in, is not the one
+        whose `sha256` the card gives."""
+        path, card = self.path(name), self.card(name)
+        for file, expected in card.get("weights", {}).items():
+            _checked(path.with_name(file), expected)
+        return _checked(path, card.get("sha256"))
+
+
+def _checked(path: Path, sha256: str | None) -> bytes:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"model '{path}' cannot be read: {error}") from error
+    if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
+        raise ModelError(f"model '{path}' is not the file that its card describes (sha256 differs): get it again")
+    return content

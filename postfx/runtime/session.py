@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -34,11 +35,15 @@ class Value(NamedTuple):
 
 
 class Session:
-    """One model ready to run, specialised for `dims` (free dimension name -> size)."""
+    """One model ready to run, specialised for `dims` (free dimension name -> size); `folder` has files it refers to."""
 
-    def __init__(self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int]) -> None:
+    def __init__(
+        self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int], folder: Path | None = None
+    ) -> None:
         _register_shared_arena()
         options = _options(placement, dims)
+        if folder is not None:
+            options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(folder))
         try:
             self._session = ort.InferenceSession(model, options, providers=_providers(placement))
         except Exception as error:

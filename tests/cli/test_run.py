@@ -150,6 +150,7 @@ def test_input_without_colour(postfx, write_exr):
         (("--exposure", "bright"), "exposure 'bright'"),
         (("--tonemap", "sepia"), "no model 'tonemap.sepia'"),
         (("--scale", "2"), "--scale is for the denoiser, which --no-denoise leaves out"),
+        (("--strength", "0.5"), "--strength is for the denoiser, which --no-denoise leaves out"),
         (("-o", "out/shot.exr"), "one file for 2 frames: write it like shot.####.exr"),
         (("-o", "out/shot.####.bmp"), "unknown format '.bmp': use .exr"),
         (("-o", "in/"), "in/shot.0001.exr: is an input"),
@@ -164,6 +165,15 @@ def test_mistakes_get_one_clear_line(postfx, shot, arguments, message):
     assert len(errors) == 1
     assert message in errors[0]
     assert "Traceback" not in done.err
+
+
+def test_no_strength_resamples(postfx, shot, tmp_path):
+    shot(1)
+    done = postfx("run", "in/shot.####.exr", "-o", "out/", "--strength", "0", "--scale", "1", "--exposure", "0")
+    assert done.code == 0 and "strength 0: the input is only resampled" in done.err, done.err
+    given, found = (pixels_of(tmp_path / folder / "shot.0001.exr") for folder in ("in", "out"))
+    np.testing.assert_array_equal(found, given[..., :3].astype(np.float16))
+    assert "has strengths 0 to 1, not 2" in postfx("run", "in/shot.####.exr", "-o", "o/", "--strength", "2").err
 
 
 def test_missing_input_and_output(postfx, shot):

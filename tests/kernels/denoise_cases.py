@@ -14,6 +14,8 @@ from postfx.kernels import (
     denoise_history,
     denoise_layout,
     denoise_prepare,
+    denoise_restore,
+    denoise_strength,
     denoise_upsample,
 )
 from postfx.kernels.kernel import Kernel
@@ -25,11 +27,12 @@ KERNELS = (
     denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_history.HISTORY, denoise_features.FEATURE,
     denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
     denoise_filter.FILTER, denoise_filter.REACH_NEAR, denoise_filter.REACH_FAR, denoise_filter.REMODULATE,
-    denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED, RESAMPLE,
+    denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED, denoise_restore.JUDGE, denoise_restore.DETAIL,
+    denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image",
-         *denoise_layout.GUIDE_PLANES)
+         "strength", *denoise_layout.GUIDE_PLANES)
 
 
 class Case(NamedTuple):
@@ -45,7 +48,7 @@ class Case(NamedTuple):
         """Value of every symbol in the kernels' shapes."""
         hp, wp = -(-self.h // 16) * 16, -(-self.w // 16) * 16
         return {**self._asdict(), "hp": hp, "wp": wp, "half_hp": hp // 2, "half_wp": wp // 2, "padded_h": self.h + 2,
-                "padded_w": self.w + 2, "channels": 4}
+                "padded_w": self.w + 2, "channels": 4, "tiles_high": hp // 16, "tiles_wide": wp // 16}
 
     def __str__(self) -> str:
         return f"{self.h}x{self.w}-{self.height}x{self.width}-{self.heads}"
@@ -97,7 +100,11 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.where(random.random(size) < 0.05, 1e10, 1 + 9 * unit)
     if name in ("history", "warped"):
         return 5 * unit**3
-    return {"colour": 40 * unit**4, "past": 30 * unit, "state": 30 * unit, "depth_scale": 1 + unit}.get(name, unit)
+    if name == "sums":
+        return np.concatenate((256 + 0 * unit[..., :1], 4 * unit[..., 1:2] ** 4, unit[..., 2:]), -1)
+    if name in ("colour", "denoised"):
+        return 40 * unit**4
+    return {"past": 30 * unit, "state": 30 * unit, "depth_scale": 1 + unit}.get(name, unit)
 
 
 def run(kernel: Kernel, device: Device, inputs: Mapping[str, np.ndarray], case: Case) -> dict[str, np.ndarray]:

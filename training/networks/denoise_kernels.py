@@ -172,6 +172,14 @@ def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, warped: Tensor, facto
     return to_picture(torch.expm1(encoded) / params[0]), to_picture(encoded)
 
 
+class Strength(nn.Module):
+    """denoised, plain (H, W, 3), strength (H, W, 1), amount (1,) -> output (H, W, 3), exact at both ends."""
+
+    def forward(self, denoised: Tensor, plain: Tensor, strength: Tensor, amount: Tensor) -> Tensor:
+        share = ops.sanitise(strength, 0, 1) * ops.sanitise(amount, 0, 1)
+        return torch.where(share == 1, denoised, plain + (denoised - plain) * share)
+
+
 class Resample(nn.Module):
     """image (h, w, C), rows (H,) and columns (W,), positions in the image -> output (H, W, C)."""
 

@@ -77,6 +77,20 @@ def pulse(base: np.ndarray, height: float, reach: float, rate: float, rng: np.ra
     return move
 
 
+def hanging(rng: np.random.Generator, top: float, height: float, normal: np.ndarray) -> Bend:
+    """Cloth that hangs from `top` and is moved by air along `normal` (3,), more at its foot; waves run through it."""
+    reach = float(np.clip(0.03 * np.exp(rng.normal(0, 0.7)), 0.004, 0.12))
+    rate, phase, side = rng.uniform(0.15, 0.9), rng.uniform(0, 2 * np.pi), np.cross(normal, [0.0, 1, 0])
+    along, down = rng.uniform(1.0, 5.0), rng.uniform(0.5, 3.0)
+
+    def move(v: np.ndarray, time: float) -> np.ndarray:
+        loose = np.clip((top - v[:, 1:2]) / height, 0, 1) ** 1.5
+        wave = np.sin(rate * time + phase + along * (v @ side) + down * v[:, 1])[:, None]
+        return v + reach * loose * (wave * normal + 0.3 * wave**2 * side)
+
+    return move
+
+
 def random_bend(rng: np.random.Generator, base: np.ndarray, height: float, plant: bool) -> Bend:
     """A displacement for a thing of `height` on `base` (3,); plants sway."""
     kind = sway if plant else (sway, ripple, twist, pulse)[int(rng.integers(4))]

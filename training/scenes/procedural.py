@@ -1,4 +1,4 @@
-"""Procedural scenes: rooms, product shots and outdoor places, each with a way to draw sensible views."""
+"""Procedural scenes: interiors, rooms, product shots and outdoor places, each with a way to draw sensible views."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from training.scenes import foliage, furniture, lights, meshes, textures
 from training.scenes.bending import random_bend
 from training.scenes.build import Description
 from training.scenes.draft import Draft, Pool, View, add_glowing, draft_thing, moving_thing, place, surface
+from training.scenes.interior import interior
 from training.scenes.lights import Environments
 from training.scenes.motion import object_path
 from training.scenes.room import room
@@ -115,7 +116,7 @@ def _meadow(d: Description, rng: np.random.Generator, pool: Pool, heights: np.nd
     d.add(blades, pool.slots()["leaf"], bend=wind)
 
 
-FAMILIES = ((room, 0.55), (product, 0.25), (outdoor, 0.2))
+FAMILIES = ((interior, 0.45), (room, 0.22), (product, 0.19), (outdoor, 0.14))
 
 
 def draft(rng: np.random.Generator, maps: Environments) -> Draft:

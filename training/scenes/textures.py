@@ -203,3 +203,9 @@ def wood(rng: np.random.Generator, size: int = 256) -> np.ndarray:
 
 def picture(rng: np.random.Generator, size: int = 256) -> np.ndarray:
     return np.clip(_picture(size, rng), 0, 0.95).astype(np.float32)
+
+
+def stone(rng: np.random.Generator, size: int = 256) -> np.ndarray:
+    """Floors and worktops: tiles, marble, checks or speckles."""
+    kind = (_tiles, _tiles, _marble, _checker, _speckle, _cloudy)[int(rng.integers(6))]
+    return np.clip(kind(size, rng), 0, 0.95).astype(np.float32)

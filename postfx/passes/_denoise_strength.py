@@ -1,0 +1,54 @@
+"""How strongly the denoised upscaler works: a blend of its result with the input, resampled to the same size."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postfx.frame import FrameSpec, Role
+from postfx.kernels.denoise_strength import STRENGTH
+from postfx.passes._denoise_planes import Resampler, Size
+from postfx.passes.base import ResidentFrame
+from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
+
+
+class Plain:
+    """The input resampled to output size: light is interpolated as it is, within its samples, at pixel centres."""
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
+        self._resampler = Resampler(device, "plain", Role.COLOUR, Size(spec.height, spec.width), output)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
+        """Record the work; returns the colour at output size."""
+        with commands.compute_encoder("plain") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            self._resampler.encode(encoder, frame[Role.COLOUR], frame.jitter, (0.0, 0.0))
+        return self._resampler.output
+
+
+class Strength:
+    """Goes from the input to the result by `amount` times the plane `strength`, if the frame has one."""
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float) -> None:
+        self._plain = Plain(device, spec, output)
+        self._output = device.heap.tensor("strength output", (*output, 3))
+        self._table = ArgumentTable(device.compute_state(STRENGTH), {"output": self._output})
+        self._amount = device.heap.tensor("amount", (1,))
+        self._amount.upload([amount])
+        self._table["amount"] = self._amount
+        self._plane: Resampler | None = None
+        if spec.has(Role.STRENGTH):
+            self._plane = Resampler(device, "strength", Role.STRENGTH, Size(spec.height, spec.width), output)
+            self._table["strength"] = self._plane.output
+        else:
+            self._table["strength"] = device.wrap("full strength", np.ones((*output, 1), np.float32))
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor) -> Tensor:
+        """Record the blend of the frame's own colour with the denoised one; returns the colour."""
+        self._table["plain"], self._table["denoised"] = self._plain.encode(commands, frame), denoised
+        with commands.compute_encoder("strength") as encoder:
+            encoder.barrier(after="compute", before="compute")
+            if self._plane:
+                self._plane.encode(encoder, frame[Role.STRENGTH], frame.jitter, (0.0, 0.0))
+                encoder.barrier()
+            encoder.dispatch(self._table.state, self._table)
+        return self._output

@@ -1,0 +1,90 @@
+"""Variants in float16: a small file with the float32 network's weights, in types that a GPU runs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.paths import models_dir
+from postfx.runtime import Device, Library, ModelError
+
+torch = pytest.importorskip("torch")
+
+import onnx  # noqa: E402
+from onnx import TensorProto, shape_inference  # noqa: E402
+
+from tests.passes.denoise_frames import guided, noisy  # noqa: E402
+from training import halve  # noqa: E402
+from training.export import ParityError, write_card  # noqa: E402
+from training.quantise import Shot, difference, pictures  # noqa: E402
+
+NAMES = ("denoise_upscale.small", "denoise_upscale.small.guides")
+
+
+@pytest.fixture(scope="module")
+def folder(exported_models: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the small networks in both precisions."""
+    folder = tmp_path_factory.mktemp("half")
+    for name in NAMES:
+        shutil.copy(exported_models / f"{name}.onnx", folder)
+        write_card(folder / f"{name}.onnx", {"name": name, "quality": {"measured": "in float32"}})
+        halve.make_fp16(name, folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_all_arithmetic_is_in_half_precision(folder: Path, name: str) -> None:
+    model = onnx.load(folder / f"{halve.variant_name(name, 'fp16')}.onnx", load_external_data=True)
+    graph = shape_inference.infer_shapes(model).graph
+    types = {value.name: value.type.tensor_type.elem_type for value in (*graph.value_info, *graph.input, *graph.output)}
+    outside = {value.name for value in (*graph.input, *graph.output)}
+    floats = {name for name, kind in types.items() if kind == TensorProto.FLOAT}
+    assert floats == outside
+    assert sum(node.op_type == "Cast" for node in graph.node) == len(outside)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_small_file_gives_the_same_pictures(folder: Path, name: str, small_models: Path) -> None:
+    """As far as a CPU can tell, which computes in float32."""
+    half = halve.variant_name(name, "fp16")
+    assert (folder / f"{half}.onnx").stat().st_size < 0.6 * (folder / f"{name}.onnx").stat().st_size
+    frames = [guided(noisy(t), 74, 100) if name.endswith("guides") else noisy(t) for t in (1, 2)]
+    results = [pictures([Shot(2.0, frames)], Library(folder), variant) for variant in (half, name)]
+    assert difference(*results)["worst_psnr_db"] > 60
+
+
+def test_card_tells_the_precision_and_nothing_measured_in_another(folder: Path) -> None:
+    card = json.loads((folder / "denoise_upscale.small.fp16.json").read_text())
+    assert (card["precision"], card["tag"]) == ("fp16", "small.fp16")
+    assert card["parity"]["max_relative_error"] <= halve.TOLERANCE
+    assert "quality" not in card
+
+
+def test_weights_of_another_export_are_refused(folder: Path, tmp_path: Path) -> None:
+    for path in folder.glob("denoise_upscale.small.*"):
+        shutil.copy(path, tmp_path)
+    with (tmp_path / "denoise_upscale.small.onnx").open("ab") as file:
+        file.write(b"\0")
+    with pytest.raises(ModelError, match="small.onnx' is not the file that its card describes"):
+        Library(tmp_path).load("denoise_upscale.small.fp16")
+    (tmp_path / "denoise_upscale.small.onnx").unlink()
+    with pytest.raises(ModelError, match="small.onnx' cannot be read"):
+        Device("cpu").pipeline_state(Library(tmp_path), "denoise_upscale.small.fp16", {"height": 16, "width": 16})
+
+
+def test_a_network_beyond_half_precision_is_found_out(folder: Path) -> None:
+    model = onnx.load(folder / "denoise_upscale.small.onnx")
+    half = halve.halve(model)
+    bias = next(weight for weight in half.graph.initializer if weight.name == "stem.bias")
+    bias.CopyFrom(onnx.numpy_helper.from_array(np.full(16, np.inf, np.float16), bias.name))
+    with pytest.raises(ParityError, match="half precision differs"):
+        halve.difference(half, model)
+
+
+@pytest.mark.parametrize("path", sorted(models_dir().glob("*.fp16*.json")), ids=lambda path: path.stem)
+def test_shipped_variant_fits_the_shipped_weights(path: Path) -> None:
+    assert Library().load(path.stem), "run training.halve again"

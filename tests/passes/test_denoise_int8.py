@@ -1,0 +1,112 @@
+"""Variants in int8: they run in integers, and their pictures are those of the float network."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+
+import postfx
+from postfx.frame import Role
+from postfx.paths import models_dir
+from postfx.runtime import Library
+
+torch = pytest.importorskip("torch")
+
+import onnx  # noqa: E402
+from onnx import numpy_helper  # noqa: E402
+
+from tests.passes.denoise_frames import guided, noisy  # noqa: E402
+from training import quantise  # noqa: E402
+from training.clips import GUIDES, PLANES, save_clip  # noqa: E402
+from training.qdq import Range, activations, convolutions, unfold_half  # noqa: E402
+from training.qdq import quantise as quantised  # noqa: E402
+
+NAMES = ("denoise_upscale.small", "denoise_upscale.small.guides")
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of two short clips of random planes, one with guides."""
+    folder = tmp_path_factory.mktemp("clips")
+    for name, with_guides in (("plain", False), ("guided", True)):
+        frames = [guided(noisy(t, 40, 56), 80, 112) for t in (1, 2, 3)]
+        variant = {plane: np.stack([f[Role(plane)].squeeze() for f in frames]) for plane in PLANES}
+        variant |= {"jitter": [f.jitter for f in frames], "spp": 1, "style": "realtime"}
+        facts = {"scale": 2.0, "seed": 1, "scene": "random", "meta": {}}
+        if with_guides:
+            held = {plane: np.stack([f.guides[Role(plane)].squeeze() for f in frames]) for plane in GUIDES}
+            facts["guides"] = held | {"jitter": np.zeros((3, 2))}
+        save_clip(folder / f"{name}.npz", np.zeros((3, 80, 112, 3)), [variant], facts)
+    return folder
+
+
+def integer_convolutions(path: Path, tmp_path: Path) -> int:
+    """How many convolutions ONNX Runtime runs in integers."""
+    options = onnxruntime.SessionOptions()
+    options.optimized_model_filepath = str(tmp_path / "optimised.onnx")
+    options.log_severity_level = 3
+    onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    nodes = onnx.load(tmp_path / "optimised.onnx").graph.node
+    return sum(node.op_type == "QLinearConv" for node in nodes)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_variant_runs_in_integers_and_shows_the_same(
+    name: str, small_models: Path, clips: Path, tmp_path: Path
+) -> None:
+    card = quantise.make_int8(name, Library(small_models), str(clips), tmp_path)
+    assert card["name"] == quantise.variant_name(name, "int8")
+    path = tmp_path / f"{card['name']}.onnx"
+    assert integer_convolutions(path, tmp_path) == card["int8_layers"] == 10
+    assert card["difference"]["frames"] == (3 if "guides" in name else 6)
+    assert card["difference"]["worst_psnr_db"] > 40
+    assert path.stat().st_size < Library(small_models).path(name).stat().st_size
+    assert Library(tmp_path).load(card["name"])  # holds the hash against the card's
+    assert json.loads(path.with_suffix(".json").read_text())["precision"] == "int8"
+
+
+def test_frames_without_guides_are_an_error_for_a_network_that_reads_them(clips: Path, tmp_path: Path) -> None:
+    (tmp_path / "plain.npz").symlink_to(clips / "plain.npz")
+    with pytest.raises(ValueError, match="no clip with guides"):
+        list(quantise.shots(str(tmp_path), guided=True))
+
+
+def test_zero_is_kept_exactly_and_ranges_ignore_what_is_rare() -> None:
+    for low, high in ((-1.0, 2.0), (0.0, 3.0), (0.5, 1.0), (-2.0, -1.0)):
+        kept = Range.of(low, high)
+        assert kept.rounded(np.zeros(1)) == 0
+        ends = np.array([min(low, 0), max(high, 0)])
+        np.testing.assert_allclose(kept.rounded(ends), ends, atol=kept.scale)
+    values = np.append(np.random.default_rng(0).random(1_000_000), 10)
+    assert quantise.best_range(values).scale * 255 < 7
+
+
+def test_a_channel_of_bias_alone_keeps_its_value(small_models: Path) -> None:
+    model = unfold_half(onnx.load(small_models / f"{NAMES[0]}.onnx"))
+    node = convolutions(model.graph, quantise.LAYERS)[0]
+    weights = {weight.name: weight for weight in model.graph.initializer}
+    weight = numpy_helper.to_array(weights[node.input[1]]).copy()
+    weight[0] = 0
+    weights[node.input[1]].CopyFrom(numpy_helper.from_array(weight, node.input[1]))
+    ranges = dict.fromkeys(activations(model.graph, quantise.LAYERS), Range.of(-1, 1))
+    small = {w.name: numpy_helper.to_array(w) for w in quantised(model, quantise.LAYERS, ranges).graph.initializer}
+    name = node.input[2]
+    found = small[f"{name}_quantised"][0] * small[f"{name}_scale"][0]
+    assert found == pytest.approx(numpy_helper.to_array(weights[name])[0], rel=1e-5)
+
+
+@pytest.mark.parametrize("path", sorted(models_dir().glob("*.int8*.json")), ids=lambda path: path.stem)
+def test_shipped_variant_is_made_from_the_shipped_network(path: Path) -> None:
+    made_from = json.loads(path.read_text())["made_from"]
+    assert made_from["sha256"] == Library().card(made_from["name"])["sha256"], "run training.quantise again"
+
+
+def test_shipped_variant_shows_the_room_as_the_float_network_does() -> None:
+    room = Path(__file__).parents[2] / "samples/room/noisy.####.exr"
+    shots = [quantise.Shot(2.0, list(postfx.read_sequence(room, frames="1-3")))]
+    results = [quantise.pictures(shots, Library(), f"denoise_upscale.{tag}") for tag in ("m.int8", "m")]
+    assert quantise.difference(*results)["worst_psnr_db"] > 45

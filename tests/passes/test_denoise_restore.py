@@ -1,0 +1,121 @@
+"""Clean input stays as it is: what the network takes for noise though it is detail is given back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postfx.frame import Frame, Role
+from postfx.kernels.denoise_restore import DETAIL, JUDGE, SUMS
+from postfx.passes import denoise_upscale
+from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+
+HEIGHT, WIDTH = 93, 118
+Y, X = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
+PICTURE = (0.4 + 0.25 * np.sin(X / 23) + 0.12 * np.sign(np.sin(X * 1.9) * np.sin(Y * 1.3)))[..., None].repeat(3, 2)
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    return Device("cpu", threads=2)
+
+
+def frame(samples: int, seed: int = 0, **kept) -> Frame:
+    """Light with detail that no other plane knows of, and the noise of so many samples a pixel; 0 has none."""
+    noise = np.random.default_rng(seed).gamma(0.8 * max(samples, 1), 1 / (0.8 * max(samples, 1)), PICTURE.shape)
+    colour = PICTURE * (noise if samples else 1)
+    flat = {Role.DIFFUSE_ALBEDO: (0.5, 3), Role.NORMAL: (0.6, 3), Role.DEPTH: (3.0, 1), Role.MOTION: (0.0, 2)}
+    planes = {role: np.full((HEIGHT, WIDTH, n), value, np.float32) for role, (value, n) in flat.items()}
+    return Frame({Role.COLOUR: colour.astype(np.float32), **planes}, **kept)
+
+
+def run(frames: list[Frame], device: Device, **options) -> list[np.ndarray]:
+    pipeline = Pipeline([DenoiseUpscale(**{"scale": 1, **options})], device, exposure=0.0)
+    return [pipeline(item)[Role.COLOUR] for item in frames]
+
+
+@pytest.fixture
+def network_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The result as it leaves the network."""
+    monkeypatch.setattr(denoise_upscale.Restore, "encode", lambda self, commands, frame, denoised: denoised)
+
+
+def quality(picture: np.ndarray) -> float:
+    """PSNR of x / (1 + x), in dB."""
+    return -10 * np.log10(np.square(picture / (1 + picture) - PICTURE / (1 + PICTURE)).mean())
+
+
+@pytest.mark.parametrize("samples", [1, 4, 16, 64, 256, 1024, 4096])
+def test_no_sample_count_is_made_worse(samples: int, device: Device) -> None:
+    given = frame(samples)
+    assert quality(run([given], device)[0]) > quality(given[Role.COLOUR]) - 0.1
+
+
+def test_without_it_clean_input_is_made_worse(network_alone, device: Device) -> None:
+    assert quality(run([frame(4096)], device)[0]) < quality(frame(4096)[Role.COLOUR]) - 3
+
+
+def test_a_clean_picture_comes_back(device: Device) -> None:
+    np.testing.assert_allclose(run([frame(0)], device)[0], PICTURE, rtol=1e-4)
+
+
+def judged(removed: np.ndarray) -> np.ndarray:
+    """Share of detail in a difference on mid grey, tile by tile."""
+    grey = np.full((*removed.shape, 3), 0.5, np.float32)
+    tiles = [-(-side // 16) for side in removed.shape]
+    sums, detail = np.empty((*tiles, SUMS), np.float32), np.empty((*tiles, 1), np.float32)
+    JUDGE.rows(0, tiles[0], grey + removed.astype(np.float32)[..., None], grey, np.ones(5, np.float32), sums)
+    DETAIL.rows(0, tiles[0], sums, np.ones(1, np.float32), detail)
+    return detail[..., 0]
+
+
+def test_noise_is_white_detail_is_not_and_the_faint_is_harmless() -> None:
+    noise = np.random.default_rng(0).normal(0, 0.05, (80, 96))
+    waves = 0.05 * np.sin(np.arange(96) / 2) * np.ones((80, 1))
+    assert judged(noise).max() < 0.1
+    assert judged(waves).min() == 1
+    assert judged(noise / 100).min() == 1
+    both = judged(np.where(np.arange(96) < 64, noise, 0.4 * waves))
+    assert both[:, :3].max() < 0.2 and both[:, -1].min() > 0.9
+
+
+def test_the_next_frame_sees_what_the_network_made(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = [frame(64, 1, number=1), frame(64, 2, number=2)]
+    restored = run(frames, device)
+    encode, turns = denoise_upscale.Restore.encode, iter([False, True])
+    monkeypatch.setattr(denoise_upscale.Restore, "encode",
+                        lambda *given: encode(*given) if next(turns) else given[-1])
+    plain_first = run(frames, device)
+    assert np.abs(restored[0] - plain_first[0]).max() > 1e-2
+    np.testing.assert_array_equal(restored[1], plain_first[1])
+
+
+@pytest.mark.parametrize("facts", [{"jitter": (0.2, 0.0)}, {"samples": 16}], ids=["jittered", "few samples"])
+def test_frames_it_leaves_alone(facts: dict, device: Device, request: pytest.FixtureRequest) -> None:
+    given = replace(frame(0), **facts)
+    found = run([given], device)[0]
+    request.getfixturevalue("network_alone")
+    np.testing.assert_array_equal(found, run([given], device)[0])
+
+
+def test_an_enlarged_result_is_the_networks(device: Device, request: pytest.FixtureRequest) -> None:
+    found = run([frame(0)], device, scale=2)[0]
+    request.getfixturevalue("network_alone")
+    np.testing.assert_array_equal(found, run([frame(0)], device, scale=2)[0])
+
+
+def test_bad_pixels_of_a_clean_picture(device: Device) -> None:
+    given = frame(0)
+    given[Role.COLOUR][20:23, 30] = np.array([np.nan, np.inf, -np.inf])[:, None]
+    found = run([given], device)[0]
+    assert np.isfinite(found).all() and found.min() >= 0
+
+
+def test_compiled_and_portable_kernels_agree(device: Device) -> None:
+    portable = Device("cpu", threads=2, compiled_kernels=False)
+    one, other = (run([frame(64)], place)[0] for place in (device, portable))
+    np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3)

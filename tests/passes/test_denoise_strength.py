@@ -1,0 +1,116 @@
+"""Strength of the denoised upscaler: from the resampled input to the denoised picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postfx.frame import Frame, Role
+from postfx.kernels.resample import RESAMPLE, positions
+from postfx.passes.base import PassOptionError
+from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from tests.passes.denoise_frames import guided, noisy
+
+SIZES = [((37, 50), 2), ((17, 5), 1.5), ((16, 24), 1), ((9, 13), 3)]
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    return Device("cpu", threads=2)
+
+
+def run(frames: list[Frame], device: Device, **options) -> list[np.ndarray]:
+    pipeline = Pipeline([DenoiseUpscale(**options)], device, exposure=0.0)
+    return [pipeline(frame)[Role.COLOUR] for frame in frames]
+
+
+def masked(frame: Frame, strength: np.ndarray | float) -> Frame:
+    """The frame with a plane of strength."""
+    height, width = frame[Role.COLOUR].shape[:2]
+    plane = np.broadcast_to(np.asarray(strength, np.float32), (height, width))[..., None]
+    return replace(frame, planes={**frame.planes, Role.STRENGTH: plane.copy()})
+
+
+def resampled(frame: Frame, role: Role, scale: float) -> np.ndarray:
+    """A plane at output size, sampled at pixel centres."""
+    image = frame[role]
+    size = tuple(round(side * scale) for side in image.shape[:2])
+    rows, columns = (positions(image.shape[i], size[i], frame.jitter[1 - i]) for i in range(2))
+    output = np.empty((*size, image.shape[2]), np.float32)
+    RESAMPLE.rows(0, size[0], image, rows, columns, output)
+    return output
+
+
+@pytest.mark.parametrize(("size", "scale"), SIZES)
+def test_no_strength_is_the_resampled_input(size: tuple[int, int], scale: float, device: Device) -> None:
+    frames = [noisy(number, *size) for number in (1, 2)]
+    wanted = [resampled(frame, Role.COLOUR, scale) for frame in frames]
+    assert frames[0].jitter != (0.0, 0.0) and min(picture.min() for picture in wanted) >= 0
+    for found in (run(frames, device, scale=scale, strength=0),
+                  run([masked(frame, 0) for frame in frames], device, scale=scale)):
+        np.testing.assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize(("size", "scale"), SIZES)
+def test_between_is_linear_and_both_strengths_multiply(size: tuple[int, int], scale: float, device: Device) -> None:
+    frame = noisy(1, *size)
+    mask = masked(frame, np.random.default_rng(0).random(size))
+    share = 0.5 * resampled(mask, Role.STRENGTH, scale)
+    (full,), plain = run([frame], device, scale=scale), resampled(frame, Role.COLOUR, scale)
+    found = run([mask], device, scale=scale, strength=0.5)[0]
+    np.testing.assert_allclose(found, plain + (full - plain) * share, rtol=1e-5, atol=1e-5)
+    uniform = run([frame], device, scale=scale, strength=0.25)[0]
+    np.testing.assert_allclose(uniform, plain + (full - plain) * 0.25, rtol=1e-5, atol=1e-5)
+
+
+def test_full_strength_is_the_denoised_picture_where_the_plane_says_so(device: Device) -> None:
+    frame = noisy(1, 24, 40)
+    half = np.repeat([[0.0, 1.0]], 24, 0).repeat(20, 1)
+    (full,), (found,) = run([frame], device), run([masked(frame, half)], device)
+    np.testing.assert_array_equal(found[:, 44:], full[:, 44:])
+    np.testing.assert_array_equal(found[:, :36], resampled(frame, Role.COLOUR, 2)[:, :36])
+
+
+def test_noise_that_is_left_in_does_not_reach_the_next_frame(device: Device) -> None:
+    strengths = (0, 0.3, 1)
+    frames = [noisy(number) for number in (1, 2, 3)]
+    found = run([masked(frame, value) for frame, value in zip(frames, strengths, strict=True)], device)
+    wanted = run([masked(frame, 1) for frame in frames], device)
+    assert np.abs(found[1] - wanted[1]).max() > 1e-2
+    np.testing.assert_array_equal(found[2], wanted[2])
+
+
+def test_a_mask_that_no_file_should_hold(device: Device) -> None:
+    frame = noisy(1, 24, 40)
+    mask = masked(frame, 1.0)
+    mask[Role.STRENGTH][5:8] = np.array([np.nan, -7.0, 9.0])[:, None, None]
+    found, full = run([mask], device)[0], run([frame], device)[0]
+    assert np.isfinite(found).all() and found.min() >= 0
+    np.testing.assert_array_equal(found[:6], full[:6])
+
+
+def test_nothing_is_read_or_run_for_nothing() -> None:
+    spec = masked(guided(noisy(1), 74, 100), 1).spec
+    bare = Pipeline([DenoiseUpscale(strength=0)]).explain(spec)
+    assert (bare.planes, bare.guides) == ((Role.COLOUR,), ())
+    assert bare.remarks == ("denoise_upscale: strength 0: the input is only resampled",)
+    assert Role.STRENGTH in Pipeline([DenoiseUpscale()]).explain(spec).planes
+    alone = DenoiseUpscale(strength=0)
+    assert alone(noisy(1))[Role.COLOUR].shape == (74, 100, 3) and not hasattr(alone, "_graph")
+
+
+def test_strength_in_the_portable_kernels(device: Device) -> None:
+    portable = Device("cpu", threads=2, compiled_kernels=False)
+    mask = masked(noisy(1, 17, 21), np.linspace(-0.2, 1.2, 21))
+    one, other = (run([mask], place, scale=1.5, strength=0.9)[0] for place in (device, portable))
+    np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("strength", [-0.1, 1.1, float("nan")])
+def test_a_strength_out_of_range_is_an_error(strength: float) -> None:
+    with pytest.raises(PassOptionError, match="has strengths 0 to 1, not"):
+        DenoiseUpscale(strength=strength)

@@ -1,0 +1,200 @@
+"""Make the int8 variant of a denoised upscaler, for CPUs, from noisy frames like those that it was trained on.
+
+    python -m training.quantise denoise_upscale.m --clips FOLDER_OF_CLIPS
+    python -m training.quantise denoise_upscale.m.guides --clips 'shot/noisy.####.exr'
+
+Runs the network over the frames with its history, notes what its layers compute, rounds activations to 8 bits where
+that loses least, and compares the pictures of both variants. Needs no checkpoint. A few dozen numbers, the ranges
+of tensors, are all that is taken from the frames.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import onnx
+import onnxruntime
+
+import postfx
+from postfx.frame import Frame, Role
+from postfx.io.srgb import srgb_encode
+from postfx.runtime import Device, Library, PipelineState, Tensor
+from training.clips import GUIDES, PLANES, guide_depth, load_clip
+from training.export import MODELS, store_half, write_card
+from training.qdq import Range, activations, convolutions, quantise, show, unfold_half
+
+PRECISION = "int8"
+LAYERS = ("down", "lift", "up")
+"""Modules of the trunk that are quantised: most of its time. The stems read light of any brightness and fine
+differences between guides; the heads' output is sensitive and in float is no slower."""
+SAMPLED = 4096
+"""Values of a tensor that are noted of each frame, beside the least and the greatest."""
+SHARES = np.linspace(0.2, 1, 81)
+"""Parts of a tensor's full range that are tried."""
+
+Look = Callable[[Mapping[str, np.ndarray]], None]
+
+
+class Shot(NamedTuple):
+    """Frames in order, and output size over render size; None for the size of the guides, or 2."""
+
+    scale: float | None
+    frames: Iterable[Frame]
+
+
+class WatchedDevice(Device):
+    """A CPU that runs one given network whatever a pass asks for, and shows what it reads to `look`."""
+
+    def __init__(self, library: Library, name: str, look: Look) -> None:
+        super().__init__("cpu")
+        self._library, self._name, self._look = library, name, look
+
+    def pipeline_state(self, library: Library, name: str, dims: Mapping[str, int] | None = None) -> PipelineState:
+        state = super().pipeline_state(self._library, self._name, dims)
+        state.prepare = partial(self._prepare, state, state.prepare)
+        return state
+
+    def _prepare(self, state: PipelineState, prepare: Callable, tensors: list[Tensor]) -> Callable[[], None]:
+        run = prepare(tensors)
+        reads = {b.name: t.host_view() for b, t in zip(state.bindings, tensors, strict=True) if b.access == "read"}
+
+        def looked() -> None:
+            self._look(reads)
+            run()
+
+        return looked
+
+
+class Statistics:
+    """What tensors of a float32 network hold."""
+
+    def __init__(self, model: onnx.ModelProto, names: Iterable[str]) -> None:
+        inputs = {value.name for value in model.graph.input}
+        self._computed = [name for name in names if name not in inputs]
+        self._seen: dict[str, list[np.ndarray]] = {name: [] for name in names}
+        self._session = onnxruntime.InferenceSession(show(model, self._computed).SerializeToString(),
+                                                     providers=["CPUExecutionProvider"])
+        self._random = np.random.default_rng(0)
+
+    def add(self, reads: Mapping[str, np.ndarray]) -> None:
+        """Note a run with these inputs."""
+        values = {**reads, **dict(zip(self._computed, self._session.run(None, dict(reads)), strict=True))}
+        for name, seen in self._seen.items():
+            flat = values[name].ravel()
+            some = self._random.integers(0, flat.size, SAMPLED)
+            seen.append(np.concatenate([flat[some], [flat.min(), flat.max()]]))
+
+    def ranges(self) -> dict[str, Range]:
+        """For each tensor the range with the least squared error."""
+        return {name: best_range(np.concatenate(seen)) for name, seen in self._seen.items()}
+
+
+def best_range(values: np.ndarray) -> Range:
+    """The part of the range of values that leaves the least squared error when it is kept in 8 bits."""
+    counts, edges = np.histogram(values, 4096)
+    middles = (edges[:-1] + edges[1:]) / 2
+    tried = [Range.of(share * values.min(), share * values.max()) for share in SHARES]
+    return min(tried, key=lambda kept: (counts * np.square(kept.rounded(middles) - middles)).sum())
+
+
+def shots(source: str, guided: bool) -> Iterator[Shot]:
+    """Frames of a folder of clips or of a sequence; with `guided` only those with guides, else all without them.
+
+    Raises ValueError when there are none.
+    """
+    found = 0
+    clips = sorted(Path(source).glob("*.npz")) if Path(source).is_dir() else []
+    for clip in map(load_clip, clips):
+        if guided and "guide_jitter" not in clip:
+            continue
+        for variant in range(clip["variants"]):
+            yield Shot(clip["scale"], [_frame(clip, variant, t, guided) for t in range(len(clip["reference"]))])
+            found += 1
+    if not clips:
+        frames = postfx.read_sequence(source)
+        yield Shot(None, (frame for frame in frames if frame.guides or not guided))
+        found = len(frames)
+    if not found:
+        raise ValueError(f"{source}: no clip with guides")
+
+
+def _frame(clip: Mapping[str, Any], variant: int, t: int, guided: bool) -> Frame:
+    v = f"v{variant}_"
+    planes = {Role(name): _plane(clip[v + name][t]) for name in PLANES}
+    guides = {Role(name): _plane(clip[f"guide_{name}"][t]) for name in GUIDES if guided}
+    if guided:
+        guides[Role.DEPTH] = _plane(guide_depth(clip["guide_depth"][t]))
+    return Frame(planes, t + 1, tuple(clip[v + "jitter"][t].tolist()), reset=bool(clip["reset"][t]), guides=guides)
+
+
+def _plane(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values.reshape(*values.shape[:2], -1), np.float32)
+
+
+def pictures(found: Iterable[Shot], library: Library, name: str, look: Look = lambda reads: None) -> list[np.ndarray]:
+    """Results of a network for all shots as they are seen: exposed, x/(1+x), sRGB."""
+    device, tag = WatchedDevice(library, name, look), name.removesuffix(".guides").split(".", 1)[1]
+    results = []
+    for shot in found:
+        pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model=tag.split(".")[0], scale=shot.scale)], device)
+        for frame in shot.frames:
+            light = np.maximum(pipeline(frame)[Role.COLOUR] * pipeline.exposure, 0)
+            results.append(srgb_encode(light / (1 + light)).astype(np.float16))
+    return results
+
+
+def variant_name(name: str, precision: str) -> str:
+    """'denoise_upscale.m.guides' -> 'denoise_upscale.m.int8.guides'."""
+    plain = name.removesuffix(".guides")
+    return f"{plain}.{precision}{name[len(plain):]}"
+
+
+def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[str, Any]:
+    """Write a network's int8 variant and its card to a folder; returns the card."""
+    model = unfold_half(onnx.load_from_string(library.load(name)))
+    kept, guided = activations(model.graph, LAYERS), name.endswith(".guides")
+    statistics = Statistics(model, dict.fromkeys(kept.values()))
+    before = pictures(shots(source, guided), library, name, statistics.add)
+    ranges = statistics.ranges()
+    small = quantise(model, LAYERS, {tensor: ranges[like] for tensor, like in kept.items()})
+    store_half(small.graph)
+    path = folder / f"{variant_name(name, PRECISION)}.onnx"
+    path.write_bytes(small.SerializeToString(deterministic=True))
+    path.with_suffix(".json").unlink(missing_ok=True)  # the card of an earlier file would not fit
+    after = pictures(shots(source, guided), Library(folder), path.stem)
+    card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION}
+    for measured_otherwise in ("quality", "parity"):
+        card.pop(measured_otherwise, None)
+    card |= {"made_from": {"name": name, "sha256": library.card(name).get("sha256")},
+             "int8_layers": len(convolutions(model.graph, LAYERS)),
+             "difference": {**difference(after, before), "frames": len(before)}}
+    write_card(path, card)
+    return card
+
+
+def difference(found: list[np.ndarray], wanted: list[np.ndarray]) -> dict[str, float]:
+    """PSNR in dB of pictures 0..1 against others: mean over the pictures, and of the worst one."""
+    errors = [np.square(a.astype(np.float32) - b).mean() for a, b in zip(found, wanted, strict=True)]
+    decibels = -10 * np.log10(np.maximum(errors, 1e-12))
+    return {"psnr_db": round(float(decibels.mean()), 2), "worst_psnr_db": round(float(decibels.min()), 2)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", help="model of the library, as denoise_upscale.m or denoise_upscale.m.guides")
+    parser.add_argument("--clips", required=True, metavar="SOURCE", help="folder of clips (.npz), or a noisy sequence")
+    parser.add_argument("-o", "--models", type=Path, default=MODELS, metavar="FOLDER", help="where to write")
+    args = parser.parse_args()
+    card = make_int8(args.name, Library(), args.clips, args.models)
+    path = args.models / f"{card['name']}.onnx"
+    print(f"{path}: {path.stat().st_size} bytes, {card['int8_layers']} convolutions in int8; "
+          f"against float32 {card['difference']['psnr_db']} dB, worst frame {card['difference']['worst_psnr_db']} dB")
+
+
+if __name__ == "__main__":
+    main()
