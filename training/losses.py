@@ -1,8 +1,11 @@
 """What the upscaler is trained to minimise, in the display curve that quality is scored on."""
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from training.networks import ops
+
+COARSE = (4, 8, 16)  # output pixels
 
 
 def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -10,10 +13,12 @@ def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def frame_loss(output: Tensor, reference: Tensor) -> Tensor:
-    """Absolute, squared (what PSNR counts) and gradient error of two display-encoded pictures."""
+    """Absolute, squared (what PSNR counts) and gradient error of two display-encoded pictures, and the absolute error
+    of coarser ones: what is left of it there, blotches, is what the eye sees first and what FLIP counts most."""
     error = output - reference
     edges = sum((a - b).abs().mean() for a, b in zip(gradient(output), gradient(reference), strict=True))
-    return error.abs().mean() + 4 * error.square().mean() + 0.5 * edges
+    blotches = sum(F.avg_pool2d(error, size).abs().mean() for size in COARSE)
+    return error.abs().mean() + 4 * error.square().mean() + 0.5 * edges + blotches
 
 
 def flicker_loss(output: Tensor, previous: Tensor, reference: Tensor, reference_previous: Tensor,

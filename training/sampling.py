@@ -68,9 +68,9 @@ def draw_jitter(frames: int, rng: np.random.Generator) -> np.ndarray:
 def draw_guide_style(frames: int, pixel_filter: str, rng: np.random.Generator) -> Style:
     """How a clip's guides are sampled: spread like an offline frame, or at one position, jittered or at the centre."""
     still = np.zeros((frames, 2), np.float32)
-    if rng.random() < 0.5:
+    if rng.random() < 0.4:
         return Style(pixel_filter, 4, still)
-    return Style("realtime", 1, draw_jitter(frames, rng) if rng.random() < 0.5 else still)
+    return Style("realtime", 1, draw_jitter(frames, rng) if rng.random() < 0.8 else still)
 
 
 def draw_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Generator) -> list[Style]:

@@ -57,7 +57,7 @@ class ClipLoss(nn.Module):
             keep = (torch.rand_like(batch.keep[t]) >= self.reset) * batch.keep[t]
             output, state, _ = self.model(inputs, state.drop(keep))
             shown, target = ops.display(output), ops.display(batch.references[t])
-            loss = loss + losses.frame_loss(shown, target) * (0.75 + 0.5 * t / count)
+            loss = loss + losses.frame_loss(shown, target)
             if previous is not None:
                 moved = losses.reproject_reference(previous[1], inputs.motion)
                 explained = losses.explained_by_motion(target, moved) * batch.keep[t]
@@ -97,7 +97,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--widths", type=int, nargs="+", default=list(TrunkConfig.widths))
     parser.add_argument("--depth", type=int, default=TrunkConfig.depth)
     parser.add_argument("--guides", action="store_true", help="read planes at output size")
-    parser.add_argument("--flicker", type=float, default=2.5, help="weight of the temporal difference")
+    parser.add_argument("--flicker", type=float, default=4.0, help="weight of the temporal difference")
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
     parser.add_argument("--resume", type=Path)
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")

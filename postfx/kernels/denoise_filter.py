@@ -5,7 +5,7 @@ Pyramid levels are planar so that the inner loops run along rows with vector ins
 
 import numpy as np
 
-from postfx.kernels.denoise_layout import KERNEL, MIX, REFLECTANCE, kernel
+from postfx.kernels.denoise_layout import FINE, KERNEL, MIX, REACH, REACHES, REFLECTANCE, kernel
 from postfx.kernels.numeric import add, add_product, compiled, demodulation, vectorised
 
 ZERO, TINY = np.float32(0), np.float32(1e-8)
@@ -46,26 +46,52 @@ def divide(row, total):
 
 
 @compiled
-def filter_rows(y0, y1, mixed, heads, area, filtered):
-    """A normalised 5x5 kernel of its own for every pixel; taps beyond the picture's ``area`` do not count."""
+def kernel_row(y, size, step, mixed, weights, area, total, filtered):
+    """A normalised kernel of its own for every pixel of a row, ``size`` x ``size`` taps ``step`` pixels apart; taps
+    beyond the picture's ``area`` do not count."""
     h, w = int(area[0]), int(area[1])
-    total = np.empty(w, np.float32)
-    for y in range(y0, y1):
-        filtered[:, y, :] = ZERO
-        if y >= h:
+    filtered[:, y, :] = ZERO
+    if y >= h:
+        return
+    total[:w] = TINY
+    for j in range(size):
+        source = y + step * (j - size // 2)
+        if source < 0 or source >= h:
             continue
-        total[:] = TINY
-        for j in range(max(0, 2 - y), min(5, h + 2 - y)):
-            for i in range(5):
-                left, shift = max(0, 2 - i), i - 2
-                right = max(left, min(w, w - shift))
-                weights = heads[0, 5 * j + i, y, left:right]
-                add(weights, total[left:right])
-                for k in range(3):
-                    row = mixed[k, y + j - 2, left + shift:right + shift]
-                    add_product(weights, row, filtered[k, y, left:right])
-        for k in range(3):
-            divide(filtered[k, y], total)
+        for i in range(size):
+            shift = step * (i - size // 2)
+            left = min(max(0, -shift), w)
+            right = max(left, min(w, w - shift))
+            taps = weights[size * j + i, y, left:right]
+            add(taps, total[left:right])
+            for k in range(3):
+                add_product(taps, mixed[k, source, left + shift:right + shift], filtered[k, y, left:right])
+    for k in range(3):
+        divide(filtered[k, y, :w], total[:w])
+
+
+@compiled
+def filter_rows(y0, y1, mixed, heads, area, filtered):
+    """The 5x5 kernel of a level."""
+    total = np.empty(filtered.shape[2], np.float32)
+    for y in range(y0, y1):
+        kernel_row(y, 5, 1, mixed, heads[0], area, total, filtered)
+
+
+@compiled
+def near_rows(y0, y1, mixed, heads, area, filtered):
+    """The finest level's first 3x3 kernel of wide steps."""
+    total = np.empty(filtered.shape[2], np.float32)
+    for y in range(y0, y1):
+        kernel_row(y, 3, REACHES[0], mixed, heads[0, REACH:], area, total, filtered)
+
+
+@compiled
+def far_rows(y0, y1, mixed, heads, area, filtered):
+    """Its second one."""
+    total = np.empty(filtered.shape[2], np.float32)
+    for y in range(y0, y1):
+        kernel_row(y, 3, REACHES[1], mixed, heads[0, REACH + 9:], area, total, filtered)
 
 
 @compiled
@@ -89,4 +115,7 @@ POOL = kernel("pool", ("finer",), ("level",), pool_rows, ("level", 1))
 MIX_LEVELS = kernel("mix", ("coarse", "level", "heads"), ("mixed",), mix_rows, ("mixed", 1), mixed=PLANAR)
 FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1),
                 mixed=("channels", "hp", "wp"))
+FINEST = {"mixed": PLANAR, "heads": (1, FINE, "hp", "wp")}
+REACH_NEAR = kernel("reach_near", ("mixed", "heads", "area"), ("filtered",), near_rows, ("filtered", 1), **FINEST)
+REACH_FAR = kernel("reach_far", ("mixed", "heads", "area"), ("filtered",), far_rows, ("filtered", 1), **FINEST)
 REMODULATE = kernel("remodulate", ("filtered", *REFLECTANCE), ("radiance",), remodulate_rows, ("radiance", 1))
