@@ -3,35 +3,27 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from training.factory import other_path
-from training.scenes.build import BuiltScene, Description
+from training.scenes.build import BuiltScene
 from training.scenes.draft import Draft
 from training.scenes.lights import Environments
 from training.scenes.motion import CameraPath, Cut
 from training.scenes.procedural import draft
 from training.scenes.views import choose_path
 from training.tracing import Tracer
+from training.traits import TRAITS, shows, shows_enough
 
 FIRST_SEED = 9000
 """Clips for training are drawn with seeds below 1000; from here on everything is for validation."""
-METALS = ("conductor", "roughconductor")
-TRAITS: dict[str, Callable[[Description], bool]] = {
-    "moving": lambda d: bool(d.movers),
-    "metal": lambda d: bool(d.movers) and any(material.kind in METALS for material in d.materials),
-    "glass": lambda d: any(material.kind == "dielectric" for material in d.materials),
-    "bending": lambda d: bool(d.bends),
-    "flicker": lambda d: bool(d.glows),
-}
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a scene is to be: of a family, with one of TRAITS, and cut at a frame.
+    """What a view is to be: of a family, showing one of TRAITS within its frames, and cut at one of them.
 
     Families are 'interior', 'room', 'product' and 'outdoor'.
     """
@@ -39,10 +31,7 @@ class Kind:
     family: str | None = None
     trait: str | None = None
     cut: int | None = None
-
-    def fits(self, d: Description) -> bool:
-        """Whether a scene is of this kind."""
-        return self.family in (None, d.name) and (self.trait is None or TRAITS[self.trait](d))
+    frames: int = 8
 
 
 @dataclass(frozen=True)
@@ -73,25 +62,33 @@ def held_out_view(tracer: Tracer, seed: int, width: int, error: float, most_samp
     rng, maps, kind = np.random.default_rng([seed, 0]), Environments(None), kind or Kind()
     while True:
         drafted = draft(rng, maps)
-        view = _view(tracer, drafted, rng, width, error, kind) if kind.fits(drafted.description) else None
+        view = _view(tracer, drafted, rng, width, error, kind) if _fits(drafted, kind) else None
         if view and view.samples <= most_samples:
             return view
         del view
         gc.collect()
 
 
+def _fits(drafted: Draft, kind: Kind) -> bool:
+    d = drafted.description
+    return kind.family in (None, d.name) and (kind.trait is None or TRAITS[kind.trait].has(d))
+
+
 def _view(tracer: Tracer, drafted: Draft, rng: np.random.Generator, width: int, error: float,
           kind: Kind) -> HeldOut | None:
+    """A view of a scene; None where none is of use."""
     built = BuiltScene(drafted.description)
     built.move(3.5, 2.5)
     chosen = choose_path(tracer, built, drafted.view, rng, width, drafted.near)
-    if chosen is None:
+    if chosen is None or not shows_enough(chosen[2]):
         return None
     path, gain, look = chosen
+    if kind.trait and not shows(tracer, built, path, kind.trait, kind.frames, int(rng.integers(1 << 31))):
+        return None
     samples = look.samples_for(error, gain)
     if kind.cut is not None:
         other = other_path(tracer, built, drafted, rng, width, gain)
-        if other is None:
+        if other is None or not shows_enough(other[1]):
             return None
         path, samples = Cut(path, other[0], kind.cut), max(samples, other[1].samples_for(error, gain))
     return HeldOut(drafted.description.name, built, path, gain, samples, rng)

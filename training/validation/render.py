@@ -81,7 +81,7 @@ def _kind(index: int, frames: int) -> tuple[Kind, int | None]:
     """The kind of a clip's scene, and the frame that a cut leads to."""
     family, trait = SCENES[index % len(SCENES)]
     cut = max(1, frames // 2 - 1) if trait == "cut" else None
-    return Kind(family, None if cut else trait, cut), cut
+    return Kind(family, None if cut else trait, cut, frames), cut
 
 
 def _style(index: int, render: Render, frames: int) -> Style:
