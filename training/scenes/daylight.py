@@ -51,7 +51,7 @@ def _sheets(house: House, sides: list[Side], gap: float) -> None:
     below a horizon."""
     rng = house.rng
     bright, cut = lights.tint(rng, 0.03) * rng.uniform(4, 12), rng.uniform(0.2, 0.6) if rng.random() < 0.5 else 0.0
-    dim = bright * rng.uniform(0.15, 0.7) * lights.tint(rng, 0.1)
+    dim = bright * rng.uniform(0.15, 0.7) * lights.tint(rng, 0.03)
     for start, end, radiance in ((0.0, cut, dim), (cut, 1.0, bright)):
         if end > start:
             made = [mesh.transformed(side.matrix) for side in sides

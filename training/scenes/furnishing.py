@@ -60,6 +60,12 @@ def _fits(house: House, box: tuple, low: float) -> bool:
     return inside and under and apart
 
 
+def _clear(house: House, spot: np.ndarray, reach: float, height: float) -> bool:
+    """Whether nothing on the floor is as high as `height` within `reach` of a place."""
+    return not any(a - reach < spot[0] < b + reach and c - reach < spot[2] < d + reach and top > height
+                   for a, b, c, d, top in house.taken)
+
+
 def _place(house: House, thing: Thing, matrix: np.ndarray) -> bool:
     box = _footprint(thing, matrix)
     flat = box[4] < 0.06
@@ -68,7 +74,8 @@ def _place(house: House, thing: Thing, matrix: np.ndarray) -> bool:
     house.put(thing, matrix)
     if not flat:
         house.taken.append(box)
-    house.sights.append(np.array([(box[0] + box[1]) / 2, 0.7 * box[4], (box[2] + box[3]) / 2]))
+    sight = np.array([(box[0] + box[1]) / 2, 0.7 * box[4], (box[2] + box[3]) / 2])
+    house.sights += (2 if any(role == "leaf" for _, role in thing) else 1) * [sight]
     return True
 
 
@@ -146,7 +153,9 @@ def _pictures(house: House, side: Side, a: float, b: float) -> None:
     count = int(rng.integers(1, 4)) if b - a > 1.5 else 1
     size = np.minimum(rng.uniform(0.25, 0.8, 2), [(b - a) / count - 0.1, 0.85])
     for x in a + (np.arange(count) + 0.5) * (b - a) / count:
-        house.put(clutter.framed(rng, *size, "art"), side.matrix @ translation(x, y, 0.02))
+        picture, spot = clutter.framed(rng, *size, "art"), side.matrix @ translation(x, y, 0.02)
+        if _clear(house, spot[:3, 3], 0.5 * size[0], y - 0.5 * size[1]):
+            house.put(picture, spot)
     house.sights.append((side.matrix @ np.array([(a + b) / 2, y, 0, 1]))[:3])
 
 
@@ -167,5 +176,6 @@ def moving(house: House) -> None:
     for _ in range(int(rng.choice([0, 1, 2], p=[0.6, 0.28, 0.12]))):
         roles = rng.choice(["gloss", "accent", "pattern", "metal", "leaf", "lacquer"], 4)
         slots = dict(zip(("main", "second", "third", "leaf"), (house.roles[role] for role in roles), strict=True))
-        home = np.array([rng.uniform(-0.25, 0.25) * w, rng.choice([0.0, 0.5]), rng.uniform(-0.25, 0.25) * depth])
+        homes = rng.uniform(-0.35, 0.35, (12, 3)) * [w, 0, depth] + [0, rng.choice([0.0, 0.5]), 0]
+        home = next((spot for spot in homes if _clear(house, spot, 0.4, 0.0)), homes[0])
         moving_thing(house.d, rng, draft_thing(rng), slots, home, 1.0)

@@ -65,7 +65,7 @@ def _fabric(rng: np.random.Generator) -> Material:
     if pick < 0.4:
         return Material("diffuse", white(rng, 0.4, 0.85))
     if pick < 0.75:
-        return Material("diffuse", _flat(_hsv(rng, (0, 1), (0.1, 0.8), (0.2, 0.9))))
+        return Material("diffuse", _flat(_hsv(rng, (0, 1), (0.05, 0.7), (0.2, 0.9))))
     return Material("diffuse", textures.texture(rng, flat=0))
 
 

@@ -31,9 +31,11 @@ def noise(size: int, cells: int, rng: np.random.Generator, octaves: int = 4) -> 
     for octave in range(octaves):
         n = min(cells * 2**octave, size)
         lattice = rng.random((n, n))
-        coordinates = np.arange(size) * (n / size)
-        grid = np.meshgrid(coordinates, coordinates, indexing="ij")
-        total += ndimage.map_coordinates(lattice, grid, order=1, mode="grid-wrap") * 0.55**octave
+        place = np.arange(size) * (n / size)
+        cell = place.astype(int)
+        part = place - cell
+        rows = lattice[cell] * (1 - part)[:, None] + lattice[(cell + 1) % n] * part[:, None]
+        total += (rows[:, cell] * (1 - part) + rows[:, (cell + 1) % n] * part) * 0.55**octave
         weight += 0.55**octave
     return total / weight
 
