@@ -16,13 +16,16 @@ from training.validation.plan import FULL
 def expand(clip: Path, folder: Path) -> tuple[Path, dict[str, Any]]:
     """Write reference, guides and all renders of a clip to FOLDER/SCENE.SEED/NAME.####.exr; that folder and the facts.
 
-    One that is complete is kept.
+    What was written of this file is kept.
     """
     reference, renders, facts = load(clip)
     folder = folder / f"{facts['scene']}.{facts['seed']}"
-    if (folder / "done").exists():
+    done = folder / "done"
+    if done.exists() and done.stat().st_mtime >= clip.stat().st_mtime:
         return folder, facts
     folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("*.exr"):
+        old.unlink()
     exposure = facts["exposure"]
     renders.setdefault("guides", {name: renders[FULL.name][name] for name in GUIDES})
     for t, colour in enumerate(reference):
@@ -31,7 +34,7 @@ def expand(clip: Path, folder: Path) -> tuple[Path, dict[str, Any]]:
         for name, planes in renders.items():
             frame = {plane: values[t] for plane, values in planes.items()}
             write_exr(folder / f"{name}.{t + 1:04d}.exr", frame, _header(name, t, facts))
-    (folder / "done").touch()
+    done.touch()
     return folder, facts
 
 
