@@ -20,9 +20,10 @@ LOSSES = (
     (("specular_albedo", "roughness"), 0.06),
     (("normal",), 0.05),
     (("depth",), 0.05),
-    (("diffuse_albedo", "specular_albedo"), 0.03),
+    (("diffuse_albedo",), 0.03),
+    (("diffuse_albedo", "specular_albedo"), 0.05),
     (("motion",), 0.03),
-    (tuple(ABSENT), 0.02),
+    (tuple(ABSENT), 0.05),
 )
 
 
@@ -36,7 +37,7 @@ class Augment:
 
     stops: float = 1.5
     drop: float = 1.0
-    clean: float = 0.12
+    clean: float = 0.25
 
     def __call__(self, stack: Stack) -> Batch:
         stack = _permute_channels(_flip(self._converge(stack)))

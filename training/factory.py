@@ -38,7 +38,7 @@ class ClipOptions:
     reference_spp: int = 128
     reference_error: float = 0.015
     scales: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0)
-    scale_chances: tuple[float, ...] = (0.1, 0.1, 0.7, 0.1)
+    scale_chances: tuple[float, ...] = (0.2, 0.1, 0.6, 0.1)
     real_share: float = 0.25
     cut_share: float = 0.04
 

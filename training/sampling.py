@@ -78,8 +78,8 @@ def draw_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Gener
     styles = []
     for _ in range(count):
         spp = int(rng.choice([1, 2, 3, 4, 6, 8], p=[0.2, 0.25, 0.1, 0.25, 0.08, 0.12]))
-        if rng.random() < 0.12:
-            spp = int(rng.choice([16, 24, 32, 64], p=[0.4, 0.2, 0.3, 0.1]))
+        if rng.random() < 0.25:
+            spp = int(rng.choice([16, 32, 64, 128, 256], p=[0.3, 0.25, 0.2, 0.15, 0.1]))
         if pixel_filter == "box" and rng.random() < 0.6:
             styles.append(Style("realtime", spp, draw_jitter(frames, rng)))
         else:
