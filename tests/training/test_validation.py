@@ -19,13 +19,13 @@ from training.validation.plan import FULL, HALF, SCENES, STYLES, renders
 SIZE = (64, 48)
 
 
-@pytest.mark.parametrize(("bits", "error"), [(pack.NOISY_BITS, 2.0**-7), (pack.REFERENCE_BITS, 2.0**-9)])
+@pytest.mark.parametrize(("bits", "error"), [(5, 2.0**-6), (7, 2.0**-8)])
 def test_colours_keep_their_leading_bits(bits: int, error: float) -> None:
     light = np.exp(np.random.default_rng(0).normal(-1, 3, (2, 8, 9, 3))).astype(np.float32)
-    light[0, 0, 0], light[0, 0, 1] = 0, HALF_MAX
+    light[0, 0, 0], light[0, 0, 1] = 0, 2 * HALF_MAX
     back = pack.unpack_colour(pack.pack_colour(light, bits), bits)
-    off = np.abs(back - np.minimum(light, HALF_MAX))
-    assert np.all(off <= (error + 2.0**-11) * light + 1e-6)  # half float rounds first
+    light = np.minimum(light, HALF_MAX)
+    assert np.all(np.abs(back - light) <= (error + 2.0**-11) * light + 2e-6)  # half float rounds first
     assert np.isfinite(back).all() and not back[0, 0, 0].any()
 
 
@@ -35,11 +35,12 @@ def test_planes_keep_their_steps() -> None:
     for name, channels in shapes.items():
         low, high = (-100, 100) if name == "motion" else (-1, 1) if name == "normal" else (0, 1)
         values = rng.uniform(low, high, (2, 5, 7, channels))
-        back = pack.unpack_plane(name, pack.pack_plane(name, values))
-        assert back.shape == values.shape and np.abs(back - values).max() <= 0.51 * pack.STEPS[name], name
+        step = pack.PACKING[name]
+        back = pack.unpack_plane(name, pack.pack_plane(name, values, step), step)
+        assert back.shape == values.shape and np.abs(back - values).max() <= 0.51 * step, name
     depth = np.exp(rng.uniform(-5, 15, (2, 5, 7)))
     depth[0, 0, :3] = 1e10
-    back = pack.unpack_plane("depth", pack.pack_plane("depth", depth))[..., 0]
+    back = pack.unpack_plane("depth", pack.pack_plane("depth", depth, 1 / 512), 1 / 512)[..., 0]
     assert np.allclose(back, depth, rtol=1e-3) and (back[0, 0, :3] == 1e10).all()
 
 
@@ -49,8 +50,8 @@ def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     pack.save(tmp_path / "clip.00000.npz", reference, {"x2": planes}, {"seed": 9000})
     assert [path.name for path in tmp_path.iterdir()] == ["clip.00000.npz"]
     colour, back, facts = pack.load(tmp_path / "clip.00000.npz")
-    assert np.allclose(colour, reference, rtol=3e-3) and facts == {"seed": 9000}
-    assert np.allclose(back["x2"]["colour"], planes["colour"], rtol=1e-2) and back["x2"]["depth"].max() == 1e10
+    assert np.allclose(colour, reference, rtol=6e-3) and facts == {"seed": 9000}
+    assert np.allclose(back["x2"]["colour"], planes["colour"], rtol=2e-2) and back["x2"]["depth"].max() == 1e10
 
 
 def test_clips_differ_and_spend_equal_light_paths() -> None:

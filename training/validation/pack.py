@@ -1,7 +1,7 @@
 """Compact clips: planes as small whole numbers, packed by LZMA in an .npz that `numpy.load` reads.
 
-Colours keep as many bits of half float's fraction as asked for (6: at most 0.8 % off, 8: 0.2 %), all others are steps
-of a fixed size. Keys are RENDER/PLANE, 'reference/colour' and 'facts' (JSON).
+Colours keep as many bits of half float's fraction as PACKING says (5: at most 1.6 % off, 7: 0.4 %), all others are
+steps of its sizes. Keys are RENDER/PLANE, 'reference/colour', and as JSON 'facts' and 'packing' (files stay readable).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 
 from training.clips import DEPTH_RANGE, HALF_MAX
 
-NOISY_BITS, REFERENCE_BITS, HALF_BITS = 6, 8, 10
-STEPS = {"diffuse_albedo": 1 / 255, "specular_albedo": 1 / 255, "roughness": 1 / 255, "normal": 1 / 512,
-         "depth": 1 / 512, "motion": 1 / 128}
-"""Of albedos and roughness; of normals; of depth's base-2 logarithm; of motion in pixels."""
+HALF_BITS = 10
+PACKING = {"reference": 7, "colour": 5, "diffuse_albedo": 1 / 255, "specular_albedo": 1 / 255, "roughness": 1 / 255,
+           "normal": 1 / 256, "depth": 1 / 512, "motion": 1 / 64}
+"""Bits of colours; steps of albedos, roughness, normals, of depth's base-2 logarithm, and of motion in pixels."""
 REFERENCE = "reference"
 
 Planes = dict[str, np.ndarray]
@@ -41,31 +41,31 @@ def unpack_colour(packed: np.ndarray, bits: int) -> np.ndarray:
     return (kept << (HALF_BITS - bits)).astype(np.uint16).view(np.float16).astype(np.float32)
 
 
-def pack_plane(name: str, values: np.ndarray) -> np.ndarray:
+def pack_plane(name: str, values: np.ndarray, step: float) -> np.ndarray:
     """A plane (T, H, W) or (T, H, W, C) -> bytes (2, C, T, H, W): steps, as differences along the rows."""
     values = values.reshape(*values.shape[:3], -1)
     values = np.log2(np.clip(values, *DEPTH_RANGE)) if name == "depth" else values
-    steps = np.clip(np.round(values / STEPS[name]), -(2**15), 2**15 - 1).astype(np.int16).view(np.uint16)
+    steps = np.clip(np.round(values / step), -(2**15), 2**15 - 1).astype(np.int16).view(np.uint16)
     return _bytes(np.moveaxis(np.diff(steps, axis=2, prepend=np.uint16(0)), -1, 0))
 
 
-def unpack_plane(name: str, packed: np.ndarray) -> np.ndarray:
+def unpack_plane(name: str, packed: np.ndarray, step: float) -> np.ndarray:
     """A plane (T, H, W, C) float32 from what `pack_plane` gives; misses have a depth of exactly 1e10."""
     steps = np.cumsum(_words(packed), axis=-1, dtype=np.uint16).view(np.int16)
-    values = np.moveaxis(steps.astype(np.float32) * np.float32(STEPS[name]), 0, -1)
+    values = np.moveaxis(steps.astype(np.float32) * np.float32(step), 0, -1)
     if name == "depth":
-        far = values >= np.log2(DEPTH_RANGE[1]) - STEPS["depth"]
+        far = values >= np.log2(DEPTH_RANGE[1]) - step
         values = np.where(far, np.float32(DEPTH_RANGE[1]), np.exp2(values))
     return np.ascontiguousarray(values)
 
 
 def save(path: Path, reference: np.ndarray, renders: dict[str, Planes], facts: dict[str, Any]) -> None:
     """Write a clip atomically: references (T, H, W, 3), planes (T, h, w, C) of each render, and facts."""
-    arrays = {f"{REFERENCE}/colour": pack_colour(reference, REFERENCE_BITS), "facts": np.str_(json.dumps(facts))}
-    for name, planes in renders.items():
+    arrays = {name: np.str_(json.dumps(value)) for name, value in (("facts", facts), ("packing", PACKING))}
+    for name, planes in ({REFERENCE: {"colour": reference}} | renders).items():
         for plane, values in planes.items():
-            packed = pack_colour(values, NOISY_BITS) if plane == "colour" else pack_plane(plane, values)
-            arrays[f"{name}/{plane}"] = packed
+            arrays[f"{name}/{plane}"] = (pack_colour(values, _bits(name, PACKING)) if plane == "colour"
+                                         else pack_plane(plane, values, PACKING[plane]))
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial.npz")
     with zipfile.ZipFile(partial, "w", zipfile.ZIP_LZMA) as archive:
         for name, array in arrays.items():
@@ -78,13 +78,17 @@ def load(path: Path) -> tuple[np.ndarray, dict[str, Planes], dict[str, Any]]:
     """What `save` was given, float32, but for the rounding."""
     renders: dict[str, Planes] = {}
     with np.load(path) as file:
-        facts = json.loads(str(file["facts"]))
+        facts, packing = (json.loads(str(file[name])) for name in ("facts", "packing"))
         for key in (key for key in file.files if "/" in key):
             name, plane = key.split("/")
-            bits = REFERENCE_BITS if name == REFERENCE else NOISY_BITS
-            values = unpack_colour(file[key], bits) if plane == "colour" else unpack_plane(plane, file[key])
+            values = (unpack_colour(file[key], _bits(name, packing)) if plane == "colour"
+                      else unpack_plane(plane, file[key], packing[plane]))
             renders.setdefault(name, {})[plane] = values
     return renders.pop(REFERENCE)["colour"], renders, facts
+
+
+def _bits(render: str, packing: dict[str, Any]) -> int:
+    return packing[REFERENCE if render == REFERENCE else "colour"]
 
 
 def _bytes(words: np.ndarray) -> np.ndarray:
