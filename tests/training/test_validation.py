@@ -16,7 +16,7 @@ from training.validation import __main__ as validation
 from training.validation import compare, pack, report
 from training.validation.plan import FULL, HALF, SCENES, STYLES, renders
 
-SIZE = (64, 48)
+SIZE = (66, 48)
 
 
 @pytest.mark.parametrize(("bits", "error"), [(5, 2.0**-6), (7, 2.0**-8)])
@@ -59,7 +59,13 @@ def test_clips_differ_and_spend_equal_light_paths() -> None:
     assert {r.name for r in sets[0]} == {"x1", "x1.5", "x2", "x3"} and FULL.spp * HALF.scale**2 == HALF.spp
     for style in range(len(STYLES)):
         assert {sets[k][1].spp for k in range(style, len(SCENES), len(STYLES))} == {1, 2, 4, 8}
-    assert HALF.size((427, 241)) == (214, 120) and sets[0][3].size((640, 360)) == (213, 120)
+    assert [render.size((432, 240)) for render in sets[0]] == [(432, 240), (288, 160), (216, 120), (144, 80)]
+
+
+def test_sizes_that_a_scale_does_not_divide_are_refused(capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit):
+        validation.main(["render", "--out=x", "--clips=1", "--width=640"])
+    assert "'640' is not a multiple of 6, which 1.5x, 2x and 3x need" in capsys.readouterr().err
 
 
 def row(scene: str, render: str, method: str, family: str, psnr: float, flicker: float | None = 10.0) -> dict:
@@ -128,10 +134,10 @@ def test_a_clip_becomes_sequences(rendered: Path, tmp_path: Path) -> None:
         second = read_sequence(folder / "x2.####.exr").read(2)
         reference = read_sequence(folder / "reference.####.exr").read(2)
         guides = read_sequence(folder / "guides.####.exr", planes=[Role.NORMAL, Role.DEPTH]).read(2)
-        assert [frame.spec.width for frame in frames.values()] == [64, 43, 32, 21]
+        assert [frame.spec.width for frame in frames.values()] == [66, 44, 33, 22]
         paths = [frames[name].samples * frames[name].spec.width * frames[name].spec.height for name in ("x1", "x2")]
         assert paths[0] == paths[1] == SIZE[0] * SIZE[1]
-        assert reference[Role.COLOUR].shape == guides[Role.NORMAL].shape == (48, 64, 3)
+        assert reference[Role.COLOUR].shape == guides[Role.NORMAL].shape == (48, 66, 3)
         assert frames["x1"].reset and not second.reset and frames["x1"].exposure == reference.exposure
         assert any(second.jitter) == any(guides.jitter) == (style == "realtime")
         assert second[Role.COLOUR].mean() == pytest.approx(reference[Role.COLOUR].mean(), rel=0.5)
@@ -143,11 +149,11 @@ def test_clips_are_drawn_and_compared(rendered: Path, tmp_path: Path, capsys: py
         pytest.importorskip(module, reason="needs the extra 'bench'")
     validation.main(["sheet", str(rendered), str(tmp_path / "sheet.png")])
     assert (tmp_path / "sheet.png").stat().st_size > 10000
-    command = ["compare", str(rendered), "-o", str(tmp_path), "--methods=bicubic", "--renders=x1,x2", "--device=cpu"]
+    command = ["compare", str(rendered), "-o", str(tmp_path), "--methods=bicubic", "--renders=x1,x3", "--device=cpu"]
     validation.main(command)
     facts = json.loads((tmp_path / "comparison.json").read_text())
     assert {(one["scene"].split(".")[1], one["render"]) for one in facts["rows"]} == {
-        (seed, name) for seed in ("9000", "9001") for name in ("x1", "x2")}
+        (seed, name) for seed in ("9000", "9001") for name in ("x1", "x3")}
     first = capsys.readouterr().out
     validation.main([*command, "--keep"])
-    assert capsys.readouterr().out == first and "2x, 2 clips" in first
+    assert capsys.readouterr().out == first and "3x, 2 clips" in first
