@@ -27,7 +27,7 @@ class Options:
     Views that would take more than `most_spp` for it are passed over. `batch` light paths are traced at a time.
     """
 
-    size: tuple[int, int] = (432, 240)
+    size: tuple[int, int] = (384, 216)
     frames: int = 8
     error: float = 0.004
     most_spp: int = 8192

@@ -17,8 +17,8 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
     """How clips are rendered; the names of the options, for those who hand them on."""
     before = {action.dest for action in parser._actions}
     parser.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
-    parser.add_argument("--width", type=_side, default=432, help="of the output, a multiple of 6")
-    parser.add_argument("--height", type=_side, default=240)
+    parser.add_argument("--width", type=_side, default=384, help="of the output, a multiple of 6")
+    parser.add_argument("--height", type=_side, default=216)
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--reference-error", type=float, default=0.004, help="of references after x/(1+x)")
     parser.add_argument("--most-spp", type=int, default=8192, help="views that need more for it are passed over")
