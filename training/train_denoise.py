@@ -5,7 +5,7 @@ Several GPUs: torchrun --nproc-per-node 4 -m training.train_denoise --clips CLIP
 
 The learning rate follows the clock: warm-up, then a cosine down to zero at the end of --minutes. The folder of clips
 may still be filling. RUN/checkpoint.pt holds the averaged weights, RUN/log.csv and validation.csv the
-curves (plot_curves.py draws them); --resume goes on from a checkpoint.
+curves (plot_curves.py draws them); --resume goes on from a checkpoint or from an exported network.
 """
 import argparse
 import csv
@@ -30,6 +30,7 @@ from training.graphs import FlatGradient, GradientStep
 from training.networks import ops
 from training.networks.denoise_upscale import DenoiseUpscale, empty_state
 from training.networks.trunk import TrunkConfig
+from training.restore import weights_of
 
 KEEP_MINUTES = 2.0
 
@@ -99,10 +100,17 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--guides", action="store_true", help="read planes at output size")
     parser.add_argument("--flicker", type=float, default=4.0, help="weight of the temporal difference")
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
-    parser.add_argument("--resume", type=Path)
+    parser.add_argument("--resume", type=Path, help="checkpoint.pt, or an exported denoise_upscale.<tag>.onnx")
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
     parser.add_argument("--seed", type=int, default=0)
     return parser.parse_args()
+
+
+def resumed(path: Path) -> dict[str, Tensor]:
+    """Weights of a checkpoint or of an exported network."""
+    if path.suffix == ".onnx":
+        return weights_of(path)
+    return torch.load(path, map_location="cpu", weights_only=True)["weights"]
 
 
 def rate_at(progress: float, peak: float) -> float:
@@ -146,7 +154,7 @@ class Trainer:
         self.config = TrunkConfig(tuple(args.widths), args.depth, args.guides)
         self.model = DenoiseUpscale(self.config).to(device, memory_format=torch.channels_last)
         if args.resume:
-            self.model.load_state_dict(torch.load(args.resume, map_location=device, weights_only=True)["weights"])
+            self.model.load_state_dict(resumed(args.resume))
         self.average = Average(self.model, 0.9995)
         self.loss = ClipLoss(self.model, args.flicker, args.reset)
         self.flat = FlatGradient(list(self.model.parameters()))

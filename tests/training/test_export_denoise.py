@@ -21,6 +21,7 @@ from training import export_denoise  # noqa: E402
 from training.export import PARITY, ParityError, parity, relative_error  # noqa: E402
 from training.networks.denoise_upscale import DenoiseUpscale  # noqa: E402
 from training.networks.trunk import FEATURES, GUIDES, TrunkConfig  # noqa: E402
+from training.restore import weights_of  # noqa: E402
 
 TAGS = {False: "tiny", True: "tiny.guides"}
 
@@ -113,3 +114,10 @@ def test_shipped_model_is_the_one_on_its_card() -> None:
 def test_relative_error() -> None:
     assert relative_error(np.array([1.0, 2.2]), np.array([1.0, 2.0])) == pytest.approx(0.1)
     assert relative_error(np.zeros(2), np.zeros(3)) == float("inf")
+
+
+def test_training_goes_on_from_the_exported_network(folder: Path, name: str, checkpoint: dict) -> None:
+    weights = weights_of(folder / f"{name}.onnx")
+    assert weights.keys() == checkpoint["weights"].keys()
+    for key, value in checkpoint["weights"].items():
+        torch.testing.assert_close(weights[key], value, rtol=1e-3, atol=1e-6)

@@ -1,0 +1,25 @@
+"""Weights of a network that was exported, for training to go on from: the inverse of ``export_denoise.py``."""
+from pathlib import Path
+
+import onnx
+import torch
+from onnx import numpy_helper
+from torch import Tensor
+
+PREFIX, HALF = "trunk.", "_half"
+
+
+def weights_of(path: Path) -> dict[str, Tensor]:
+    """Name -> float32 weights as a checkpoint holds them, from ``denoise_upscale.<tag>[.guides].onnx``.
+
+    They are rounded to half precision, as the file keeps them. Raises ValueError for variants of other precision.
+    """
+    stored = {t.name.removesuffix(HALF): torch.from_numpy(numpy_helper.to_array(t).astype("float32"))
+              for t in onnx.load(path).graph.initializer if "." in t.name}
+    parts = [stored.pop(name) for name in sorted(name for name in stored if name.startswith("parts."))]
+    if not parts:
+        raise ValueError(f"{path}: no weights of the fine head: take the float32 model, as denoise_upscale.m.onnx")
+    fine = torch.cat(parts, 1)  # inputs and one for the bias, channels, 2, 2
+    stored["fine.weight"] = fine[:-1].permute(1, 2, 3, 0).reshape(-1, len(fine) - 1, 1, 1)
+    stored["fine.bias"] = fine[-1].reshape(-1)
+    return {PREFIX + name: values.contiguous() for name, values in stored.items()}
