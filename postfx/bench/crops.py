@@ -33,15 +33,74 @@ def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> No
     They are taken where OIDN's picture and ours differ most (else the result and the reference), not where either is
     good.
     """
-    number = material.noisy.numbers[-1]
-    columns = _columns(material, rows, number)
+    columns = _columns(material, rows, material.noisy.numbers[-1])
     one, other = _compared(columns)
     places = pick(np.abs(one - other).mean(-1), COUNT)
-    side = _side(one.shape[:2])
+    _draw(columns, places, f"frame {material.noisy.numbers[-1]}", "where methods differ most", path)
+
+
+def draw_worst(material: Material, rows: list[dict[str, Any]], path: Path) -> None:
+    """The same for our failures: the frame and the places where ours is behind OIDN's methods most; a PNG.
+
+    Ours is the largest network without guides, which sees what OIDN sees. The frame is the one where its PSNR is least
+    above (or furthest below) the best OIDN method's. Where there is nothing to compare, or no place where ours is
+    behind, there is no picture afterwards.
+    """
+    path.unlink(missing_ok=True)
+    wanted = _wanted(rows)
+    ours = next((row for row in wanted if row["family"] == "ours"), None)
+    theirs = [row for row in wanted if row["family"] == "oidn"]
+    if not ours or not theirs:
+        return
+    gaps = [own["psnr"] - max(row["frames"][index]["psnr"] for row in theirs)
+            for index, own in enumerate(ours["frames"])]
+    number = material.noisy.numbers[int(np.argmin(gaps))]
+    columns = _columns(material, wanted, number)
+    errors = {column.title: np.square(column.picture - columns[-1].picture).mean(-1) for column in columns}
+    places = behind(errors[ours["title"]], [errors[row["title"]] for row in theirs], COUNT)
+    if places:
+        _draw(columns, places, f"frame {number}", f"where {ours['title']} is behind OIDN most", path)
+
+
+def pick(difference: np.ndarray, count: int) -> list[tuple[int, int]]:
+    """Upper left corners (y, x) of up to `count` squares of the greatest mean `difference` (H, W), without overlap."""
+    return _greatest(_means(difference), count, _side(difference.shape))
+
+
+def behind(ours: np.ndarray, others: list[np.ndarray], count: int) -> list[tuple[int, int]]:
+    """Corners as of `pick`: squares whose mean error (H, W) is furthest above the least of the others' means.
+
+    None where ours is not above it.
+    """
+    losses = _means(ours) - np.min([_means(other) for other in others], axis=0)
+    return _greatest(np.where(losses > 0, losses, -np.inf), count, _side(ours.shape))
+
+
+def _means(values: np.ndarray) -> np.ndarray:
+    """Means of all squares that fit into the picture, by their upper left corners."""
+    side = _side(values.shape)
+    means = uniform_filter(values.astype(np.float64), side, mode="nearest", origin=-(side // 2))
+    return means[: values.shape[0] - side + 1, : values.shape[1] - side + 1]
+
+
+def _greatest(means: np.ndarray, count: int, side: int) -> list[tuple[int, int]]:
+    """Corners of the squares of the greatest means, without overlap; minus infinity is never taken."""
+    open_ = means.copy()
+    found = []
+    while len(found) < count and np.isfinite(open_).any():
+        y, x = np.unravel_index(int(np.argmax(open_)), open_.shape)
+        found.append((int(y), int(x)))
+        open_[max(y - side + 1, 0) : y + side, max(x - side + 1, 0) : x + side] = -np.inf
+    return found
+
+
+def _draw(columns: list[Column], places: list[tuple[int, int]], frame: str, why: str, path: Path) -> None:
+    """A line of crops for each place, the PSNR of each below it."""
+    reference = columns[-1].picture
+    side = _side(reference.shape[:2])
     figure = Figure(figsize=(len(columns) * 2.9, len(places) * 3.1 + 0.5), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(places), len(columns), squeeze=False)
-    reference = columns[-1].picture
     for line, (y, x) in zip(grid, places, strict=True):
         cut = (slice(y, y + side), slice(x, x + side))
         for axes, column in zip(line, columns, strict=True):
@@ -53,21 +112,8 @@ def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> No
         line[0].set_ylabel(f"x {x}, y {y}", fontsize=9)
     for axes, column in zip(grid[0], columns, strict=True):
         axes.set_title(column.title, fontsize=11)
-    figure.suptitle(f"frame {number}: {side}x{side} pixels of the output where methods differ most", fontsize=10)
+    figure.suptitle(f"{frame}: {side}x{side} pixels of the output {why}", fontsize=10)
     figure.savefig(path)
-
-
-def pick(difference: np.ndarray, count: int) -> list[tuple[int, int]]:
-    """Upper left corners (y, x) of up to `count` squares of the greatest mean `difference` (H, W), without overlap."""
-    side = _side(difference.shape)
-    mean = uniform_filter(difference.astype(np.float64), side, mode="nearest", origin=-(side // 2))
-    open_ = mean[: difference.shape[0] - side + 1, : difference.shape[1] - side + 1].copy()
-    found = []
-    while len(found) < count and np.isfinite(open_).any():
-        y, x = np.unravel_index(int(np.argmax(open_)), open_.shape)
-        found.append((int(y), int(x)))
-        open_[max(y - side + 1, 0) : y + side, max(x - side + 1, 0) : x + side] = -np.inf
-    return found
 
 
 def _side(shape: tuple[int, ...]) -> int:

@@ -78,7 +78,7 @@ class Bench:
         return facts
 
     def _write(self, facts: dict[str, Any]) -> None:
-        from postfx.bench.crops import draw_crops  # these load the libraries that were asked for above
+        from postfx.bench.crops import draw_crops, draw_worst  # these load the libraries that were asked for above
         from postfx.bench.plots import pareto
 
         folder = self._wish.output
@@ -88,6 +88,7 @@ class Bench:
             pareto(facts, "psnr_late", folder / "pareto_psnr.png")
             pareto(facts, "flicker_late", folder / "pareto_flicker.png")
             draw_crops(self.material, offered(facts["methods"]), folder / "crops.png")
+            draw_worst(self.material, offered(facts["methods"]), folder / "crops_worst.png")
         except OSError as error:
             raise WriteError(f"{folder}: cannot be written: {error.strerror}; check rights and free space") from error
 

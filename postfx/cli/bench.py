@@ -30,7 +30,8 @@ examples:
   postfx bench shot/noisy.####.exr --reference shot/reference.####.exr -o out/bench --threads 1 --runs 5 --json
 
 writes OUT: bench.csv (a line a method), bench.json (everything, frame by frame), pareto_psnr.png, pareto_flicker.png,
-crops.png (details where methods differ most) and the results under OUT/frames/METHOD/.
+crops.png (details where methods differ most), crops_worst.png (details where ours is behind OIDN most, where there are
+any) and the results under OUT/frames/METHOD/.
 """
 
 
@@ -67,7 +68,8 @@ def execute(arguments: argparse.Namespace) -> int:
         print(json.dumps(facts))
     else:
         print_table(facts)
-        print(f"wrote {wish.output}: bench.csv, bench.json, pareto_psnr.png, pareto_flicker.png, crops.png, frames/")
+        pictures = ", ".join(sorted(path.name for path in wish.output.glob("*.png")))
+        print(f"wrote {wish.output}: bench.csv, bench.json, {pictures}, frames/")
     return 0
 
 

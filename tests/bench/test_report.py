@@ -7,6 +7,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.bench import report
+from postfx.frame import Frame, Role
 
 FIGURES = {"ssim_late": 0.9, "flip_late": 0.1, "relmse_late": 0.01, "worst_frame": 1, "worst_psnr": 1.0,
            "not_finite": 0}
@@ -101,3 +102,54 @@ def test_crops_are_where_pictures_differ_and_do_not_overlap():
     places = pick(difference, 2)
     assert places == [(10, 70), (35, 5)]
     assert len(pick(np.ones((20, 20)), 9)) <= 9
+
+
+def test_failures_are_where_ours_is_behind_the_better_of_the_others():
+    pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
+    from postfx.bench.crops import behind
+
+    ours, one, other = np.zeros((60, 100)), np.full((60, 100), 0.1), np.full((60, 100), 9.0)
+    ours[10:31, 70:91] = 0.3
+    ours[35:56, 5:26] = 0.8
+    ours[0:21, 0:21], one[0:21, 0:21] = 5.0, 6.0  # bad, but better than both
+    assert behind(ours, [one, other], 2) == [(35, 5), (10, 70)]
+    assert behind(ours, [ours + 0.01], 3) == []
+
+
+class Sequence:
+    """Stands in for the frames of a sequence: two frames of 40x60, results by name, the reference flat grey."""
+
+    size, numbers = (40, 60), (3, 4)
+
+    def __init__(self, results):
+        self.noisy, self._results = self, results
+
+    def reference(self, number):
+        return Frame({Role.COLOUR: np.ones((40, 60, 3), np.float32)}, exposure=1.0, number=number)
+
+    motion = reference
+
+    def result(self, name, number):
+        return Frame({Role.COLOUR: self._results[name][number]}, number=number)
+
+
+def test_failures_are_drawn_of_the_worst_frame_only_where_there_are_any(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
+    from postfx.bench import crops
+
+    flat = np.ones((40, 60, 3), np.float32)
+    spot = flat.copy()
+    spot[20:34, 40:54] = 3
+    rows = [{**row("l", 60, 30, family="ours"), "output": "l", "frames": [{"psnr": 30.0}, {"psnr": 24.0}]},
+            {**row("oidn-high", 60, 28, family="oidn"), "output": "oidn", "frames": [{"psnr": 25.0}, {"psnr": 26.0}]}]
+    seen, draw = [], crops._draw
+    monkeypatch.setattr(crops, "_draw", lambda *arguments: seen.append(arguments[1:4]) or draw(*arguments))
+    material = Sequence({"l": {3: flat, 4: spot}, "oidn": {3: spot, 4: flat * 1.01}})
+    crops.draw_worst(material, rows, tmp_path / "worst.png")
+    (places, frame, why), = seen
+    assert places[0] == (20, 40) and (frame, why) == ("frame 4", "where l is behind OIDN most")
+    assert np.ptp(oiio.ImageBuf(str(tmp_path / "worst.png")).get_pixels(oiio.UINT8)) > 100
+    crops.draw_worst(material, rows[:1], tmp_path / "worst.png")
+    assert not (tmp_path / "worst.png").exists()
+    crops.draw_worst(Sequence({"l": {3: flat, 4: flat}, "oidn": {3: spot, 4: spot}}), rows, tmp_path / "worst.png")
+    assert len(seen) == 1 and not (tmp_path / "worst.png").exists()

@@ -58,6 +58,9 @@ def test_everything_that_is_written(postfx, scene, tmp_path):
         assert [line["name"] for line in csv.DictReader(file)] == list(rows)
     for name in ("pareto_psnr", "pareto_flicker", "crops"):
         assert np.ptp(oiio.ImageBuf(str(tmp_path / f"out/{name}.png")).get_pixels(oiio.UINT8)) > 100
+    wrote = done.out.splitlines()[-1].split(": ")[1].split(", ")
+    pictures = {path.name for path in (tmp_path / "out").glob("*.png")}
+    assert {"bench.csv", "bench.json", "frames/"} | pictures == set(wrote)
     assert len(list((tmp_path / "out/frames/m").glob("frame.000[123].exr"))) == 3
 
 
