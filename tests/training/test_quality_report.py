@@ -70,7 +70,9 @@ def results(tmp_path: Path) -> Path:
               for n, gain in ((1, 9.0), (4, -0.25), (16, 0.5)) for name in ("input", "m")]
     equivalent = {"scene": "room", "seed": 9000, "counts": [1, 64],
                   "results": {"m": {"equivalent_samples": {"seen": 40.04, "relmse": None}, "images": 4}}}
-    written = {"one/bench.json": bench(33.0), "two/bench.json": beside, "two-ablations/bench.json": bench(34.0),
+    late = {name: {"albedo": {"psnr": 20.0, "share": 0.5, "coherence": -0.004}} for name in ("cubic", "m, alone")}
+    written = {"detail/detail.json": {"late": late}, "one/bench.json": bench(33.0),
+               "two/bench.json": beside, "two-ablations/bench.json": bench(34.0),
                "validation/comparison.json": comparison(), "equivalent/equivalent_samples.json": equivalent,
                "convergence/convergence.json": {"view": {"scene": "room", "seed": 9000}, "rows": curves},
                "models/denoise_upscale.m.json": {
@@ -168,13 +170,13 @@ def test_the_validation_set(tmp_path, results):
 
 
 def test_views_and_networks(tmp_path, results):
-    equivalent, convergence, networks = (
-        cells(block)[1:] for block in written(tmp_path, results, "equivalent equivalent", "convergence convergence",
-                                              "networks"))
+    names = ("equivalent equivalent", "convergence convergence", "networks", "detail detail")
+    equivalent, convergence, networks, detail = (cells(block)[1:] for block in written(tmp_path, results, *names))
     assert equivalent == [["room, seed 9000", "postfx m", "40.0", "over 64", "4"]]
     assert convergence == [["room, seed 9000", "1x", "postfx m", "-0.25 dB at 4", "+0.50 dB at 16"]]
     assert networks == [["postfx m", "64/128", "2", "3.04 M", "100 of 16 windows, 22 minutes, 2 GPUs", "840",
                          "28.65 dB", "18.5"]]
+    assert detail == [["cubic", "20.00 dB, 0.50, 0.00"], ["postfx m, alone", "20.00 dB, 0.50, 0.00"]]
 
 
 def test_what_is_missing_stays_and_is_named(tmp_path, results, capsys):
@@ -199,8 +201,21 @@ def test_check_writes_nothing_and_tells_what_is_out_of_date(tmp_path, results, c
     assert capsys.readouterr().out.splitlines()[-1] == f"out of date: {tmp_path / 'images/one.pareto_psnr.png'}"
 
 
+def test_lines_of_plots_keep_their_colours(tmp_path):
+    drawn = np.full((300, 600, 3), 255, np.uint8)
+    drawn[:, :] = np.linspace(0, 255, 600).astype(np.uint8)[None, :, None]
+    lines = {20: (11, 98, 184), 40: (200, 80, 10), 60: (0, 102, 85)}
+    for y, colour in lines.items():
+        drawn[y, 50:90] = colour
+    Image.fromarray(drawn).save(tmp_path / "plot.png")
+    (tmp_path / "small.png").write_bytes(pictures.shrunk(tmp_path / "plot.png", "png"))
+    with Image.open(tmp_path / "small.png") as picture:
+        small = np.asarray(picture.convert("RGB")).astype(int)
+    assert all(np.abs(small[y, 60] - colour).max() <= 10 for y, colour in lines.items())
+
+
 def test_pictures_are_made_smaller(tmp_path, results, monkeypatch, capsys):
-    noise = np.random.default_rng(0).integers(0, 255, (200, 1500, 3), np.uint8)
+    noise = np.random.default_rng(0).integers(0, 255, (30, 1500, 3), np.uint8)
     for name in ("crops", "curves"):
         Image.fromarray(noise).save(results / f"{name}.png")
     names = ("picture crops.png Side by side", "picture curves.png Curves")
@@ -208,8 +223,10 @@ def test_pictures_are_made_smaller(tmp_path, results, monkeypatch, capsys):
     assert (crops, curves) == ("![Side by side](images/crops.jpg)\n", "![Curves](images/curves.png)\n")
     for name, kind in (("crops.jpg", "JPEG"), ("curves.png", "PNG")):
         with Image.open(tmp_path / "images" / name) as picture:
-            assert (picture.format, picture.size) == (kind, (1100, 147))
+            assert (picture.format, picture.size) == (kind, (1100, 22))
         assert (tmp_path / "images" / name).stat().st_size < (results / "curves.png").stat().st_size / 2
+    with Image.open(tmp_path / "images/curves.png") as picture:
+        assert len(picture.convert("RGB").getcolors()) <= 256
     monkeypatch.setattr(pictures, "LIMIT", 1000)
     written(tmp_path, results, *names, code=2)
     assert "MB, more than 0.001: show fewer of them" in capsys.readouterr().err

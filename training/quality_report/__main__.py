@@ -9,6 +9,7 @@ RESULTS holds what our own commands write:
     RESULTS/validation/            python -m training.validation compare CLIPS -o RESULTS/validation
     RESULTS/equivalent/            python -m training.equivalent_samples measure VIEW -o RESULTS/equivalent
     RESULTS/convergence/           python -m training.convergence VIEW -o RESULTS/convergence
+    RESULTS/detail/                python -m training.detail_study -o RESULTS/detail
     RESULTS/curves.png             python -m training.plot_curves RUN -o RESULTS/curves.png
 
 What stands between a line `<!-- table: NAME ARGUMENTS -->` and a line `<!-- end -->` is replaced; everything else is
@@ -26,6 +27,7 @@ written by hand. Arguments are folders of RESULTS, so the document says which se
     equal_rays                     the validation set, light paths spent both ways
     equivalent FOLDER...           equivalent sample counts
     convergence FOLDER...          least gain over the input, whatever its sample count
+    detail FOLDER                  what comes back of detail beyond the render size
     networks                       cards of models/*.json
     picture FILE WORDS...          RESULTS/FILE, made smaller, with WORDS for those who cannot see it
 

@@ -19,6 +19,7 @@ MAKERS: dict[str, Callable[..., str]] = {
     "equal_rays": sets.equal_rays,
     "equivalent": sets.equivalent,
     "convergence": sets.convergence,
+    "detail": sets.detail,
     "networks": sets.networks,
 }
 """Name -> what makes a block's lines of the results and the marker's arguments; raises Missing."""

@@ -14,7 +14,7 @@ from training.quality_report.results import Results
 WIDTH, LIMIT = 1100, 2_500_000
 """Greatest width in pixels, and bytes of all pictures together."""
 PHOTOGRAPHS = "crops"
-"""Part of the names of pictures that are kept as JPEG; others are drawings: PNG of 64 colours."""
+"""Part of the names of pictures that are kept as JPEG; others are drawings: PNG of 256 colours."""
 
 
 class Album:
@@ -62,6 +62,6 @@ def shrunk(path: Path, kind: str) -> bytes:
     if kind == "jpg":
         picture.save(buffer, "JPEG", quality=84, optimize=True)
     else:
-        few = picture.quantize(64, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        few = picture.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
         few.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()

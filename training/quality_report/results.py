@@ -41,6 +41,10 @@ class Results:
         """What `training.convergence` wrote."""
         return self._load(f"{name}/convergence.json")
 
+    def detail(self, name: str) -> Facts:
+        """What `training.detail_study` wrote."""
+        return self._load(f"{name}/detail.json")
+
     def cards(self) -> list[Facts]:
         """Of the denoisers in full precision, by parameters."""
         cards = [_read(path) for path in sorted(self._models.glob("denoise_upscale.*.json"))]

@@ -11,6 +11,8 @@ from training.validation.report import FRAMEWISE
 
 COMPARED = {"psnr_late": FORMS["psnr"], "gain": "+.2f", "ssim_late": FORMS["ssim"], "flip_ratio": ".2f",
             "flicker_ratio": ".2f"}
+PLAIN = ("cubic", "accumulation")
+"""Methods of studies that are no networks and have names of one word."""
 HEADS = ["PSNR", "gain, dB", "SSIM", "FLIP x", "flicker x"]
 
 
@@ -57,7 +59,7 @@ def equivalent(results: Results, *names: str) -> str:
         for method, found in facts["results"].items():
             counts = found["equivalent_samples"]
             cells = [f"over {facts['counts'][-1]}" if count is None else f"{count:.1f}" for count in counts.values()]
-            rows.append([view, method if method.startswith("OIDN") else f"postfx {method}", *cells,
+            rows.append([view, _told(method), *cells,
                          str(found["images"])])
             view = ""
     return table(["view", "method", "by the error that is seen", "by relMSE", "images"], rows)
@@ -72,11 +74,21 @@ def convergence(results: Results, *names: str) -> str:
         for scale, method in dict.fromkeys((row["scale"], row["method"]) for row in found if row["method"] != "input"):
             own = [row for row in found if (row["scale"], row["method"]) == (scale, method)]
             least, most = min(own, key=lambda row: row["gain"]), max(own, key=lambda row: row["samples"])
-            rows.append([view, f"{scale}x", method if method.startswith("OIDN") else f"postfx {method}",
+            rows.append([view, f"{scale}x", _told(method),
                          f"{number(least['gain'], '+.2f')} dB at {least['samples']}",
                          f"{number(most['gain'], '+.2f')} dB at {most['samples']}"])
             view = ""
     return table(["view", "scale", "method", "least gain over the input", "at the most samples"], rows)
+
+
+def detail(results: Results, name: str) -> str:
+    """What comes back of detail beyond the render size, part by part of the picture."""
+    facts = results.detail(name)["late"]
+    parts = list(next(iter(facts.values())))
+    rows = [[_told(method),
+             *(f"{found[part]['psnr']:.2f} dB, {number(found[part]['share'], '.2f')}, "
+               f"{number(found[part]['coherence'], '.2f')}" for part in parts)] for method, found in facts.items()]
+    return table(["method", *(f"{part}: PSNR, share, coherence" for part in parts)], rows)
 
 
 def networks(results: Results) -> str:
@@ -92,6 +104,12 @@ def networks(results: Results) -> str:
                      f"{training['validation_psnr']:.2f} dB", f"{1000 * training['validation_flicker']:.1f}"])
     return table(["network", "channels", "convolutions a level", "parameters", "steps", "clips", "held-out clips: PSNR",
                   "flicker"], rows)
+
+
+def _told(method: str) -> str:
+    """A method of a study for readers: networks go by tag, as 'm' or 'm, alone'; what others are called has spaces."""
+    tag = method.split(",")[0]
+    return method if " " in tag or tag in PLAIN else f"postfx {method}"
 
 
 def _of(facts: Facts, render: str) -> list[Facts]:
