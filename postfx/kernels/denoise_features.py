@@ -21,7 +21,18 @@ from postfx.kernels.denoise_layout import (
     REFLECTANCE,
     kernel,
 )
-from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, demodulation, expm1, fused, log, log1p, log_encode
+from postfx.kernels.numeric import (
+    MAX_COLOUR,
+    clamp,
+    compiled,
+    demodulation,
+    expm1,
+    fused,
+    log,
+    log1p,
+    log_encode,
+    mirrored,
+)
 
 MEMORY = 4 + HIDDEN
 ZERO, ONE, FOUR, NEAREST = np.float32(0), np.float32(1), np.float32(4), np.float32(1e-6)
@@ -139,7 +150,7 @@ def memory_planes(row, valid, memory, features):
 @compiled
 def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
                  warped, depth_scale, params, past, features):
-    """The network's input, padded to its size by repeating the edge, and the reprojected accumulation."""
+    """The network's input, mirrored up to its size, and the reprojected accumulation."""
     h, w = colour.shape[:2]
     width = warped.shape[1]
     two = np.float32(2)
@@ -148,7 +159,7 @@ def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughn
     memory, mean, factor = np.empty((MEMORY, w), np.float32), np.empty((3, w), np.float32), np.empty((3, w), np.float32)
     before, valid, total = np.ones(w, np.float32), np.empty(w, np.float32), np.empty(3 * width, np.float32)
     for row in range(y0, y1):
-        y = min(row, h - 1)
+        y = mirrored(row, h)
         for x in range(w):
             factor[0, x], factor[1, x], factor[2, x] = demodulation(diffuse_albedo, specular_albedo, y, x)
         recall_row(y, moved, state, last_depth, params[FRESH], memory, before, valid)
@@ -165,7 +176,8 @@ def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughn
         features[0, 24, row, :] = params[JITTER_Y]
         features[0, 26, row, :] = np.float32(w) / np.float32(width)
         for c in range(FEATURES):
-            features[0, c, row, w:] = features[0, c, row, w - 1]
+            for x in range(w, features.shape[3]):
+                features[0, c, row, x] = features[0, c, row, mirrored(x, w)]
         if row < h:
             for x in range(w):
                 for c in range(3):

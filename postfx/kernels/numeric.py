@@ -69,6 +69,12 @@ def clamp(value, low, high):
 
 
 @inline
+def mirrored(index, size):
+    """A row that goes on beyond its end as in a mirror, and stops at its start."""
+    return max(size - 1 - abs(index - (size - 1)), 0)
+
+
+@inline
 def centre(position, size, out_size):
     """The render pixel that holds an output pixel's centre, and the centre's offset from it in [-0.5, 0.5)."""
     at = (2 * position + 1) * size  # in units of 1 / (2 out_size): exact

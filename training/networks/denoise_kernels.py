@@ -28,11 +28,6 @@ def expose(colour: Tensor, params: Tensor) -> Tensor:
     return ops.sanitise(to_image(colour), 0, step.MAX_FLOAT) * params[0]
 
 
-def aligned(features: Tensor, h: int, w: int) -> Tensor:
-    """Features (1, C, h, w) as the network takes them: the edge repeated up to the next multiple of 16."""
-    return F.pad(features, (0, -w % step.ALIGN, 0, -h % step.ALIGN), mode="replicate")
-
-
 class Scale(nn.Module):
     """depth (h, w, 1) -> depth_scale (1,)."""
 
@@ -66,9 +61,8 @@ class Features(nn.Module):
         before = State(output, old[:, :3], old[:, 3:4], old[:, 4:], to_image(last_depth), fresh)
         past = step.recall(inputs, before, inputs.motion, output)
         factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
-        h, w = colour.shape[:2]
         features = step.features(inputs, past, factor, depth_scale.reshape(1, 1, 1, 1))
-        return to_picture(torch.cat((past.accumulated, past.count), 1)), aligned(features, h, w)
+        return to_picture(torch.cat((past.accumulated, past.count), 1)), step.aligned(features)
 
 
 class GuideFeatures(nn.Module):
@@ -78,7 +72,7 @@ class GuideFeatures(nn.Module):
                 roughness: Tensor, guide_depth: Tensor, depth_scale: Tensor) -> Tensor:
         h, w = depth.shape[:2]
         guides = Guides(*map(to_image, (diffuse_albedo, specular_albedo, normal, roughness, guide_depth)))
-        return aligned(step.guide_features(guides, h, w, depth_scale.reshape(1, 1, 1, 1)), h, w)
+        return step.aligned(step.guide_features(guides, h, w, depth_scale.reshape(1, 1, 1, 1)))
 
 
 class Accumulate(nn.Module):

@@ -155,6 +155,13 @@ def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:
     return torch.cat([ops.pick(at, rows[i], columns[j]) for i in range(2) for j in range(2)], 1)
 
 
+def aligned(image: Tensor) -> Tensor:
+    """``image`` (N, C, h, w) mirrored at its right and lower edge up to the next multiple of 16."""
+    h, w = image.shape[-2:]
+    rows, columns = (ops.mirrored(size, size + -size % ALIGN, image.device) for size in (h, w))
+    return ops.pick(image, rows, columns)
+
+
 def accumulate(colour: Tensor, mean: Tensor, count: Tensor, distrust: Tensor) -> tuple[Tensor, Tensor]:
     """Running ``mean`` of demodulated colour and its effective sample count; ``distrust`` 1 starts anew."""
     share = 1 / (count + 1)
@@ -229,7 +236,7 @@ class DenoiseUpscale(nn.Module):
         if self.config.guides:
             seen.append(guide_features(guides, h, w, scale))
             outer = ops.demodulation(guides.diffuse_albedo, guides.specular_albedo)
-        heads = self.trunk(*(F.pad(x, pad, mode="replicate") for x in seen))
+        heads = self.trunk(*(map(aligned, seen) if any(pad) else seen))
         fine, *levels = (head.float() for head in heads)
         here = fine[..., :h, :w]
         noisy, distrust = demodulate(inputs.colour, factor), here[:, DISTRUST:IMPORTANCE]

@@ -101,6 +101,13 @@ def pick(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
     return image.index_select(-2, rows).index_select(-1, columns)
 
 
+def mirrored(size: int, padded: int, device: torch.device) -> Tensor:
+    """Index (padded,) of a row that goes on beyond its end as in a mirror, and stops at its start: noise stays noise,
+    where a repeated edge would be a streak."""
+    last = size - 1
+    return (last - (torch.arange(padded, device=device) - last).abs()).clamp(min=0)
+
+
 def enlarge(image: Tensor, height: int, width: int) -> Tensor:
     """Nearest-neighbour resampling to output size."""
     h, w = image.shape[-2:]
