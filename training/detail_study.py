@@ -2,7 +2,7 @@
 
 python -m training.detail_study -o OUT [--model m,s] [--frames 16] [--noise 0.5]     needs postfx[bench], no renderer
 
-    python -m training.detail_study -o out/detail --model m
+    python -m training.detail_study -o out/detail --model m,s
     python -m training.detail_study -o out/clean --noise 0       # is it the noise?
     python -m training.detail_study -o out/still --pan 0,0       # is it the resampling of what moves?
 
@@ -14,7 +14,7 @@ Methods:
                         perfect denoiser at render size could give
     all samples kept    the mean of all noise-free samples so far in each output pixel, at their exact places
     accumulation        noisy frames, cubic interpolation, motion-compensated mean
-    OIDN, OIDN acc.     Open Image Denoise at render size, then cubic; the same accumulated
+    OIDN + cubic        Open Image Denoise, high quality, at render size; beside it the same accumulated
     TAG; TAG, alone     our network with its history, and with the history dropped at every frame
 
 Figures of each frame and part: PSNR of what is seen, and, of luminance in linear light beyond the render size's limit,
