@@ -52,8 +52,7 @@ class ClipLoss(nn.Module):
         height, width = batch.references.shape[-2:]
         state = empty_state(batch.frames[0], height, width)
         loss, quality, flicker = 0.0, [], []
-        count = len(batch.frames)
-        previous = None
+        count, previous = len(batch.frames), None
         for t, inputs in enumerate(batch.frames):
             keep = (torch.rand_like(batch.keep[t]) >= self.reset) * batch.keep[t]
             output, state, _ = self.model(inputs, state.drop(keep))
@@ -87,7 +86,7 @@ class Average:
         torch._foreach_add_(targets, list(self.live.values()), alpha=1 - decay)
 
 
-def arguments() -> argparse.Namespace:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--clips", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
@@ -103,7 +102,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--resume", type=Path, help="checkpoint.pt, or an exported denoise_upscale.<tag>.onnx")
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
     parser.add_argument("--seed", type=int, default=0)
-    return parser.parse_args()
+    return parser
 
 
 def resumed(path: Path) -> dict[str, Tensor]:
@@ -144,15 +143,16 @@ def by_size(clips: list[Clip], most: int) -> Iterator[list[Clip]]:
 
 
 class Trainer:
-    """Everything of one process: its clips, model, optimiser and log."""
+    """Everything of one process: its clips, model (a given one, or that of the options), optimiser and log."""
 
-    def __init__(self, args: argparse.Namespace, rank: int, world: int, device: torch.device):
+    def __init__(self, args: argparse.Namespace, rank: int, world: int, device: torch.device,
+                 model: DenoiseUpscale | None = None):
         self.args, self.rank, self.world, self.device = args, rank, world, device
         self.pool = ClipPool(args.clips, device, args.guides, rank, world)
         while self.pool.refresh() < args.wait:
             time.sleep(2)
-        self.config = TrunkConfig(tuple(args.widths), args.depth, args.guides)
-        self.model = DenoiseUpscale(self.config).to(device, memory_format=torch.channels_last)
+        model = model or DenoiseUpscale(TrunkConfig(tuple(args.widths), args.depth, args.guides))
+        self.config, self.model = model.config, model.to(device, memory_format=torch.channels_last)
         if args.resume:
             self.model.load_state_dict(resumed(args.resume))
         self.average = Average(self.model, 0.9995)
@@ -222,20 +222,25 @@ class Trainer:
         print("validation", json.dumps(notes), flush=True)
 
 
-def main() -> None:
-    args = arguments()
-    rank, world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+def set_up(args: argparse.Namespace, rank: int = 0) -> torch.device:
+    """The folder, the device and the seeds of a process."""
     device = torch.device(f"cuda:{rank}" if torch.cuda.is_available() else "cpu")
     if device.type == "cuda":
         torch.cuda.set_device(device)
-        torch.backends.cudnn.benchmark = True
-        torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
+        torch.backends.cudnn.benchmark = torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = True
         fuse()
-    if world > 1:
-        dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     torch.manual_seed(args.seed)  # the same weights everywhere; batches differ by rank
     random.seed(args.seed + rank)
     args.out.mkdir(parents=True, exist_ok=True)
+    return device
+
+
+def main() -> None:
+    args = options().parse_args()
+    rank, world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+    device = set_up(args, rank)
+    if world > 1:
+        dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     Trainer(args, rank, world, device).run()
     if world > 1:
         dist.destroy_process_group()

@@ -155,10 +155,10 @@ def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:
     return torch.cat([ops.pick(at, rows[i], columns[j]) for i in range(2) for j in range(2)], 1)
 
 
-def aligned(image: Tensor) -> Tensor:
-    """``image`` (N, C, h, w) mirrored at its right and lower edge up to the next multiple of 16."""
+def aligned(image: Tensor, multiple: int = ALIGN) -> Tensor:
+    """``image`` (N, C, h, w) mirrored at its right and lower edge up to the next multiple."""
     h, w = image.shape[-2:]
-    rows, columns = (ops.mirrored(size, size + -size % ALIGN, image.device) for size in (h, w))
+    rows, columns = (ops.mirrored(size, size + -size % multiple, image.device) for size in (h, w))
     return ops.pick(image, rows, columns)
 
 
@@ -218,17 +218,21 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
 
 
 class DenoiseUpscale(nn.Module):
-    """One recurrent step. Output size is free: any width and height of 1 to 3 times the render size."""
+    """One recurrent step. Output size is free: any width and height of 1 to 3 times the render size.
 
-    def __init__(self, config: TrunkConfig | None = None):
+    ``trunk`` is a ready network that gives what ``Trunk`` gives; None makes one of ``config``.
+    """
+
+    def __init__(self, config: TrunkConfig | None = None, trunk: nn.Module | None = None):
         super().__init__()
-        self.trunk = Trunk(config)
+        self.trunk = trunk or Trunk(config)
         self.config = self.trunk.config
 
     def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, State, Tensor]:
         """Exposed linear output (N, 3, H, W), the next state, and the last output reprojected (log-encoded)."""
         h, w = inputs.colour.shape[-2:]
-        pad = (0, -w % ALIGN, 0, -h % ALIGN)
+        align = self.trunk.align
+        pad = (0, -w % align, 0, -h % align)
         past = reproject(inputs, state)
         factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
         scale, guides = ops.depth_scale(inputs.depth), inputs.guides
@@ -236,7 +240,7 @@ class DenoiseUpscale(nn.Module):
         if self.config.guides:
             seen.append(guide_features(guides, h, w, scale))
             outer = ops.demodulation(guides.diffuse_albedo, guides.specular_albedo)
-        heads = self.trunk(*(map(aligned, seen) if any(pad) else seen))
+        heads = self.trunk(*(aligned(x, align) if any(pad) else x for x in seen))
         fine, *levels = (head.float() for head in heads)
         here = fine[..., :h, :w]
         noisy, distrust = demodulate(inputs.colour, factor), here[:, DISTRUST:IMPORTANCE]

@@ -66,6 +66,7 @@ class Trunk(nn.Module):
         super().__init__()
         self.config = config or TrunkConfig()
         w, d = self.config.widths, self.config.depth
+        self.align = 2 ** len(w)
         self.stem = nn.Conv2d(FEATURES, w[0], 4, stride=2, padding=1)
         self.guide_stem = nn.Conv2d(GUIDES, w[0], 4, stride=2, padding=1, bias=False) if self.config.guides else None
         self.down = nn.ModuleList([Block(w[max(i - 1, 0)], w[i], 1 if i == 0 else d) for i in range(len(w))])
