@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from training.export_denoise import load_trunk  # noqa: E402
 from training.networks import ops  # noqa: E402
 from training.networks.denoise_upscale import empty_state  # noqa: E402
 from training.networks.trunk import BLEND, KERNEL, MEMORY, MIX, REACH, SHADE, SHARPEN, Trunk  # noqa: E402
-from training.sweep import report, timing  # noqa: E402
+from training.sweep import jobs, report, timing  # noqa: E402
 from training.sweep.__main__ import main  # noqa: E402
 from training.sweep.export import export_variant  # noqa: E402
 from training.sweep.trunk import SweepTrunk, build  # noqa: E402
@@ -180,6 +181,7 @@ def test_the_front_holds_what_nothing_beats() -> None:
     assert {row["name"] for row in rows if row["front"]} == {"slow", "fast", "mid"}
 
 
+@pytest.mark.slow
 def test_two_variants_are_trained_and_measured(clips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
                                                monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
@@ -214,6 +216,24 @@ def test_a_variant_that_cannot_be_trained_is_named(tmp_path: Path, capsys: pytes
     assert main(["train", f"--clips={tmp_path}", f"--out={tmp_path}/runs", "--minutes=0.01", "--only=xs",
                  "--wait=1"]) == 1
     assert "xs: failed" in (said := capsys.readouterr().out) and "no clip to validate on" in said
+
+
+def test_an_interrupted_sweep_ends_its_processes_and_begins_unfinished_variants_anew(
+        clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, minutes in (("xs", 5.01), ("s", 2.0)):
+        (tmp_path / name).mkdir()
+        torch.save({"notes": {"minutes": minutes}}, tmp_path / name / "checkpoint.pt")
+        (tmp_path / name / "log.csv").write_text("old")
+    queue = jobs.Queue(["xs", "s", "m"], tmp_path, ["0", "1"], 5.0, [f"--clips={clips}", "--wait=1"])
+    started = []
+    start = jobs.Queue._start
+    monkeypatch.setattr(jobs.Queue, "_start", lambda *given: started.append(start(*given)) or started[-1])
+    monkeypatch.setattr(jobs.Queue, "_collect", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        queue.run(pause=0.1)
+    assert [job.name for job in started] == ["s", "m"]
+    assert all(job.process.returncode == -signal.SIGKILL for job in started)
+    assert (tmp_path / "xs" / "log.csv").read_text() == "old" and not (tmp_path / "s" / "log.csv").exists()
 
 
 def test_unknown_variants_are_refused(tmp_path: Path) -> None:

@@ -60,7 +60,6 @@ def train(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise SystemExit(f"error: {error}") from None
     queue = Queue(names, args.out, args.gpus.split(","), args.minutes, [f"--clips={args.clips}", *options])
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the queue ends its processes
     queue.run()
     return 1 if queue.failed else 0
 
@@ -110,4 +109,5 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that a queue ends its processes
     sys.exit(main())
