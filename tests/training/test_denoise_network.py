@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch")
 
 from tests.training.small_denoiser import SMALL, one_thread, small_model  # noqa: E402, F401
 from training.networks import ops, phases  # noqa: E402
-from training.networks.denoise_upscale import Inputs, State, empty_state  # noqa: E402
+from training.networks.denoise_upscale import Inputs, State, aligned, empty_state  # noqa: E402
 from training.networks.trunk import FEATURES, FINE, HIDDEN, Trunk  # noqa: E402
 
 SIZES = {1: (18, 30), 1.5: (27, 45), 2: (36, 60), 2.7: (49, 81), 3: (54, 90)}
@@ -36,6 +36,16 @@ def test_trunk_gives_kernels_of_all_levels() -> None:
         (2, FINE, 32, 48), (2, 26, 16, 24), (2, 26, 8, 12), (2, 26, 4, 6), (2, 25, 2, 3)]
     assert all((head[:, :25] > 0).all() for head in heads)
     assert heads[0][:, -HIDDEN:].abs().max() < 1
+
+
+def test_what_lies_beyond_the_edge_is_the_mirrored_picture() -> None:
+    image = torch.rand(1, 2, 27, 35)
+    padded = aligned(image)
+    assert padded.shape[-2:] == (32, 48)
+    torch.testing.assert_close(padded[..., :27, :35], image, rtol=0, atol=0)
+    torch.testing.assert_close(padded[..., 27:, :35], image[..., 21:26, :].flip(-2), rtol=0, atol=0)
+    torch.testing.assert_close(padded[..., :27, 35:], image[..., 21:34].flip(-1), rtol=0, atol=0)
+    assert aligned(image[..., :1, :3]).shape[-2:] == (16, 16)
 
 
 @pytest.mark.parametrize("scale", SIZES)
