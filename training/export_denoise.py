@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +44,8 @@ ALIGN = 16  # height and width of the trunk's input are multiples of this
 CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
 OUTPUTS = ("fine", "level1", "level2", "level3", "level4")
 MEANING = {
-    "fine": f"5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, wide 3x3 kernels 9 + 9, history blend, "
-    f"sharpening and shading at four phases 4 + 4 + 4, mix, distrust, importance, hidden state {HIDDEN}",
+    "fine": f"5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and sharpening at four phases "
+    f"4 + 4, mix, distrust, importance, hidden state {HIDDEN}",
     "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
     "level4": f"5x5 kernel {KERNEL}",
 }
@@ -65,8 +64,6 @@ KERNELS = {
     denoise_filter.POOL: definitions.Pool,
     denoise_filter.MIX_LEVELS: definitions.Mix,
     denoise_filter.FILTER: definitions.Filter,
-    denoise_filter.REACH_NEAR: partial(definitions.Reach, 0),
-    denoise_filter.REACH_FAR: partial(definitions.Reach, 1),
     denoise_filter.REMODULATE: definitions.Remodulate,
     denoise_upsample.UPSAMPLE: definitions.Upsample,
     denoise_upsample.UPSAMPLE_GUIDED: definitions.UpsampleGuided,

@@ -5,7 +5,7 @@ Pyramid levels are planar so that the inner loops run along rows with vector ins
 
 import numpy as np
 
-from postfx.kernels.denoise_layout import FINE, KERNEL, MIX, REACH, REACHES, REFLECTANCE, kernel
+from postfx.kernels.denoise_layout import KERNEL, MIX, REFLECTANCE, kernel
 from postfx.kernels.numeric import add, add_product, compiled, demodulation, vectorised
 
 ZERO, TINY = np.float32(0), np.float32(1e-8)
@@ -46,20 +46,20 @@ def divide(row, total):
 
 
 @compiled
-def kernel_row(y, size, step, mixed, weights, area, total, filtered):
-    """A normalised kernel of its own for every pixel of a row, ``size`` x ``size`` taps ``step`` pixels apart; taps
-    beyond the picture's ``area`` do not count."""
+def kernel_row(y, size, mixed, weights, area, total, filtered):
+    """A normalised kernel of its own for every pixel of a row, ``size`` x ``size`` taps; those beyond the picture's
+    ``area`` do not count."""
     h, w = int(area[0]), int(area[1])
     filtered[:, y, :] = ZERO
     if y >= h:
         return
     total[:w] = TINY
     for j in range(size):
-        source = y + step * (j - size // 2)
+        source = y + j - size // 2
         if source < 0 or source >= h:
             continue
         for i in range(size):
-            shift = step * (i - size // 2)
+            shift = i - size // 2
             left = min(max(0, -shift), w)
             right = max(left, min(w, w - shift))
             taps = weights[size * j + i, y, left:right]
@@ -75,23 +75,7 @@ def filter_rows(y0, y1, mixed, heads, area, filtered):
     """The 5x5 kernel of a level."""
     total = np.empty(filtered.shape[2], np.float32)
     for y in range(y0, y1):
-        kernel_row(y, 5, 1, mixed, heads[0], area, total, filtered)
-
-
-@compiled
-def near_rows(y0, y1, mixed, heads, area, filtered):
-    """The finest level's first 3x3 kernel of wide steps."""
-    total = np.empty(filtered.shape[2], np.float32)
-    for y in range(y0, y1):
-        kernel_row(y, 3, REACHES[0], mixed, heads[0, REACH:], area, total, filtered)
-
-
-@compiled
-def far_rows(y0, y1, mixed, heads, area, filtered):
-    """Its second one."""
-    total = np.empty(filtered.shape[2], np.float32)
-    for y in range(y0, y1):
-        kernel_row(y, 3, REACHES[1], mixed, heads[0, REACH + 9:], area, total, filtered)
+        kernel_row(y, 5, mixed, heads[0], area, total, filtered)
 
 
 @compiled
@@ -115,7 +99,4 @@ POOL = kernel("pool", ("finer",), ("level",), pool_rows, ("level", 1))
 MIX_LEVELS = kernel("mix", ("coarse", "level", "heads"), ("mixed",), mix_rows, ("mixed", 1), mixed=PLANAR)
 FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1),
                 mixed=("channels", "hp", "wp"))
-FINEST = {"mixed": PLANAR, "heads": (1, FINE, "hp", "wp")}
-REACH_NEAR = kernel("reach_near", ("mixed", "heads", "area"), ("filtered",), near_rows, ("filtered", 1), **FINEST)
-REACH_FAR = kernel("reach_far", ("mixed", "heads", "area"), ("filtered",), far_rows, ("filtered", 1), **FINEST)
 REMODULATE = kernel("remodulate", ("filtered", *REFLECTANCE), ("radiance",), remodulate_rows, ("radiance", 1))

@@ -3,9 +3,8 @@
 ``params`` is float32 (5,): exposure, jitter x, jitter y, fresh (0 drops the history) and the exposure's gain since
 the previous frame. ``state`` (h, w, 12) holds accumulated demodulated colour (3), effective sample count and hidden
 channels (8), colour already exposed; ``history`` (height, width, 3) is log(1 + exposed output). ``fine`` is the
-network's head at render size: 5x5 kernel 25, 3x3 weights at four phases 36, two 3x3 kernels of wide
-steps 9 each, history blend, sharpening and shading at
-four phases 4 each, mix, distrust, importance, hidden state 8. Pictures are (h, w, channels), pyramid levels planar
+network's head at render size: 5x5 kernel 25, 3x3 weights at four phases 36, history blend and sharpening at four
+phases 4 each, mix, distrust, importance, hidden state 8. Pictures are (h, w, channels), pyramid levels planar
 (channels, h, w). Names that begin with ``guide_`` are planes at output size.
 """
 
@@ -17,8 +16,7 @@ from postfx.kernels.kernel import Kernel
 
 HIDDEN = 8
 FEATURES = 27 + HIDDEN
-KERNEL, PHASES, REACH, BLEND, SHARPEN, SHADE, MIX, DISTRUST, IMPORTANCE, MEMORY = 25, 25, 61, 79, 83, 87, 91, 92, 93, 94
-REACHES = (3, 9)
+KERNEL, PHASES, BLEND, SHARPEN, MIX, DISTRUST, IMPORTANCE, MEMORY = 25, 25, 61, 65, 69, 70, 71, 72
 FINE = MEMORY + HIDDEN
 GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
 EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN = range(5)

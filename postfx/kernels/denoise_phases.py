@@ -10,7 +10,7 @@ import numpy as np
 from postfx.kernels.numeric import inline, log_encode, vectorised
 
 SIGMA, WIDE_SIGMA = 0.5, 1.0
-ZERO, HALF, TWO = np.float32(0), np.float32(0.5), np.float32(2)
+ZERO, HALF = np.float32(0), np.float32(0.5)
 
 
 @inline
@@ -89,12 +89,12 @@ def add_picked(corners, source, gauss_x, index, leans, total, row):
 
 
 @vectorised
-def encode_sharp(row, total, soft, sharpen, shade):
-    """Normalise a row by its sum of weights, shade and log-encode it, and sharpen it against a softened one."""
+def encode_sharp(row, total, soft, sharpen):
+    """Normalise a row by its sum of weights, log-encode it, and sharpen it against a softened one."""
     for x in range(total.size):
-        row[x] = log_encode(row[x] / total[x] * (TWO * shade[x]))
+        row[x] = log_encode(row[x] / total[x])
     for x in range(total.size):
-        row[x] = max(row[x] + sharpen[x] * (row[x] - log_encode(soft[x] * (TWO * shade[x]))), ZERO)
+        row[x] = max(row[x] + sharpen[x] * (row[x] - log_encode(soft[x])), ZERO)
 
 
 @vectorised

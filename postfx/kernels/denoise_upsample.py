@@ -13,7 +13,6 @@ from postfx.kernels.denoise_layout import (
     JITTER_X,
     JITTER_Y,
     PHASES,
-    SHADE,
     SHARPEN,
     kernel,
 )
@@ -98,7 +97,7 @@ def double_row(y, iy, lower, radiance, column, fine, moved, gauss_x, gauss_y, wi
         for c in range(3):
             line = column[c]
             weighted(line, line[1:], line[2:], wide_x[0, side], wide_x[1, side], wide_x[2, side], soft)
-            encode_sharp(rows[c], rows[4], soft, fine[0, SHARPEN + corner, iy], fine[0, SHADE + corner, iy])
+            encode_sharp(rows[c], rows[4], soft, fine[0, SHARPEN + corner, iy])
             place(rows[c], 3 * side + c, 6, current)
         rows[3] = fine[0, BLEND + corner, iy, :w]
         trust_side(side, np.float32(y), size, moved[iy], scale, fresh, rows[3])
@@ -127,10 +126,9 @@ def any_row(y, iy, ty, radiance, column, fine, moved, gauss_x, gauss_y, wide_x, 
             between(fine[0, corner, iy], fine[0, corner + 2, iy], ty, gauss_y[j], corners[side])
         add_picked(corners, radiance[:, iy + j, i:i + w], gauss_x[i], index, leans, rows[4], rows[:3])
     control_row(SHARPEN, iy, ty, fine, index, leans, corners, rows[3])
-    control_row(SHADE, iy, ty, fine, index, leans, corners, rows[5])
     for c in range(3):
         weighted_picked(column[c], wide_x, index, soft)
-        encode_sharp(rows[c], rows[4], soft, rows[3], rows[5])
+        encode_sharp(rows[c], rows[4], soft, rows[3])
         place(rows[c], c, 3, current)
     control_row(BLEND, iy, ty, fine, index, leans, corners, rows[3])
     for x in range(index.size):
@@ -159,7 +157,7 @@ def resolve_rows(y0, y1, radiance, fine, moved, warped, diffuse_albedo, specular
         for i in range(3):
             gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
     double = width == 2 * w and height == 2 * h
-    corners, rows = np.empty((2, w), np.float32), np.empty((6, w if double else width), np.float32)
+    corners, rows = np.empty((2, w), np.float32), np.empty((5, w if double else width), np.float32)
     column, soft = np.empty((3, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
     current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
     factor = np.empty(3 * width if guided else 0, np.float32)

@@ -145,11 +145,6 @@ class Graph:
             area.upload(self._sizes.area(i))
             self._table(f"filter {i}", denoise_filter.FILTER, mixed=mixed, heads=heads, area=area, filtered=filtered[i])
             self._filter_order.append(f"filter {i}")
-        wider = self._new("wider", (3, *self._sizes.level(0)))
-        for name, kernel, mixed, result in (("near", denoise_filter.REACH_NEAR, filtered[0], wider),
-                                            ("far", denoise_filter.REACH_FAR, wider, filtered[0])):
-            self._table(name, kernel, mixed=mixed, heads=heads, area=area, filtered=result)
-            self._filter_order.append(name)
         self._filter_order.append("remodulate")
 
     def _table(self, name: str, kernel: Kernel, **tensors: Tensor) -> None:

@@ -26,9 +26,8 @@ from postfx.runtime.shapes import parse
 KERNELS = (
     denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_history.HISTORY, denoise_features.FEATURE,
     denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
-    denoise_filter.FILTER, denoise_filter.REACH_NEAR, denoise_filter.REACH_FAR, denoise_filter.REMODULATE,
-    denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED, denoise_restore.JUDGE, denoise_restore.DETAIL,
-    denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE,
+    denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
+    denoise_restore.JUDGE, denoise_restore.DETAIL, denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image",

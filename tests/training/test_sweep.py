@@ -20,7 +20,7 @@ from training.export import PARITY  # noqa: E402
 from training.export_denoise import load_trunk  # noqa: E402
 from training.networks import ops  # noqa: E402
 from training.networks.denoise_upscale import empty_state  # noqa: E402
-from training.networks.trunk import BLEND, KERNEL, MEMORY, MIX, REACH, SHADE, SHARPEN, Trunk  # noqa: E402
+from training.networks.trunk import BLEND, KERNEL, MEMORY, SHARPEN, Trunk  # noqa: E402
 from training.sweep import jobs, report, timing  # noqa: E402
 from training.sweep.__main__ import main  # noqa: E402
 from training.sweep.export import export_variant  # noqa: E402
@@ -72,18 +72,18 @@ def test_heads_have_the_shapes_that_the_upscaler_reads(name: str) -> None:
         assert level.shape == (2, KERNEL + (i < variant.levels), 64 >> i, 64 >> i)
 
 
-def test_the_variant_m_is_the_shipped_network() -> None:
+def test_the_base_variant_is_the_default_network() -> None:
     torch.manual_seed(0)
     shipped = Trunk()
     torch.manual_seed(0)
-    mine = SweepTrunk(VARIANTS["m"])
+    mine = SweepTrunk(VARIANTS["w64"])
     assert list(mine.state_dict()) == list(shipped.state_dict())
     features = torch.rand(1, mine.features, 32, 48)
     for a, b in zip(mine(features), shipped(features), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
 
 
-@pytest.mark.parametrize("name", ["xs", "s", "l", "depth3"])
+@pytest.mark.parametrize("name", ["w16", "w32", "w96", "depth3"])
 def test_a_variant_of_other_widths_can_be_exported_as_a_model(name: str) -> None:
     model = build(VARIANTS[name])
     weights = {key: value.half().float() for key, value in model.state_dict().items()}
@@ -99,7 +99,7 @@ def test_small_kernels_have_no_outer_taps() -> None:
     inner[1:4, 1:4] = True
     for head in kernels(heads("kernel3")):
         assert (head[:, inner.flatten()] > 0).all() and not head[:, ~inner.flatten()].any()
-    assert all((head > 0).all() for head in kernels(heads("m")))
+    assert all((head > 0).all() for head in kernels(heads("w64")))
 
 
 @pytest.mark.parametrize("hidden", [0, 4, 16])
@@ -114,18 +114,14 @@ def test_the_state_is_as_wide_as_the_variant_says(hidden: int, clips: Path) -> N
 
 
 def test_what_a_variant_goes_without_does_nothing() -> None:
-    wide = heads("no_wide")[0][:, REACH:BLEND].unflatten(1, (2, 9))
-    assert (wide[:, :, 4] == 1).all() and wide.sum() == wide[:, :, 4].numel()
-    assert (heads("no_shade")[0][:, SHADE:MIX] == 0.5).all()
     assert (heads("no_blend")[0][:, BLEND:SHARPEN] == 1).all()
-    full = heads("m")[0]
-    assert full[:, SHADE:MIX].std() > 1e-3 and full[:, BLEND:SHARPEN].std() > 1e-3
+    assert heads("w64")[0][:, BLEND:SHARPEN].std() > 1e-3
 
 
 def test_without_blending_the_last_output_is_not_mixed_in(clips: Path) -> None:
     batch = to_batch(collate([load(clips / "clip0000.npz", torch.device("cpu"))], [0], 32))
     frame = batch.frames[0]
-    for name, same in (("no_blend", True), ("m", False)):
+    for name, same in (("no_blend", True), ("w64", False)):
         torch.manual_seed(0)
         model = build(VARIANTS[name])
         with torch.no_grad():
@@ -146,7 +142,7 @@ def test_the_size_is_padded_as_the_pyramid_needs(name: str, clips: Path) -> None
     assert output.shape == (1, 3, height, width) and torch.isfinite(output).all()
 
 
-@pytest.mark.parametrize("change", [{"stride": 1}, {"stride": 4, "hidden": 0}, {"taps": 3, "wide": False}], ids=str)
+@pytest.mark.parametrize("change", [{"stride": 1}, {"stride": 4, "hidden": 0}, {"taps": 3, "blend": False}], ids=str)
 def test_the_exported_network_computes_the_same(change: dict, tmp_path: Path) -> None:
     torch.manual_seed(0)
     variant = Variant(widths=(8, 12), depth=1, **change)
@@ -160,17 +156,18 @@ def test_the_small_filter_that_is_timed_filters() -> None:
     found = np.empty_like(mixed)
     timing.small_rows(0, 20, mixed, weights, np.array([20, 24], np.float32), found)
     valid = torch.ones(1, 1, 20, 24)
-    wanted = ops.filter_kernels(torch.from_numpy(mixed)[None], torch.from_numpy(weights)[:, :9], valid, 3)[0]
+    inner = torch.from_numpy(weights)[:, :9].unflatten(1, (3, 3))
+    grown = torch.nn.functional.pad(inner, (0, 0, 0, 0, 1, 1, 1, 1)).flatten(1, 2)
+    wanted = ops.filter_kernels(torch.from_numpy(mixed)[None], grown, valid)[0]
     np.testing.assert_allclose(found, wanted.numpy(), rtol=1e-4)
 
 
 def test_filters_are_timed_as_the_variant_has_them() -> None:
     device = Device("cpu")
     found = {name: [step.kernel.name for step in timing.filter_steps(device, VARIANTS[name], 64, 96)]
-             for name in ("m", "levels3", "no_wide", "kernel3")}
-    assert found["m"].count("denoise_filter") == 5 and found["m"].count("denoise_pool") == 4
+             for name in ("w64", "levels3", "kernel3")}
+    assert found["w64"].count("denoise_filter") == 5 and found["w64"].count("denoise_pool") == 4
     assert found["levels3"].count("denoise_filter") == 4
-    assert [name for name in found["m"] if "reach" not in name] == found["no_wide"]
     assert found["kernel3"].count("sweep_filter") == 5
 
 
@@ -186,11 +183,11 @@ def test_two_variants_are_trained_and_measured(clips: Path, tmp_path: Path, caps
                                                monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     runs, out = tmp_path / "runs", tmp_path / "out"
-    train = ["train", f"--clips={clips}", f"--out={runs}", "--minutes=0.02", "--gpus=0,1", "--only=xs,depth1"]
+    train = ["train", f"--clips={clips}", f"--out={runs}", "--minutes=0.02", "--gpus=0,1", "--only=w16,depth1"]
     train += ["--crop=32", "--batch=1", "--wait=1", "--rate=0.001"]
     assert main(train) == 0
     before = {path: path.stat().st_mtime_ns for path in runs.glob("*/checkpoint.pt")}
-    assert sorted(path.parent.name for path in before) == ["depth1", "xs"]
+    assert sorted(path.parent.name for path in before) == ["depth1", "w16"]
     assert all((path.with_name(name)).exists() for path in before for name in ("log.csv", "validation.csv"))
     assert main(train) == 0
     assert {path: path.stat().st_mtime_ns for path in before} == before
@@ -200,42 +197,42 @@ def test_two_variants_are_trained_and_measured(clips: Path, tmp_path: Path, caps
     said = capsys.readouterr().out
     rows = {row["name"]: row for row in csv.DictReader((out / "sweep.csv").open())}
     facts = json.loads((out / "sweep.json").read_text())
-    assert facts["size"] == "90x50" and {row["name"] for row in facts["variants"]} == set(rows) == {"xs", "depth1"}
+    assert facts["size"] == "90x50" and {row["name"] for row in facts["variants"]} == set(rows) == {"w16", "depth1"}
     for name, row in rows.items():
         assert f"| {name} |" in said
         assert 0 < float(row["ms_min"]) <= float(row["ms"]) <= float(row["ms_max"])
         assert float(row["network_ms"]) > 0 and float(row["filter_ms"]) > 0 and int(row["steps"]) > 0
         assert np.isfinite(float(row["psnr"]))
-    assert int(rows["xs"]["parameters"]) < int(rows["depth1"]["parameters"])
+    assert int(rows["w16"]["parameters"]) < int(rows["depth1"]["parameters"])
     assert (out / "sweep.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_a_variant_that_cannot_be_trained_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_clips(tmp_path, 2)
     (tmp_path / "clip0000.npz").unlink()
-    assert main(["train", f"--clips={tmp_path}", f"--out={tmp_path}/runs", "--minutes=0.01", "--only=xs",
+    assert main(["train", f"--clips={tmp_path}", f"--out={tmp_path}/runs", "--minutes=0.01", "--only=w16",
                  "--wait=1"]) == 1
-    assert "xs: failed" in (said := capsys.readouterr().out) and "no clip to validate on" in said
+    assert "w16: failed" in (said := capsys.readouterr().out) and "no clip to validate on" in said
 
 
 def test_an_interrupted_sweep_ends_its_processes_and_begins_unfinished_variants_anew(
         clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, minutes in (("xs", 5.01), ("s", 2.0)):
+    for name, minutes in (("w16", 5.01), ("w32", 2.0)):
         (tmp_path / name).mkdir()
         torch.save({"notes": {"minutes": minutes}}, tmp_path / name / "checkpoint.pt")
         (tmp_path / name / "log.csv").write_text("old")
-    queue = jobs.Queue(["xs", "s", "m"], tmp_path, ["0", "1"], 5.0, [f"--clips={clips}", "--wait=1"])
+    queue = jobs.Queue(["w16", "w32", "w64"], tmp_path, ["0", "1"], 5.0, [f"--clips={clips}", "--wait=1"])
     started = []
     start = jobs.Queue._start
     monkeypatch.setattr(jobs.Queue, "_start", lambda *given: started.append(start(*given)) or started[-1])
     monkeypatch.setattr(jobs.Queue, "_collect", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         queue.run(pause=0.1)
-    assert [job.name for job in started] == ["s", "m"]
+    assert [job.name for job in started] == ["w32", "w64"]
     assert all(job.process.returncode == -signal.SIGKILL for job in started)
-    assert (tmp_path / "xs" / "log.csv").read_text() == "old" and not (tmp_path / "s" / "log.csv").exists()
+    assert (tmp_path / "w16" / "log.csv").read_text() == "old" and not (tmp_path / "w32" / "log.csv").exists()
 
 
 def test_unknown_variants_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match="no variant 'huge': there are m, xs"):
-        main(["train", f"--clips={tmp_path}", f"--out={tmp_path}", "--only=m,huge"])
+    with pytest.raises(SystemExit, match="no variant 'huge': there are w16, w32"):
+        main(["train", f"--clips={tmp_path}", f"--out={tmp_path}", "--only=w64,huge"])

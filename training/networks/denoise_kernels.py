@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from training.networks import denoise_upscale as step
 from training.networks import ops
 from training.networks.denoise_upscale import Guides, Inputs, State
-from training.networks.trunk import DISTRUST, IMPORTANCE, KERNEL, MEMORY, MIX, REACH, REACHES
+from training.networks.trunk import DISTRUST, IMPORTANCE, KERNEL, MEMORY, MIX
 
 
 def to_image(picture: Tensor) -> Tensor:
@@ -99,7 +99,7 @@ class Pool(nn.Module):
 
 
 class Mix(nn.Module):
-    """coarse (3, hp / 2, wp / 2), level (4, hp, wp), heads (1, 26 or 102, hp, wp) -> mixed (3, hp, wp)."""
+    """coarse (3, hp / 2, wp / 2), level (4, hp, wp), heads (1, 26 or 80, hp, wp) -> mixed (3, hp, wp)."""
 
     def forward(self, coarse: Tensor, level: Tensor, heads: Tensor) -> Tensor:
         # The mix is the last of a level's 26 channels, but not of the fine head's: by arithmetic, without a branch.
@@ -115,19 +115,6 @@ class Filter(nn.Module):
     def forward(self, mixed: Tensor, heads: Tensor, area: Tensor) -> Tensor:
         valid = ops.valid_area(mixed, area[0], area[1])
         return (ops.filter_kernels(mixed[None, :3], heads[:, :KERNEL], valid) * valid)[0]
-
-
-class Reach(nn.Module):
-    """mixed (3, hp, wp), heads (1, 102, hp, wp), area (2,) -> filtered (3, hp, wp): 3x3 taps, a wide step apart."""
-
-    def __init__(self, index: int):
-        super().__init__()
-        self.index = index
-
-    def forward(self, mixed: Tensor, heads: Tensor, area: Tensor) -> Tensor:
-        valid, first = ops.valid_area(mixed, area[0], area[1]), REACH + 9 * self.index
-        kernels, reach = heads[:, first:first + 9], REACHES[self.index]
-        return (ops.filter_kernels(mixed[None], kernels, valid, step.REACH_TAPS, reach) * valid)[0]
 
 
 class Remodulate(nn.Module):

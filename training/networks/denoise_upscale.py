@@ -19,13 +19,10 @@ from training.networks.trunk import (
     KERNEL,
     MEMORY,
     MIX,
-    REACH,
-    REACHES,
     Trunk,
     TrunkConfig,
 )
 
-REACH_TAPS = 3
 MAX_COUNT = 32.0
 MAX_DEPTH = 1e10
 MAX_FLOAT = 3e38
@@ -184,33 +181,19 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
         kernels, mix = heads[i]
         coarse = F.interpolate(result, scale_factor=2.0, mode="nearest")
         result = ops.filter_kernels(torch.lerp(coarse, colours[i], mix), kernels, valid[i])
-    return widen(result, fine, valid[0])
-
-
-def widen(filtered: Tensor, fine: Tensor, valid: Tensor) -> Tensor:
-    """Two more kernels of few taps far apart, as in the a-trous transform: along thin things, whose coarser levels mix
-    them with what is behind, 29 pixels are in reach."""
-    for i, step in enumerate(REACHES):
-        kernels = fine[:, REACH + 9 * i:REACH + 9 * (i + 1)]
-        filtered = ops.filter_kernels(filtered, kernels, valid, REACH_TAPS, step)
-    return filtered
+    return result
 
 
 def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, inside: Tensor,
             factor: Tensor | None) -> Tensor:
-    """Upsample radiance, shade and sharpen it, multiply it by a ``factor`` (N, 3, H, W) if there is one, and blend it
-    with the reprojected history ``warped``, which is log-encoded, as is the result.
-
-    Shading, a factor of 0 to 2, brings back what the planes tell and no filter of few samples can:
-    mouldings, folds, contact shadows.
-    """
+    """Upsample radiance, sharpen it, multiply it by a ``factor`` (N, 3, H, W) if there is one, and blend it with the
+    reprojected history ``warped``, which is log-encoded, as is the result."""
     n, _, h, w = radiance.shape
     height, width = warped.shape[-2:]
-    weights = fine[:, KERNEL:REACH].reshape(n, 9, 4, h, w)
-    controls = fine[:, BLEND:MIX].reshape(n, 3, 4, h, w)
-    blend, sharpen, shade = phases.interpolate_phases(controls, height, width)[:, :, None].unbind(1)
-    pictures = phases.upsample(radiance, weights, jitter, height, width)
-    detail, soft = (ops.log_encode(x * (2 * shade)) for x in pictures)
+    weights = fine[:, KERNEL:BLEND].reshape(n, 9, 4, h, w)
+    controls = fine[:, BLEND:MIX].reshape(n, 2, 4, h, w)
+    blend, sharpen = phases.interpolate_phases(controls, height, width)[:, :, None].unbind(1)
+    detail, soft = (ops.log_encode(x) for x in phases.upsample(radiance, weights, jitter, height, width))
     current = (detail + sharpen * (detail - soft)).clamp(min=0)
     if factor is not None:
         current = ops.log_encode(torch.expm1(current) * factor)

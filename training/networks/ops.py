@@ -29,12 +29,11 @@ def demodulation(diffuse_albedo: Tensor, specular_albedo: Tensor) -> Tensor:
     return torch.where(peak < 0.005, torch.ones_like(total), torch.maximum(total, 0.15 * peak) + 0.01)
 
 
-def shifted(image: Tensor, size: int, mode: str = "constant", step: int = 1) -> Tensor:
-    """The ``size`` x ``size`` neighbourhood of every pixel, ``step`` pixels apart, (N, C, size^2, h, w), rows first."""
+def shifted(image: Tensor, size: int, mode: str = "constant") -> Tensor:
+    """The ``size`` x ``size`` neighbourhood of every pixel, (N, C, size^2, h, w), rows first."""
     h, w = image.shape[-2:]
-    padded = F.pad(image, (size // 2 * step,) * 4, mode=mode)
-    steps = [step * i for i in range(size)]
-    return torch.stack([padded[..., y:y + h, x:x + w] for y in steps for x in steps], 2)
+    padded = F.pad(image, (size // 2,) * 4, mode=mode)
+    return torch.stack([padded[..., y:y + h, x:x + w] for y in range(size) for x in range(size)], 2)
 
 
 def dilate_motion(motion: Tensor, depth: Tensor) -> Tensor:
@@ -155,11 +154,10 @@ def pool(colour: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     return F.avg_pool2d(colour * weight, 2) / total.clamp(min=TINY), total
 
 
-def filter_kernels(image: Tensor, kernels: Tensor, valid: Tensor, size: int = TAPS, step: int = 1) -> Tensor:
-    """Apply a normalised kernel of its own to every pixel, ``size`` x ``size`` taps ``step`` pixels apart; taps outside
-    ``valid`` do not count."""
-    weights = kernels * shifted(valid, size, step=step)[:, 0]
-    return (shifted(image, size, step=step) * weights[:, None]).sum(2) / weights.sum(1, keepdim=True).clamp(min=TINY)
+def filter_kernels(image: Tensor, kernels: Tensor, valid: Tensor) -> Tensor:
+    """Apply a normalised 5x5 kernel of its own to every pixel; taps outside ``valid`` do not count."""
+    weights = kernels * shifted(valid, TAPS)[:, 0]
+    return (shifted(image, TAPS) * weights[:, None]).sum(2) / weights.sum(1, keepdim=True).clamp(min=TINY)
 
 
 def resample(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:

@@ -8,19 +8,16 @@ from torch import Tensor, nn
 HIDDEN = 8
 KERNEL = 25
 PHASES = 36
-REACHES = (3, 9)  # steps of the 3x3 kernels that widen the finest 5x5 kernel
-REACH = KERNEL + PHASES
-# Channels of the fine head, in order: 5x5 kernel, 3x3 weights at four phases, 3x3 kernels of wide steps, history
-# blend, sharpening and shading at four phases each, mix, distrust, importance, hidden state.
-BLEND = REACH + 9 * len(REACHES)
+# Channels of the fine head, in order: 5x5 kernel, 3x3 weights at four phases, history blend and sharpening at four
+# phases each, mix, distrust, importance, hidden state.
+BLEND = KERNEL + PHASES
 SHARPEN = BLEND + 4
-SHADE = BLEND + 8
-MIX, DISTRUST, IMPORTANCE = BLEND + 12, BLEND + 13, BLEND + 14
-MEMORY = BLEND + 15
+MIX, DISTRUST, IMPORTANCE = BLEND + 8, BLEND + 9, BLEND + 10
+MEMORY = BLEND + 11
 FINE = MEMORY + HIDDEN
 FEATURES = 27 + HIDDEN
 GUIDES = 4 * 11  # diffuse and specular albedo, normal, roughness, depth at each of the four phases
-NO_SHARPENING, NO_REACH = -3.0, -4.0  # where the head's biases start
+NO_SHARPENING = -3.0  # where the head's biases start
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ class Block(nn.Sequential):
 class Trunk(nn.Module):
     """Features (N, 35, h, w) and guides (N, 44, h, w) or none, h and w multiples of 16 -> the heads, all activated.
 
-    ``fine`` (N, 102, h, w); ``level1`` .. ``level3`` (N, 26, h/2 .. h/8, w/2 .. w/8): 5x5 kernel and mix;
+    ``fine`` (N, 80, h, w); ``level1`` .. ``level3`` (N, 26, h/2 .. h/8, w/2 .. w/8): 5x5 kernel and mix;
     ``level4`` (N, 25, h/16, w/16): 5x5 kernel.
     """
 
@@ -77,11 +74,7 @@ class Trunk(nn.Module):
         for head in (*self.heads, self.fine):
             nn.init.normal_(head.weight, std=0.01)
             nn.init.zeros_(head.bias)
-        reach = self.fine.bias.detach()[4 * REACH:4 * BLEND].view(len(REACHES), 9, 4)
-        reach[:] = NO_REACH
-        reach[:, 4] = 0  # the middle
-        nn.init.constant_(self.fine.bias[4 * SHARPEN:4 * SHADE], NO_SHARPENING)
-        nn.init.zeros_(self.fine.weight[4 * SHADE:4 * MIX])  # a factor of 1
+        nn.init.constant_(self.fine.bias[4 * SHARPEN:4 * MIX], NO_SHARPENING)
 
     def forward(self, features: Tensor, guides: Tensor | None = None) -> tuple[Tensor, ...]:
         x = self.stem(features)

@@ -1,4 +1,4 @@
-"""Compare architectures of the denoised upscaler: train variants of model `m` alike, then measure time against error.
+"""Compare architectures of the denoised upscaler: train variants of one network alike, then measure time against error.
 
     python -m training.sweep train --clips CLIPS --out RUNS --minutes 5 --gpus 0,1,2,3
     python -m training.sweep measure RUNS -o OUT --size 960x540

@@ -55,11 +55,11 @@ def write(rows: list[Row], facts: dict[str, Any], folder: Path) -> None:
 
 
 def draw(rows: list[Row], facts: dict[str, Any], path: Path) -> None:
-    """PSNR over time, with the front; beside it those that take about as long as `m`."""
+    """PSNR over time, with the front; beside it those that take about as long as `w64`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    middle = next((row["ms"] for row in rows if row["name"] == "m"), 0)
+    middle = next((row["ms"] for row in rows if row["name"] == "w64"), 0)
     near = [row for row in rows if middle / NEAR < row["ms"] < middle * NEAR]
     panels = [rows, near] if 2 < len(near) < len(rows) else [rows]
     figure = Figure(figsize=(9 * len(panels), 6.5), dpi=110, layout="constrained")

@@ -25,7 +25,7 @@ def small_rows(y0, y1, mixed, heads, area, filtered):
     """The 3x3 kernel of a level."""
     total = np.empty(filtered.shape[2], np.float32)
     for y in range(y0, y1):
-        kernel_row(y, 3, 1, mixed, heads[0], area, total, filtered)
+        kernel_row(y, 3, mixed, heads[0], area, total, filtered)
 
 
 SMALL_FILTER = replace(denoise_filter.FILTER, name="sweep_filter", rows=small_rows)
@@ -94,11 +94,6 @@ def filter_steps(device: Device, variant: Variant, h: int, w: int) -> Iterator[S
             yield Step(denoise_filter.MIX_LEVELS, {"coarse": smooth[i + 1], "level": colours[i], "heads": heads[i],
                                                    "mixed": mixed})
         yield Step(kernel, {"mixed": mixed, "heads": heads[i], "area": area, "filtered": smooth[i]})
-    if variant.wide:
-        wider = _new(device, 3, *sizes[0])
-        for kernel, source, target in ((denoise_filter.REACH_NEAR, smooth[0], wider),
-                                       (denoise_filter.REACH_FAR, wider, smooth[0])):
-            yield Step(kernel, {"mixed": source, "heads": heads[0], "area": area, "filtered": target})
 
 
 def _table(device: Device, step: Step) -> ArgumentTable:

@@ -10,9 +10,7 @@ from training.networks.denoise_upscale import DenoiseUpscale
 from training.networks.trunk import (
     FEATURES,
     HIDDEN,
-    NO_REACH,
     NO_SHARPENING,
-    REACHES,
     Block,
     weights_from,
 )
@@ -56,20 +54,13 @@ class BareTrunk(nn.Module):
 
     @torch.no_grad()
     def _initialise(self) -> None:
-        """As the shipped trunk's: filters that mean, kernels of wide steps that do nothing, a shade of 1."""
+        """As the shipped trunk's: filters that mean, no sharpening."""
         for head in (*self.heads, self.fine):
             nn.init.normal_(head.weight, std=0.01)
             nn.init.zeros_(head.bias)
         phases, sizes = self._source(0)[1] ** 2, list(self.config.fine_channels().values())
-        biases, weights = ([part.unflatten(0, (-1, phases)) for part in parameter.split([n * phases for n in sizes])]
-                           for parameter in (self.fine.bias, self.fine.weight))
-        names = list(self.config.fine_channels())
-        if self.config.wide:
-            reach = biases[names.index("wide")].view(len(REACHES), 9, phases)
-            reach[:] = NO_REACH
-            reach[:, 4] = 0  # the middle
-        biases[names.index("sharpen")][:] = NO_SHARPENING
-        weights[names.index("shade")][:] = 0
+        parts = dict(zip(self.config.fine_channels(), self.fine.bias.split([n * phases for n in sizes]), strict=True))
+        parts["sharpen"][:] = NO_SHARPENING
 
     def forward(self, features: Tensor) -> tuple[Tensor, ...]:
         x = F.relu(self.stem(features))
@@ -97,7 +88,7 @@ class BareTrunk(nn.Module):
 def fine_parts(variant: Variant) -> list[int]:
     """Channels of the fine head that are filter weights, gates and hidden state."""
     sizes = list(variant.fine_channels().values())
-    return [sum(sizes[:3]), sum(sizes[3:-1]), sizes[-1]]
+    return [sum(sizes[:2]), sum(sizes[2:-1]), sizes[-1]]
 
 
 class SweepTrunk(BareTrunk):
@@ -114,13 +105,8 @@ class SweepTrunk(BareTrunk):
         channels = self.config.fine_channels()
         parts = dict(zip(channels, fine.split(list(channels.values()), 1), strict=True))
         parts["kernel"] = self._grown(parts["kernel"])
-        if not self.config.wide:
-            middle = torch.zeros(9, device=fine.device)
-            middle[4] = 1
-            parts["wide"] = middle.repeat(len(REACHES))[:, None, None].expand(len(fine), -1, *fine.shape[-2:])
-        for name, value in (("blend", 1.0), ("shade", 0.5)):
-            if not channels[name]:
-                parts[name] = fine.new_full((len(fine), 4, *fine.shape[-2:]), value)
+        if not channels["blend"]:
+            parts["blend"] = fine.new_ones(len(fine), 4, *fine.shape[-2:])
         return torch.cat(list(parts.values()), 1)
 
     def _grown(self, head: Tensor) -> Tensor:

@@ -1,21 +1,20 @@
-"""The networks that the sweep compares: model `m` and what differs from it in one way each."""
+"""The networks that the sweep compares: several sizes, and what differs from one of them in one way each."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from training.networks.trunk import PHASES, REACHES
+from training.networks.trunk import PHASES
 
 
 @dataclass(frozen=True)
 class Variant:
-    """How a network is built; the defaults are model `m`.
+    """How a network is built.
 
     widths: channels of the levels, of which the finest lies at 1/stride of the render size.
     depth: convolutions a level and direction. stride: of the stem, 1, 2 or 4.
     taps: side of the filter kernels of all pyramid levels, 3 or 5. hidden: channels of the recurrent state.
-    wide: the finest level's two 3x3 kernels of wide steps. shade: shading at output size.
     blend: the last output, reprojected, is mixed in at output size; without it history remains at render size.
     """
 
@@ -24,8 +23,6 @@ class Variant:
     stride: int = 2
     taps: int = 5
     hidden: int = 8
-    wide: bool = True
-    shade: bool = True
     blend: bool = True
     guides: bool = False
 
@@ -46,8 +43,8 @@ class Variant:
 
     def fine_channels(self) -> dict[str, int]:
         """What the head at render size predicts, in the order of `training.networks.trunk`: name -> channels."""
-        return {"kernel": self.kernel, "phases": PHASES, "wide": 9 * len(REACHES) * self.wide, "blend": 4 * self.blend,
-                "sharpen": 4, "shade": 4 * self.shade, "mix": 1, "distrust": 1, "importance": 1, "hidden": self.hidden}
+        return {"kernel": self.kernel, "phases": PHASES, "blend": 4 * self.blend, "sharpen": 4, "mix": 1, "distrust": 1,
+                "importance": 1, "hidden": self.hidden}
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -58,28 +55,26 @@ class Variant:
         return cls(**{**config, "widths": tuple(config["widths"])})
 
 
-M = Variant()
+BASE = Variant()
 VARIANTS = {
-    "m": M,
-    "xs": replace(M, widths=(16, 32, 48, 64), depth=1),
-    "s": replace(M, widths=(32, 64, 96, 128), depth=1),
-    "l": replace(M, widths=(96, 160, 224, 320)),
-    "xl": replace(M, widths=(128, 192, 288, 384)),
-    "depth1": replace(M, depth=1),
-    "depth3": replace(M, depth=3),
-    "stem1": replace(M, stride=1, widths=(16, *M.widths)),
-    "stem4": replace(M, stride=4, widths=M.widths[1:]),
-    "levels3": replace(M, widths=M.widths[:3]),
-    "levels5": replace(M, widths=(*M.widths, 256)),
-    "kernel3": replace(M, taps=3),
-    "hidden0": replace(M, hidden=0),
-    "hidden4": replace(M, hidden=4),
-    "hidden16": replace(M, hidden=16),
-    "no_wide": replace(M, wide=False),
-    "no_shade": replace(M, shade=False),
-    "no_blend": replace(M, blend=False),
+    "w16": replace(BASE, widths=(16, 32, 48, 64), depth=1),
+    "w32": replace(BASE, widths=(32, 64, 96, 128), depth=1),
+    "w64": BASE,
+    "w96": replace(BASE, widths=(96, 160, 224, 320)),
+    "w128": replace(BASE, widths=(128, 192, 288, 384)),
+    "depth1": replace(BASE, depth=1),
+    "depth3": replace(BASE, depth=3),
+    "stem1": replace(BASE, stride=1, widths=(16, *BASE.widths)),
+    "stem4": replace(BASE, stride=4, widths=BASE.widths[1:]),
+    "levels3": replace(BASE, widths=BASE.widths[:3]),
+    "levels5": replace(BASE, widths=(*BASE.widths, 256)),
+    "kernel3": replace(BASE, taps=3),
+    "hidden0": replace(BASE, hidden=0),
+    "hidden4": replace(BASE, hidden=4),
+    "hidden16": replace(BASE, hidden=16),
+    "no_blend": replace(BASE, blend=False),
 }
-"""Name -> network. `s`, `m` and `l` are built as the models of these names."""
+"""Name -> network. `w32`, `w96` and `w128` are built as the models `s`, `m` and `l`; others differ from `w64`."""
 
 
 def chosen(names: str | None) -> dict[str, Variant]:
