@@ -3,22 +3,32 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from training import perception
 from training.networks import ops
 
 COARSE = (4, 8, 16)  # output pixels
+KNEE, COARSE_KNEE = 0.02, 0.005  # code values
+SEEN = 0.5
 
 
 def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
     return image[..., :, 1:] - image[..., :, :-1], image[..., 1:, :] - image[..., :-1, :]
 
 
+def huber(error: Tensor, knee: float) -> Tensor:
+    """Mean of an error that is squared below ``knee`` and absolute above (pseudo-Huber). References keep some noise,
+    which is skewed: small errors squared find its mean, where absolute ones would find its median, which is darker."""
+    return ((error.square() + knee**2).sqrt() - knee).mean()
+
+
 def frame_loss(output: Tensor, reference: Tensor) -> Tensor:
-    """Absolute, squared (what PSNR counts) and gradient error of two display-encoded pictures, and the absolute error
-    of coarser ones: what is left of it there, blotches, is what the eye sees first and what FLIP counts most."""
+    """Error of two display-encoded pictures: by value, squared (what PSNR counts), of gradients, of coarser pictures,
+    where blotches are what is left of it, and as the eye sees it (what FLIP counts)."""
     error = output - reference
     edges = sum((a - b).abs().mean() for a, b in zip(gradient(output), gradient(reference), strict=True))
-    blotches = sum(F.avg_pool2d(error, size).abs().mean() for size in COARSE)
-    return error.abs().mean() + 4 * error.square().mean() + 0.5 * edges + blotches
+    blotches = sum(huber(F.avg_pool2d(error, size), COARSE_KNEE) for size in COARSE)
+    seen = perception.difference(output, reference)
+    return huber(error, KNEE) + 4 * error.square().mean() + 0.5 * edges + blotches + SEEN * seen
 
 
 def flicker_loss(output: Tensor, previous: Tensor, reference: Tensor, reference_previous: Tensor,

@@ -3,9 +3,9 @@
 One GPU:      python -m training.train_denoise --clips CLIPS --out RUN --minutes 20
 Several GPUs: torchrun --nproc-per-node 4 -m training.train_denoise --clips CLIPS --out RUN --minutes 20
 
-The learning rate follows the clock: warm-up, then a cosine down to zero at the end of --minutes. The folder of clips
-may still be filling. RUN/checkpoint.pt holds the averaged weights, RUN/log.csv and validation.csv the
-curves (plot_curves.py draws them); --resume goes on from a checkpoint or from an exported network.
+The learning rate rises over 500 steps and follows the clock: a cosine down to zero at the end of --minutes. The folder
+of clips may still be filling. RUN/checkpoint.pt holds the averaged weights, RUN/log.csv and validation.csv the curves
+(plot_curves.py draws them); --resume goes on from a checkpoint or from an exported network.
 """
 import argparse
 import csv
@@ -33,6 +33,7 @@ from training.networks.trunk import TrunkConfig
 from training.restore import weights_of
 
 KEEP_MINUTES = 2.0
+WARM_STEPS = 500
 
 
 class ClipLoss(nn.Module):
@@ -112,11 +113,9 @@ def resumed(path: Path) -> dict[str, Tensor]:
     return torch.load(path, map_location="cpu", weights_only=True)["weights"]
 
 
-def rate_at(progress: float, peak: float) -> float:
-    """Learning rate at a share of the training time."""
-    if progress < 0.02:
-        return peak * max(progress / 0.02, 0.02)
-    return peak * max(0.5 * (1 + math.cos(math.pi * (progress - 0.02) / 0.98)), 1e-3)
+def rate_at(progress: float, step: int, peak: float) -> float:
+    """Learning rate at a share of the training time and a step: where it rises faster, units die for good."""
+    return peak * min((step + 1) / WARM_STEPS, 1) * max(0.5 * (1 + math.cos(math.pi * progress)), 1e-3)
 
 
 @torch.no_grad()
@@ -167,14 +166,16 @@ class Trainer:
 
     def progress(self) -> float:
         """Share of the training time that has passed, the same on every GPU."""
-        share = torch.tensor([(time.monotonic() - self.start) / (60 * self.args.minutes)], device=self.device)
-        if self.world > 1:
-            dist.broadcast(share, 0)
+        passed = (time.monotonic() - self.start) / (60 * self.args.minutes)
+        if self.world == 1:
+            return passed  # without waiting for the GPU, while the next batch is put together
+        share = torch.tensor([passed], device=self.device)
+        dist.broadcast(share, 0)
         return float(share)
 
     def run(self) -> None:
         while (done := self.progress()) < 1:
-            rate = rate_at(done, self.args.rate)
+            rate = rate_at(done, self.step, self.args.rate)
             for group in self.optimiser.param_groups:
                 group["lr"] = rate
             stack = self.pool.draw(self.args.batch, self.args.crop, self.args.seed + self.step)

@@ -141,6 +141,13 @@ def test_steps_lower_the_loss() -> None:
     assert np.mean(values[-2:]) < 0.97 * values[0]
 
 
+def test_learning_rate_rises_slowly_and_falls_with_the_clock() -> None:
+    rises = [train_denoise.rate_at(0.0, step, 1.0) for step in range(0, 600, 50)]
+    assert rises == sorted(rises) and rises[0] < 0.01 and rises[1] < 0.11 and rises[-1] == 1
+    falls = [train_denoise.rate_at(0.1 * tenth, 10**6, 1.0) for tenth in range(11)]
+    assert falls == sorted(falls, reverse=True) and falls[0] == 1 and 0 < falls[-1] < 0.01
+
+
 def test_a_non_finite_gradient_becomes_no_step() -> None:
     parameter = torch.nn.Parameter(torch.ones(3))
     flat = FlatGradient([parameter])
