@@ -57,7 +57,7 @@ class DenoiseUpscale(Pass):
         size = self._output_size(spec)
         output = FrameSpec(size.width, size.height, (Role.COLOUR, *alpha))
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
-        guides = GUIDE_ROLES if self._has_guided_model() else lost
+        guides = GUIDE_ROLES if self._reads_guides(spec) else lost
         planes = (*PLANES, Role.STRENGTH) if self.strength else ()
         return Reflection(reads=(Role.COLOUR,), may_read=(*planes, Role.ALPHA), writes=(Role.COLOUR, *alpha),
                           output=output, may_read_guides=guides if self.strength else ())
@@ -85,7 +85,7 @@ class DenoiseUpscale(Pass):
     def _compile_network(self, device: Device, spec: FrameSpec, size: Size) -> None:
         guided = self._is_guided(spec)
         self._planes = Planes(device, spec, size, guided)
-        model = f"{self.name}.{self.options['model']}{GUIDED if guided else ''}"
+        model = self._guided_model if guided else f"{self.name}.{self.options['model']}"
         self._graph = Graph(device, Sizes(spec.height, spec.width, *size), model, guided)
         self._restore = Restore(device, size) if size == (spec.height, spec.width) else None
         full = self.strength == 1 and not spec.has(Role.STRENGTH)
@@ -143,16 +143,26 @@ class DenoiseUpscale(Pass):
             raise GuideError(f"{guides.source or 'frame'}: {found}: {mend}")
         return Size(guides.height, guides.width)
 
-    def _has_guided_model(self) -> bool:
-        return has_model(f"{self.name}.{self.options['model']}{GUIDED}")
+    def _reads_guides(self, spec: FrameSpec) -> bool:
+        """Whether a network does; at render size it is better with the planes, which have the samples of the colour."""
+        return has_model(self._guided_model) and not self._is_render_size(spec)
 
     def _is_guided(self, spec: FrameSpec) -> bool:
-        return bool(spec.guide_roles) and self._has_guided_model()
+        return bool(spec.guide_roles) and self._reads_guides(spec)
+
+    @property
+    def _guided_model(self) -> str:
+        return f"{self.name}.{self.options['model']}{GUIDED}"
+
+    def _is_render_size(self, spec: FrameSpec) -> bool:
+        return self._output_size(spec) == (spec.height, spec.width)
 
     def _guide_remarks(self, spec: FrameSpec) -> list[str]:
         if spec.guides is None:
             return []
-        if not self._has_guided_model():
+        if not has_model(self._guided_model):
             return [f"model '{self.options['model']}' does not read guides: they only stand in for missing planes"]
+        if self._is_render_size(spec):
+            return ["guides of the render size only stand in for missing planes"]
         rough = [str(role) for role in GUIDE_ROLES if spec.has(role) and role not in spec.guide_roles]
         return [f"edges are less exact without the guides {', '.join(rough)}"] if rough else []

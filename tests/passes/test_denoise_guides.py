@@ -132,6 +132,18 @@ def test_a_model_that_reads_no_guides_says_so_and_uses_them_for_missing_planes_o
     assert chain.plan.guides == (Role.NORMAL,)
 
 
+def test_guides_of_the_render_size_stand_in_for_missing_planes_only() -> None:
+    frame = guided(noisy(1), 37, 50)
+    chain = pipeline()
+    alone = pipeline(scale=1)(replace(frame, guides={}, guide_size=None))[Role.COLOUR]
+    np.testing.assert_array_equal(chain(frame)[Role.COLOUR], alone)
+    assert chain.plan.guides == ()
+    assert any("guides of the render size only stand in" in remark for remark in chain.plan.remarks)
+    lacking = replace(frame, planes={role: p for role, p in frame.planes.items() if role != Role.NORMAL})
+    assert chain(lacking)[Role.COLOUR].shape == alone.shape
+    assert chain.plan.guides == (Role.NORMAL,)
+
+
 def test_the_variant_for_guides_is_not_chosen_by_name() -> None:
     with pytest.raises(PassOptionError, match="runs when a frame has guides: give the model 'small'"):
         DenoiseUpscale(model="small.guides")
