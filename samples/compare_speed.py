@@ -1,6 +1,6 @@
 """Time the whole pass chain against Open Image Denoise, in turn, in one run.
 
-python samples/compare_speed.py [--width 960] [--height 540] [--runs 5]     needs: pip install 'postfx[bench]'
+python samples/compare_speed.py [--width 960] [--height 540] [--runs 5] [--models m,s]   needs: pip install 'postfx[bench]'
 
 postfx turns noisy frames of the given size into twice as large, tone-mapped ones. OIDN (high quality, clean albedo
 and normal) denoises a frame of the same size and one of the output's size. Prints medians, spread and ratios.
@@ -16,6 +16,7 @@ import postfx
 from postfx.frame import ROLES
 
 PLANES = ("colour", "depth", "motion", "normal", "diffuse_albedo", "specular_albedo", "roughness")
+OTHER = "OIDN high, render size"
 
 
 def noisy_frame(width: int, height: int) -> postfx.Frame:
@@ -47,24 +48,28 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=960)
     parser.add_argument("--height", type=int, default=540)
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--models", default="m,m.int8,s", help="tags of networks, comma-separated")
     args = parser.parse_args()
     frame = noisy_frame(args.width, args.height)
-    chain = postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.ToneMap()])
-    for _ in range(2):
+    chains = {f"postfx {tag}": postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=tag), postfx.ToneMap()])
+              for tag in args.models.split(",")}
+    for chain in 2 * list(chains.values()):
         timed(chain, frame)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    rows = {"postfx": [], "OIDN high, render size": [], "OIDN high, output size": []}
+    ways = {name: lambda chain=chain: timed(chain, frame) for name, chain in chains.items()}
+    ways |= {OTHER: lambda: oidn(frame, 1), "OIDN high, output size": lambda: oidn(frame, 2)}
+    seconds = {name: [] for name in ways}
     for _ in range(args.runs):
-        rows["postfx"].append(timed(chain, frame))
-        rows["OIDN high, render size"].append(oidn(frame, 1))
-        rows["OIDN high, output size"].append(oidn(frame, 2))
-    ours = statistics.median(rows["postfx"])
-    for name, seconds in rows.items():
-        middle = statistics.median(seconds)
-        print(f"{name:24} median {1000 * middle:7.0f} ms  ({1000 * min(seconds):.0f} to {1000 * max(seconds):.0f})  "
-              f"postfx takes {ours / middle:.2f}x")
-    print("passes", {name: f"{ms:.0f} ms" for name, ms in chain.timings.items()})
-    print(f"peak memory of postfx {peak:.0f} MB")
+        for name, way in ways.items():
+            seconds[name].append(way())
+    other = statistics.median(seconds[OTHER])
+    for name, found in seconds.items():
+        middle = statistics.median(found)
+        print(f"{name:24} median {1000 * middle:7.0f} ms  ({1000 * min(found):.0f} to {1000 * max(found):.0f})  "
+              f"{middle / other:.2f}x of {OTHER}")
+    for name, chain in chains.items():
+        print(name, {part: f"{ms:.0f} ms" for part, ms in chain.timings.items()})
+    print(f"peak memory of postfx, all of these models ready, {peak:.0f} MB")
 
 
 if __name__ == "__main__":
