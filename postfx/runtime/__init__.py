@@ -17,6 +17,7 @@ from postfx.runtime.heap import Heap
 from postfx.runtime.library import Library
 from postfx.runtime.states import Binding, CompiledComputeState, PipelineState, PortableComputeState
 from postfx.runtime.tensor import Tensor
+from postfx.runtime.tensor_state import TensorState
 
 __all__ = [
     "ArgumentTable",
@@ -38,4 +39,5 @@ __all__ = [
     "PipelineState",
     "PortableComputeState",
     "Tensor",
+    "TensorState",
 ]

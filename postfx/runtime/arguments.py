@@ -9,6 +9,8 @@ from postfx.runtime.shapes import could_match, solve
 from postfx.runtime.states import Binding, State
 from postfx.runtime.tensor import Tensor
 
+_BIND = "set table['name'] = tensor"
+
 
 class Arguments:
     """A complete, unchanging set of tensors for a state, ready to run."""
@@ -47,7 +49,7 @@ class ArgumentTable:
         """The tensor bound to a name. Raises BindingError when the name is unknown or has no tensor."""
         self._binding(name)
         if name not in self._tensors:
-            raise BindingError(f"{self.state.command}: nothing is bound to '{name}'")
+            raise BindingError(f"{self.state.command}: nothing is bound to '{name}': {_BIND}")
         return self._tensors[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -58,7 +60,7 @@ class ArgumentTable:
         if self._arguments is None:
             unbound = [name for name in self._bindings if name not in self._tensors]
             if unbound:
-                raise BindingError(f"{self.state.command}: nothing is bound to {_quoted(unbound)}")
+                raise BindingError(f"{self.state.command}: nothing is bound to {_quoted(unbound)}: {_BIND}")
             self._check_together()
             self._arguments = Arguments(self.state, tuple(self._tensors[name] for name in self._bindings))
         return self._arguments
@@ -74,15 +76,16 @@ class ArgumentTable:
             kind = type(tensor).__name__
             raise BindingError(f"{where}: {kind} is no tensor: use device.wrap or device.heap.tensor")
         if tensor.device is not self.state.device:
-            raise BindingError(f"{where}: tensor '{tensor.name}' belongs to another device")
+            raise BindingError(f"{where}: tensor '{tensor.name}' belongs to another device: make it on this one")
         if tensor.released:
-            raise BindingError(f"{where}: tensor '{tensor.name}' was released")
+            raise BindingError(f"{where}: tensor '{tensor.name}' was released: bind a new one")
         if tensor.dtype != binding.dtype:
             raise BindingError(f"{where}: tensor '{tensor.name}' is {tensor.dtype}, it must be {binding.dtype}")
         if binding.shape is not None and not could_match(tensor.shape, binding.shape):
             raise BindingError(f"{where}: tensor '{tensor.name}' is {tensor.shape}, it must be {_text(binding.shape)}")
         if binding.access == "write" and not tensor.allocation.writable:
-            raise BindingError(f"{where}: tensor '{tensor.name}' wraps a read-only array, but the binding is written")
+            mend = "wrap one that may be written"
+            raise BindingError(f"{where} is written, but tensor '{tensor.name}' wraps a read-only array: {mend}")
 
     def _check_together(self) -> None:
         declared = {name: binding.shape for name, binding in self._bindings.items() if binding.shape is not None}

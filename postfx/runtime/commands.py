@@ -9,28 +9,42 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
 
 from postfx.runtime.encoders import ComputeEncoder, Encoder, MachineLearningEncoder
-from postfx.runtime.errors import CommandError, CommandTimeout, EncodingError
+from postfx.runtime.errors import CommandError, EncodingError
+from postfx.runtime.footprint import Footprint
 from postfx.runtime.records import Dispatch, Record
 from postfx.runtime.session import first_line
+from postfx.runtime.waiting import timed_out
 
 if TYPE_CHECKING:
     from postfx.runtime.device import Device
 
 E = TypeVar("E", bound=Encoder)
 
+_STATES = {
+    "committed": "it was committed and not waited for, call wait() first",
+    "done": "it is done, call begin() to record anew",
+    "discarded": "it was discarded, call begin() to record anew",
+}
+
 
 class CommandBuffer:
     """Commands for one device, recorded by encoders one after the other. Made by `Device.command_buffer`.
 
+    It is open, then committed, then done when it was waited for; then it may be committed again as it is, or begun
+    again.
+
     Attributes:
         label: name in messages, for example 'frame 12'.
         records: dispatches and barriers in order.
+        running: the dispatch that runs now.
     """
 
     def __init__(self, device: Device, label: str) -> None:
         self.device = device
         self.label = label
         self.records: list[Record] = []
+        self.running: Dispatch | None = None
+        self._footprint: Footprint | None = None
         self._groups: list[str] = []
         self._encoder: Encoder | None = None
         self._state = "open"
@@ -39,13 +53,28 @@ class CommandBuffer:
         self._timings: dict[int, tuple[str, float]] = {}
         device.hazards.opened(self)
 
+    def begin(self, label: str | None = None) -> None:
+        """Drop what was recorded, as well as timings, and record anew, under another label if one is given.
+
+        As Metal 4's `beginCommandBuffer`, but the records are the buffer's own memory, so a committed buffer has to be
+        waited for before. Raises EncodingError while it is not, or while an encoder is open.
+        """
+        if self._state == "committed":
+            raise EncodingError(f"'{self.label}' cannot begin again: {_STATES['committed']}")
+        self._require_no_encoder("begin again")
+        self.label = self.label if label is None else label
+        self.records, self._footprint = [], None
+        self._error, self._timings = None, {}
+        self._state = "open"
+        self.device.hazards.opened(self)
+
     def compute_encoder(self, label: str) -> ComputeEncoder:
         """Begin to record kernels under a label."""
-        return self._begin(ComputeEncoder(self, self._full(label), self.device.next_encoder()))
+        return self._start(ComputeEncoder(self, self._full(label), self.device.next_encoder()))
 
     def machine_learning_encoder(self, label: str) -> MachineLearningEncoder:
         """Begin to record networks under a label."""
-        return self._begin(MachineLearningEncoder(self, self._full(label), self.device.next_encoder()))
+        return self._start(MachineLearningEncoder(self, self._full(label), self.device.next_encoder()))
 
     @contextmanager
     def group(self, name: str) -> Iterator[None]:
@@ -57,23 +86,30 @@ class CommandBuffer:
             self._groups.pop()
 
     def commit(self) -> None:
-        """Check all hazards and hand the commands to the device's queue. Nothing can be recorded afterwards.
+        """Check all hazards and hand the commands to the device's queue. Nothing can be recorded until `begin`.
 
-        Raises HazardError (the buffer is then discarded), and EncodingError when an encoder is still open or the
-        buffer was committed before.
+        A buffer that was waited for may be committed again without recording: the same dispatches run on the same
+        tensors, which may have been uploaded to in the meantime.
+
+        Raises HazardError (the buffer is then discarded), and EncodingError when an encoder is still open, when the
+        buffer was committed and not waited for, or when it was discarded.
         """
-        self._require_open()
-        if self._encoder is not None:
-            raise EncodingError(f"'{self.label}' cannot be committed: encoder '{self._encoder.label}' is still open")
+        self._require_no_encoder("be committed")
+        if self._state not in ("open", "done"):
+            raise EncodingError(f"'{self.label}' cannot be committed: {_STATES[self._state]}")
         self._close("discarded")
+        self._error, self._timings = None, {}
+        self._done.clear()
         with self.device.commit_lock:
             self.device.hazards.commit(self)
             self._state = "committed"
             self.device.queue.submit(self._run)
 
     def discard(self) -> None:
-        """Drop everything that was recorded; a committed buffer is not affected."""
+        """Take no more commands and never run those recorded; a committed buffer is not affected."""
         if self._state == "open":
+            if self._encoder is not None:
+                self._encoder.end()
             self._close("discarded")
 
     def wait(self, timeout: float | None = None) -> None:
@@ -85,18 +121,31 @@ class CommandBuffer:
         Raises CommandTimeout when they are not done in time, CommandError when one failed, EncodingError before
         commit.
         """
-        if self._state != "committed":
+        if self._state not in ("committed", "done"):
             raise EncodingError(f"'{self.label}' cannot be waited for: it is {self._state}, commit it first")
-        if not self._done.wait(timeout):
-            raise CommandTimeout(f"'{self.label}' was not done after {timeout:g} s")
-        self.device.hazards.retire(self)
+        if not self.finished(timeout):
+            raise timed_out(f"'{self.label}' was not done after {timeout:g} s", self.device.hazards.in_flight())
+        if self._state == "committed":
+            self._state = "done"
+            self.device.hazards.retire(self)
         if self._error is not None:
             raise self._error
+
+    def finished(self, timeout: float | None = 0.0) -> bool:
+        """Whether all commands are done within `timeout` seconds, None without limit. That alone does not count as
+        waiting for them: `wait` does."""
+        return self._done.wait(timeout)
 
     @property
     def timings(self) -> list[tuple[str, float]]:
         """(label, milliseconds) of every encoder that ran, in order; complete after `wait`."""
         return list(self._timings.values())
+
+    def footprint(self) -> Footprint:
+        """What the recorded commands access; worked out at the first commit."""
+        if self._footprint is None:
+            self._footprint = Footprint(self.records)
+        return self._footprint
 
     def record(self, record: Record) -> None:
         """Append a command; encoders call this. Raises EncodingError after commit."""
@@ -107,7 +156,7 @@ class CommandBuffer:
         """The open encoder takes no more commands; encoders call this."""
         self._encoder = None
 
-    def _begin(self, encoder: E) -> E:
+    def _start(self, encoder: E) -> E:
         self._require_open()
         if self._encoder is not None:
             raise EncodingError(f"'{encoder.label}' cannot begin: encoder '{self._encoder.label}' is still open")
@@ -116,7 +165,11 @@ class CommandBuffer:
 
     def _require_open(self) -> None:
         if self._state != "open":
-            raise EncodingError(f"'{self.label}' is {self._state}: record into a new command buffer")
+            raise EncodingError(f"nothing can be recorded into '{self.label}': {_STATES[self._state]}")
+
+    def _require_no_encoder(self, what: str) -> None:
+        if self._encoder is not None:
+            raise EncodingError(f"'{self.label}' cannot {what}: encoder '{self._encoder.label}' is still open: end it")
 
     def _close(self, state: str) -> None:
         self._state = state
@@ -126,26 +179,41 @@ class CommandBuffer:
         return "/".join([*self._groups, label])
 
     def _run(self) -> None:
-        dispatches = [record for record in self.records if isinstance(record, Dispatch)]
+        dispatches = self.footprint().dispatches
         for index, dispatch in enumerate(dispatches):
-            try:
-                self._execute(dispatch)
-            except BaseException as error:  # whatever it is, the waiting host must learn of it
-                self._error = CommandError(f"{dispatch} of '{self.label}' failed: {first_line(error)}", dispatch.label)
-                self._error.__cause__ = error
+            self.running = dispatch
+            first = self._lost_input(dispatch) or self._execute(dispatch)
+            if first is not None:
                 missing = [tensor for left in dispatches[index:] for tensor in left.writes]
-                self.device.hazards.mark_undefined(missing)
+                self.device.hazards.mark_lost(missing, first)
                 break
+        self.running = None
         self._done.set()
 
-    def _execute(self, dispatch: Dispatch) -> None:
-        undefined = [tensor.name for tensor in dispatch.reads if not tensor.is_written()]
-        if undefined:
-            raise RuntimeError(f"'{undefined[0]}' was to be written by a command that failed")
+    def _lost_input(self, dispatch: Dispatch) -> CommandError | None:
+        """The error of the command that should have written what the dispatch reads, if it failed."""
+        for tensor in dispatch.reads:
+            first = self.device.hazards.loss(tensor) if tensor.allocation.lost else None
+            if first is not None:
+                what = f"{dispatch} of '{self.label}' did not run: it reads '{tensor.name}', but {first}"
+                self._error = CommandError(what, dispatch.label)
+                self._error.__cause__ = first
+                return first
+        return None
+
+    def _execute(self, dispatch: Dispatch) -> CommandError | None:
+        """Run the dispatch; returns the error when it fails."""
         begin = time.perf_counter()
-        dispatch.execute()
+        try:
+            dispatch.execute()
+        except BaseException as error:  # whatever it is, the waiting host must learn of it
+            self._error = CommandError(f"{dispatch} of '{self.label}' failed: {first_line(error)}", dispatch.label)
+            self._error.__cause__ = error
+            return self._error
         elapsed = 1e3 * (time.perf_counter() - begin)
         label, before = self._timings.get(dispatch.encoder, (dispatch.label, 0.0))
         self._timings[dispatch.encoder] = (label, before + elapsed)
         for tensor in dispatch.writes:
-            self.device.hazards.mark_written(tensor)
+            if tensor.allocation.lost:
+                self.device.hazards.mark_found(tensor)
+        return None

@@ -24,6 +24,7 @@ from postfx.runtime.queue import CommandQueue
 from postfx.runtime.session import Session
 from postfx.runtime.states import CompiledComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import Allocation, Tensor
+from postfx.runtime.waiting import wait_for_all
 
 if TYPE_CHECKING:
     from postfx.kernels.kernel import Kernel
@@ -125,6 +126,16 @@ class Device:
     def command_buffer(self, label: str) -> CommandBuffer:
         """A new, empty command buffer."""
         return CommandBuffer(self, label)
+
+    def wait_idle(self, timeout: float | None = None) -> None:
+        """Block until everything that was committed is done, and count all of it as waited for.
+
+        Args:
+            timeout: seconds; None waits without limit.
+
+        Raises CommandTimeout when it is not done in time, and in the end the first CommandError of those buffers.
+        """
+        wait_for_all(repr(self), self.hazards.in_flight(), timeout)
 
     def next_encoder(self) -> int:
         """A number for an encoder, rising in the order of recording."""

@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Self
 
 from postfx.runtime.arguments import ArgumentTable
 from postfx.runtime.errors import BindingError, EncodingError
-from postfx.runtime.hazards import check_dispatch
-from postfx.runtime.records import STAGES, Dispatch, EncoderBarrier, QueueBarrier
+from postfx.runtime.hazard_errors import check_dispatch
+from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.states import State
 
 if TYPE_CHECKING:
     from postfx.runtime.commands import CommandBuffer
 
 Stages = str | Iterable[str]
+
+_STAGES_TEXT = " and ".join(f"'{stage}'" for stage in STAGES)
 
 
 class Encoder:
@@ -40,52 +42,83 @@ class Encoder:
             self._ended = True
             self._commands.encoder_ended()
 
-    def barrier(self, after: Stages | None = None, before: Stages | None = None) -> None:
-        """Order commands.
+    def barrier(
+        self, after: Stages | None = None, before: Stages | None = None, before_queue: Stages | None = None
+    ) -> None:
+        """Order commands. Three forms, as in Metal 4:
 
-        Without stages: every dispatch recorded so far in this encoder comes before every later one in it.
-        With stages: dispatches of the `after` stages in earlier encoders of the queue, also of earlier command
-        buffers, come before dispatches of the `before` stages that follow, in this encoder and all later ones.
+        - `barrier()`, inside an encoder: every dispatch recorded so far in this encoder comes before every later one
+          in it.
+        - `barrier(after=, before=)`, the consumer's: dispatches of the `after` stages in earlier encoders come before
+          dispatches of the `before` stages that follow, in this encoder and all later ones.
+        - `barrier(after=, before_queue=)`, the producer's: dispatches of the `after` stages recorded so far, in this
+          encoder and earlier ones, come before dispatches of the `before_queue` stages in all later encoders, not in
+          this one.
+
+        Earlier and later encoders are those of the whole queue, also of other command buffers.
 
         Args:
             after: 'compute', 'machine-learning' or both.
-            before: the same.
+            before, before_queue: the same.
 
-        Raises EncodingError when a stage mask is empty or names an unknown stage, or when only one is given.
+        Raises EncodingError when a stage mask is empty or names an unknown stage, or when the masks given are those of
+        no form.
         """
-        if after is None and before is None:
+        if after is None and before is None and before_queue is None:
             self._record(EncoderBarrier(self._number))
-            return
-        if after is None or before is None:
-            raise EncodingError(f"barrier in '{self.label}': give both after= and before=, or neither")
-        self._record(QueueBarrier(self._number, self._mask(after, "after"), self._mask(before, "before")))
+        elif after is None or (before is None) == (before_queue is None):
+            raise EncodingError(self._no_form(after, before, before_queue))
+        elif before is not None:
+            self._record(ConsumerBarrier(self._number, self._mask(after, "after"), self._mask(before, "before")))
+        else:
+            masks = self._mask(after, "after"), self._mask(before_queue, "before_queue")
+            self._record(ProducerBarrier(self._number, *masks))
 
     def _dispatch(self, state: State, table: ArgumentTable) -> None:
         if state.stage != self.stage:
-            raise EncodingError(f"'{self.label}' takes {self.stage} work, but {state.command} is {state.stage} work")
+            mend = f"use commands.{state.stage.replace('-', '_')}_encoder()"
+            message = f"'{self.label}' takes {self.stage} work, but {state.command} is {state.stage} work: {mend}"
+            raise EncodingError(message)
         if state.device is not self._commands.device:
             raise EncodingError(f"'{self.label}': {state.command} was made for another device")
         if table.state is not state:
-            raise BindingError(f"'{self.label}': the argument table was made for {table.state.command}")
-        arguments = table.arguments()
+            made, mend = table.state.command, f"make one for {state.command}"
+            raise BindingError(f"'{self.label}': the argument table was made for {made}: {mend}")
+        try:
+            arguments = table.arguments()
+        except BindingError as error:
+            raise BindingError(f"'{self.label}': {error}") from None
         dispatch = Dispatch(
             self.label, state.command, self.stage, self._number, arguments.reads, arguments.writes, arguments.execute
         )
         check_dispatch(dispatch)
         self._record(dispatch)
 
-    def _record(self, record: Dispatch | EncoderBarrier | QueueBarrier) -> None:
+    def _record(self, record: Record) -> None:
         if self._ended:
             raise EncodingError(f"encoder '{self.label}' has ended: open a new one")
         self._commands.record(record)
 
+    def _no_form(self, after: Stages | None, before: Stages | None, before_queue: Stages | None) -> str:
+        if before is not None and before_queue is not None:
+            mend = "record one barrier with before= and another with before_queue="
+        elif after is None:
+            mend = f"give after= too, with {'before=' if before_queue is None else 'before_queue='}"
+        else:
+            mend = "give before= (this and later encoders) or before_queue= (later encoders) too"
+        return f"barrier in '{self.label}': {mend}; for the commands of this encoder alone, barrier() takes no stages"
+
     def _mask(self, stages: Stages, side: str) -> frozenset[str]:
-        mask = frozenset([stages] if isinstance(stages, str) else stages)
+        try:
+            mask = frozenset([stages] if isinstance(stages, str) else stages)
+        except TypeError:
+            mask = frozenset([stages])
         if not mask:
-            raise EncodingError(f"barrier in '{self.label}': the {side}= stage mask is empty")
-        unknown = sorted(mask.difference(STAGES))
+            raise EncodingError(f"barrier in '{self.label}': the {side}= stage mask is empty: name {_STAGES_TEXT}")
+        unknown = sorted(str(stage) for stage in mask.difference(STAGES))
         if unknown:
-            raise EncodingError(f"barrier in '{self.label}': no stage '{unknown[0]}': stages are {', '.join(STAGES)}")
+            message = f"the {side}= stage mask names '{unknown[0]}', which is no stage: stages are {_STAGES_TEXT}"
+            raise EncodingError(f"barrier in '{self.label}': {message}")
         return mask
 
 

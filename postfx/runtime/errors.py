@@ -40,7 +40,13 @@ class HazardError(PostfxError):
 
 
 class CommandError(PostfxError):
-    """A command failed while it ran. `label` names it; the cause is chained."""
+    """A command failed while it ran, or did not run because what it reads was lost by one that failed.
+
+    The cause is chained: the error that the command raised, or the first command's CommandError.
+
+    Attributes:
+        label: the command's label.
+    """
 
     def __init__(self, message: str, label: str) -> None:
         super().__init__(message)
@@ -48,4 +54,14 @@ class CommandError(PostfxError):
 
 
 class CommandTimeout(PostfxError):
-    """A command buffer was not done in time; it goes on running and can be waited for again."""
+    """Commands were not done in time; they go on running and can be waited for again.
+
+    Attributes:
+        running: label of the command that is running; None when the next buffer has not begun.
+        waiting: labels of the command buffers that wait behind it, in order.
+    """
+
+    def __init__(self, message: str, running: str | None, waiting: tuple[str, ...]) -> None:
+        super().__init__(message)
+        self.running = running
+        self.waiting = waiting

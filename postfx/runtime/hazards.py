@@ -1,4 +1,4 @@
-"""Hazard checks: at commit, and when the host touches memory that commands use.
+"""Hazard checks at commit, and what commands do with memory now.
 
 The accesses checked are those of the tensors bound at dispatch, by the names and directions that the model file or
 the kernel itself declares, and memory is compared by address: nothing a caller says can hide an access.
@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from postfx.runtime.errors import HazardError
-from postfx.runtime.ordering import Conflict, find_conflict
+from postfx.runtime import hazard_errors
+from postfx.runtime.errors import CommandError
+from postfx.runtime.footprint import Footprint, Need
+from postfx.runtime.ordering import find_conflict
 from postfx.runtime.ranges import Ranges
-from postfx.runtime.records import Dispatch, Record
+from postfx.runtime.records import Dispatch
 from postfx.runtime.tensor import Allocation, Tensor
+from postfx.runtime.tensor_state import TensorState, Use
 
 if TYPE_CHECKING:
     from postfx.runtime.commands import CommandBuffer
@@ -46,14 +49,12 @@ class Hazards:
     def commit(self, commands: CommandBuffer) -> None:
         """Check a buffer against itself and everything in flight, and put it in flight; HazardError leaves it out."""
         with self._lock:
-            flying = [record for buffer in self._flying for record in buffer.records]
-            new = _dispatches(commands.records)
-            written = _check_content(new)
-            conflict = find_conflict([*flying, *commands.records], len(_dispatches(flying)))
-            if conflict is not None:
-                raise _conflict_error(conflict, _dispatches([*flying, *commands.records]))
-            for allocation, ranges in written.items():
-                allocation.written = ranges
+            footprint = commands.footprint()
+            self._check_content(footprint)
+            self._check_order(commands, footprint)
+            for allocation, ranges in footprint.writes.items():
+                for span in ranges.spans:
+                    allocation.written.add(*span)
             self._flying.append(commands)
 
     def retire(self, commands: CommandBuffer) -> None:
@@ -62,93 +63,100 @@ class Hazards:
             if commands in self._flying:
                 del self._flying[: self._flying.index(commands) + 1]
 
+    def in_flight(self) -> list[CommandBuffer]:
+        """Buffers that were committed and not retired, in the order of commit."""
+        with self._lock:
+            return list(self._flying)
+
+    def state(self, tensor: Tensor) -> TensorState:
+        """What may be done with a tensor now."""
+        with self._lock:
+            writer = reader = recorded = None
+            for commands, dispatch in _dispatches(self._flying):
+                if _uses(dispatch.writes, tensor):
+                    writer = _use(commands, dispatch)
+                if _uses(dispatch.reads, tensor):
+                    reader = _use(commands, dispatch)
+            for commands, dispatch in _dispatches(self._open):
+                if _uses(dispatch.writes, tensor) or _uses(dispatch.reads, tensor):
+                    recorded = _use(commands, dispatch)
+                    break
+            needed = Ranges((tensor.span(),) if tensor.nbytes else ())
+            failed = self._failure(tensor.allocation, needed)
+            defined = failed is None and tensor.allocation.written.includes(needed)
+            return TensorState(tensor.released, defined, writer, reader, recorded, failed)
+
     def mark_written(self, tensor: Tensor) -> None:
         """The tensor's content is defined now."""
         with self._lock:
             tensor.allocation.written.add(*tensor.span())
+            self.mark_found(tensor)
 
-    def mark_undefined(self, tensors: Iterable[Tensor]) -> None:
-        """A command that should have written these tensors failed."""
+    def mark_found(self, tensor: Tensor) -> None:
+        """A command wrote the tensor, which an earlier one had failed to write."""
+        with self._lock:
+            for ranges, _ in tensor.allocation.lost:
+                ranges.remove(*tensor.span())
+            tensor.allocation.lost = [item for item in tensor.allocation.lost if item[0].spans]
+
+    def mark_lost(self, tensors: Iterable[Tensor], cause: CommandError) -> None:
+        """A command failed, and so nothing wrote these tensors."""
         with self._lock:
             for tensor in tensors:
-                tensor.allocation.written.remove(*tensor.span())
+                self.mark_found(tensor)
+                if tensor.nbytes:
+                    tensor.allocation.lost.append((Ranges((tensor.span(),)), cause))
 
-    def check_host_read(self, tensor: Tensor) -> None:
-        """HazardError when a committed command that was not waited for writes the tensor."""
-        self._check_host(tensor, "reads", self._flying, lambda dispatch: dispatch.writes, "call wait() first")
-
-    def check_host_write(self, tensor: Tensor) -> None:
-        """HazardError when a recorded command, or a committed one that was not waited for, uses the tensor."""
-        used = lambda dispatch: (*dispatch.reads, *dispatch.writes)  # noqa: E731
-        self._check_host(tensor, "writes", self._flying, used, "call wait() first")
-        mend = "it runs after commit and would see the new values, so upload before recording, to a tensor of its own"
-        self._check_host(tensor, "writes", list(self._open), used, mend)
-
-    def _check_host(
-        self,
-        tensor: Tensor,
-        verb: str,
-        buffers: Iterable[CommandBuffer],
-        accessed: Callable[[Dispatch], tuple[Tensor, ...]],
-        mend: str,
-    ) -> None:
+    def loss(self, tensor: Tensor) -> CommandError | None:
+        """The error of the command that should have written the tensor, as far as commands have run."""
+        needed = Ranges((tensor.span(),))
         with self._lock:
-            for dispatch in (item for buffer in buffers for item in _dispatches(buffer.records)):
-                if any(_overlap(tensor, other) for other in accessed(dispatch)):
-                    message = f"the host {verb} '{tensor.name}' while {dispatch} uses it: {mend}"
-                    raise HazardError(message, "host access", tensor.name, dispatch.label, "host")
+            return next((cause for ranges, cause in tensor.allocation.lost if ranges.touches(needed)), None)
+
+    def _failure(self, allocation: Allocation, needed: Ranges) -> CommandError | None:
+        """Why some of these bytes will never be written: a failed command should have, and none in flight will."""
+        for ranges, cause in allocation.lost:
+            left = ranges.copy()
+            for commands in self._flying:
+                left.subtract(commands.footprint().writes.get(allocation, Ranges()))
+            if left.touches(needed):
+                return cause
+        return None
+
+    def _check_content(self, footprint: Footprint) -> None:
+        for allocation, (tensor, dispatch) in footprint.users.items():
+            if allocation.released:
+                raise hazard_errors.released(tensor, dispatch)
+        for need in footprint.needs.values():
+            self._check_need(need, footprint)
+
+    def _check_need(self, need: Need, footprint: Footprint) -> None:
+        allocation = need.tensor.allocation
+        if not allocation.written.includes(need.missing):
+            raise hazard_errors.undefined(need, footprint.dispatches)
+        if allocation.lost and (failed := self._failure(allocation, need.missing)):
+            raise hazard_errors.lost(need, failed)
+
+    def _check_order(self, commands: CommandBuffer, footprint: Footprint) -> None:
+        if footprint.ordered and not self._flying:
+            return
+        buffers = [*self._flying, commands]
+        first_new = sum(len(buffer.footprint().dispatches) for buffer in self._flying)
+        records = (record for buffer in buffers for record in buffer.records)
+        conflict = find_conflict(records, first_new, across=footprint.ordered)
+        if conflict is not None:
+            dispatches = list(_dispatches(buffers))
+            raise hazard_errors.conflict(conflict, dispatches[conflict.first], dispatches[conflict.second])
+        footprint.ordered = True
 
 
-def check_dispatch(dispatch: Dispatch) -> None:
-    """HazardError when one dispatch reads and writes, or writes twice, the same memory."""
-    for index, written in enumerate(dispatch.writes):
-        for other in (*dispatch.reads, *dispatch.writes[:index]):
-            if _overlap(written, other):
-                pair = f"'{other.name}' and '{written.name}'" if other.name != written.name else f"'{written.name}'"
-                message = f"{dispatch} has {pair} on the same memory, one of them written: bind separate tensors"
-                raise HazardError(message, "aliasing", written.name, None, dispatch.label)
+def _dispatches(buffers: Iterable[CommandBuffer]) -> Iterator[tuple[CommandBuffer, Dispatch]]:
+    return ((buffer, record) for buffer in buffers for record in buffer.records if isinstance(record, Dispatch))
 
 
-def _check_content(dispatches: list[Dispatch]) -> dict[Allocation, Ranges]:
-    """What each allocation holds after the dispatches; HazardError when one reads what nothing wrote."""
-    written: dict[Allocation, Ranges] = {}
-    for index, dispatch in enumerate(dispatches):
-        for tensor in (*dispatch.reads, *dispatch.writes):
-            if tensor.released:
-                message = f"{dispatch} uses '{tensor.name}', which was released before commit"
-                raise HazardError(message, "released", tensor.name, None, dispatch.label)
-            if tensor.allocation not in written:
-                written[tensor.allocation] = tensor.allocation.written.copy()
-        for tensor in dispatch.reads:
-            if tensor.nbytes and not written[tensor.allocation].covers(*tensor.span()):
-                raise _undefined_error(tensor, dispatch, dispatches[index + 1:])
-        for tensor in dispatch.writes:
-            written[tensor.allocation].add(*tensor.span())
-    return written
+def _uses(tensors: Iterable[Tensor], tensor: Tensor) -> bool:
+    return any(other.overlaps(tensor) for other in tensors)
 
 
-def _undefined_error(tensor: Tensor, reader: Dispatch, later: list[Dispatch]) -> HazardError:
-    writer = next((item for item in later if any(_overlap(tensor, other) for other in item.writes)), None)
-    mend = f"only {writer} writes it, later: record it first" if writer else "upload to it, or write it by a command"
-    message = f"read before write: {reader} reads '{tensor.name}', which nothing wrote before: {mend}"
-    return HazardError(message, "read before write", tensor.name, writer.label if writer else None, reader.label)
-
-
-def _conflict_error(conflict: Conflict, dispatches: list[Dispatch]) -> HazardError:
-    first, second = dispatches[conflict.first], dispatches[conflict.second]
-    did, does = ("writes" if word == "write" else "reads" for word in reversed(conflict.kind.split(" after ")))
-    if first.encoder == second.encoder:
-        mend = f"barrier() between them in '{second.label}'"
-    else:
-        mend = f"barrier(after='{first.stage}', before='{second.stage}') in '{second.label}' before it"
-    name = conflict.tensor.name
-    message = f"{conflict.kind}: {second} {does} '{name}', which {first} {did}, in no certain order: record {mend}"
-    return HazardError(message, conflict.kind, name, first.label, second.label)
-
-
-def _dispatches(records: Iterable[Record]) -> list[Dispatch]:
-    return [record for record in records if isinstance(record, Dispatch)]
-
-
-def _overlap(one: Tensor, other: Tensor) -> bool:
-    return one.start < other.end and other.start < one.end and one.nbytes > 0 and other.nbytes > 0
+def _use(commands: CommandBuffer, dispatch: Dispatch) -> Use:
+    return Use(dispatch.label, dispatch.command, commands.label)

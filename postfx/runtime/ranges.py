@@ -28,6 +28,19 @@ class Ranges:
         right = [(max(s, end), e) for s, e in self.spans if e > end]
         self.spans = tuple(sorted({*left, *right}))
 
+    def subtract(self, other: Ranges) -> None:
+        """Exclude all of another set."""
+        for span in other.spans:
+            self.remove(*span)
+
     def covers(self, start: int, end: int) -> bool:
         """Whether every byte of [start, end) is included."""
         return any(s <= start and end <= e for s, e in self.spans)
+
+    def includes(self, other: Ranges) -> bool:
+        """Whether every byte of another set is included."""
+        return all(self.covers(*span) for span in other.spans)
+
+    def touches(self, other: Ranges) -> bool:
+        """Whether any byte of another set is included."""
+        return any(s < end and start < e for s, e in self.spans for start, end in other.spans)

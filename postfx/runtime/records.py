@@ -38,16 +38,19 @@ class Dispatch:
 
 @dataclass(frozen=True)
 class EncoderBarrier:
-    """Orders the dispatches of one encoder: all before it, then all after it."""
+    """Orders the dispatches of one encoder: all before it, then all after it.
+
+    Metal 4's `barrierAfterEncoderStages:beforeEncoderStages:`; an encoder has one stage, so it needs no masks.
+    """
 
     encoder: int
 
 
 @dataclass(frozen=True)
-class QueueBarrier:
-    """Orders stages across encoders: dispatches of `after` in earlier encoders, then `before` in this and later ones.
+class ConsumerBarrier:
+    """Dispatches of `after` in earlier encoders come before those of `before` that follow, here and in later encoders.
 
-    This is Metal 4's consumer barrier, `barrierAfterQueueStages:beforeStages:`.
+    Metal 4's `barrierAfterQueueStages:beforeStages:`.
     """
 
     encoder: int
@@ -55,4 +58,16 @@ class QueueBarrier:
     before: frozenset[str]
 
 
-Record = Dispatch | EncoderBarrier | QueueBarrier
+@dataclass(frozen=True)
+class ProducerBarrier:
+    """Dispatches of `after` recorded so far, here and in earlier encoders, come before those of `before` in later ones.
+
+    Metal 4's `barrierAfterStages:beforeQueueStages:`.
+    """
+
+    encoder: int
+    after: frozenset[str]
+    before: frozenset[str]
+
+
+Record = Dispatch | EncoderBarrier | ConsumerBarrier | ProducerBarrier

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postfx.runtime.errors import BindingError, DeviceError, HazardError
+from postfx.runtime.errors import BindingError, CommandError, DeviceError
 from postfx.runtime.memory import view_at
 from postfx.runtime.ranges import Ranges
+from postfx.runtime.tensor_state import TensorState, check_host_read, check_host_write
 
 if TYPE_CHECKING:
     from postfx.runtime.device import Device
@@ -26,7 +27,12 @@ def size_in_bytes(shape: tuple[int, ...], dtype: str) -> int:
 
 
 class Allocation:
-    """A stretch of device memory that one tensor and its views share; `written` holds what is defined in it."""
+    """A stretch of device memory that one tensor and its views share.
+
+    Attributes:
+        written: bytes that hold data once every committed command has run.
+        lost: bytes among them that a command failed to write, with its error; nothing in most allocations.
+    """
 
     def __init__(self, name: str, pointer: int, nbytes: int, owner: object, writable: bool = True) -> None:
         self.name = name
@@ -36,6 +42,7 @@ class Allocation:
         self.writable = writable
         self.released = False
         self.written = Ranges()
+        self.lost: list[tuple[Ranges, CommandError]] = []
         self._finalizer: weakref.finalize | None = None
 
     def on_release(self, action: Callable[..., None], *args: Any) -> None:
@@ -85,20 +92,25 @@ class Tensor:
         return self.allocation.released
 
     @property
+    def state(self) -> TensorState:
+        """Whether the content is defined, and which committed or recorded commands use it now."""
+        return self._device.hazards.state(self)
+
+    @property
     def array(self) -> np.ndarray:
         """The tensor as a read-only NumPy view, without a copy; host memory only. Write by `upload` or `fill`.
 
         Raises DeviceError where the host cannot see the memory, HazardError when a committed command that was not
         waited for writes it or when nothing ever wrote it.
         """
-        self._check_host_read()
+        check_host_read(self.name, self.state)
         view = self.host_view().view()
         view.flags.writeable = False
         return view
 
     def download(self) -> np.ndarray:
         """A NumPy copy of the content. Raises HazardError as `array` does."""
-        self._check_host_read()
+        check_host_read(self.name, self.state)
         copy = np.empty(self.shape, self.dtype)
         if copy.nbytes:
             self._device.memory.read(self.start, copy)
@@ -144,9 +156,9 @@ class Tensor:
         """The tensor's byte range inside its allocation."""
         return self.start - self.allocation.pointer, self.end - self.allocation.pointer
 
-    def is_written(self) -> bool:
-        """Whether all of its content is defined."""
-        return self.nbytes == 0 or self.allocation.written.covers(*self.span())
+    def overlaps(self, other: Tensor) -> bool:
+        """Whether the two tensors share memory."""
+        return self.start < other.end and other.start < self.end and self.nbytes > 0 and other.nbytes > 0
 
     def host_view(self) -> np.ndarray:
         """Writable view for compiled kernels, made once; checks nothing but that the host can see the memory."""
@@ -156,20 +168,7 @@ class Tensor:
             self._host = view_at(self.start, self.shape, self.dtype, self.allocation.owner)
         return self._host
 
-    def _check_host_read(self) -> None:
-        self._check_alive()
-        self._device.hazards.check_host_read(self)
-        if not self.is_written():
-            message = f"'{self.name}' is read by the host, but no command wrote it and nothing was uploaded to it"
-            raise HazardError(message, "read before write", self.name, None, "host")
-
     def _check_host_write(self) -> None:
-        self._check_alive()
         if not self.allocation.writable:
             raise BindingError(f"tensor '{self.name}' wraps a read-only array: it cannot be written")
-        self._device.hazards.check_host_write(self)
-
-    def _check_alive(self) -> None:
-        if self.released:
-            message = f"tensor '{self.name}' was released: make a new one"
-            raise HazardError(message, "released", self.name, None, "host")
+        check_host_write(self.name, self.state)

@@ -38,14 +38,14 @@ def test_not_a_tensor(bench, ones):
 
 
 def test_other_device(bench):
-    with pytest.raises(BindingError, match="belongs to another device"):
+    with pytest.raises(BindingError, match="binding 'x': tensor 't' belongs to another device: make it on this one"):
         ArgumentTable(bench.network)["x"] = Device("cpu").heap.tensor("t", (1, 4, 5))
 
 
 def test_released(bench):
     x = bench.tensor("x")
     x.release()
-    with pytest.raises(BindingError, match="'x' was released"):
+    with pytest.raises(BindingError, match="binding 'x': tensor 'x' was released: bind a new one"):
         ArgumentTable(bench.network)["x"] = x
 
 
@@ -54,7 +54,8 @@ def test_read_only_memory_is_not_written(bench, ones):
     tensor = bench.device.wrap("ones", ones)
     table = ArgumentTable(bench.network)
     table["x"] = tensor
-    with pytest.raises(BindingError, match="wraps a read-only array"):
+    message = "binding 'y' is written, but tensor 'ones' wraps a read-only array: wrap one that may be written"
+    with pytest.raises(BindingError, match=message):
         table["y"] = tensor
 
 
@@ -64,7 +65,8 @@ def test_unbound_is_named_at_dispatch(bench):
         table["y"]
     commands = bench.device.command_buffer("frame")
     with commands.machine_learning_encoder("denoise") as encoder:
-        with pytest.raises(BindingError, match="network 'double': nothing is bound to 'y'"):
+        message = r"'denoise': network 'double': nothing is bound to 'y': set table\['name'\] = tensor"
+        with pytest.raises(BindingError, match=message):
             encoder.dispatch_network(bench.network, table)
 
 
@@ -73,6 +75,10 @@ def test_sizes_of_a_kernel_must_fit_together(bench, device):
                    (("a", (1, 4, 5)), ("b", (1, 4, 5)), ("total", (1, 4, 6))))
     with pytest.raises(BindingError, match=r"'add': 'a' \(1, 4, 5\) and 'total' \(1, 4, 6\) do not fit together"):
         ArgumentTable(bench.kernel, {"a": a, "b": b, "total": total}).arguments()
+    commands = bench.device.command_buffer("frame")
+    with commands.compute_encoder("prepare") as encoder:
+        with pytest.raises(BindingError, match="'prepare': kernel 'add': 'a' .* do not fit together: 'channels' is 5"):
+            encoder.dispatch(*bench.add(a, b, total))
 
 
 def test_multiples_of_a_symbol(device):
@@ -124,14 +130,16 @@ def test_table_of_another_state(bench):
     table = ArgumentTable(bench.kernel)
     commands = bench.device.command_buffer("frame")
     with commands.machine_learning_encoder("denoise") as encoder:
-        with pytest.raises(BindingError, match="the argument table was made for kernel 'add'"):
+        message = "'denoise': the argument table was made for kernel 'add': make one for network 'double'"
+        with pytest.raises(BindingError, match=message):
             encoder.dispatch_network(bench.network, table)
 
 
 def test_state_of_another_stage_or_device(bench, library):
     commands = bench.device.command_buffer("frame")
     with commands.compute_encoder("prepare") as encoder:
-        with pytest.raises(EncodingError, match="'prepare' takes compute work, but network 'double'"):
+        message = r"'prepare' takes compute work, but network 'double' is .*: use commands.machine_learning_encoder\(\)"
+        with pytest.raises(EncodingError, match=message):
             encoder.dispatch(bench.network, ArgumentTable(bench.network))
     other = Device("cpu").compute_state(toys.ADD)
     with commands.compute_encoder("prepare") as encoder:

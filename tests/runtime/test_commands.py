@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from postfx.kernels.kernel import Kernel
-from postfx.runtime import ArgumentTable, CommandError, CommandTimeout, EncodingError, HazardError
+from postfx.runtime import ArgumentTable, CommandError, EncodingError, HazardError
 
 
 def kernel_state(device, rows, name="test"):
@@ -47,16 +47,6 @@ def test_nothing_runs_before_commit_and_then_on_the_queues_thread(device):
     commands.commit()
     commands.wait(10)
     assert "postfx cpu" in seen and threading.current_thread().name not in seen
-
-
-def test_wait_times_out_and_can_be_repeated(device):
-    gate = threading.Event()
-    commands, b = one_dispatch(device, lambda y0, y1, a, b: gate.wait(10))
-    commands.commit()
-    with pytest.raises(CommandTimeout, match="'frame 1' was not done after 0.05 s"):
-        commands.wait(timeout=0.05)
-    gate.set()
-    commands.wait(10)
 
 
 def test_error_names_label_command_and_cause(device):
@@ -105,30 +95,13 @@ def test_what_a_failed_command_should_have_written_is_undefined(device):
     commands.commit()
     with pytest.raises(CommandError):
         commands.wait(10)
-    with pytest.raises(HazardError, match="no command wrote it"):
+    with pytest.raises(HazardError) as caught:
         b.download()
-
-
-def test_commands_after_a_failed_one_do_not_run_on_its_output(device):
-    gate, ran = threading.Event(), []
-
-    def fail_late(y0, y1, a, b):
-        gate.wait(10)
-        fail_rows(y0, y1, a, b)
-
-    first, b = one_dispatch(device, fail_late)
-    first.commit()
-    state = kernel_state(device, lambda y0, y1, a, b: ran.append(1))
-    c = device.heap.tensor("c", (8,))
-    second = device.command_buffer("frame 2")
-    with second.compute_encoder("use") as encoder:
-        encoder.barrier(after="compute", before="compute")
-        encoder.dispatch(state, ArgumentTable(state, {"a": b, "b": c}))
-    second.commit()
-    gate.set()
-    with pytest.raises(CommandError, match="'b' was to be written by a command that failed"):
-        second.wait(10)
-    assert ran == []
+    assert (caught.value.kind, caught.value.first) == ("read before write", "work")
+    assert str(caught.value) == (
+        "'b' is read by the host, but 'work' (kernel 'test') of 'frame 1' failed: nothing to divide by: "
+        "commit that again, or upload to 'b'"
+    )
 
 
 def test_the_queue_goes_on_after_an_error(device):
@@ -178,11 +151,12 @@ def test_timings_per_encoder_with_groups(device):
 def test_nothing_is_recorded_after_commit(device):
     commands, _ = one_dispatch(device, copy_rows)
     commands.commit()
-    with pytest.raises(EncodingError, match="'frame 1' is committed: record into a new command buffer"):
+    message = r"nothing can be recorded into 'frame 1': it was committed and not waited for, call wait\(\) first"
+    with pytest.raises(EncodingError, match=message):
         commands.compute_encoder("late")
-    with pytest.raises(EncodingError, match="is committed"):
-        commands.commit()
     commands.wait(10)
+    with pytest.raises(EncodingError, match=r"into 'frame 1': it is done, call begin\(\) to record anew"):
+        commands.compute_encoder("late")
 
 
 def test_nothing_is_recorded_by_an_ended_encoder(device):
@@ -207,8 +181,10 @@ def test_wait_before_commit_and_after_discard(device):
     with pytest.raises(EncodingError, match="it is open, commit it first"):
         commands.wait(1)
     commands.discard()
-    with pytest.raises(EncodingError, match="'frame' is discarded"):
+    with pytest.raises(EncodingError, match=r"'frame' cannot be committed: it was discarded, call begin\(\)"):
         commands.commit()
+    with pytest.raises(EncodingError, match="it is discarded, commit it first"):
+        commands.wait(1)
 
 
 def test_empty_buffer_is_fine(device):
@@ -216,18 +192,3 @@ def test_empty_buffer_is_fine(device):
     commands.commit()
     commands.wait(10)
     assert commands.timings == []
-
-
-@pytest.mark.parametrize(("masks", "message"), [
-    ({"after": "", "before": "compute"}, "no stage ''"),
-    ({"after": (), "before": "compute"}, "the after= stage mask is empty"),
-    ({"after": "compute", "before": []}, "the before= stage mask is empty"),
-    ({"after": "compute", "before": "blit"}, "no stage 'blit': stages are compute, machine-learning"),
-    ({"after": "compute"}, "give both after= and before=, or neither"),
-    ({"before": "compute"}, "give both after= and before=, or neither"),
-])
-def test_bad_stage_masks(device, masks, message):
-    commands = device.command_buffer("frame")
-    with commands.compute_encoder("prepare") as encoder:
-        with pytest.raises(EncodingError, match=message):
-            encoder.barrier(**masks)

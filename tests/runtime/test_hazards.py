@@ -1,7 +1,5 @@
 """Every hazard that the encoder promises to find is found, and named; correct graphs pass."""
 
-import gc
-
 import numpy as np
 import pytest
 
@@ -43,7 +41,12 @@ def test_missing_barrier_names_both_commands_the_tensor_and_the_mend(bench, kind
         commands.commit()
     error = caught.value
     assert (error.kind, error.tensor, error.first, error.second) == (kind, "shared", "denoise", "apply")
-    assert "barrier(after='machine-learning', before='compute')" in str(error)
+    does, did = ("writes" if word == "write" else "reads" for word in kind.split(" after "))
+    assert str(error) == (
+        f"{kind}: 'apply' (kernel 'add') {does} 'shared', which 'denoise' (network 'double') {did}, in no certain "
+        "order: record barrier(after='machine-learning', before='compute') in 'apply' before it, or "
+        "barrier(after='machine-learning', before_queue='compute') in 'denoise' after it"
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -122,13 +125,17 @@ def test_reads_need_no_order(bench):
 def test_read_before_write_names_the_later_writer(bench):
     x, empty, y = bench.tensor("x", True), bench.tensor("empty"), bench.tensor("y")
     commands = record(bench, ("use", bench.double(empty, y)), ("make", bench.add(x, x, empty)), barrier=(BOTH, BOTH))
-    with pytest.raises(HazardError, match="'use' .*reads 'empty', which nothing wrote before: only 'make'") as caught:
+    with pytest.raises(HazardError) as caught:
         commands.commit()
-    assert caught.value.kind == "read before write"
+    assert (caught.value.kind, caught.value.first, caught.value.second) == ("read before write", "make", "use")
+    assert str(caught.value) == (
+        "read before write: 'use' (network 'double') reads 'empty', which nothing wrote before: "
+        "only 'make' (kernel 'add') writes it, later: record it first"
+    )
 
 
 def test_reading_what_nothing_ever_writes(bench):
-    with pytest.raises(HazardError, match="upload to it"):
+    with pytest.raises(HazardError, match="'use' .* reads 'empty', .*: upload to it, or write it by a command"):
         record(bench, ("use", bench.double(bench.tensor("empty"), bench.tensor("y")))).commit()
 
 
@@ -160,7 +167,10 @@ def test_the_same_tensor_read_and_written_in_one_dispatch(bench):
     x = bench.tensor("x", True)
     with pytest.raises(HazardError) as caught:
         record(bench, ("in place", bench.double(x, x)))
-    assert caught.value.kind == "aliasing"
+    assert (caught.value.kind, caught.value.second) == ("aliasing", "in place")
+    assert str(caught.value) == (
+        "'in place' (network 'double') has 'x' on the same memory, one of them written: bind separate tensors"
+    )
 
 
 def test_overlapping_views_in_one_dispatch(bench):
@@ -205,7 +215,7 @@ def test_released_between_recording_and_commit(bench):
     x, y = bench.tensor("x", True), bench.tensor("y")
     commands = record(bench, ("use", bench.double(x, y)))
     x.release()
-    with pytest.raises(HazardError, match="'x', which was released before commit"):
+    with pytest.raises(HazardError, match="'use' .* uses 'x', which was released before commit: record it with a new"):
         commands.commit()
 
 
@@ -224,40 +234,6 @@ def test_hazards_between_buffers_end_with_wait_and_not_before(bench):
     third = record(bench, ("three", bench.add(y, z, bench.tensor("w"))))
     third.commit()
     third.wait(10)
-
-
-def test_host_must_wait_before_it_reads_or_writes(bench, ones):
-    x, y = bench.tensor("x", True), bench.tensor("y")
-    commands = record(bench, ("one", bench.double(x, y)))
-    commands.commit()
-    for touch in (y.download, lambda: y.array, lambda: x.upload(ones), lambda: y.upload(ones)):
-        with pytest.raises(HazardError, match=r"the host .* while 'one' .*call wait\(\) first"):
-            touch()
-    assert np.array_equal(x.array, ones)  # both only read it
-    commands.wait(10)
-    assert np.array_equal(y.download(), 2 * ones)
-    x.upload(3 * ones)
-
-
-def test_upload_after_recording_would_change_what_was_recorded(bench, ones):
-    x, y = bench.tensor("x", True), bench.tensor("y")
-    commands = record(bench, ("one", bench.double(x, y)))
-    with pytest.raises(HazardError, match="would see the new values"):
-        x.upload(ones)
-    commands.discard()
-    x.upload(ones)
-
-
-def test_buffers_that_are_dropped_do_not_block_uploads(bench, ones):
-    x = bench.tensor("x", True)
-    record(bench, ("one", bench.double(x, bench.tensor("y"))))
-    gc.collect()
-    x.upload(ones)
-
-
-def test_host_reads_of_undefined_memory(bench):
-    with pytest.raises(HazardError, match="read by the host, but no command wrote it"):
-        bench.tensor("empty").download()
 
 
 def test_a_failed_commit_leaves_nothing_behind(bench, ones):

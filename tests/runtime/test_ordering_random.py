@@ -1,65 +1,77 @@
-"""The hazard search against a brute-force one, on random graphs of dispatches and barriers."""
+"""The hazard search against a brute-force one, on random graphs of dispatches and the three forms of barriers."""
 
 from __future__ import annotations
 
 import itertools
 import random
-from types import SimpleNamespace
 
 import pytest
 
 from postfx.runtime.ordering import find_conflict, predecessors
-from postfx.runtime.records import STAGES, Dispatch, EncoderBarrier, QueueBarrier
+from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
+from postfx.runtime.tensor import Tensor
 
 MEMORY = 12
 
 
-def tensor(rng):
-    start = rng.randrange(MEMORY)
-    end = min(MEMORY, start + rng.randint(1, 3))
-    return SimpleNamespace(name=f"{start}-{end}", start=start, end=end, nbytes=end - start)
+class Bytes:
+    """The part of a tensor that the search looks at."""
+
+    overlaps = Tensor.overlaps
+
+    def __init__(self, rng):
+        self.start = rng.randrange(MEMORY)
+        self.end = min(MEMORY, self.start + rng.randint(0, 3))
+        self.nbytes = self.end - self.start
 
 
 def random_records(rng, encoders):
-    records, stages = [], [rng.choice(STAGES) for _ in range(encoders)]
-    for encoder, stage in enumerate(stages):
+    """Encoders in turn; their numbers are in no order, as when recorded buffers are committed in another order."""
+    records, numbers = [], rng.sample(range(100), encoders)
+    for encoder in numbers:
+        stage = rng.choice(STAGES)
         for _ in range(rng.randint(0, 4)):
             kind = rng.random()
             if kind < 0.55:
-                reads, writes = ([tensor(rng) for _ in range(rng.randint(0, 2))] for _ in range(2))
+                reads, writes = ([Bytes(rng) for _ in range(rng.randint(0, 2))] for _ in range(2))
                 records.append(Dispatch("label", "command", stage, encoder, tuple(reads), tuple(writes), lambda: None))
-            elif kind < 0.75:
+            elif kind < 0.7:
                 records.append(EncoderBarrier(encoder))
             else:
                 masks = [frozenset(rng.sample(STAGES, rng.randint(1, 2))) for _ in range(2)]
-                records.append(QueueBarrier(encoder, *masks))
+                records.append(rng.choice((ConsumerBarrier, ProducerBarrier))(encoder, *masks))
     return records
+
+
+def holds(barrier, place, one, first, two, second, turn):
+    """Whether the barrier recorded at `place` puts dispatch `one`, recorded at `first`, before `two`, at `second`."""
+    earlier, later = turn[one.encoder] - turn[barrier.encoder], turn[two.encoder] - turn[barrier.encoder]
+    if isinstance(barrier, EncoderBarrier):
+        return earlier == later == 0 and first < place < second
+    scopes = one.stage in barrier.after and two.stage in barrier.before
+    if isinstance(barrier, ConsumerBarrier):
+        return scopes and earlier < 0 and later >= 0 and place < second
+    return scopes and earlier <= 0 and first < place and later > 0
 
 
 def ordered_pairs(records):
     """Pairs of dispatch indices that barriers order: the definition, written down plainly, then closed."""
     places = [place for place, record in enumerate(records) if isinstance(record, Dispatch)]
+    barriers = [(place, record) for place, record in enumerate(records) if not isinstance(record, Dispatch)]
+    turn = {encoder: index for index, encoder in enumerate(dict.fromkeys(record.encoder for record in records))}
     pairs = set()
     for (i, first), (j, second) in itertools.combinations(enumerate(places), 2):
         one, two = records[first], records[second]
-        for place, barrier in enumerate(records):
-            if isinstance(barrier, EncoderBarrier):
-                holds = first < place < second and one.encoder == two.encoder == barrier.encoder
-            elif isinstance(barrier, QueueBarrier):
-                scopes = one.stage in barrier.after and two.stage in barrier.before
-                holds = scopes and one.encoder < barrier.encoder and place < second
-            else:
-                holds = False
-            if holds:
-                pairs.add((i, j))
+        if any(holds(barrier, place, one, first, two, second, turn) for place, barrier in barriers):
+            pairs.add((i, j))
     for k, i, j in itertools.product(range(len(places)), repeat=3):
         if (i, k) in pairs and (k, j) in pairs:
             pairs.add((i, j))
     return pairs
 
 
-def brute_force(records, first_new):
-    """All (first, second) pairs of unordered dispatches that share a byte which one of them writes."""
+def brute_force(records, first_new, across):
+    """All (second, first, kinds) of unordered dispatches that share a byte which one of them writes."""
     dispatches = [record for record in records if isinstance(record, Dispatch)]
     pairs, found = ordered_pairs(records), []
     touched = [
@@ -68,26 +80,30 @@ def brute_force(records, first_new):
     ]
     for i, j in itertools.combinations(range(len(dispatches)), 2):
         (reads, writes), (later_reads, later_writes) = touched[i], touched[j]
-        clash = writes & later_reads or writes & later_writes or reads & later_writes
-        if clash and (i, j) not in pairs and j >= first_new:
-            found.append((j, i))
+        shared = {"read after write": writes & later_reads, "write after write": writes & later_writes,
+                  "write after read": reads & later_writes}
+        kinds = {kind for kind, bytes_ in shared.items() if bytes_}
+        if kinds and (i, j) not in pairs and j >= first_new and (i < first_new or not across):
+            found.append((j, i, kinds))
     return found
 
 
+@pytest.mark.parametrize("across", [False, True])
 @pytest.mark.parametrize("seed", range(20))
-def test_finds_what_brute_force_finds(seed):
+def test_finds_what_brute_force_finds(seed, across):
     rng = random.Random(seed)
     clean = 0
     for _ in range(100):
         records = random_records(rng, encoders=rng.randint(1, 6))
         count = sum(isinstance(record, Dispatch) for record in records)
         first_new = rng.randint(0, count)
-        expected = brute_force(records, first_new)
-        conflict = find_conflict(records, first_new)
+        expected = brute_force(records, first_new, across)
+        conflict = find_conflict(records, first_new, across)
         assert (conflict is None) == (not expected)
         clean += conflict is None
         if conflict is not None:
-            assert (conflict.second, conflict.first) == min(expected)
+            second, first, kinds = min(expected, key=lambda item: item[:2])
+            assert (conflict.second, conflict.first) == (second, first) and conflict.kind in kinds
     assert 0 < clean < 100
 
 
@@ -100,3 +116,16 @@ def test_orders_are_those_of_the_definition(seed):
             (i, j) for j, mask in enumerate(predecessors(records)) for i in range(j) if mask >> i & 1
         }
         assert found == ordered_pairs(records)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_commands_before_do_not_order_later_ones_among_themselves(seed):
+    """What lets the search among one buffer's own commands be done once."""
+    rng = random.Random(2000 + seed)
+    for _ in range(100):
+        records = random_records(rng, encoders=5)
+        ends = [i for i in range(1, len(records)) if records[i].encoder != records[i - 1].encoder]
+        cut = rng.choice(ends) if ends else 0
+        skipped = sum(isinstance(record, Dispatch) for record in records[:cut])
+        alone = predecessors(records[cut:])
+        assert [mask >> skipped for mask in predecessors(records)[skipped:]] == alone
