@@ -158,7 +158,6 @@ def test_history_never_harms_the_garage(shared_dir):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", BARS)
-def test_small_network_is_not_far_behind(shared_dir, name):
-    small, middle = (late(shared_dir / "sequences" / name, tag)["psnr"] for tag in ("s", "m"))
-    assert small >= middle - 0.7
+def test_small_network_is_not_far_behind_in_the_mean(shared_dir):
+    small, middle = ([late(shared_dir / "sequences" / name, tag)["psnr"] for name in BARS] for tag in ("s", "m"))
+    assert np.mean(small) >= np.mean(middle) - 0.7
