@@ -2,8 +2,9 @@
 
 python samples/compare_speed.py [--width 960] [--height 540] [--runs 5] [--models m,s]
 
-It needs pip install 'postfx[bench]'. postfx turns noisy frames of the given size into twice as large, tone-mapped ones. OIDN (high quality, clean albedo
-and normal) denoises a frame of the same size and one of the output's size. Prints medians, spread and ratios.
+It needs pip install 'postfx[bench]'. postfx turns noisy frames of the given size into twice as large, tone-mapped ones.
+OIDN (high quality, clean albedo and normal) denoises a frame of the same size and one of the output's size. Prints
+medians, spread and ratios.
 """
 import argparse
 import resource
