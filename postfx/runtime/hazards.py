@@ -140,12 +140,9 @@ class Hazards:
     def _check_order(self, commands: CommandBuffer, footprint: Footprint) -> None:
         if footprint.ordered and not self._flying:
             return
-        buffers = [*self._flying, commands]
-        first_new = sum(len(buffer.footprint().dispatches) for buffer in self._flying)
-        records = (record for buffer in buffers for record in buffer.records)
-        conflict = find_conflict(records, first_new, across=footprint.ordered)
+        conflict = find_conflict([buffer.footprint() for buffer in self._flying], footprint)
         if conflict is not None:
-            dispatches = list(_dispatches(buffers))
+            dispatches = list(_dispatches([*self._flying, commands]))
             raise hazard_errors.conflict(conflict, dispatches[conflict.first], dispatches[conflict.second])
         footprint.ordered = True
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
+from postfx.runtime.footprint import Footprint, Span
 from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.tensor import Tensor
 
@@ -57,78 +58,82 @@ def _order(done: dict[str, int], barrier: ConsumerBarrier | ProducerBarrier, wai
         waits[name] |= mask
 
 
-def find_conflict(records: Iterable[Record], first_new: int, across: bool = False) -> Conflict | None:
-    """The first conflict whose later dispatch has index `first_new` or higher; earlier ones were checked before.
+def find_conflict(earlier: Sequence[Footprint], new: Footprint) -> Conflict | None:
+    """The first conflict of new commands with each other or with earlier ones, which were checked before.
 
-    Args:
-        across: look only for conflicts of a new dispatch with an earlier one; the new ones were checked among
-            themselves. Barriers recorded elsewhere do not order them, so that holds whatever comes before.
+    Commands that are `ordered` are not compared with each other again: barriers recorded elsewhere change nothing
+    among them. Indices in the result count the dispatches of all earlier commands, then those of the new ones.
     """
-    records = list(records)
-    dispatches = [record for record in records if isinstance(record, Dispatch)]
-    touched, before = _touched(dispatches), predecessors(records)
-    for index in range(first_new, len(dispatches)):
-        others = 0
-        for tensor in dispatches[index].reads:
-            others |= touched.get((tensor.start, tensor.end), _NOBODY).writes
-        for tensor in dispatches[index].writes:
-            others |= touched.get((tensor.start, tensor.end), _NOBODY).all
-        unordered = others & ~before[index] & (1 << (first_new if across else index)) - 1
-        if unordered:
-            return _conflict(dispatches, _lowest(unordered), index)
+    first_new = sum(len(part.dispatches) for part in earlier)
+    suspects = _suspects(earlier, new, first_new)
+    if not any(suspects):
+        return None
+    parts = (*earlier, new)
+    before = predecessors(record for part in parts for record in part.records)
+    for index, others in enumerate(suspects, first_new):
+        if unordered := others & ~before[index]:
+            return _conflict([item for part in parts for item in part.dispatches], _lowest(unordered), index)
     return None
 
 
-class _Users(NamedTuple):
-    """Which dispatches write a byte range, and which access it at all: bit masks of their indices."""
-
-    writes: int
-    all: int
-
-
-_NOBODY = _Users(0, 0)
-
-
-def _touched(dispatches: Iterable[Dispatch]) -> dict[tuple[int, int], _Users]:
-    """For every byte range that a tensor takes, the dispatches that access any byte of it."""
-    writes: dict[tuple[int, int], int] = {}
-    every: dict[tuple[int, int], int] = {}
-    for index, dispatch in enumerate(dispatches):
-        bit = 1 << index
+def _suspects(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> list[int]:
+    """For each new dispatch, the dispatches before it that share a byte with it which one of the two writes."""
+    near = _near(earlier, new, first_new)
+    result = []
+    for index, dispatch in enumerate(new.dispatches, first_new):
+        others = 0
         for tensor in dispatch.reads:
-            span = tensor.start, tensor.end
-            every[span] = every.get(span, 0) | bit
+            others |= near.get((tensor.start, tensor.end), _NOBODY)[0]
         for tensor in dispatch.writes:
-            span = tensor.start, tensor.end
-            every[span] = every.get(span, 0) | bit
-            writes[span] = writes.get(span, 0) | bit
-    result = {}
-    for group in _overlapping(span for span in every if span[0] < span[1]):
-        for start, end in group:
-            near = [other for other in group if other[0] < end and start < other[1]]
-            result[start, end] = _Users(_union(writes, near), _union(every, near))
+            others |= near.get((tensor.start, tensor.end), _NOBODY)[1]
+        result.append(others & (1 << index) - 1)
     return result
 
 
-def _overlapping(spans: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
+_NOBODY = (0, 0)
+
+
+def _near(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> dict[tuple[int, int], tuple[int, int]]:
+    """For the byte ranges of new commands, who writes and who uses any byte of them, as far as it is to be compared."""
+    spans: list[tuple[Span, bool]] = []
+    shift = 0
+    for part in earlier:
+        spans += [(_shifted(span, shift), False) for span in part.spans]
+        shift += len(part.dispatches)
+    for span in new.spans:
+        spans.append((Span(span.start, span.end, 0, 0) if new.ordered else _shifted(span, first_new), True))
+    result = {}
+    for group in _overlapping(spans):
+        for target, is_new in group:
+            if is_new:
+                result[target[:2]] = _union([s for s, _ in group if s.start < target.end and target.start < s.end])
+    return result
+
+
+def _shifted(span: Span, count: int) -> Span:
+    return Span(span.start, span.end, span.writers << count, span.users << count)
+
+
+def _overlapping(spans: list[tuple[Span, bool]]) -> Iterator[list[tuple[Span, bool]]]:
     """Byte ranges in groups that share no byte with each other; most groups are one tensor's."""
-    group: list[tuple[int, int]] = []
+    group: list[tuple[Span, bool]] = []
     end = 0
-    for span in sorted(spans):
-        if group and span[0] >= end:
+    for item in sorted(spans):
+        if group and item[0].start >= end:
             yield group
             group = []
-        end = max(end, span[1]) if group else span[1]
-        group.append(span)
+        end = max(end, item[0].end) if group else item[0].end
+        group.append(item)
     if group:
         yield group
 
 
-def _union(masks: dict[tuple[int, int], int], spans: Iterable[tuple[int, int]]) -> int:
-    result = 0
+def _union(spans: Iterable[Span]) -> tuple[int, int]:
+    writers = users = 0
     for span in spans:
-        result |= masks.get(span, 0)
-    return result
+        writers |= span.writers
+        users |= span.users
+    return writers, users
 
 
 def _lowest(mask: int) -> int:

@@ -7,6 +7,7 @@ import random
 
 import pytest
 
+from postfx.runtime.footprint import Footprint
 from postfx.runtime.ordering import find_conflict, predecessors
 from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
 from postfx.runtime.tensor import Tensor
@@ -18,11 +19,15 @@ class Bytes:
     """The part of a tensor that the search looks at."""
 
     overlaps = Tensor.overlaps
+    allocation = "the one"
 
     def __init__(self, rng):
         self.start = rng.randrange(MEMORY)
         self.end = min(MEMORY, self.start + rng.randint(0, 3))
         self.nbytes = self.end - self.start
+
+    def span(self):
+        return self.start, self.end
 
 
 def random_records(rng, encoders):
@@ -88,23 +93,45 @@ def brute_force(records, first_new, across):
     return found
 
 
-@pytest.mark.parametrize("across", [False, True])
+def split(rng, records):
+    """The records cut into command buffers, between encoders."""
+    ends = [i for i in range(1, len(records)) if records[i].encoder != records[i - 1].encoder]
+    cuts = [0, *sorted(rng.sample(ends, rng.randint(0, len(ends)))), len(records)]
+    return [Footprint(records[i:j]) for i, j in itertools.pairwise(cuts)]
+
+
+@pytest.mark.parametrize("ordered", [False, True])
 @pytest.mark.parametrize("seed", range(20))
-def test_finds_what_brute_force_finds(seed, across):
+def test_finds_what_brute_force_finds(seed, ordered):
     rng = random.Random(seed)
     clean = 0
     for _ in range(100):
         records = random_records(rng, encoders=rng.randint(1, 6))
-        count = sum(isinstance(record, Dispatch) for record in records)
-        first_new = rng.randint(0, count)
-        expected = brute_force(records, first_new, across)
-        conflict = find_conflict(records, first_new, across)
+        *earlier, new = split(rng, records)
+        new.ordered = ordered
+        expected = brute_force(records, sum(len(part.dispatches) for part in earlier), ordered)
+        conflict = find_conflict(earlier, new)
         assert (conflict is None) == (not expected)
         clean += conflict is None
         if conflict is not None:
             second, first, kinds = min(expected, key=lambda item: item[:2])
             assert (conflict.second, conflict.first) == (second, first) and conflict.kind in kinds
     assert 0 < clean < 100
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_needs_are_the_bytes_read_before_they_are_written(seed):
+    rng = random.Random(3000 + seed)
+    for _ in range(100):
+        records = random_records(rng, encoders=5)
+        written, needed = set(), set()
+        for dispatch in (record for record in records if isinstance(record, Dispatch)):
+            needed |= {b for t in dispatch.reads for b in range(*t.span())} - written
+            written |= {b for t in dispatch.writes for b in range(*t.span())}
+        footprint = Footprint(records)
+        found = [ranges for _, _, ranges in footprint.needs.values()]
+        assert {b for ranges in found for span in ranges.spans for b in range(*span)} == needed
+        assert {b for r in footprint.writes.values() for span in r.spans for b in range(*span)} == written
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -56,10 +56,10 @@ def test_timings_are_those_of_the_last_run(frame):
 def test_search_among_its_own_commands_is_done_once(frame, monkeypatch):
     searches = []
     find = hazards.find_conflict
-    monkeypatch.setattr(hazards, "find_conflict", lambda *args, **kw: searches.append(kw) or find(*args, **kw))
+    monkeypatch.setattr(hazards, "find_conflict", lambda *args: searches.append(args) or find(*args))
     for _ in range(3):
         frame.run()
-    assert searches == [{"across": False}]
+    assert len(searches) == 1
 
 
 def test_replay_takes_no_memory(frame):
