@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,9 @@ def test_pass_gives_what_torch_gives(
         frames[1].guides[Role.DIFFUSE_ALBEDO][3, 4], frames[1].guides[Role.DEPTH][5, 6] = np.nan, np.inf
     device = Device("cpu", threads=2, compiled_kernels=compiled)
     pipeline = Pipeline([DenoiseUpscale(scale=scale, model="small")], device, exposure="metadata")
-    wanted = in_torch(small_model(with_guides).eval(), frames, output)
+    reads = with_guides and scale > 1  # at render size the planes are better
+    seen = frames if reads else [replace(frame, guides={}) for frame in frames]
+    wanted = in_torch(small_model(reads).eval(), seen, output)
     for frame, expected in zip(frames, wanted, strict=True):
         found = pipeline(frame)[Role.COLOUR]
         assert np.abs(found - expected).max() <= TOLERANCE * np.abs(expected).max()
