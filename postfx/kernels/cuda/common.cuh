@@ -58,3 +58,129 @@ __device__ inline Colour demodulation(const View& diffuse, const View& specular,
     if (peak < 0.005f) return {1.0f, 1.0f, 1.0f};
     return {fmaxf(r, floor) + 0.01f, fmaxf(g, floor) + 0.01f, fmaxf(b, floor) + 0.01f};
 }
+
+// Two or four neighbouring floats, read or written in one transfer.
+struct alignas(8) Pair {
+    float x, y;
+};
+
+struct alignas(16) Four {
+    float x, y, z, w;
+};
+
+// The floats of a tensor from 2 * index or 4 * index on; tensors begin at multiples of 256 bytes.
+__device__ inline Pair& pair(const View& view, size_t index) {
+    return reinterpret_cast<Pair*>(view.at)[index];
+}
+
+__device__ inline Four& four(const View& view, size_t index) {
+    return reinterpret_cast<Four*>(view.at)[index];
+}
+
+// log2(1 + exposure * x / toe) * scale within [0, 1], as postfx/kernels/shaper.py; params are exposure, toe and scale.
+struct Shaper {
+    float gain, most, scale;
+};
+
+__device__ inline Shaper shaper(const View& params) {
+    return {params.at[0] / params.at[1], exp2f(fminf(126.0f, 1.0f / params.at[2] + 1.0f)), params.at[2]};
+}
+
+__device__ inline float shaped(const Shaper& by, float value) {
+    const float light = value > 0.0f ? value : 0.0f;  // NaN too
+    return fminf(log2f(fminf(light * by.gain + 1.0f, by.most)) * by.scale, 1.0f);
+}
+
+// An output pixel before the history: log-encoded colour, sharpened, and how much of the history it keeps.
+struct Enlarged {
+    Colour colour;
+    float kept;
+};
+
+// How much a sample says about an output pixel at a distance in render pixels.
+__device__ inline float gauss(float distance) {
+    return expf(-2.0f * distance * distance);
+}
+
+// Normalised weights of the samples at -1, 0 and 1 plus `offset` for the softened picture.
+__device__ inline void wide_gauss(float offset, float weights[3]) {
+    const float before = expf(-0.5f * (offset - 1.0f) * (offset - 1.0f)), here = expf(-0.5f * offset * offset);
+    const float after = expf(-0.5f * (offset + 1.0f) * (offset + 1.0f)), share = 1.0f / (before + here + after);
+    weights[0] = before * share;
+    weights[1] = here * share;
+    weights[2] = after * share;
+}
+
+// A head's value at an output pixel from its first of four planes, one for each quarter-pixel corner of a render pixel:
+// at one of them if DOUBLED, else linear between them, `right` and `lower` from the first.
+template <bool DOUBLED>
+__device__ inline float at_corner(const float* first, size_t plane, int corner, float right, float lower) {
+    if (DOUBLED) return first[corner * plane];
+    const float before = first[0] + (first[2 * plane] - first[0]) * lower;
+    const float after = first[plane] + (first[3 * plane] - first[plane]) * lower;
+    return before + (after - before) * right;
+}
+
+// An output pixel from 3x3 samples by predicted weight and distance; DOUBLED where both sides are twice the render's.
+template <bool DOUBLED>
+__device__ inline Enlarged enlarged(int x, int y, int width, int height, const View& radiance, const View& fine,
+                                    const View& moved, const View& params) {
+    const int w = moved.size[1], h = moved.size[0];
+    float u = x % 2 ? 0.25f : -0.25f, v = y % 2 ? 0.25f : -0.25f;
+    const int column = DOUBLED ? x / 2 : centre(x, w, width, u), row = DOUBLED ? y / 2 : centre(y, h, height, v);
+    const float right = fminf(fmaxf(2.0f * u + 0.5f, 0.0f), 1.0f), lower = fminf(fmaxf(2.0f * v + 0.5f, 0.0f), 1.0f);
+    const int corner = 2 * (y % 2) + x % 2;
+    u = params.at[JITTER_X] - u;
+    v = params.at[JITTER_Y] - v;
+    float wide_x[3], wide_y[3];
+    wide_gauss(u, wide_x);
+    wide_gauss(v, wide_y);
+    const size_t plane = size_t(fine.size[2]) * fine.size[3];  // 80 of them may hold more than 2^31 numbers
+    const float* const head = fine.at + size_t(row) * fine.size[3] + column;
+    const int picture = radiance.size[1] * radiance.size[2];
+    const float* const samples = radiance.at + row * radiance.size[2] + column;
+    const float narrow[3] = {gauss(u - 1.0f), gauss(u), gauss(u + 1.0f)};
+    Colour sum = {0.0f, 0.0f, 0.0f}, soft = {0.0f, 0.0f, 0.0f};
+    float total = TINY;
+#pragma unroll
+    for (int j = 0; j < 3; j++) {
+        const float across = gauss(j - 1 + v);
+#pragma unroll
+        for (int i = 0; i < 3; i++) {
+            const float* const tap = head + (PHASES + 4 * (3 * j + i)) * plane;
+            const float weight = at_corner<DOUBLED>(tap, plane, corner, right, lower) * (across * narrow[i]);
+            const float even = wide_y[j] * wide_x[i];
+            const float* const sample = samples + j * radiance.size[2] + i;
+            const Colour light = {sample[0], sample[picture], sample[2 * picture]};
+            total += weight;
+            sum = {sum.r + weight * light.r, sum.g + weight * light.g, sum.b + weight * light.b};
+            soft = {soft.r + even * light.r, soft.g + even * light.g, soft.b + even * light.b};
+        }
+    }
+    const float sharpen = at_corner<DOUBLED>(head + SHARPEN * plane, plane, corner, right, lower);
+    const float blend = at_corner<DOUBLED>(head + BLEND * plane, plane, corner, right, lower);
+    const Colour sharp = {log_encode(sum.r / total), log_encode(sum.g / total), log_encode(sum.b / total)};
+    const int at = 2 * (row * w + column);
+    const float px = x + moved.at[at] * (float(width) / w), py = y + moved.at[at + 1] * (float(height) / h);
+    const bool held = px >= -0.5f && px <= width - 0.5f && py >= -0.5f && py <= height - 0.5f;  // not if NaN
+    return {{fmaxf(sharp.r + sharpen * (sharp.r - log_encode(soft.r)), 0.0f),
+             fmaxf(sharp.g + sharpen * (sharp.g - log_encode(soft.g)), 0.0f),
+             fmaxf(sharp.b + sharpen * (sharp.b - log_encode(soft.b)), 0.0f)},
+            held ? params.at[FRESH] * (1.0f - blend) : 0.0f};
+}
+
+// The same at any scale.
+__device__ inline Enlarged enlarged(int x, int y, int width, int height, const View& radiance, const View& fine,
+                                    const View& moved, const View& params) {
+    if (width == 2 * moved.size[1] && height == 2 * moved.size[0])
+        return enlarged<true>(x, y, width, height, radiance, fine, moved, params);
+    return enlarged<false>(x, y, width, height, radiance, fine, moved, params);
+}
+
+// Blends one channel with the reprojected history and decodes it; `at` counts floats.
+__device__ inline void blend_history(float current, float kept, size_t at, float darken, const View& warped,
+                                     const View& output, const View& history) {
+    const float blended = current + (warped.at[at] - current) * kept;
+    history.at[at] = blended;
+    output.at[at] = expm1f(blended) * darken;
+}
