@@ -1,0 +1,133 @@
+// The network's input, mirrored up to its size, and the reprojected accumulation: colour, diffuse_albedo,
+// specular_albedo and normal (h, w, 3), roughness and depth (h, w, 1), moved (h, w, 2), state (h, w, 12),
+// last_depth (h, w, 1), warped (height, width, 3), depth_scale (1,), params (5,) -> past (h, w, 4),
+// features (1, 35, hp, wp): colour 0, accumulated colour 3, last output 6, diffuse albedo 9, specular albedo 12,
+// normal 15, roughness 18, depth 19, its change 20, valid history 21, sample count 22, jitter 23, length of motion 25,
+// inverse scale 26, hidden state 27.
+
+// The frame before's state at a pixel, zero where it is not `valid`, and the depth of the nearest pixel.
+struct Recalled {
+    Four mean, first, second;  // colour and count, then the hidden channels
+    float depth, valid;
+};
+
+__device__ inline float between(float a, float b, float c, float d, float tx, float ty) {
+    const float top = a + (b - a) * tx, bottom = c + (d - c) * tx;
+    return top + (bottom - top) * ty;
+}
+
+// Four channels of the state, bilinear between the pixels at four indices of such groups.
+__device__ inline Four recalled_four(const View& state, size_t a, size_t b, size_t c, size_t d, float tx, float ty) {
+    const Four p = four(state, a), q = four(state, b), r = four(state, c), s = four(state, d);
+    return {between(p.x, q.x, r.x, s.x, tx, ty), between(p.y, q.y, r.y, s.y, tx, ty),
+            between(p.z, q.z, r.z, s.z, tx, ty), between(p.w, q.w, r.w, s.w, tx, ty)};
+}
+
+__device__ inline Recalled recall(const View& state, const View& last_depth, float px, float py, float fresh) {
+    const int h = last_depth.size[0], w = last_depth.size[1];
+    const bool held = px >= -0.5f && px <= float(w) - 0.5f && py >= -0.5f && py <= float(h) - 0.5f;
+    if (!held || fresh == 0.0f) return {{}, {}, {}, 1.0f, 0.0f};
+    const float depth = last_depth.at[within(int(rintf(py)), h) * w + within(int(rintf(px)), w)];
+    px = fminf(fmaxf(px, 0.0f), float(w - 1));
+    py = fminf(fmaxf(py, 0.0f), float(h - 1));
+    const int x0 = int(px), y0 = int(py), x1 = min(x0 + 1, w - 1), y1 = min(y0 + 1, h - 1);
+    const float tx = px - float(x0), ty = py - float(y0);
+    const size_t upper = size_t(y0) * w, lower = size_t(y1) * w;
+    const size_t a = 3 * (upper + x0), b = 3 * (upper + x1), c = 3 * (lower + x0), d = 3 * (lower + x1);
+    return {recalled_four(state, a, b, c, d, tx, ty), recalled_four(state, a + 1, b + 1, c + 1, d + 1, tx, ty),
+            recalled_four(state, a + 2, b + 2, c + 2, d + 2, tx, ty), depth, fresh};
+}
+
+// Mean of the output pixels that render pixel (y, x) of (h, w) touches.
+__device__ inline Colour touched_mean(const View& warped, unsigned y, unsigned x, unsigned h, unsigned w) {
+    const unsigned height = warped.size[0], width = warped.size[1];
+    const unsigned left = x * width / w, right = ((x + 1) * width + w - 1) / w;
+    const unsigned top = y * height / h, bottom = ((y + 1) * height + h - 1) / h;
+    Colour sum = {0.0f, 0.0f, 0.0f};
+    for (unsigned j = top; j < bottom; j++) {
+        const float* row = warped.at + 3 * (size_t(j) * width);
+        for (unsigned i = left; i < right; i++) {
+            sum.r += row[3 * i];
+            sum.g += row[3 * i + 1];
+            sum.b += row[3 * i + 2];
+        }
+    }
+    const float share = 1.0f / float((bottom - top) * (right - left));
+    return {sum.r * share, sum.g * share, sum.b * share};
+}
+
+__device__ inline Colour three(const View& picture, size_t pixel) {
+    const float* at = picture.at + 3 * pixel;
+    return {at[0], at[1], at[2]};
+}
+
+// Three planes from `to` on.
+__device__ inline void put(float* to, size_t plane, const Colour& value) {
+    to[0] = value.r;
+    to[plane] = value.g;
+    to[2 * plane] = value.b;
+}
+
+__device__ inline void put_bounded(float* to, size_t plane, const Colour& value, float low, float high) {
+    put(to, plane, {clamped(value.r, low, high), clamped(value.g, low, high), clamped(value.b, low, high)});
+}
+
+__device__ inline void put_four(float* to, size_t plane, const Four& value) {
+    put(to, plane, {value.x, value.y, value.z});
+    to[3 * plane] = value.w;
+}
+
+// This frame's colour of a channel without reflectance, log-encoded; `share` is one over the reflectance.
+__device__ inline float encoded_now(float value, float exposure, float share) {
+    return log1pf(fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure * share, MAX_COLOUR));
+}
+
+// The change of depth since the frame before.
+__device__ inline float depth_change(float before, float depth) {
+    const float ratio = clamped(before, 1e-6f, MAX_DEPTH) / fmaxf(depth, 1e-6f);
+    return fminf(fmaxf(4.0f * logf(ratio), -1.0f), 1.0f);
+}
+
+extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, View specular_albedo, View normal,
+                                            View roughness, View depth, View moved, View state, View last_depth,
+                                            View warped, View depth_scale, View params, View past, View features) {
+    const int height = features.size[2], width = features.size[3];
+    PIXEL(width, height);
+    const int h = colour.size[0], w = colour.size[1], v = mirrored(y, h), u = mirrored(x, w);
+    const size_t pixel = size_t(v) * w + u, plane = size_t(height) * width;
+    // Everything is read before the first write, so that the reads wait together.
+    const float exposure = params.at[EXPOSURE], gain = params.at[GAIN], fresh = params.at[FRESH];
+    const float jitter_x = params.at[JITTER_X], jitter_y = params.at[JITTER_Y], scale = depth_scale.at[0];
+    const Colour now = three(colour, pixel), direction = three(normal, pixel);
+    const Colour diffuse = three(diffuse_albedo, pixel), specular = three(specular_albedo, pixel);
+    const float rough = roughness.at[pixel], z = clamped(depth.at[pixel], 0.0f, MAX_DEPTH);
+    const Pair motion = pair(moved, pixel);
+    const Recalled memory = recall(state, last_depth, float(u) + motion.x, float(v) + motion.y, fresh);
+    const Colour mean = touched_mean(warped, v, u, h, w);
+    const Colour factor = demodulation(diffuse_albedo, specular_albedo, v, u);
+    const Colour share = {1.0f / factor.r, 1.0f / factor.g, 1.0f / factor.b};
+    const Colour kept = {memory.mean.x * gain, memory.mean.y * gain, memory.mean.z * gain};
+
+    float* to = features.at + size_t(y) * width + x;
+    put(to, plane, {encoded_now(now.r, exposure, share.r), encoded_now(now.g, exposure, share.g),
+                    encoded_now(now.b, exposure, share.b)});
+    put(to + 3 * plane, plane, {log_encode(kept.r), log_encode(kept.g), log_encode(kept.b)});
+    put(to + 6 * plane, plane, {log_encode(expm1f(mean.r) * memory.valid * share.r),
+                                log_encode(expm1f(mean.g) * memory.valid * share.g),
+                                log_encode(expm1f(mean.b) * memory.valid * share.b)});
+    put_bounded(to + 9 * plane, plane, diffuse, 0.0f, 2.0f);
+    put_bounded(to + 12 * plane, plane, specular, 0.0f, 2.0f);
+    put_bounded(to + 15 * plane, plane, direction, -1.0f, 1.0f);
+    to[18 * plane] = clamped(rough, 0.0f, 1.0f);
+    to[19 * plane] = scale / (scale + z);
+    to[20 * plane] = depth_change(memory.depth, z) * memory.valid;
+    to[21 * plane] = memory.valid;
+    to[22 * plane] = memory.mean.w / MAX_COUNT;
+    to[23 * plane] = jitter_x;
+    to[24 * plane] = jitter_y;
+    to[25 * plane] = log1pf(sqrtf(motion.x * motion.x + motion.y * motion.y)) * 0.25f;
+    to[26 * plane] = float(w) / float(warped.size[1]);
+    put_four(to + 27 * plane, plane, memory.first);
+    put_four(to + 31 * plane, plane, memory.second);
+    if (y < h && x < w) four(past, pixel) = {kept.r, kept.g, kept.b, memory.mean.w};
+}
