@@ -1,0 +1,40 @@
+// Running mean of demodulated colour: colour, diffuse_albedo and specular_albedo (h, w, 3), depth (h, w, 1),
+// past (h, w, 4), fine (1, 80, hp, wp), params (5,) -> next_state (h, w, 12), next_depth (h, w, 1), level (4, hp, wp),
+// which is the mean with its importance, zero in the padding.
+extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo, View depth,
+                                              View past, View fine, View params, View next_state, View next_depth,
+                                              View level) {
+    const int height = level.size[1], width = level.size[2];
+    PIXEL(width, height);
+    const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
+    float* to = level.at + here;
+    if (y >= colour.size[0] || x >= colour.size[1]) {
+        for (int c = 0; c < 4; c++) to[c * plane] = 0.0f;
+        return;
+    }
+    const size_t pixel = size_t(y) * colour.size[1] + x;
+    const float* rgb = colour.at + 3 * pixel;
+    const float* head = fine.at + here;
+    const float exposure = params.at[EXPOSURE], red = rgb[0], green = rgb[1], blue = rgb[2], z = depth.at[pixel];
+    const float distrust = head[DISTRUST * plane], importance = head[IMPORTANCE * plane];
+    const Four before = four(past, pixel);
+    const Four hidden[2] = {{head[MEMORY * plane], head[(MEMORY + 1) * plane], head[(MEMORY + 2) * plane],
+                             head[(MEMORY + 3) * plane]},
+                            {head[(MEMORY + 4) * plane], head[(MEMORY + 5) * plane], head[(MEMORY + 6) * plane],
+                             head[(MEMORY + 7) * plane]}};
+    const Colour factor = demodulation(diffuse_albedo, specular_albedo, y, x);
+    const float share = 1.0f / (before.w + 1.0f), alpha = share + (1.0f - share) * distrust;
+    const float r = fminf(clamped(red, 0.0f, MAX_FLOAT) * exposure / factor.r, MAX_COLOUR);
+    const float g = fminf(clamped(green, 0.0f, MAX_FLOAT) * exposure / factor.g, MAX_COLOUR);
+    const float b = fminf(clamped(blue, 0.0f, MAX_FLOAT) * exposure / factor.b, MAX_COLOUR);
+    const Four mean = {before.x + (r - before.x) * alpha, before.y + (g - before.y) * alpha,
+                       before.z + (b - before.z) * alpha, fminf(1.0f / alpha, MAX_COUNT)};
+    four(next_state, 3 * pixel) = mean;
+    four(next_state, 3 * pixel + 1) = hidden[0];
+    four(next_state, 3 * pixel + 2) = hidden[1];
+    next_depth.at[pixel] = z;
+    to[0] = mean.x;
+    to[plane] = mean.y;
+    to[2 * plane] = mean.z;
+    to[3 * plane] = importance;
+}
