@@ -1,11 +1,13 @@
 """An ML command encoder over ONNX Runtime, named after Metal 4. See docs/runtime.md."""
 
 from postfx.runtime.arguments import ArgumentTable
+from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
 from postfx.runtime.device import Device
 from postfx.runtime.encoders import ComputeEncoder, MachineLearningEncoder
 from postfx.runtime.errors import (
     BindingError,
+    CaptureError,
     CommandError,
     CommandTimeout,
     DeviceError,
@@ -23,6 +25,8 @@ __all__ = [
     "ArgumentTable",
     "Binding",
     "BindingError",
+    "Capture",
+    "CaptureError",
     "CommandBuffer",
     "CommandError",
     "CommandTimeout",

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
 
+from postfx.runtime.capture import Recorder
 from postfx.runtime.encoders import ComputeEncoder, Encoder, MachineLearningEncoder
 from postfx.runtime.errors import CommandError, EncodingError
 from postfx.runtime.footprint import Footprint
@@ -51,6 +52,7 @@ class CommandBuffer:
         self._done = threading.Event()
         self._error: CommandError | None = None
         self._timings: dict[int, tuple[str, float]] = {}
+        self._recorder: Recorder | None = None
         device.hazards.opened(self)
 
     def begin(self, label: str | None = None) -> None:
@@ -103,6 +105,8 @@ class CommandBuffer:
         with self.device.commit_lock:
             self.device.hazards.commit(self)
             self._state = "committed"
+            capture = self.device.active_capture
+            self._recorder = None if capture is None else capture.record(self)
             self.device.queue.submit(self._run)
 
     def discard(self) -> None:
@@ -186,8 +190,12 @@ class CommandBuffer:
             if first is not None:
                 missing = [tensor for left in dispatches[index:] for tensor in left.writes]
                 self.device.hazards.mark_lost(missing, first)
+                if self._recorder is not None:
+                    self._recorder.failed(dispatch, first)
                 break
         self.running = None
+        if self._recorder is not None:
+            self._recorder.ended()
         self._done.set()
 
     def _lost_input(self, dispatch: Dispatch) -> CommandError | None:
@@ -216,4 +224,6 @@ class CommandBuffer:
         for tensor in dispatch.writes:
             if tensor.allocation.lost:
                 self.device.hazards.mark_found(tensor)
+        if self._recorder is not None:
+            self._recorder.ran(dispatch, elapsed)
         return None

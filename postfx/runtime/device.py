@@ -8,11 +8,13 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from postfx.paths import models_dir
+from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
 from postfx.runtime.errors import BindingError, DeviceError, ModelError
 from postfx.runtime.hazards import Hazards
@@ -63,6 +65,7 @@ class Device:
         self._compute_states: dict[Kernel, State] = {}
         self._encoders = itertools.count()
         self.commit_lock = threading.Lock()
+        self.active_capture: Capture | None = None
         self.hazards = Hazards()
         self.heap = Heap(self, self.memory)
 
@@ -111,7 +114,7 @@ class Device:
             if free:
                 given = ", ".join(f"{key}={size}" for key, size in fixed.items()) or "none"
                 raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' free: dims were {given}")
-        return PipelineState(self, name, session, fixed)
+        return PipelineState(self, name, session, fixed, library.path(name))
 
     def compute_state(self, kernel: Kernel) -> State:
         """A kernel made ready, once per device: compiled rows on the CPU, its portable definition elsewhere.
@@ -126,6 +129,18 @@ class Device:
     def command_buffer(self, label: str) -> CommandBuffer:
         """A new, empty command buffer."""
         return CommandBuffer(self, label)
+
+    def capture(self, tensors: str = "thumbnails", folder: str | Path | None = None) -> Capture:
+        """A capture, to use with `with`: it records all command buffers that are committed meanwhile.
+
+        Args:
+            tensors: what to keep of what each command wrote: 'thumbnails' (figures and small pictures), 'none', or
+                'all' (its whole content, too, in files).
+            folder: where 'all' puts the files, in a folder `tensors`.
+
+        Raises CaptureError when the options do not fit, or another capture of this device is on.
+        """
+        return Capture(self, tensors, folder)
 
     def wait_idle(self, timeout: float | None = None) -> None:
         """Block until everything that was committed is done, and count all of it as waited for.

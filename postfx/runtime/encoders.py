@@ -88,9 +88,9 @@ class Encoder:
             arguments = table.arguments()
         except BindingError as error:
             raise BindingError(f"'{self.label}': {error}") from None
-        dispatch = Dispatch(
-            self.label, state.command, self.stage, self._number, arguments.reads, arguments.writes, arguments.execute
-        )
+        accesses = arguments.reads, arguments.writes
+        names = self.label, state.command, self.stage, self._number
+        dispatch = Dispatch(*names, *accesses, arguments.execute, state.model)
         check_dispatch(dispatch)
         self._record(dispatch)
 

@@ -39,6 +39,10 @@ class HazardError(PostfxError):
         self.second = second
 
 
+class CaptureError(PostfxError):
+    """A capture is asked for what it cannot do, or could not keep all of what happened."""
+
+
 class CommandError(PostfxError):
     """A command failed while it ran, or did not run because what it reads was lost by one that failed.
 

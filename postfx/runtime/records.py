@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from postfx.runtime.tensor import Tensor
 
@@ -22,6 +23,7 @@ class Dispatch:
         encoder: number of the encoder within the device; barriers refer to it.
         reads, writes: the tensors that were bound when it was recorded.
         execute: does the work.
+        model: file of the network; None for a kernel.
     """
 
     label: str
@@ -31,6 +33,7 @@ class Dispatch:
     reads: tuple[Tensor, ...]
     writes: tuple[Tensor, ...]
     execute: Callable[[], None]
+    model: Path | None = None
 
     def __str__(self) -> str:
         return f"'{self.label}' ({self.command})"

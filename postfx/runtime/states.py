@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from postfx.runtime.session import Session
@@ -30,11 +31,12 @@ class Binding(NamedTuple):
 
 
 class State(Protocol):
-    """What an argument table is made for and an encoder dispatches."""
+    """What an argument table is made for and an encoder dispatches; `model` is a network's file."""
 
     device: Device
     command: str
     stage: str
+    model: Path | None
     bindings: tuple[Binding, ...]
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
@@ -47,10 +49,11 @@ class PipelineState:
 
     stage = "machine-learning"
 
-    def __init__(self, device: Device, name: str, session: Session, dims: dict[str, int]) -> None:
+    def __init__(self, device: Device, name: str, session: Session, dims: dict[str, int], model: Path) -> None:
         self.device = device
         self.name = name
         self.dims = dims
+        self.model = model
         self.command = f"network '{name}'"
         self.bindings = _session_bindings(session)
         self._session = session
@@ -64,6 +67,7 @@ class PortableComputeState:
     """A kernel that runs by its portable ONNX definition. Made by `Device.compute_state`."""
 
     stage = "compute"
+    model = None
 
     def __init__(self, device: Device, kernel: Kernel, session: Session) -> None:
         self.device = device
@@ -81,6 +85,7 @@ class CompiledComputeState:
     """A kernel that runs by its compiled rows, in bands over the device's threads. Made by `Device.compute_state`."""
 
     stage = "compute"
+    model = None
 
     def __init__(self, device: Device, kernel: Kernel) -> None:
         self.device = device

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import postfx.runtime.device as device_module
 from postfx.runtime import ArgumentTable, Device, Library, PipelineState
+from postfx.runtime.provider_memory import ProviderMemory
+from postfx.runtime.session import Placement
 from tests import toys
 
 
@@ -22,6 +25,14 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> Library:
 @pytest.fixture
 def device() -> Device:
     return Device("cpu", threads=2)
+
+
+@pytest.fixture
+def remote(monkeypatch, kernels):
+    """A device whose memory the host cannot look at: the same path as on a GPU, on the CPU provider."""
+    placement = Placement("CPUExecutionProvider", "cpu", 0, 2)
+    monkeypatch.setattr(device_module, "choose", lambda name, threads: (placement, ProviderMemory(placement)))
+    return Device("auto", kernels=kernels)
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import numpy as np
 import onnxruntime
 import pytest
 
-import postfx.runtime.device as device_module
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import (
     ArgumentTable,
@@ -19,8 +18,6 @@ from postfx.runtime import (
     ModelError,
     PortableComputeState,
 )
-from postfx.runtime.provider_memory import ProviderMemory
-from postfx.runtime.session import Placement
 from tests import toys
 
 
@@ -34,14 +31,6 @@ def run(device, state, arrays, output):
     commands.commit()
     commands.wait(30)
     return {name: tensors[name].download() for name in output}
-
-
-@pytest.fixture
-def remote(monkeypatch, kernels):
-    """A device whose memory the host cannot look at: the same path as on a GPU, on the CPU provider."""
-    placement = Placement("CPUExecutionProvider", "cpu", 0, 2)
-    monkeypatch.setattr(device_module, "choose", lambda name, threads: (placement, ProviderMemory(placement)))
-    return Device("auto", kernels=kernels)
 
 
 def test_default_threads_are_the_usable_cores():

@@ -1,0 +1,116 @@
+"""What a capture keeps of a tensor: figures, small pictures, or the whole content in a file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from postfx.runtime.tensor import Tensor
+
+PICTURE_WIDTH = 192
+PICTURE_HEIGHT = 384
+MOST_SLICES = 64
+MOST_VALUES = 64
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Figures of a tensor. `minimum`, `maximum` and `mean` are those of its finite elements, None when it has none.
+
+    Attributes:
+        zeros: share of all elements that are exactly 0, from 0 to 1.
+        nans, infinities: counts of elements.
+    """
+
+    minimum: float | None
+    maximum: float | None
+    mean: float | None
+    zeros: float
+    nans: int
+    infinities: int
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A tensor's content at one moment.
+
+    Attributes:
+        channels: count of (height, width) slices that the tensor has; 0 when it is no picture.
+        pictures: the first of them, float32 (height, width), every n-th pixel so that they are at most `PICTURE_WIDTH`
+            wide and `PICTURE_HEIGHT` high: three of them, or `MOST_SLICES` in a capture of all.
+        values: all elements, where there are at most `MOST_VALUES`.
+        file: the content as .npy, relative to the capture's folder; None unless all was captured.
+    """
+
+    statistics: Statistics
+    channels: int = 0
+    pictures: list[np.ndarray] = field(default_factory=list)
+    values: list[float] | None = None
+    file: str | None = None
+
+
+def take(tensor: Tensor, slices: int, folder: Path | None = None, file: str = "") -> Snapshot | None:
+    """The tensor's content now, None when it has no elements; also written to `folder / file` if there is a folder.
+
+    Checks no hazards: the caller stands between two commands of the queue.
+    """
+    if not tensor.nbytes:
+        return None
+    array = _content(tensor)
+    if folder is not None:
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        np.save(folder / file, array)
+    planes = as_planes(array)
+    values = array.ravel().tolist() if array.size <= MOST_VALUES else None
+    pictures = [] if planes is None else [_small(plane) for plane in planes[:slices]]
+    return Snapshot(statistics(array), 0 if planes is None else len(planes), pictures, values, file if folder else None)
+
+
+def statistics(array: np.ndarray) -> Statistics:
+    """Figures of an array of any shape that has elements; works on blocks, so it takes little memory."""
+    flat = array.reshape(-1)
+    low, high, total, finite, zeros, nans = math.inf, -math.inf, 0.0, 0, 0, 0
+    for start in range(0, flat.size, _BLOCK):
+        block = flat[start : start + _BLOCK].astype(np.float64)
+        nans += int(np.isnan(block).sum())
+        zeros += int((block == 0).sum())
+        kept = block[np.isfinite(block)]
+        if kept.size:
+            low, high = min(low, float(kept.min())), max(high, float(kept.max()))
+            total, finite = total + float(kept.sum()), finite + kept.size
+    infinities = flat.size - finite - nans
+    known = (low, high, total / finite) if finite else (None, None, None)
+    return Statistics(*known, zeros / flat.size, nans, infinities)
+
+
+def as_planes(array: np.ndarray) -> np.ndarray | None:
+    """An array's pictures as a view or copy (channels, height, width); None when it has fewer than two dimensions.
+
+    Of three dimensions the last is the channels when it is the smallest, as in (height, width, 3); else, and with more
+    dimensions, the last two are a picture's. Leading dimensions of 1 do not count.
+    """
+    while array.ndim > 3 and array.shape[0] == 1:
+        array = array[0]
+    if array.ndim < 2:
+        return None
+    if array.ndim == 3 and array.shape[2] < min(array.shape[:2]):
+        return np.moveaxis(array, 2, 0)
+    return array.reshape(-1, *array.shape[-2:])
+
+
+def _content(tensor: Tensor) -> np.ndarray:
+    """The tensor itself where the host sees it, else a copy."""
+    if tensor.device.memory.host_visible:
+        return tensor.host_view()
+    copy = np.empty(tensor.shape, tensor.dtype)
+    tensor.device.memory.read(tensor.start, copy)
+    return copy
+
+
+def _small(plane: np.ndarray) -> np.ndarray:
+    step = max(1, -(-plane.shape[0] // PICTURE_HEIGHT), -(-plane.shape[1] // PICTURE_WIDTH))
+    return plane[::step, ::step].astype(np.float32)
