@@ -111,6 +111,8 @@ class Pipeline:
             commands.discard()
         commands.wait()
         self.timings = {step.name: _milliseconds(commands, step.name) for step in plan.steps}
+        for step in plan.steps:
+            step.instance.ran(self.timings[step.name])
 
 
 def _resident(

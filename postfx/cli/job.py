@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import time
+from collections import Counter
 from typing import Any, NamedTuple
 
 from postfx.cli.progress import FrameProgress
@@ -22,6 +23,7 @@ from postfx.plan import Skipped
 from postfx.runtime import Device
 
 RESUME_PREROLL = 8
+DENOISE_OPTIONS = ("scale", "model", "strength", "budget")
 
 
 class Work(NamedTuple):
@@ -50,6 +52,7 @@ class Job:
         self._seconds = 0.0
         self._frame_ms: list[float] = []
         self._pass_ms: dict[str, list[float]] = {}
+        self._chosen: dict[str, Counter[str]] = {}
         self._written: list[str] = []
 
     def plan_dict(self) -> dict[str, Any]:
@@ -88,6 +91,7 @@ class Job:
             pass_ms=self._pass_ms,
             skipped=[*self.plan.skipped, *self.left_out],
             warnings=[*self.plan.remarks, *self.sequence.warnings],
+            chosen={name: dict(counts) for name, counts in self._chosen.items()},
             outputs=self._written,
             guides=self._guides(),
             error=str(failure) or "interrupted" if failure is not None else None,
@@ -105,6 +109,9 @@ class Job:
         self._frame_ms.append(elapsed)
         for name, milliseconds in self.pipeline.timings.items():
             self._pass_ms.setdefault(name, []).append(milliseconds)
+        for step in self.plan.steps:
+            if choice := step.instance.chosen():
+                self._chosen.setdefault(step.name, Counter())[choice] += 1
         self._written.append(path)
         progress.advance(path)
 
@@ -158,7 +165,7 @@ class Job:
             self._refuse_denoise_options(arguments)
             self.left_out.append(Skipped("denoise_upscale", "--no-denoise"))
         else:
-            options = {"scale": arguments.scale, "model": arguments.model, "strength": arguments.strength}
+            options = {name: getattr(arguments, name) for name in DENOISE_OPTIONS}
             passes.append(create("denoise_upscale", **_given(options)))
         reason = self._no_tonemap(arguments)
         if reason:
@@ -177,7 +184,7 @@ class Job:
         return None
 
     def _refuse_denoise_options(self, arguments: argparse.Namespace) -> None:
-        for name in ("scale", "model", "strength"):
+        for name in DENOISE_OPTIONS:
             option, value = f"--{name}", getattr(arguments, name)
             if value is not None:
                 raise PassOptionError(f"{option} is for the denoiser, which --no-denoise leaves out: give one of them")

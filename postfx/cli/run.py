@@ -25,6 +25,7 @@ examples:
   postfx run shot/noisy.%04d.exr -o out/picture.%04d.png --frames 1-100x2
   postfx run shot/ -o out/ --skip-existing --scale 1.5
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
+  postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr --explain
 
 exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 130 interrupted
@@ -87,6 +88,10 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument("--no-denoise", action="store_true", help="leave denoising and upscaling out")
     group.add_argument("--model", metavar="TAG", help="denoiser to use; 'postfx models' lists them")
+    group.add_argument(
+        "--budget", type=float, metavar="MS",
+        help="milliseconds that denoising a frame may take: networks smaller than --model take turns with it",
+    )
     group.add_argument(
         "--strength", type=float, metavar="S",
         help="of denoising, 0 (only resample) to 1 (fully), times the plane 'strength' if there is one (default: 1)",

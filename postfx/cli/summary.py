@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
@@ -25,6 +25,7 @@ class Report:
         skipped: passes, planes and frames that were left out, and why.
         warnings: what was odd, each once.
         outputs: paths that were written.
+        chosen: pass name -> what it chose (a network) -> frames, of passes that choose.
         guides: size of the planes at output size, roles that were used, and whether the output's size follows from
             them; None without guides.
         error: why the run ended early, or None.
@@ -38,6 +39,7 @@ class Report:
     skipped: list[Skipped]
     warnings: list[str]
     outputs: list[str]
+    chosen: dict[str, dict[str, int]] = field(default_factory=dict)
     guides: dict[str, Any] | None = None
     error: str | None = None
 
@@ -52,6 +54,7 @@ class Report:
             "warnings": self.warnings,
             "outputs": self.outputs,
             "guides": self.guides,
+            "chosen": self.chosen,
         }
         return {**result, "error": self.error} if self.error else result
 
@@ -59,6 +62,7 @@ class Report:
         """The report in a few lines."""
         lines = [f"{self.frames} of {self.wanted} frames in {self.seconds:.1f} s{self._speed()}"]
         lines += [f"ran      {name}: {median(times):.1f} ms a frame" for name, times in self.pass_ms.items()]
+        lines += [f"chose    {name}: {_counted(counts)}" for name, counts in self.chosen.items()]
         lines += [f"guides   {self._guides_text()}"] if self.guides else []
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
         lines += [f"warning  {warning}" for warning in self.warnings]
@@ -94,3 +98,7 @@ def _spread(times: list[float]) -> dict[str, float] | None:
     if not times:
         return None
     return {"median": round(median(times), 3), "min": round(min(times), 3), "max": round(max(times), 3)}
+
+
+def _counted(counts: dict[str, int]) -> str:
+    return ", ".join(f"{choice} for {count} frame{'s' * (count > 1)}" for choice, count in counts.items())

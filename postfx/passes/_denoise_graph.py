@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from postfx.kernels import (
     denoise_upsample,
 )
 from postfx.kernels.kernel import Kernel
-from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Library, Tensor
+from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Library, PipelineState, Tensor
 
 ALIGN = 16
 LEVELS = 4
@@ -53,17 +53,31 @@ def has_model(model: str) -> bool:
 class Graph:
     """Pipeline states, tensors and argument tables of one size; the history is kept in two sets used in turn.
 
-    A guided graph's model reads guides beside the features, and colour has no reflectance until output size.
+    A guided graph's models read guides beside the features, and colour has no reflectance until output size. Of several
+    models the first is in use until `use` takes another.
     """
 
-    def __init__(self, device: Device, sizes: Sizes, model: str, guided: bool = False) -> None:
+    def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], guided: bool = False) -> None:
         self._device, self._sizes, self._guided = device, sizes, guided
-        height, width = sizes.padded
-        self._network = device.pipeline_state(Library(), model, {"height": height, "width": width})
+        dims = dict(zip(("height", "width"), sizes.padded, strict=True))
+        networks = {model: device.pipeline_state(Library(), model, dims) for model in models}
         self._tables: dict[str, ArgumentTable] = {}
-        self._make_tensors()
+        self._make_tensors(networks[models[0]])
         self._make_tables()
+        self._networks = {model: ArgumentTable(state, self._seen | self._heads) for model, state in networks.items()}
+        self.model = models[0]
         self._turn = 0
+
+    def use(self, model: str) -> None:
+        """Take another model from the next frame on. The history goes on, but for the hidden state: another network
+        cannot read it, and nothing in its place is what every network knows from first frames."""
+        if model == self.model:
+            return
+        self.model = model
+        state = self._state[1 - self._turn]
+        values = state.download()
+        values[..., -denoise_layout.HIDDEN:] = 0
+        state.upload(values)
 
     def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray) -> Tensor:
         """Record one frame; returns the output colour tensor."""
@@ -79,7 +93,7 @@ class Graph:
                 self._run(encoder, *names)
         with commands.machine_learning_encoder("network") as encoder:
             encoder.barrier(after="compute", before="machine-learning")
-            encoder.dispatch_network(self._network, self._network_table)
+            encoder.dispatch_network(self._networks[self.model].state, self._networks[self.model])
         with commands.compute_encoder("filter") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             for i, name in enumerate(self._filter_order):
@@ -94,7 +108,7 @@ class Graph:
     def _new(self, name: str, shape: tuple[int, ...]) -> Tensor:
         return self._device.heap.tensor(name, shape)
 
-    def _make_tensors(self) -> None:
+    def _make_tensors(self, network: PipelineState) -> None:
         s = self._sizes
         self._params = self._new("params", (5,))
         self._depth_scale = self._new("depth scale", (1,))
@@ -103,8 +117,8 @@ class Graph:
         self._past = self._new("past", (s.h, s.w, 4))
         self._radiance = self._new("radiance", (3, s.h + 2, s.w + 2))
         self._output = self._new("output", (s.height, s.width, 3))
-        self._heads = {b.name: self._new(b.name, b.shape) for b in self._network.bindings if b.access == "write"}
-        self._seen = {b.name: self._new(b.name, b.shape) for b in self._network.bindings if b.access == "read"}
+        self._heads = {b.name: self._new(b.name, b.shape) for b in network.bindings if b.access == "write"}
+        self._seen = {b.name: self._new(b.name, b.shape) for b in network.bindings if b.access == "read"}
         # Before the first frame the history holds nothing, and nothing of it is used: it only has to be defined.
         self._history = [self._zeros("history", (s.height, s.width, 3)) for _ in range(2)]
         self._state = [self._zeros("state", (s.h, s.w, 4 + denoise_layout.HIDDEN)) for _ in range(2)]
@@ -130,7 +144,6 @@ class Graph:
                              ("remodulate", denoise_filter.REMODULATE), ("upsample", upsample)):
             self._table(name, kernel, **prepare, level=levels[0], radiance=self._radiance, output=self._output,
                         filtered=filtered[0])
-        self._network_table = ArgumentTable(self._network, self._seen | self._heads)
         self._filter_order = ["accumulate", *(f"pool {i}" for i in range(1, LEVELS + 1))]
         for i in range(1, LEVELS + 1):
             self._table(f"pool {i}", denoise_filter.POOL, finer=levels[i - 1], level=levels[i])

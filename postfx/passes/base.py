@@ -153,6 +153,13 @@ class Pass:
             state = "not compiled" if self._spec is None else "compiled for another spec"
             raise NotCompiledError(f"pass '{self.name}' is {state}: call compile(device, frame.spec) before encode")
 
+    def ran(self, milliseconds: float) -> None:
+        """Told how long the last frame's commands took on the device."""
+
+    def chosen(self) -> str | None:
+        """What the pass chose for the last frame, in a word for the user; None where it has no choice."""
+        return None
+
     def reset(self) -> None:
         """Drop the history: the next frame is treated as the first. Does nothing in passes without history.
 

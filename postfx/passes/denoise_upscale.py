@@ -10,6 +10,7 @@ import numpy as np
 
 from postfx.errors import GuideError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
+from postfx.passes._denoise_budget import Ladder, cost, family
 from postfx.passes._denoise_graph import Graph, Sizes, has_model
 from postfx.passes._denoise_planes import ABSENT, Planes, Resampler, Size
 from postfx.passes._denoise_restore import Restore
@@ -28,16 +29,20 @@ class DenoiseUpscale(Pass):
     Options:
         scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 2 without guides.
         model: tag of the network, as in ``denoise_upscale.<tag>``; 'm.int8' and 'm.fp16' are other precisions.
+        budget: milliseconds that a frame may take on the device, None for no limit: networks smaller than `model`, of
+            its precision ('s' below 'm', 's' and 'm' below 'l'), take turns with it; the history goes on.
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength`
             says the same pixel by pixel, and both are multiplied.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. Without a
-    motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, a strength outside 0 to 1
-    and a model that is only for guides, GuideError for guides of another size than the output's.
+    motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, a strength outside 0 to 1,
+    a budget that is not above 0 and a model that is only for guides, GuideError for guides of another size than the
+    output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
-    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"scale": None, "model": "m", "strength": 1.0})
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"scale": None, "model": "m", "strength": 1.0,
+                                                            "budget": None})
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -48,6 +53,9 @@ class DenoiseUpscale(Pass):
         self.strength = float(self.options["strength"])
         if not 0 <= self.strength <= 1:
             raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not {self.strength:g}: give one of them")
+        self.budget = None if self.options["budget"] is None else float(self.options["budget"])
+        if self.budget is not None and not self.budget > 0:
+            raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a budget above 0")
         plain = str(self.options["model"]).removesuffix(GUIDED)
         if plain != self.options["model"]:
             raise PassOptionError(f"model '{plain}{GUIDED}' runs when a frame has guides: give the model '{plain}'")
@@ -85,11 +93,26 @@ class DenoiseUpscale(Pass):
     def _compile_network(self, device: Device, spec: FrameSpec, size: Size) -> None:
         guided = self._is_guided(spec)
         self._planes = Planes(device, spec, size, guided)
-        model = self._guided_model if guided else f"{self.name}.{self.options['model']}"
-        self._graph = Graph(device, Sizes(spec.height, spec.width, *size), model, guided)
+        models = self._models(guided)
+        self._ladder = Ladder([cost(tag) for tag in models], self.budget) if self.budget else None
+        self._tags = {tag: f"{self.name}.{tag}{GUIDED * guided}" for tag in models}
+        self._graph = Graph(device, Sizes(spec.height, spec.width, *size), list(self._tags.values()), guided)
         self._restore = Restore(device, size) if size == (spec.height, spec.width) else None
         full = self.strength == 1 and not spec.has(Role.STRENGTH)
         self._strength = None if full else Strength(device, spec, size, self.strength)
+
+    def _models(self, guided: bool) -> tuple[str, ...]:
+        """Tags of the networks to choose from, fastest first; the one that was asked for without a budget."""
+        model = self.options["model"]
+        smaller = family(model)[:-1] if self.budget else ()
+        return (*(tag for tag in smaller if has_model(f"{self.name}.{tag}{GUIDED * guided}")), model)
+
+    def ran(self, milliseconds: float) -> None:
+        if self.strength and self._ladder:
+            self._ladder.took(milliseconds)
+
+    def chosen(self) -> str | None:
+        return self._used if self.budget else None
 
     def reset(self) -> None:
         self._fresh = False
@@ -112,6 +135,8 @@ class DenoiseUpscale(Pass):
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
         params = np.array([frame.exposure, *frame.jitter, keep, gain], np.float32)
+        self._used = list(self._tags)[self._ladder.rung if self._ladder else 0]
+        self._graph.use(self._tags[self._used])
         colour = self._graph.encode(commands, self._planes.encode(commands, frame), params)
         self._fresh, self._exposure = True, frame.exposure
         colour = self._restore.encode(commands, frame, colour) if self._restore else colour

@@ -37,7 +37,8 @@ def test_json_report(postfx, shot):
     shot(1, 2, 3, 4)
     done = postfx(*COPY, "--frames", "1-4x2", "--json")
     report = done.json
-    assert set(report) == {"frames", "seconds", "ms_per_frame", "passes", "skipped", "warnings", "outputs", "guides"}
+    assert set(report) == {"frames", "seconds", "ms_per_frame", "passes", "skipped", "warnings", "outputs", "guides",
+                           "chosen"}
     assert report["frames"] == 2
     assert report["outputs"] == ["out/shot.0001.exr", "out/shot.0003.exr"]
     assert set(report["ms_per_frame"]) == {"median", "min", "max"}
@@ -174,6 +175,17 @@ def test_no_strength_resamples(postfx, shot, tmp_path):
     given, found = (pixels_of(tmp_path / folder / "shot.0001.exr") for folder in ("in", "out"))
     np.testing.assert_array_equal(found, given[..., :3].astype(np.float16))
     assert "has strengths 0 to 1, not 2" in postfx("run", "in/shot.####.exr", "-o", "o/", "--strength", "2").err
+
+
+def test_a_budget_takes_the_fastest_network_first_and_tells(postfx, shot):
+    shot(1, 2)
+    done = postfx("run", "in/shot.####.exr", "-o", "out/", "--budget", "0.001", "--json")
+    assert done.code == 0 and done.json["chosen"] == {"denoise_upscale": {"s": 2}}, done.err
+    assert "chose    denoise_upscale: s for 2 frames" in done.err
+    nothing = postfx("run", "in/shot.####.exr", "-o", "o/", "--budget", "0")
+    assert "cannot work in 0 ms: give a budget above 0" in nothing.err
+    refused = postfx("run", "in/shot.####.exr", "-o", "o/", "--budget", "9", "--no-denoise")
+    assert "--budget is for the denoiser, which --no-denoise leaves out" in refused.err
 
 
 def test_missing_input_and_output(postfx, shot):

@@ -1,0 +1,104 @@
+"""Choosing networks by a budget of time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postfx.frame import Role
+from postfx.passes._denoise_budget import Ladder, family
+from postfx.passes._denoise_graph import Graph
+from postfx.passes.base import PassOptionError
+from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from tests.passes.denoise_frames import noisy
+
+COSTS = (1.0, 3.5, 5.0)
+
+
+def rungs(ladder: Ladder, times: list[tuple[float, ...]], noise: float = 0.0) -> list[int]:
+    """What is chosen for each frame where each rung takes its time, and a first frame on a rung three times as long."""
+    random, found = np.random.default_rng(0), []
+    for now in times:
+        is_first = not found or found[-1] != ladder.rung
+        found.append(ladder.rung)
+        ladder.took(now[ladder.rung] * (3 if is_first else 1) * (1 + noise * random.uniform(-1, 1)))
+    return found
+
+
+def switches(found: list[int]) -> int:
+    return sum(one != other for one, other in zip(found, found[1:], strict=False))
+
+
+def test_the_best_that_fits_is_taken_soon_and_kept() -> None:
+    times = [(10.0, 35.0, 50.0)] * 100
+    for budget, best in ((20, 0), (45, 1), (60, 2), (5, 0)):
+        found = rungs(Ladder(COSTS, budget), times, noise=0.05)
+        assert found[8:] == [best] * 92, budget
+
+
+def test_load_takes_a_smaller_network_within_three_frames_and_its_end_the_larger_one_again() -> None:
+    light, heavy = (10.0, 35.0, 50.0), (30.0, 105.0, 150.0)
+    found = rungs(Ladder(COSTS, 60), [light] * 20 + [heavy] * 30 + [light] * 40)
+    assert found[19] == 2 and found[22] == 0 and set(found[23:50]) == {0} and found[-1] == 2
+
+
+def test_one_long_frame_changes_nothing() -> None:
+    times = [(10.0, 35.0, 50.0)] * 30
+    times[20] = (100.0, 350.0, 500.0)
+    assert set(rungs(Ladder(COSTS, 60), times)[10:]) == {2}
+
+
+def test_a_network_slower_than_expected_is_tried_less_and_less() -> None:
+    found = rungs(Ladder(COSTS, 60), [(10.0, 90.0, 120.0)] * 1000, noise=0.05)
+    tries = [i for i, (one, other) in enumerate(zip(found, found[1:], strict=False)) if other > one]
+    gaps = np.diff(tries)
+    assert found.count(0) > 950 and len(tries) < 12 and (gaps[1:] >= gaps[:-1] - 5).all()
+
+
+def test_times_at_the_edge_of_the_budget_do_not_make_it_swing() -> None:
+    found = rungs(Ladder(COSTS, 60), [(11.8, 41.3, 59.0)] * 500, noise=0.1)
+    assert switches(found) < 12
+
+
+def test_families() -> None:
+    assert family("l") == ("s", "m", "l")
+    assert family("m.int8") == ("s.int8", "m.int8")
+    assert family("mine") == ("mine",)
+
+
+@pytest.mark.parametrize("budget", [0, -3])
+def test_a_budget_of_nothing_is_an_error(budget: float) -> None:
+    with pytest.raises(PassOptionError, match="give a budget above 0"):
+        DenoiseUpscale(budget=budget)
+
+
+def test_the_history_goes_on_with_the_other_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All but the hidden state, which it could not read."""
+    chain, kept = Pipeline([upscaler := DenoiseUpscale(budget=1000)], Device("cpu", threads=2), exposure=0.0), []
+    use = Graph.use
+
+    def watched(graph: Graph, model: str) -> None:
+        before = graph._state[1 - graph._turn].download()
+        use(graph, model)
+        kept.append((before, graph._state[1 - graph._turn].download()))
+
+    monkeypatch.setattr(Graph, "use", watched)
+    chosen = []
+    for number in range(1, 8):
+        chain(noisy(number))
+        chosen.append(upscaler.chosen())
+    at = chosen.index("m")
+    assert chosen == ["s"] * at + ["m"] * (7 - at)
+    before, after = kept[at]
+    np.testing.assert_array_equal(after[..., :4], before[..., :4])
+    assert before[..., 3].max() > 1 and before[..., 4:].any() and not after[..., 4:].any()
+    unchanged = [i for i in range(7) if i != at]
+    assert all(np.array_equal(*kept[i]) for i in unchanged)
+
+
+def test_without_a_budget_one_network_runs_and_none_is_told() -> None:
+    chain = Pipeline([upscaler := DenoiseUpscale(model="s")], Device("cpu", threads=2), exposure=0.0)
+    assert np.isfinite(chain(noisy(1))[Role.COLOUR]).all()
+    assert upscaler.chosen() is None
