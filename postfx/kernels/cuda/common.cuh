@@ -12,9 +12,10 @@ struct View {
     const int x = blockIdx.x * blockDim.x + threadIdx.x, y = blockIdx.y * blockDim.y + threadIdx.y; \
     if (x >= (width) || y >= (height)) return
 
-const float MAX_COLOUR = 1e4f, TINY = 1e-8f, MAX_COUNT = 32.0f, MAX_DEPTH = 1e10f, MAX_FLOAT = 3e38f;
+[[maybe_unused]] const float MAX_COLOUR = 1e4f, TINY = 1e-8f, MAX_COUNT = 32.0f, MAX_DEPTH = 1e10f, MAX_FLOAT = 3e38f;
 // Channels of the fine head, of a filter kernel and of the parameters: postfx/kernels/denoise_layout.py.
-enum { HIDDEN = 8, KERNEL = 25, PHASES = 25, BLEND = 61, SHARPEN = 65, MIX = 69, DISTRUST = 70, IMPORTANCE = 71, MEMORY = 72 };
+enum { HIDDEN = 8, KERNEL = 25, PHASES = 25, BLEND = 61, SHARPEN = 65 };
+enum { MIX = 69, DISTRUST, IMPORTANCE, MEMORY };
 enum { EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN };
 
 struct Colour {
