@@ -38,13 +38,13 @@ template <class T> static inline T __ldg(const T* at) { return *at; }
 
 
 class View(ctypes.Structure):
-    """A tensor as the kernels take it."""
+    """A tensor as the kernels take it: with the lengths of its first four axes."""
 
     _fields_ = (("at", ctypes.c_void_p), ("size", ctypes.c_int * 4))
 
 
 def view(array: np.ndarray) -> View:
-    return View(array.ctypes.data, (ctypes.c_int * 4)(*array.shape))
+    return View(array.ctypes.data, (ctypes.c_int * 4)(*array.shape[:4]))
 
 
 def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
@@ -67,8 +67,8 @@ def _compiled(name: str, count: int) -> ctypes._CFuncPtr:
     with TemporaryDirectory() as folder:
         source, library = Path(folder) / f"{name}.cpp", Path(folder) / f"{name}.so"
         source.write_text(SHIM + (FOLDER / "common.cuh").read_text() + (FOLDER / f"{name}.cu").read_text() + loop)
-        subprocess.run([COMPILER, "-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas", source, "-o", library],
-                       check=True)
+        options = ("-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas")
+        subprocess.run([COMPILER, *options, source, "-o", library], check=True)
         function = ctypes.CDLL(str(library)).run
     function.argtypes = [ctypes.c_int, ctypes.c_int, *[View] * count]
     return function

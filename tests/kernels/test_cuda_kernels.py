@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from postfx.kernels.denoise_filter import MIX_LEVELS
+from postfx.kernels.denoise_restore import DETAIL, JUDGE, TILE
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
-from tests.kernels import host_cuda
+from tests.kernels import host_cuda, tonemap_cases
 from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, run, shape
 from tests.kernels.test_denoise_kernels import assert_same
 
@@ -16,6 +17,7 @@ pytestmark = pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
 
 WRITTEN = [kernel for kernel in KERNELS if (host_cuda.FOLDER / f"{kernel.name}.cu").exists()]
 RUNS = [(kernel, case) for kernel in WRITTEN for case in CASES if kernel is not MIX_LEVELS or case.heads > 25]
+TONE_MAPPER_RUNS = [(kernel, *size) for kernel in tonemap_cases.KERNELS for size in tonemap_cases.sizes(kernel)]
 
 
 @pytest.fixture(scope="module")
@@ -23,10 +25,56 @@ def compiled() -> Device:
     return Device("cpu", threads=2)
 
 
+def by_cuda(kernel: Kernel, inputs: dict[str, np.ndarray], shapes: dict[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
+    found = {name: np.full(shapes[name], np.nan, np.float32) for name in kernel.writes}
+    host_cuda.run(kernel, inputs | found)
+    return found
+
+
 @pytest.mark.parametrize("bad", [False, True], ids=["clean", "bad"])
 @pytest.mark.parametrize(("kernel", "case"), RUNS, ids=lambda item: getattr(item, "name", str(item)))
-def test_cuda_kernels_compute_what_the_compiled_rows_do(kernel: Kernel, case: Case, bad: bool, compiled: Device) -> None:
+def test_cuda_kernels_compute_what_the_compiled_rows_do(
+    kernel: Kernel, case: Case, bad: bool, compiled: Device
+) -> None:
     inputs = arguments(kernel, case, bad=bad)
-    found = {name: np.full(shape(kernel, name, case), np.nan, np.float32) for name in kernel.writes}
-    host_cuda.run(kernel, inputs | found)
+    found = by_cuda(kernel, inputs, {name: shape(kernel, name, case) for name in kernel.writes})
     assert_same(found, run(kernel, compiled, inputs, case))
+
+
+@pytest.mark.parametrize(("kernel", "height", "width"), TONE_MAPPER_RUNS,
+                         ids=lambda item: getattr(item, "name", str(item)))
+def test_kernels_of_the_tone_mapper_compute_what_the_compiled_rows_do(kernel: Kernel, height: int, width: int) -> None:
+    inputs = tonemap_cases.arguments(kernel, height, width)
+    (name,) = kernel.writes
+    size = tuple({"height": height, "width": width}.get(axis, axis) for axis in kernel.shapes[name])
+    wanted = np.full(size, np.nan, np.float32)
+    kernel.rows(0, size[kernel.row_axis[1]], *inputs.values(), wanted)
+    assert_same(by_cuda(kernel, inputs, {name: size}), {name: wanted})
+
+
+def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
+    inputs = tonemap_cases.arguments(tonemap_cases.SMOOTH, 1, 1)
+    inputs["previous"][:], inputs["keep"][:] = np.nan, 0.0
+    found = by_cuda(tonemap_cases.SMOOTH, inputs, {"result": tonemap_cases.GRID})
+    np.testing.assert_array_equal(found["result"], inputs["current"])
+
+
+@pytest.mark.parametrize("evidence", [1.0, 0.6])
+def test_detail_is_told_from_noise_tile_by_tile(evidence: float) -> None:
+    """Noise on the left of a frame of many tiles and a pattern on the right; tiles of both kinds and between them."""
+    random, (h, w) = np.random.default_rng(0), (150, 630)
+    share = np.clip((np.arange(w) - 200) / 200, 0, 1)
+    pattern = np.sin(0.9 * np.arange(w)) * np.sin(0.7 * np.arange(h))[:, None]
+    denoised = np.full((h, w, 3), 0.5, np.float32)
+    removed = (1 - share) * random.normal(0, 0.1, (h, w)) + share * 0.1 * pattern
+    inputs = {"colour": (denoised + removed[..., None]).astype(np.float32), "denoised": denoised,
+              "params": np.float32([1, 0, 0, 1, 1])}
+    tiles = -(-h // TILE), -(-w // TILE)
+    sums = np.empty((*tiles, JUDGE.shapes["sums"][2]), np.float32)
+    JUDGE.rows(0, tiles[0], *inputs.values(), sums)
+    assert_same(by_cuda(JUDGE, inputs, {"sums": sums.shape}), {"sums": sums})
+    detail = np.empty((*tiles, 1), np.float32)
+    DETAIL.rows(0, tiles[0], sums, np.float32([evidence]), detail)
+    assert np.ptp(detail) > 0.5
+    found = by_cuda(DETAIL, {"sums": sums, "evidence": np.float32([evidence])}, {"detail": detail.shape})
+    assert_same(found, {"detail": detail})

@@ -12,40 +12,13 @@ from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
 from postfx.kernels.smooth import SMOOTH
 from postfx.paths import models_dir
+from tests.kernels.tonemap_cases import arguments, sizes
 
 torch = pytest.importorskip("torch")
 
 from training.networks import hdrnet, tonemap_kernels  # noqa: E402
 
 TOLERANCE = 1e-4
-SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
-
-
-def hdr(height: int, width: int) -> np.ndarray:
-    """Colour over 20 stops with everything in it that a file should not hold."""
-    colour = np.exp2(np.random.default_rng(height).uniform(-12, 8, (height, width, 3))).astype(np.float32)
-    if height > 4:
-        colour[1, 1, 0], colour[2, 2, 1], colour[3, 3, 2], colour[4, 4, 0] = np.nan, np.inf, -np.inf, -3.0
-    return colour
-
-
-def arguments(kernel: Kernel, height: int, width: int) -> list[np.ndarray]:
-    """Inputs of a kernel, with a guide and grid that use every level and differ from cell to cell."""
-    random = np.random.default_rng(7)
-    torch.manual_seed(3)
-    guide = hdrnet.Guide()().detach().numpy() + random.normal(0, 0.05, 112)
-    values = {
-        "colour": hdr(height, width),
-        "params": np.array([1.7, *hdrnet.SHAPER]),
-        "exposure": np.array([0.6]),
-        "guide": guide,
-        "grid": random.normal(0, 0.4, (1, 16, 16, 8, 12)),
-        "previous": random.normal(0, 1, (1, 16, 16, 8, 12)),
-        "current": random.normal(0, 1, (1, 16, 16, 8, 12)),
-        "keep": np.array([0.3]),
-    }
-    return [np.ascontiguousarray(values[name], np.float32) for name in kernel.reads]
-
 
 DEFINITIONS = {
     SLICE_APPLY: tonemap_kernels.SliceApply,
@@ -56,7 +29,7 @@ DEFINITIONS = {
 CASES = [
     pytest.param(kernel, height, width, id=f"{kernel.name}-{height}x{width}")
     for kernel in DEFINITIONS
-    for height, width in (SIZES if "colour" in kernel.reads else SIZES[:1])
+    for height, width in sizes(kernel)
 ]
 
 
@@ -76,7 +49,7 @@ def by_rows(kernel: Kernel, inputs: list[np.ndarray], like: np.ndarray, bands: i
 
 @pytest.mark.parametrize(("kernel", "height", "width"), CASES)
 def test_compiled_rows_match_the_definition(kernel: Kernel, height: int, width: int) -> None:
-    inputs = arguments(kernel, height, width)
+    inputs = list(arguments(kernel, height, width).values())
     wanted = by_definition(kernel, inputs)
     assert np.isfinite(wanted).all()
     np.testing.assert_allclose(by_rows(kernel, inputs, wanted, 1), wanted, atol=TOLERANCE)
@@ -84,7 +57,7 @@ def test_compiled_rows_match_the_definition(kernel: Kernel, height: int, width: 
 
 @pytest.mark.parametrize(("kernel", "height", "width"), CASES)
 def test_portable_definition_matches(kernel: Kernel, height: int, width: int) -> None:
-    inputs = arguments(kernel, height, width)
+    inputs = list(arguments(kernel, height, width).values())
     session = onnxruntime.InferenceSession(models_dir() / "kernels" / f"{kernel.name}.onnx")
     found = session.run(list(kernel.writes), dict(zip(kernel.reads, inputs, strict=True)))[0]
     np.testing.assert_allclose(found, by_definition(kernel, inputs), atol=TOLERANCE)
@@ -92,7 +65,7 @@ def test_portable_definition_matches(kernel: Kernel, height: int, width: int) ->
 
 @pytest.mark.parametrize("kernel", DEFINITIONS, ids=lambda kernel: kernel.name)
 def test_bands_give_the_same_bits_as_one_run(kernel: Kernel) -> None:
-    inputs = arguments(kernel, 67, 129)
+    inputs = list(arguments(kernel, 67, 129).values())
     wanted = by_definition(kernel, inputs)
     np.testing.assert_array_equal(by_rows(kernel, inputs, wanted, 5), by_rows(kernel, inputs, wanted, 1))
 

@@ -1,0 +1,54 @@
+"""Random arguments for the tone mapper's kernels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from postfx.kernels.encode_srgb import ENCODE_SRGB
+from postfx.kernels.kernel import Kernel
+from postfx.kernels.lowres import LOWRES
+from postfx.kernels.slice_apply import KNOTS, SLICE_APPLY
+from postfx.kernels.smooth import GRID, SMOOTH
+
+KERNELS = (SLICE_APPLY, LOWRES, SMOOTH, ENCODE_SRGB)
+SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
+SHAPER = (2.0**-8, 1.0 / math.log2(1.0 + 2.0**16))  # toe, and the scale by which 2^8 becomes 1
+
+
+def sizes(kernel: Kernel) -> tuple[tuple[int, int], ...]:
+    """Heights and widths that a kernel is run at; one where it does not see the picture."""
+    return SIZES if "colour" in kernel.reads else SIZES[:1]
+
+
+def hdr(height: int, width: int) -> np.ndarray:
+    """Colour over 20 stops with everything in it that a file should not hold."""
+    colour = np.exp2(np.random.default_rng(height).uniform(-12, 8, (height, width, 3))).astype(np.float32)
+    if height > 4:
+        colour[1, 1, 0], colour[2, 2, 1], colour[3, 3, 2], colour[4, 4, 0] = np.nan, np.inf, -np.inf, -3.0
+    return colour
+
+
+def plain_guide() -> np.ndarray:
+    """Numbers of a guide that is the channels' mean, as before any training; see ``postfx.kernels.slice_apply``."""
+    shifts, slopes = np.linspace(0, 1, KNOTS, endpoint=False), np.eye(1, KNOTS)[0]
+    return np.concatenate([np.eye(3).ravel(), np.zeros(3), np.tile(shifts, 3), np.tile(slopes, 3), np.full(3, 1 / 3),
+                           np.zeros(1)])
+
+
+def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
+    """Inputs of a kernel by name, with a guide and grid that use every level and differ from cell to cell."""
+    random = np.random.default_rng(7)
+    guide = plain_guide()
+    values = {
+        "colour": hdr(height, width),
+        "params": np.array([1.7, *SHAPER]),
+        "exposure": np.array([0.6]),
+        "guide": guide + random.normal(0, 0.05, guide.size),
+        "grid": random.normal(0, 0.4, GRID),
+        "previous": random.normal(0, 1, GRID),
+        "current": random.normal(0, 1, GRID),
+        "keep": np.array([0.3]),
+    }
+    return {name: np.ascontiguousarray(values[name], np.float32) for name in kernel.reads}
