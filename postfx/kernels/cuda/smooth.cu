@@ -11,6 +11,6 @@ extern "C" __global__ void smooth(View previous, View current, View keep, View r
     for (int k = 0; k < CELL; k++) {
         const int at = k * cells + first;
         const float value = current.at[at];
-        result.at[at] = weight > 0.0f ? value + weight * (previous.at[at] - value) : value;  // else it may hold anything
+        result.at[at] = weight > 0.0f ? value + weight * (previous.at[at] - value) : value;  // `previous` may be unset
     }
 }
