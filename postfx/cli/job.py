@@ -6,12 +6,15 @@ import argparse
 import dataclasses
 import time
 from collections import Counter
+from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from postfx.cli.progress import FrameProgress
 from postfx.cli.summary import Report
 from postfx.errors import GuideError, WriteError
 from postfx.frame import Frame, FrameSpec
+from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
@@ -68,16 +71,19 @@ class Job:
         return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
 
     def run(self) -> None:
-        """Process all frames, one in memory at a time. Frames that were written stay when a later one fails."""
+        """Process all frames: the next is read and the last written meanwhile. Frames that were written stay when a
+        later one fails."""
         if self.outputs is None:
             raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr")
         begin = time.perf_counter()
         try:
-            with FrameProgress(len(self.sequence)) as progress:
+            with FrameProgress(len(self.sequence)) as progress, WriteBehind() as behind:
                 if self.plan.steps and is_first_run():
                     progress.note("compiling kernels for this processor: some ten seconds, on the first run only")
-                for work in self._schedule(self.outputs, progress):
-                    self._process(work, self.outputs, progress)
+                for work, frame in read_ahead(self._schedule(self.outputs, progress), self._read):
+                    result = self._process(work, frame)
+                    if work.write:
+                        behind.put(partial(self._write, self.outputs.path(work.number), result, progress))
         finally:
             self._seconds = time.perf_counter() - begin
 
@@ -97,23 +103,31 @@ class Job:
             error=str(failure) or "interrupted" if failure is not None else None,
         )
 
-    def _process(self, work: Work, outputs: OutputFiles, progress: FrameProgress) -> None:
+    def _read(self, work: Work) -> Frame:
         frame = self.sequence.read(work.number, self.plan.planes, self.plan.guides)
         self._check_guides(frame)
+        return frame
+
+    def _process(self, work: Work, frame: Frame) -> Frame:
         begin = time.perf_counter()
         result = self.pipeline(frame)
-        elapsed = (time.perf_counter() - begin) * 1000
-        if not work.write:
-            return
-        path = str(write_frame(outputs.path(work.number), result))
-        self._frame_ms.append(elapsed)
-        for name, milliseconds in self.pipeline.timings.items():
-            self._pass_ms.setdefault(name, []).append(milliseconds)
+        if work.write:
+            self._note((time.perf_counter() - begin) * 1000)
+        return result
+
+    def _note(self, milliseconds: float) -> None:
+        """Keep what the last frame took and what was chosen for it."""
+        self._frame_ms.append(milliseconds)
+        for name, elapsed in self.pipeline.timings.items():
+            self._pass_ms.setdefault(name, []).append(elapsed)
         for step in self.plan.steps:
             if choice := step.instance.chosen():
                 self._chosen.setdefault(step.name, Counter())[choice] += 1
-        self._written.append(path)
-        progress.advance(path)
+
+    def _write(self, path: Path, result: Frame, progress: FrameProgress) -> None:
+        written = str(write_frame(path, result))
+        self._written.append(written)
+        progress.advance(written)
 
     def _check_guides(self, frame: Frame) -> None:
         """The output's size may follow from the guides, so all frames must have them in one."""

@@ -1,0 +1,85 @@
+"""Reading ahead and writing behind."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+from postfx.io.ahead import WriteBehind, read_ahead
+
+
+def test_items_come_in_order_and_at_most_one_is_read_ahead() -> None:
+    begun: list[int] = []
+    for number, content in read_ahead(range(6), lambda item: begun.append(item) or item * 10):
+        assert content == number * 10
+        time.sleep(0.01)
+        assert max(begun) <= number + 1
+    assert begun == list(range(6))
+
+
+def test_the_next_item_is_read_while_this_one_is_worked_on() -> None:
+    second = threading.Event()
+    for number, _ in read_ahead(range(2), lambda item: item == 1 and second.set()):
+        if number == 0:
+            assert second.wait(5)
+
+
+def test_an_error_of_reading_is_raised_at_the_items_turn() -> None:
+    def read(item: int) -> int:
+        if item == 2:
+            raise ValueError("broken")
+        return item
+
+    done = []
+    with pytest.raises(ValueError, match="broken"):
+        done.extend(content for _, content in read_ahead(range(5), read))
+    found = []
+    with pytest.raises(ValueError, match="broken"):
+        for number, _ in read_ahead(range(5), read):
+            found.append(number)
+    assert found == [0, 1]
+
+
+def test_nothing_is_read_of_nothing_and_leaving_early_ends_the_thread() -> None:
+    assert list(read_ahead([], int)) == []
+    before = threading.active_count()
+    for _ in read_ahead(range(9), int):
+        break
+    assert threading.active_count() == before
+
+
+def test_tasks_run_one_after_the_other_and_all_are_done_on_leaving() -> None:
+    done: list[int] = []
+
+    def task(number: int) -> None:
+        time.sleep(0.01)
+        done.append(number)
+
+    with WriteBehind() as behind:
+        for number in range(4):
+            behind.put(lambda number=number: task(number))
+            assert len(done) >= number  # only the last one may still run
+    assert done == [0, 1, 2, 3]
+
+
+def test_an_error_of_writing_is_raised_by_the_next_task_or_on_leaving() -> None:
+    def fail() -> None:
+        raise OSError("disk full")
+
+    done = []
+    with pytest.raises(OSError, match="disk full"), WriteBehind() as behind:
+        behind.put(fail)
+        behind.put(lambda: done.append(1))
+    with pytest.raises(OSError, match="disk full"), WriteBehind() as behind:
+        behind.put(fail)
+    assert not done
+
+
+def test_another_error_waits_for_the_last_task_and_is_not_hidden() -> None:
+    done = []
+    with pytest.raises(KeyboardInterrupt), WriteBehind() as behind:
+        behind.put(lambda: (time.sleep(0.05), done.append(1)))
+        raise KeyboardInterrupt
+    assert done == [1]
