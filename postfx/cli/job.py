@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from postfx.cli.capture import FrameCapture
 from postfx.cli.progress import FrameProgress
 from postfx.cli.summary import Report
 from postfx.errors import GuideError, WriteError
@@ -52,6 +53,7 @@ class Job:
         self.pipeline = Pipeline(self._passes(arguments), device, arguments.exposure)
         self.plan = self.pipeline.explain(self._first_spec())
         self._preroll, self._scale = arguments.preroll, arguments.scale
+        self._capture = FrameCapture(arguments, device)
         self._seconds = 0.0
         self._frame_ms: list[float] = []
         self._pass_ms: dict[str, list[float]] = {}
@@ -80,8 +82,11 @@ class Job:
             with FrameProgress(len(self.sequence)) as progress, WriteBehind() as behind:
                 if self.plan.steps and is_first_run():
                     progress.note("compiling kernels for this processor: some ten seconds, on the first run only")
-                for work, frame in read_ahead(self._schedule(self.outputs, progress), self._read):
-                    result = self._process(work, frame)
+                works = self._schedule(self.outputs, progress)
+                self._capture.choose([work.number for work in works])
+                for work, frame in read_ahead(works, self._read):
+                    with self._capture.around(work.number):
+                        result = self._process(work, frame)
                     if work.write:
                         behind.put(partial(self._write, self.outputs.path(work.number), result, progress))
         finally:
@@ -100,6 +105,7 @@ class Job:
             chosen={name: dict(counts) for name, counts in self._chosen.items()},
             outputs=self._written,
             guides=self._guides(),
+            capture=self._capture.page,
             error=str(failure) or "interrupted" if failure is not None else None,
         )
 

@@ -7,10 +7,10 @@ import sys
 from collections.abc import Sequence
 
 from postfx import __version__
-from postfx.cli import bench, inspect, models, run
+from postfx.cli import bench, capture_compare, inspect, models, run
 from postfx.errors import PostfxError
 
-VERBS = (run, inspect, bench, models)
+VERBS = (run, inspect, bench, models, capture_compare)
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 
@@ -38,7 +38,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"postfx {__version__}")
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
     for verb in VERBS:
-        name = verb.__name__.rpartition(".")[2]
+        name = verb.__name__.rpartition(".")[2].replace("_", "-")
         added = verbs.add_parser(
             name,
             help=verb.HELP,

@@ -27,6 +27,7 @@ examples:
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr --explain
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-frame 5
 
 exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 130 interrupted
 """
@@ -55,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     reports = parser.add_argument_group("reports")
     reports.add_argument("--explain", action="store_true", help="show what would run and what is skipped, then stop")
     reports.add_argument("--json", action="store_true", help="print one JSON object on standard output at the end")
+    _add_capture(parser.add_argument_group("capture"))
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -115,6 +117,23 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
     group.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all cores)")
+
+
+def _add_capture(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--capture",
+        metavar="DIR",
+        help="write DIR/capture.html, a page on one frame's commands: times, memory, dependencies, tensors, networks",
+    )
+    group.add_argument(
+        "--capture-frame", metavar="N", type=_count, help="frame to capture (default: the second, which has a history)"
+    )
+    group.add_argument(
+        "--capture-tensors",
+        choices=("thumbnails", "none", "all"),
+        help="of each tensor keep figures and small pictures (default), nothing, or also all of it in DIR/tensors, "
+        "for 'postfx capture-compare'",
+    )
 
 
 def _count(text: str) -> int:

@@ -28,6 +28,7 @@ class Report:
         chosen: pass name -> what it chose (a network) -> frames, of passes that choose.
         guides: size of the planes at output size, roles that were used, and whether the output's size follows from
             them; None without guides.
+        capture: path of the capture's page, or None.
         error: why the run ended early, or None.
     """
 
@@ -41,6 +42,7 @@ class Report:
     outputs: list[str]
     chosen: dict[str, dict[str, int]] = field(default_factory=dict)
     guides: dict[str, Any] | None = None
+    capture: str | None = None
     error: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -56,7 +58,8 @@ class Report:
             "guides": self.guides,
             "chosen": self.chosen,
         }
-        return {**result, "error": self.error} if self.error else result
+        ends = {"capture": self.capture, "error": self.error}
+        return {**result, **{name: text for name, text in ends.items() if text}}
 
     def summary(self) -> str:
         """The report in a few lines."""
@@ -66,6 +69,7 @@ class Report:
         lines += [f"guides   {self._guides_text()}"] if self.guides else []
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
         lines += [f"warning  {warning}" for warning in self.warnings]
+        lines += [f"capture  {self.capture}"] if self.capture else []
         if self.outputs:
             more = f" ... {self.outputs[-1]}" if self.frames > 1 else ""
             lines.append(f"wrote    {self.outputs[0]}{more}")

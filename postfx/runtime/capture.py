@@ -207,7 +207,7 @@ def _captured_dispatch(index: int, dispatch: Dispatch) -> CapturedDispatch:
 
 
 def _captured(tensors: Iterable[Tensor]) -> list[CapturedTensor]:
-    return [CapturedTensor(t.name, t.shape, t.dtype, t.nbytes, t.start, t.end) for t in tensors]
+    return [CapturedTensor(str(t.name), t.shape, t.dtype, t.nbytes, t.start, t.end) for t in tensors]
 
 
 def _captured_barrier(record: Record) -> CapturedBarrier:

@@ -1,0 +1,77 @@
+"""The capture of one frame of `postfx run`."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from postfx.errors import SequenceError, WriteError
+from postfx.report.capture_page import write_capture
+from postfx.runtime import Capture, CommandError, Device
+
+
+class FrameCapture:
+    """What --capture asks for: one frame is captured, the rest run as they would.
+
+    Raises WriteError when the folder cannot be written, and when options are given that need --capture.
+
+    Attributes:
+        page: the page that was written; None before, and without --capture.
+    """
+
+    def __init__(self, arguments: argparse.Namespace, device: Device) -> None:
+        self.page: str | None = None
+        self._device = device
+        self._folder = Path(arguments.capture) if arguments.capture is not None else None
+        self._tensors = arguments.capture_tensors or "thumbnails"
+        self._number: int | None = arguments.capture_frame
+        if self._folder is None and (arguments.capture_tensors or self._number is not None):
+            raise WriteError("--capture-frame and --capture-tensors need --capture DIR: where to write the capture")
+        if self._folder is not None and not arguments.explain:
+            _check_folder(self._folder)
+
+    def choose(self, numbers: Sequence[int]) -> None:
+        """Choose among the frames that will be processed, in their order. Raises SequenceError when it is none of them.
+
+        Without --capture-frame it is the second, which has a history, or the first if there is no other.
+        """
+        if self._folder is None or not numbers:
+            return
+        if self._number is None:
+            self._number = numbers[min(1, len(numbers) - 1)]
+        if self._number not in numbers:
+            raise SequenceError(f"frame {self._number} of --capture-frame is not processed: take one that is")
+
+    @contextmanager
+    def around(self, number: int) -> Iterator[None]:
+        """Process a frame inside: if it is the one to capture, this writes the capture at the end,
+        also when a command fails."""
+        if self._folder is None or self.page or number != self._number:
+            yield
+            return
+        capture = self._device.capture(self._tensors, self._folder if self._tensors == "all" else None)
+        try:
+            with capture:
+                yield
+        except CommandError:  # then the capture is wanted most
+            self._write(capture, number)
+            raise
+        self._write(capture, number)
+
+    def _write(self, capture: Capture, number: int) -> None:
+        self.page = str(write_capture(capture, self._folder, f"postfx capture: frame {number}"))
+
+
+def _check_folder(folder: Path) -> None:
+    """A run takes long: that its capture cannot be written must not be found out at the end."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise WriteError(
+            f"capture folder '{folder}' cannot be written ({error.strerror}): give --capture another folder"
+        ) from error

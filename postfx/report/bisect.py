@@ -1,0 +1,147 @@
+"""Two captures of the same commands, compared tensor by tensor: where do they begin to differ?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from postfx.errors import PostfxError, ReadError
+from postfx.report.capture_data import read
+
+_BLOCK = 1 << 20
+
+
+class CompareError(PostfxError):
+    """Two captures cannot be compared: other commands, other tensors, or their content was not kept."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A tensor in both captures.
+
+    Attributes:
+        index, label, command: the command; the first capture's words.
+        access: 'input' for what came from outside, 'write' for what the command wrote.
+        error: the largest relative error, see `compare`; infinite where one is finite and the other is not.
+        place: index of the element with that error; () of a tensor of one element.
+    """
+
+    index: int
+    label: str
+    command: str
+    access: str
+    tensor: str
+    error: float
+    place: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All tensors in the order in which commands used them; `first` is the first one over the tolerance, or None."""
+
+    tolerance: float
+    differences: list[Difference]
+    first: Difference | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """In plain types; an infinite error is the text 'inf'."""
+        rows = [_plain(difference) for difference in self.differences]
+        return {"tolerance": self.tolerance, "first": _plain(self.first) if self.first else None, "tensors": rows}
+
+
+def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison:
+    """Compare two captures that kept all of their tensors (tensors='all'), command by command in order.
+
+    The relative error of an element is |a - b| / max(|b|, mean of |b| over the tensor): b is the reference, and
+    elements near 0 are measured by the tensor's usual size. NaN equals NaN and an infinity one of its sign.
+
+    Args:
+        a, b: capture.json files or their folders.
+
+    Raises CompareError when commands or tensors do not correspond or content was not kept, ReadError when a file
+    cannot be read.
+    """
+    (first, first_folder), (second, second_folder) = read(a), read(b)
+    if len(first["commands"]) != len(second["commands"]):
+        counts = f"{len(first['commands'])} and {len(second['commands'])}"
+        raise CompareError(f"the captures have {counts} commands: capture the same passes, options and frame")
+    differences = []
+    for one, other in zip(first["commands"], second["commands"], strict=True):
+        for access, left, right in _pairs(one, other):
+            arrays = _load(first_folder, left), _load(second_folder, right)
+            names = one["index"], one["label"], one["command"], access, left["name"]
+            differences.append(Difference(*names, *largest_error(*arrays)))
+    over = (difference for difference in differences if difference.error > tolerance)
+    return Comparison(tolerance, differences, next(over, None))
+
+
+def largest_error(a: np.ndarray, b: np.ndarray) -> tuple[float, tuple[int, ...]]:
+    """The largest relative error as in `compare`, and its index; works on blocks, so it takes little memory."""
+    left, right = a.reshape(-1), b.reshape(-1)
+    usual = _mean_size(right)
+    worst, place = 0.0, 0
+    for start in range(0, left.size, _BLOCK):
+        errors = _errors(left[start : start + _BLOCK], right[start : start + _BLOCK], usual)
+        at = int(errors.argmax())
+        if errors[at] > worst:
+            worst, place = float(errors[at]), start + at
+    return worst, tuple(int(i) for i in np.unravel_index(place, a.shape))
+
+
+def _errors(a: np.ndarray, b: np.ndarray, usual: float) -> np.ndarray:
+    a, b = a.astype(np.float64), b.astype(np.float64)
+    same = (a == b) | (np.isnan(a) & np.isnan(b))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        errors = np.abs(a - b) / np.maximum(np.abs(b), usual)
+    return np.where(same, 0.0, np.where(np.isfinite(a) & np.isfinite(b), errors, np.inf))
+
+
+def _mean_size(values: np.ndarray) -> float:
+    total, count = 0.0, 0
+    for start in range(0, values.size, _BLOCK):
+        block = np.abs(values[start : start + _BLOCK].astype(np.float64))
+        kept = block[np.isfinite(block)]
+        total, count = total + float(kept.sum()), count + kept.size
+    return total / count if count else 0.0
+
+
+def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, dict, dict]]:
+    """Tensors to compare: inputs from outside where both have their content, and all that was written."""
+    where = f"command {one['index']} '{one['label']}'"
+    if (one["label"], one["stage"]) != (other["label"], other["stage"]):
+        raise CompareError(f"{where} is '{other['label']}' in the other capture: capture the same passes and options")
+    for access, key in (("input", "reads"), ("write", "writes")):
+        mine, theirs = one[key], other[key]
+        if [_shape(tensor) for tensor in mine] != [_shape(tensor) for tensor in theirs]:
+            mend = "compare frames of one size and one model"
+            raise CompareError(f"{where} {key} other tensors in the other capture: {mend}")
+        for left, right in zip(mine, theirs, strict=True):
+            if left["bytes"] and (access == "write" or (left.get("file") and right.get("file"))):
+                yield access, left, right
+
+
+def _shape(tensor: dict[str, Any]) -> tuple[str, list[int]]:
+    return tensor["name"], tensor["shape"]
+
+
+def _load(folder: Path, tensor: dict[str, Any]) -> np.ndarray:
+    if not tensor.get("file"):
+        mend = "postfx run --capture DIR --capture-tensors all"
+        raise CompareError(f"capture in '{folder}' has no content of tensor '{tensor['name']}': make it with {mend}")
+    try:
+        array = np.load(folder / tensor["file"], mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise ReadError(f"tensor file '{folder / tensor['file']}' cannot be read: {error}") from error
+    if list(array.shape) != tensor["shape"]:
+        raise ReadError(f"tensor file '{folder / tensor['file']}' is {array.shape}, not {tuple(tensor['shape'])}")
+    return array
+
+
+def _plain(difference: Difference) -> dict[str, Any]:
+    error = difference.error if math.isfinite(difference.error) else "inf"
+    return {**asdict(difference), "error": error, "place": list(difference.place)}

@@ -1,0 +1,98 @@
+"""A capture in plain types: what capture.json holds."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from postfx import __version__
+from postfx.errors import ReadError
+from postfx.report.dependencies import edges
+from postfx.runtime.capture import Capture, CapturedBarrier, CapturedBuffer, CapturedDispatch, CapturedTensor
+
+FORMAT = "postfx capture 1"
+FILE = "capture.json"
+
+
+def as_dict(capture: Capture) -> dict[str, Any]:
+    """The capture in types that JSON has, without pictures; numbers that are not finite are text.
+
+    'commands' are all dispatches in order; 'buffers' have the order of dispatches and barriers; 'edges' say which
+    command wrote what another one reads (`postfx.report.dependencies.edges`). Times are milliseconds, memory bytes.
+    """
+    commands = [
+        _command(dispatch, number) for number, buffer in enumerate(capture.buffers) for dispatch in buffer.dispatches
+    ]
+    return {
+        "format": FORMAT,
+        "postfx": __version__,
+        "device": {"name": capture.device.name, "threads": capture.device.threads},
+        "tensors": capture.tensors,
+        "buffers": [_buffer(buffer) for buffer in capture.buffers],
+        "commands": commands,
+        "edges": edges(commands),
+    }
+
+
+def read(path: str | Path) -> tuple[dict[str, Any], Path]:
+    """A capture.json, or that of a folder, and the folder that its tensor files are in. Raises ReadError."""
+    file = Path(path)
+    file = file / FILE if file.is_dir() else file
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ReadError(f"capture '{file}' cannot be read: {error}") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise ReadError(f"'{file}' is no capture of this version of postfx: make one with postfx run --capture")
+    return data, file.parent
+
+
+def _command(dispatch: CapturedDispatch, buffer: int) -> dict[str, Any]:
+    return {
+        "index": dispatch.index,
+        "buffer": buffer,
+        "label": dispatch.label,
+        "command": dispatch.command,
+        "stage": dispatch.stage,
+        "encoder": dispatch.encoder,
+        "ms": dispatch.milliseconds,
+        "error": dispatch.error,
+        "model": str(dispatch.model) if dispatch.model else None,
+        "reads": [_tensor(tensor) for tensor in dispatch.reads],
+        "writes": [_tensor(tensor) for tensor in dispatch.writes],
+    }
+
+
+def _tensor(tensor: CapturedTensor) -> dict[str, Any]:
+    plain = {
+        "name": tensor.name,
+        "shape": list(tensor.shape),
+        "dtype": tensor.dtype,
+        "bytes": tensor.nbytes,
+        "address": [tensor.start, tensor.end],
+    }
+    if tensor.snapshot is None:
+        return plain
+    figures = {name: _number(value) for name, value in asdict(tensor.snapshot.statistics).items()}
+    values = tensor.snapshot.values and [_number(value) for value in tensor.snapshot.values]
+    kept = {"statistics": figures, "channels": tensor.snapshot.channels, "values": values}
+    return {**plain, **kept, "file": tensor.snapshot.file}
+
+
+def _buffer(buffer: CapturedBuffer) -> dict[str, Any]:
+    heap = {"used": buffer.heap_used, "peak": buffer.heap_peak, "size": buffer.heap_size}
+    return {"label": buffer.label, "heap": heap, "records": [_record(record) for record in buffer.records]}
+
+
+def _record(record: CapturedDispatch | CapturedBarrier) -> dict[str, Any]:
+    if isinstance(record, CapturedDispatch):
+        return {"dispatch": record.index}
+    masks = {"after": list(record.after), "before": list(record.before)}
+    return {"barrier": record.form, "encoder": record.encoder, **masks}
+
+
+def _number(value: float | None) -> float | str | None:
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,107 @@
+"""A capture as one HTML page that needs nothing beside it, and as JSON."""
+
+from __future__ import annotations
+
+import html
+import json
+from pathlib import Path
+from typing import Any
+
+from postfx.errors import WriteError
+from postfx.report.capture_data import FILE, as_dict
+from postfx.report.networks import describe
+from postfx.report.pictures import picture
+from postfx.runtime.capture import Capture, CapturedTensor
+from postfx.runtime.snapshot import Snapshot
+
+PAGE = "capture.html"
+_PARTS = Path(__file__).parent
+
+
+def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
+    """Write `folder / capture.html` and `folder / capture.json`; returns the path of the page.
+
+    Raises WriteError when they cannot be written.
+    """
+    folder = Path(folder)
+    data = as_dict(capture)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / FILE).write_text(json.dumps(data, indent=1, allow_nan=False), encoding="utf-8")
+        (folder / PAGE).write_text(_page(capture, data, title), encoding="utf-8")
+    except OSError as error:
+        raise WriteError(f"capture in '{folder}' cannot be written: {error.strerror or error}") from error
+    return folder / PAGE
+
+
+def page(capture: Capture, title: str) -> str:
+    """The page: times, dependencies, tensors and networks of a capture, in one file without network access."""
+    return _page(capture, as_dict(capture), title)
+
+
+def _page(capture: Capture, data: dict[str, Any], title: str) -> str:
+    dispatches = [dispatch for buffer in capture.buffers for dispatch in buffer.dispatches]
+    pictures = _Pictures()
+    commands = [
+        {**command, **{key: pictures.add(command[key], getattr(item, key)) for key in ("reads", "writes")}}
+        for command, item in zip(data["commands"], dispatches, strict=True)
+    ]
+    parts = {
+        "title": html.escape(title),
+        "style": _part("capture.css"),
+        "script": _part("capture_graph.js") + _part("capture.js"),
+        "data": _as_script({**data, "commands": commands, "pictures": pictures.sets, "networks": _networks(data)}),
+    }
+    return _filled(_part("capture.html"), parts)
+
+
+class _Pictures:
+    """Pictures of snapshots, each once: an input that ten commands read has one snapshot."""
+
+    def __init__(self) -> None:
+        self.sets: list[list[dict[str, str]]] = []
+        self._known: dict[int, int] = {}
+
+    def add(self, plain: list[dict[str, Any]], tensors: list[CapturedTensor]) -> list[dict[str, Any]]:
+        """The tensors' entries with 'pictures', a number in `sets` or None."""
+        return [{**entry, "pictures": self._number(t.snapshot)} for entry, t in zip(plain, tensors, strict=True)]
+
+    def _number(self, snapshot: Snapshot | None) -> int | None:
+        if snapshot is None or not snapshot.pictures:
+            return None
+        if id(snapshot) not in self._known:
+            self._known[id(snapshot)] = len(self.sets)
+            self.sets.append(_pictures(snapshot))
+        return self._known[id(snapshot)]
+
+
+def _pictures(snapshot: Snapshot) -> list[dict[str, str]]:
+    """The first three slices as one picture, and where all was captured, each slice as one of its own."""
+    slices = snapshot.pictures
+    together = slices[:3]
+    label = "the only channel" if snapshot.channels == 1 else f"channels 0 to {len(together) - 1} as colour"
+    pictures = [{**picture(together), "label": label}]
+    if snapshot.file is None or len(slices) == 1:
+        return pictures
+    return pictures + [{**picture([one]), "label": f"channel {number}"} for number, one in enumerate(slices)]
+
+
+def _networks(data: dict[str, Any]) -> list[dict[str, Any]]:
+    models = dict.fromkeys(command["model"] for command in data["commands"] if command["model"])
+    return [describe(Path(model)) for model in models]
+
+
+def _as_script(data: dict[str, Any]) -> str:
+    """JSON that cannot end the element it stands in."""
+    text = json.dumps(data, allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _filled(template: str, parts: dict[str, str]) -> str:
+    """The template with `{{name}}` replaced; what is put in is not looked at again."""
+    pieces = template.split("{{")
+    return pieces[0] + "".join(parts[name] + rest for name, _, rest in (piece.partition("}}") for piece in pieces[1:]))
+
+
+def _part(name: str) -> str:
+    return (_PARTS / name).read_text(encoding="utf-8")
