@@ -51,11 +51,14 @@ def test_the_examples_own_tests_pass(vignette, tmp_path):
     names["test_the_portable_kernel_agrees"](Library(tmp_path))
 
 
-def test_the_runtime_example_runs():
+def test_the_runtime_example_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     names = {}
-    first, again = blocks("runtime.md", "python")
+    first, again, capture = blocks("runtime.md", "python")
     exec(first, names)
     assert np.isfinite(names["grid"].array).all() and names["grid"].array.any()
     exec(again, names)
     assert names["commands"].label == "frame 4"
     assert [label for label, _ in names["commands"].timings] == ["prepare", "coefficients"]
+    exec(capture, names)
+    assert "prepare" in (tmp_path / "look/capture.json").read_text() and (tmp_path / "look/capture.html").is_file()
