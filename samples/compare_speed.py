@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=960)
     parser.add_argument("--height", type=int, default=540)
     parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--models", default="m,m.int8,s", help="tags of networks, comma-separated")
+    parser.add_argument("--models", default="m.fp32,m,s", help="tags of networks, comma-separated")
     args = parser.parse_args()
     frame = noisy_frame(args.width, args.height)
     chains = {f"postfx {tag}": postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=tag), postfx.ToneMap()])

@@ -171,12 +171,13 @@ def _pictures(view: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str
     import postfx
     from postfx.bench.oidn import Oidn
     from postfx.frame import Role
+    from postfx.passes._denoise_models import exact
 
     frames = [postfx.Frame({Role(name): view[name][k] for name in PLANES}, exposure=None, samples=1)
               for k in range(len(view["colour"]))]
     device, found = postfx.Device(args.device), {}
     for tag in args.model.split(","):
-        pipeline = postfx.Pipeline([postfx.DenoiseUpscale(scale=1, model=tag)], device)
+        pipeline = postfx.Pipeline([postfx.DenoiseUpscale(scale=1, model=exact(tag))], device)
         found[tag] = []
         for frame in frames:
             pipeline.reset()

@@ -23,6 +23,7 @@ import onnxruntime
 import postfx
 from postfx.frame import Frame, Role
 from postfx.io.srgb import srgb_encode
+from postfx.passes._denoise_models import exact
 from postfx.runtime import Device, Library, PipelineState, Tensor
 from training.clips import GUIDES, PLANES, guide_depth, load_clip
 from training.export import MODELS, store_half, write_card
@@ -141,7 +142,7 @@ def pictures(found: Iterable[Shot], library: Library, name: str, look: Look = la
     device, tag = WatchedDevice(library, name, look), name.removesuffix(".guides").split(".", 1)[1]
     results = []
     for shot in found:
-        pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model=tag.split(".")[0], scale=shot.scale)], device)
+        pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model=exact(tag.split(".")[0]), scale=shot.scale)], device)
         for frame in shot.frames:
             light = np.maximum(pipeline(frame)[Role.COLOUR] * pipeline.exposure, 0)
             results.append(srgb_encode(light / (1 + light)).astype(np.float16))

@@ -11,6 +11,7 @@ from postfx.bench.host_kernels import HostKernels
 from postfx.bench.methods import Method
 from postfx.bench.oidn import Oidn
 from postfx.frame import Frame, Role
+from postfx.passes._denoise_models import exact
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
@@ -22,7 +23,7 @@ class Network:
     def __init__(self, method: Method, device: Device, scale: float) -> None:
         self._method = method
         self._lost = frozenset(map(Role, method.without))
-        self._pipeline = Pipeline([DenoiseUpscale(model=method.model, scale=scale)], device)
+        self._pipeline = Pipeline([DenoiseUpscale(model=exact(method.model), scale=scale)], device)
         self.device_ms = 0.0
 
     def reset(self) -> None:

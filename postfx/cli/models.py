@@ -8,9 +8,9 @@ from typing import Any
 
 HELP = "list the trained models"
 DESCRIPTION = """\
-List the models that are installed, with what their cards say. PASS.TAG is used as --model TAG, PASS.TAG.int8 (integers,
-for the CPU) as --model TAG.int8, PASS.TAG.fp16 (half precision, for CUDA) as --model TAG.fp16. Variants .guides are
-taken by themselves when there are planes at output size."""
+List the models that are installed, with what their cards say. --model TAG takes PASS.TAG.int8 (integers) on a CPU and
+PASS.TAG.fp16 (half precision) on a GPU, where there are such, else PASS.TAG; --model TAG.fp32 takes PASS.TAG. Variants
+.guides are taken by themselves when there are planes at output size."""
 EXAMPLES = """\
 examples:
   postfx models

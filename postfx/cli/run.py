@@ -89,7 +89,8 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
         help="output size over render size, 1 to 3 (default: the size of the guides, or 2 without guides)",
     )
     group.add_argument("--no-denoise", action="store_true", help="leave denoising and upscaling out")
-    group.add_argument("--model", metavar="TAG", help="denoiser to use; 'postfx models' lists them")
+    group.add_argument("--model", metavar="TAG", help="denoiser: s, m (default) or l in the device's fast "
+                       "precision, or with one, e.g. m.fp32; 'postfx models' lists them")
     group.add_argument(
         "--budget", type=float, metavar="MS",
         help="milliseconds that denoising a frame may take: networks smaller than --model take turns with it",

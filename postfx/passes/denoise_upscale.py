@@ -12,6 +12,7 @@ from postfx.errors import GuideError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_budget import Ladder, cost, family
 from postfx.passes._denoise_graph import Graph, Sizes, has_model
+from postfx.passes._denoise_models import GUIDED, model_of
 from postfx.passes._denoise_planes import ABSENT, Planes, Resampler, Size
 from postfx.passes._denoise_restore import Restore
 from postfx.passes._denoise_strength import Plain, Strength
@@ -20,7 +21,6 @@ from postfx.runtime import CommandBuffer, Device, Tensor
 
 PLANES = tuple(ABSENT)
 LEAST, MOST, USUAL = 1.0, 3.0, 2.0
-GUIDED = ".guides"
 
 
 class DenoiseUpscale(Pass):
@@ -28,7 +28,8 @@ class DenoiseUpscale(Pass):
 
     Options:
         scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 2 without guides.
-        model: tag of the network, as in ``denoise_upscale.<tag>``; 'm.int8' and 'm.fp16' are other precisions.
+        model: tag of the network, 's', 'm' or 'l', which runs in the device's fast precision, or with one: 'm.fp32',
+            'm.int8' for the CPU, 'm.fp16' for CUDA.
         budget: milliseconds that a frame may take on the device, None for no limit: networks smaller than `model`, of
             its precision ('s' below 'm', 's' and 'm' below 'l'), take turns with it; the history goes on.
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength`
@@ -93,19 +94,19 @@ class DenoiseUpscale(Pass):
     def _compile_network(self, device: Device, spec: FrameSpec, size: Size) -> None:
         guided = self._is_guided(spec)
         self._planes = Planes(device, spec, size, guided)
-        models = self._models(guided)
-        self._ladder = Ladder([cost(tag) for tag in models], self.budget) if self.budget else None
-        self._tags = {tag: f"{self.name}.{tag}{GUIDED * guided}" for tag in models}
-        self._graph = Graph(device, Sizes(spec.height, spec.width, *size), list(self._tags.values()), guided)
+        tags = self._tags(guided)
+        self._ladder = Ladder([cost(tag) for tag in tags], self.budget) if self.budget else None
+        self._models = {tag: model_of(tag, guided, device) for tag in tags}
+        self._graph = Graph(device, Sizes(spec.height, spec.width, *size), list(self._models.values()), guided)
         self._restore = Restore(device, size) if size == (spec.height, spec.width) else None
         full = self.strength == 1 and not spec.has(Role.STRENGTH)
         self._strength = None if full else Strength(device, spec, size, self.strength)
 
-    def _models(self, guided: bool) -> tuple[str, ...]:
+    def _tags(self, guided: bool) -> tuple[str, ...]:
         """Tags of the networks to choose from, fastest first; the one that was asked for without a budget."""
         model = self.options["model"]
         smaller = family(model)[:-1] if self.budget else ()
-        return (*(tag for tag in smaller if has_model(f"{self.name}.{tag}{GUIDED * guided}")), model)
+        return (*(tag for tag in smaller if has_model(model_of(tag, guided))), model)
 
     def ran(self, milliseconds: float) -> None:
         if self.strength and self._ladder:
@@ -135,8 +136,8 @@ class DenoiseUpscale(Pass):
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
         params = np.array([frame.exposure, *frame.jitter, keep, gain], np.float32)
-        self._used = list(self._tags)[self._ladder.rung if self._ladder else 0]
-        self._graph.use(self._tags[self._used])
+        self._used = list(self._models)[self._ladder.rung if self._ladder else 0]
+        self._graph.use(self._models[self._used])
         colour = self._graph.encode(commands, self._planes.encode(commands, frame), params)
         self._fresh, self._exposure = True, frame.exposure
         colour = self._restore.encode(commands, frame, colour) if self._restore else colour
@@ -170,14 +171,13 @@ class DenoiseUpscale(Pass):
 
     def _reads_guides(self, spec: FrameSpec) -> bool:
         """Whether a network does; at render size it is better with the planes, which have the samples of the colour."""
-        return has_model(self._guided_model) and not self._is_render_size(spec)
+        return self._has_guided_model() and not self._is_render_size(spec)
 
     def _is_guided(self, spec: FrameSpec) -> bool:
         return bool(spec.guide_roles) and self._reads_guides(spec)
 
-    @property
-    def _guided_model(self) -> str:
-        return f"{self.name}.{self.options['model']}{GUIDED}"
+    def _has_guided_model(self) -> bool:
+        return has_model(model_of(self.options["model"], guided=True))
 
     def _is_render_size(self, spec: FrameSpec) -> bool:
         return self._output_size(spec) == (spec.height, spec.width)
@@ -185,7 +185,7 @@ class DenoiseUpscale(Pass):
     def _guide_remarks(self, spec: FrameSpec) -> list[str]:
         if spec.guides is None:
             return []
-        if not has_model(self._guided_model):
+        if not self._has_guided_model():
             return [f"model '{self.options['model']}' does not read guides: they only stand in for missing planes"]
         if self._is_render_size(spec):
             return ["guides of the render size only stand in for missing planes"]
