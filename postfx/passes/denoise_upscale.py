@@ -95,8 +95,8 @@ class DenoiseUpscale(Pass):
         guided = self._is_guided(spec)
         self._planes = Planes(device, spec, size, guided)
         tags = self._tags(guided)
-        self._ladder = Ladder([cost(tag) for tag in tags], self.budget) if self.budget else None
         self._models = {tag: model_of(tag, guided, device) for tag in tags}
+        self._ladder = Ladder(list(map(cost, self._models.values())), self.budget) if self.budget else None
         self._graph = Graph(device, Sizes(spec.height, spec.width, *size), list(self._models.values()), guided)
         self._restore = Restore(device, size) if size == (spec.height, spec.width) else None
         full = self.strength == 1 and not spec.has(Role.STRENGTH)

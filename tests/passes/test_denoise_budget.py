@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import Role
-from postfx.passes._denoise_budget import Ladder, family
+from postfx.passes._denoise_budget import Ladder, cost, family
 from postfx.passes._denoise_graph import Graph
 from postfx.passes.base import PassOptionError
 from postfx.passes.denoise_upscale import DenoiseUpscale
@@ -60,6 +60,11 @@ def test_a_network_slower_than_expected_is_tried_less_and_less() -> None:
 def test_times_at_the_edge_of_the_budget_do_not_make_it_swing() -> None:
     found = rungs(Ladder(COSTS, 60), [(11.8, 41.3, 59.0)] * 500, noise=0.1)
     assert switches(found) < 12
+
+
+def test_costs_are_those_of_the_precision() -> None:
+    names = ("denoise_upscale.m", "denoise_upscale.m.guides", "denoise_upscale.m.int8.guides", "denoise_upscale.mine")
+    assert [cost(name) for name in names] == [3.5, 3.5, 2.1, 1.0]
 
 
 def test_families() -> None:
