@@ -57,6 +57,7 @@ class DenoiseUpscale(Pass):
         self.budget = None if self.options["budget"] is None else float(self.options["budget"])
         if self.budget is not None and not self.budget > 0:
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a budget above 0")
+        self._used: str | None = None
         plain = str(self.options["model"]).removesuffix(GUIDED)
         if plain != self.options["model"]:
             raise PassOptionError(f"model '{plain}{GUIDED}' runs when a frame has guides: give the model '{plain}'")
