@@ -17,15 +17,12 @@ def read_ahead(items: Iterable[Item], read: Callable[[Item], Content]) -> Iterat
     """
     with ThreadPoolExecutor(1, "postfx read") as reader:
         coming: tuple[Item, Future[Content]] | None = None
-        try:
-            for item in items:
-                ready, coming = coming, (item, reader.submit(read, item))
-                if ready is not None:
-                    yield ready[0], ready[1].result()
-            if coming is not None:
-                yield coming[0], coming[1].result()
-        finally:
-            reader.shutdown(wait=True, cancel_futures=True)
+        for item in items:
+            ready, coming = coming, (item, reader.submit(read, item))
+            if ready is not None:
+                yield ready[0], ready[1].result()
+        if coming is not None:
+            yield coming[0], coming[1].result()
 
 
 class WriteBehind:
