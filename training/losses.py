@@ -8,7 +8,7 @@ from training.networks import ops
 
 COARSE = (4, 8, 16)  # output pixels
 KNEE, COARSE_KNEE = 0.02, 0.005  # code values
-SEEN = 0.5
+SEEN = 0.5  # weight of how different pictures look
 
 
 def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
