@@ -193,10 +193,18 @@ class CommandBuffer:
                 if self._recorder is not None:
                     self._recorder.failed(dispatch, first)
                 break
+        self._synchronise()
         self.running = None
         if self._recorder is not None:
             self._recorder.ended()
         self._done.set()
+
+    def _synchronise(self) -> None:
+        """Wait for a GPU, on which commands only were begun so far."""
+        try:
+            self.device.memory.synchronise()
+        except BaseException as error:
+            self._error = self._error or CommandError(f"'{self.label}' failed: {first_line(error)}", self.label)
 
     def _lost_input(self, dispatch: Dispatch) -> CommandError | None:
         """The error of the command that should have written what the dispatch reads, if it failed."""

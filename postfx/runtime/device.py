@@ -16,6 +16,7 @@ import numpy as np
 from postfx.paths import models_dir
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
+from postfx.runtime.cuda import CudaMemory, has_source
 from postfx.runtime.errors import BindingError, DeviceError, ModelError
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
@@ -24,7 +25,7 @@ from postfx.runtime.memory import address
 from postfx.runtime.placement import choose
 from postfx.runtime.queue import CommandQueue
 from postfx.runtime.session import Session
-from postfx.runtime.states import CompiledComputeState, PipelineState, PortableComputeState, State
+from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import Allocation, Tensor
 from postfx.runtime.waiting import wait_for_all
 
@@ -38,8 +39,8 @@ class Device:
     Args:
         name: 'cpu', 'cuda', 'cuda:1', or 'auto': CUDA where ONNX Runtime can really use it, else the CPU.
         threads: CPU threads for kernels and networks; default: the cores that this process may use.
-        compiled_kernels: run kernels by their compiled rows (only and by default on the CPU) or, when False, by
-            their portable ONNX definitions.
+        compiled_kernels: run kernels by what is written for the device, where there is such: compiled rows on the CPU,
+            CUDA sources on a GPU. When False, by their portable ONNX definitions.
         kernels: library of the portable definitions; default: the `kernels` folder of the models that come with
             postfx.
 
@@ -58,9 +59,7 @@ class Device:
         self.threads = threads or _usable_cores()
         self._placement, self.memory = choose(name, self.threads)
         self.name = name if name != "auto" else self._placement.memory
-        if compiled_kernels and not self.memory.host_visible:
-            raise DeviceError(f"compiled kernels run on the CPU only, not on {self.name}: leave compiled_kernels out")
-        self._compiled = self.memory.host_visible if compiled_kernels is None else compiled_kernels
+        self._compiled = True if compiled_kernels is None else compiled_kernels
         self._kernels = kernels
         self._compute_states: dict[Kernel, State] = {}
         self._encoders = itertools.count()
@@ -117,13 +116,13 @@ class Device:
         return PipelineState(self, name, session, fixed, library.path(name))
 
     def compute_state(self, kernel: Kernel) -> State:
-        """A kernel made ready, once per device: compiled rows on the CPU, its portable definition elsewhere.
+        """A kernel made ready, once per device: compiled rows on the CPU, its CUDA source or its
+        portable definition elsewhere.
 
         Raises ModelError when the portable definition is needed and missing, or its bindings are not the kernel's.
         """
         if kernel not in self._compute_states:
-            state = CompiledComputeState(self, kernel) if self._compiled else self._portable_state(kernel)
-            self._compute_states[kernel] = state
+            self._compute_states[kernel] = self._make_state(kernel)
         return self._compute_states[kernel]
 
     def command_buffer(self, label: str) -> CommandBuffer:
@@ -155,6 +154,13 @@ class Device:
     def next_encoder(self) -> int:
         """A number for an encoder, rising in the order of recording."""
         return next(self._encoders)
+
+    def _make_state(self, kernel: Kernel) -> State:
+        if self._compiled and isinstance(self.memory, CudaMemory) and has_source(kernel.name):
+            return CudaComputeState(self, kernel, self.memory)
+        if self._compiled and self.memory.host_visible:
+            return CompiledComputeState(self, kernel)
+        return self._portable_state(kernel)
 
     def _portable_state(self, kernel: Kernel) -> PortableComputeState:
         library = self._kernels or Library(models_dir() / "kernels")

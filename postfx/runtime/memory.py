@@ -36,6 +36,10 @@ class Memory(Protocol):
         """Copy from `pointer` into a C-contiguous host array."""
         ...
 
+    def synchronise(self) -> None:
+        """Wait until all that was begun is done."""
+        ...
+
 
 class HostChunk:
     """A chunk of host memory; pages that are never touched cost nothing."""
@@ -63,6 +67,9 @@ class HostMemory:
     def read(self, pointer: int, array: np.ndarray) -> None:
         """Copy from `pointer` into a C-contiguous array."""
         ctypes.memmove(address(array), pointer, array.nbytes)
+
+    def synchronise(self) -> None:
+        """Nothing to wait for: work is done when its call returns."""
 
 
 def address(array: np.ndarray) -> int:

@@ -8,6 +8,7 @@ from functools import cache
 
 import onnxruntime as ort
 
+from postfx.runtime.cuda import CudaMemory
 from postfx.runtime.errors import DeviceError, PostfxError
 from postfx.runtime.memory import HostMemory, Memory
 from postfx.runtime.provider_memory import ProviderMemory
@@ -27,8 +28,12 @@ def choose(name: str, threads: int) -> tuple[Placement, Memory]:
         raise DeviceError(f"device '{name}' is not available: {fault}")
     if match[1] == "cpu" or fault:
         return Placement("CPUExecutionProvider", "cpu", 0, threads), HostMemory()
-    placement = Placement("CUDAExecutionProvider", "cuda", index, threads)
-    return placement, ProviderMemory(placement)
+    try:
+        memory = CudaMemory(index)
+    except DeviceError:
+        placement = Placement("CUDAExecutionProvider", "cuda", index, threads)
+        return placement, ProviderMemory(placement)
+    return Placement("CUDAExecutionProvider", "cuda", index, threads, memory.stream), memory
 
 
 @cache

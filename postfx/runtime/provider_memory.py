@@ -44,6 +44,9 @@ class ProviderMemory:
         """Copy from the device into a C-contiguous host array."""
         self._copy.copy_bytes(self._here(pointer), ("cpu", 0, address(array)), array.nbytes)
 
+    def synchronise(self) -> None:
+        """Nothing to wait for: ONNX Runtime waits at the end of each run."""
+
     def check(self) -> None:
         """Copy a few bytes to the device and back; DeviceError when they come back changed."""
         sent, received = np.arange(64, dtype=np.uint8), np.zeros(64, np.uint8)

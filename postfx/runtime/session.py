@@ -18,12 +18,14 @@ _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
 
 
 class Placement(NamedTuple):
-    """Where sessions run: ONNX Runtime's names of the provider and of the memory, and the CPU threads."""
+    """Where sessions run: ONNX Runtime's names of the provider and of the memory, the CPU threads, and on a GPU the
+    stream that all work is on."""
 
     provider: str
     memory: str
     index: int
     threads: int
+    stream: int = 0
 
 
 class Value(NamedTuple):
@@ -62,7 +64,10 @@ class Session:
             binding.bind_input(name, memory, index, _element_type(tensor), tensor.shape, tensor.start)
         for name, tensor in outputs.items():
             binding.bind_output(name, memory, index, _element_type(tensor), tensor.shape, tensor.start)
-        return lambda: self._session.run_with_iobinding(binding)
+        options = ort.RunOptions()
+        if self._placement.stream:  # the command buffer waits once, at its end
+            options.add_run_config_entry("disable_synchronize_execution_providers", "1")
+        return lambda: self._session.run_with_iobinding(binding, options)
 
     def copy_bytes(self, source: tuple[str, int, int], target: tuple[str, int, int], nbytes: int) -> None:
         """Run a copying model from one (memory, index, pointer) to another."""
@@ -100,7 +105,10 @@ def _options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOption
 def _providers(placement: Placement) -> list:
     if placement.provider == "CPUExecutionProvider":
         return ["CPUExecutionProvider"]
-    return [(placement.provider, {"device_id": str(placement.index)}), "CPUExecutionProvider"]
+    options = {"device_id": str(placement.index)}
+    if placement.stream:
+        options |= {"user_compute_stream": str(placement.stream), "prefer_nhwc": "1"}
+    return [(placement.provider, options), "CPUExecutionProvider"]
 
 
 def _value(item: ort.NodeArg) -> Value:

@@ -12,6 +12,7 @@ from postfx.runtime.tensor import Tensor
 
 if TYPE_CHECKING:
     from postfx.kernels.kernel import Kernel
+    from postfx.runtime.cuda import CudaMemory
     from postfx.runtime.device import Device
 
 MINIMUM_ROWS = 4
@@ -116,6 +117,27 @@ class CompiledComputeState:
         for failure in failures:
             if failure is not None:
                 raise failure
+
+
+class CudaComputeState:
+    """A kernel that runs by its CUDA source. Made by `Device.compute_state`."""
+
+    stage = "compute"
+    model = None
+
+    def __init__(self, device: Device, kernel: Kernel, memory: CudaMemory) -> None:
+        self.device = device
+        self.name = kernel.name
+        self.command = f"kernel '{kernel.name}'"
+        self.bindings = kernel_bindings(kernel)
+        self._memory = memory
+        self._rows_of = [binding.name for binding in self.bindings].index(kernel.row_axis[0])
+        self._axis = kernel.row_axis[1]
+
+    def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
+        """A function that puts the kernel on the GPU's stream."""
+        rows, *columns = tensors[self._rows_of].shape[self._axis:]
+        return self._memory.launcher(self.name, columns[0] if columns else 0, rows, tensors)
 
 
 def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:
