@@ -133,9 +133,8 @@ def test_host_cannot_look_at_remote_memory(remote, ones):
         tensor.array.sum()
 
 
-def test_compiled_kernels_need_host_memory(remote):
-    with pytest.raises(DeviceError, match="compiled kernels run on the CPU only"):
-        Device("auto", compiled_kernels=True)
+def test_kernels_of_a_gpu_without_a_source_run_by_their_portable_definitions(remote):
+    assert isinstance(remote.compute_state(toys.ADD), PortableComputeState)
 
 
 def test_remote_tensors_take_part_of_a_chunk(remote):
