@@ -79,7 +79,9 @@ def export_kernel(kernel: Kernel, module: nn.Module, sizes: Mapping[str, int], f
     """
     shapes = [[parse(size) for size in kernel.shapes[name]] for name in kernel.reads]
     random = torch.Generator().manual_seed(0)
-    examples = [torch.rand(*[d.factor * sizes.get(d.symbol, 1) for d in dims], generator=random) for dims in shapes]
+    examples = [torch.rand(*[d.factor * sizes.get(d.symbol, 1) for d in dims], generator=random)
+                .to(getattr(torch, kernel.types.get(name, "float32")))
+                for name, dims in zip(kernel.reads, shapes, strict=True)]
     free = [{axis: Dim.DYNAMIC for axis, d in enumerate(dims) if d.symbol is not None} for dims in shapes]
     names = {name: tuple(size if isinstance(size, int) else "?" for size in kernel.shapes[name])
              for name in kernel.reads + kernel.writes}

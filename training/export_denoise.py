@@ -16,6 +16,7 @@ from postfx.kernels import (
     denoise_features,
     denoise_filter,
     denoise_guides,
+    denoise_half,
     denoise_history,
     denoise_prepare,
     denoise_restore,
@@ -72,6 +73,9 @@ KERNELS = {
     denoise_restore.RESTORE: restore.Restore,
     denoise_strength.STRENGTH: definitions.Strength,
     RESAMPLE: definitions.Resample,
+    denoise_half.PACK: definitions.Pack,
+    denoise_half.OPEN: definitions.Open,
+    denoise_half.OPEN_FINE: definitions.OpenFine,
 }
 
 

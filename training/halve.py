@@ -5,24 +5,29 @@
 
 The exported network keeps its weights in half precision and casts them; here the arithmetic is in half precision, too,
 and the weights are references into the other file (ONNX external data), which therefore has to lie beside this one.
-Inputs and outputs stay float32, and so does all that touches colour. On a CPU nothing is gained.
+Its inputs are packed and its heads raw (`training.half_graph`); all that touches colour stays float32. On a CPU nothing
+is gained.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnx
 import onnxruntime
-from onnx import NodeProto, TensorProto, helper, numpy_helper
+from onnx import TensorProto
 
+from postfx.kernels import denoise_half
+from postfx.passes._denoise_graph import ALIGN
+from postfx.passes._denoise_network import PACKED, RAW
 from postfx.runtime import Library
 from training.export import MODELS, ParityError, relative_error, write_card
+from training.half_graph import halve
 from training.quantise import variant_name
 
 PRECISION = "fp16"
@@ -30,34 +35,6 @@ SHARED = 1024
 """Bytes from which on weights are worth a reference."""
 TOLERANCE = 0.01
 """Largest difference to the float32 network, relative to the largest value of an output."""
-
-
-def halve(model: onnx.ModelProto) -> onnx.ModelProto:
-    """A network with weights in half precision and a cast, as `export` writes it, with arithmetic in half precision."""
-    model = onnx.ModelProto.FromString(model.SerializeToString())
-    graph = model.graph
-    weights = {weight.name: weight for weight in graph.initializer}
-    casts = [node for node in graph.node if node.op_type == "Cast" and node.input[0] in weights]
-    renamed = {cast.output[0]: cast.input[0] for cast in casts} | {v.name: f"{v.name}_half" for v in graph.input}
-    nodes = [_cast(value.name, f"{value.name}_half", TensorProto.FLOAT16) for value in graph.input]
-    outputs = {value.name for value in graph.output}
-    for node in (node for node in graph.node if node not in casts):
-        node.input[:] = [renamed.get(name, name) for name in node.input]
-        written = [name for name in node.output if name in outputs]
-        node.output[:] = [f"{name}_half" if name in outputs else name for name in node.output]
-        nodes += [node, *(_cast(f"{name}_half", name, TensorProto.FLOAT) for name in written)]
-    scales = {name for node in nodes if node.op_type == "Resize" for name in node.input[1:]}
-    for weight in weights.values():
-        if weight.data_type == TensorProto.FLOAT and weight.name not in scales:
-            weight.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(weight).astype(np.float16), weight.name))
-    del graph.node[:]
-    graph.node.extend(nodes)
-    onnx.checker.check_model(model)
-    return model
-
-
-def _cast(name: str, result: str, to: int) -> NodeProto:
-    return helper.make_node("Cast", [name], [result], to=to)
 
 
 def share_weights(model: onnx.ModelProto, file: Path) -> None:
@@ -83,29 +60,56 @@ def make_fp16(name: str, folder: Path) -> dict[str, Any]:
     card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION,
             "weights": {source.name: hashlib.sha256(source.read_bytes()).hexdigest()},
             "parity": {"max_relative_error": float(f"{error:.2g}"), "against": f"{name} in float32"}}
+    card |= {"inputs": _listed(model.graph.input), "outputs": _listed(model.graph.output)}
     card.pop("quality", None)  # was measured in float32
     write_card(path, card)
     return card
 
 
+def _listed(values: Iterable[onnx.ValueInfoProto]) -> dict[str, Any]:
+    meaning = f"float16, channels last, see postfx/kernels/denoise_half.py; height and width multiples of {ALIGN}"
+    sizes = {value.name: [dim.dim_value or dim.dim_param or "?" for dim in value.type.tensor_type.shape.dim]
+             for value in values}
+    return {name: {"shape": size, "meaning": meaning} for name, size in sizes.items()}
+
+
 def difference(model: onnx.ModelProto, wanted: onnx.ModelProto, size: tuple[int, int] = (64, 96)) -> float:
-    """Largest difference of two networks' outputs relative to the largest value; raises ParityError above TOLERANCE.
+    """Largest difference of two networks' heads relative to the largest value; raises ParityError above TOLERANCE.
 
     On the CPU, which computes half precision in float32: rounding inside the network is not part of it.
     """
     random = np.random.default_rng(0)
     reads = {value.name: random.random((1, value.type.tensor_type.shape.dim[1].dim_value, *size), np.float32) * 2 - 0.5
-             for value in model.graph.input}
-    pairs = zip(_run(model, reads), _run(wanted, reads), strict=True)
-    worst = max(relative_error(*pair) for pair in pairs)
+             for value in wanted.graph.input}
+    packed = {f"{PACKED}{name}": pack(value) for name, value in reads.items()}
+    found = [opened(name.removeprefix(RAW), raw) for name, raw in _run(model, packed).items()]
+    worst = max(relative_error(mine[:, :value.shape[1]], value)
+                for mine, value in zip(found, _run(wanted, reads).values(), strict=True))
     if not worst <= TOLERANCE:
         raise ParityError(f"half precision differs by {worst:.2g} of the largest value: the limit is {TOLERANCE:g}")
     return worst
 
 
-def _run(model: onnx.ModelProto, reads: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+def pack(planes: np.ndarray) -> np.ndarray:
+    """What a network in half precision reads for planes (1, channels, height, width)."""
+    _, channels, height, columns = planes.shape
+    packed = np.empty((1, height, columns, denoise_half.width(channels)), np.float16)
+    denoise_half.PACK.rows(0, height, planes, packed)
+    return packed
+
+
+def opened(name: str, raw: np.ndarray) -> np.ndarray:
+    """A head from a raw one."""
+    heads = np.empty(denoise_half.opened(name, *raw.shape[1:3]), np.float32)
+    kernel = denoise_half.OPEN_FINE if name == "fine" else denoise_half.OPEN
+    kernel.rows(0, heads.shape[2], raw, heads)
+    return heads
+
+
+def _run(model: onnx.ModelProto, reads: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
-    return session.run(None, dict(reads))
+    names = [value.name for value in session.get_outputs()]
+    return dict(zip(names, session.run(names, dict(reads)), strict=True))
 
 
 def main() -> None:

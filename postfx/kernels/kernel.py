@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Kernel:
-    """One small compute kernel over float32 tensors.
+    """One small compute kernel, over float32 tensors if not told otherwise.
 
     On the CPU `Device.compute_state(kernel)` runs `rows`, split into bands over the device's threads. Elsewhere it
     runs the portable definition, `models/kernels/<name>.onnx`, whose inputs and outputs carry the names given here.
@@ -25,6 +25,7 @@ class Kernel:
             within one dispatch, and 'k*symbol' with a whole number k is allowed ('2*height'). Compiled rows do not
             check bounds, so shapes given here are checked for them; they also let the device compile `rows` before
             the first frame.
+        types: binding name -> element type, of those that are not float32.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Kernel:
     rows: Callable[..., None]
     row_axis: tuple[str, int]
     shapes: Mapping[str, tuple[int | str, ...]] = field(default_factory=dict, hash=False)
+    types: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         names = self.reads + self.writes
@@ -40,6 +42,7 @@ class Kernel:
             raise ValueError(f"kernel '{self.name}' names a binding twice: {', '.join(names)}")
         if self.row_axis[0] not in self.writes:
             raise ValueError(f"kernel '{self.name}' counts rows of '{self.row_axis[0]}', which it does not write")
-        unknown = set(self.shapes) - set(names)
+        unknown = {*self.shapes, *self.types} - set(names)
         if unknown:
-            raise ValueError(f"kernel '{self.name}' gives shapes of unknown bindings: {', '.join(sorted(unknown))}")
+            names = ", ".join(sorted(unknown))
+            raise ValueError(f"kernel '{self.name}' gives shapes or types of unknown bindings: {names}")

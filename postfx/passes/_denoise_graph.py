@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from postfx.kernels import (
     denoise_upsample,
 )
 from postfx.kernels.kernel import Kernel
+from postfx.passes._denoise_network import Network, heads_of, seen_by
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Library, PipelineState, Tensor
 
 ALIGN = 16
@@ -64,7 +66,8 @@ class Graph:
         self._tables: dict[str, ArgumentTable] = {}
         self._make_tensors(networks[models[0]])
         self._make_tables()
-        self._networks = {model: ArgumentTable(state, self._seen | self._heads) for model, state in networks.items()}
+        between = cache(self._new)  # of several networks only one runs in a frame
+        self._networks = {model: Network(state, self._seen, self._heads, between) for model, state in networks.items()}
         self.model = models[0]
         self._turn = 0
 
@@ -91,9 +94,7 @@ class Graph:
             for names in (("history",), self._looks):
                 encoder.barrier()
                 self._run(encoder, *names)
-        with commands.machine_learning_encoder("network") as encoder:
-            encoder.barrier(after="compute", before="machine-learning")
-            encoder.dispatch_network(self._networks[self.model].state, self._networks[self.model])
+        self._networks[self.model].encode(commands)
         with commands.compute_encoder("filter") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             for i, name in enumerate(self._filter_order):
@@ -105,8 +106,8 @@ class Graph:
             self._run(encoder, "upsample")
         return self._output
 
-    def _new(self, name: str, shape: tuple[int, ...]) -> Tensor:
-        return self._device.heap.tensor(name, shape)
+    def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
+        return self._device.heap.tensor(name, shape, dtype)
 
     def _make_tensors(self, network: PipelineState) -> None:
         s = self._sizes
@@ -117,8 +118,8 @@ class Graph:
         self._past = self._new("past", (s.h, s.w, 4))
         self._radiance = self._new("radiance", (3, s.h + 2, s.w + 2))
         self._output = self._new("output", (s.height, s.width, 3))
-        self._heads = {b.name: self._new(b.name, b.shape) for b in network.bindings if b.access == "write"}
-        self._seen = {b.name: self._new(b.name, b.shape) for b in network.bindings if b.access == "read"}
+        self._heads = {name: self._new(name, shape) for name, shape in heads_of(network).items()}
+        self._seen = {name: self._new(name, shape) for name, shape in seen_by(network).items()}
         # Before the first frame the history holds nothing, and nothing of it is used: it only has to be defined.
         self._history = [self._zeros("history", (s.height, s.width, 3)) for _ in range(2)]
         self._state = [self._zeros("state", (s.h, s.w, 4 + denoise_layout.HIDDEN)) for _ in range(2)]

@@ -177,9 +177,11 @@ def _usable_cores() -> int:
 def _check_portable(kernel: Kernel, session: Session) -> None:
     for values, names, what in ((session.inputs, kernel.reads, "inputs"), (session.outputs, kernel.writes, "outputs")):
         found = sorted((value.name, value.dtype) for value in values)
-        if found != sorted((name, "float32") for name in names):
-            text = ", ".join(f"{name} {dtype}" for name, dtype in found)
-            raise ModelError(
-                f"portable definition of kernel '{kernel.name}' has the {what} {text}: "
-                f"they must be {', '.join(sorted(names))}, all float32"
-            )
+        wanted = sorted((name, kernel.types.get(name, "float32")) for name in names)
+        if found != wanted:
+            raise ModelError(f"portable definition of kernel '{kernel.name}' has the {what} {_text(found)}: "
+                             f"they must be {_text(wanted)}")
+
+
+def _text(values: list[tuple[str, str]]) -> str:
+    return ", ".join(f"{name} {dtype}" for name, dtype in values)

@@ -141,10 +141,10 @@ class CudaComputeState:
 
 
 def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:
-    """Bindings of a kernel in argument order, all float32."""
+    """Bindings of a kernel in argument order."""
     named = [(name, "read") for name in kernel.reads] + [(name, "write") for name in kernel.writes]
     shapes = {name: tuple(shape) for name, shape in kernel.shapes.items()}
-    return tuple(Binding(name, access, shapes.get(name), "float32") for name, access in named)
+    return tuple(Binding(name, access, shapes.get(name), kernel.types.get(name, "float32")) for name, access in named)
 
 
 def _compile_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:

@@ -11,6 +11,7 @@ from postfx.kernels import (
     denoise_features,
     denoise_filter,
     denoise_guides,
+    denoise_half,
     denoise_history,
     denoise_layout,
     denoise_prepare,
@@ -28,6 +29,7 @@ KERNELS = (
     denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
     denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
     denoise_restore.JUDGE, denoise_restore.DETAIL, denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE,
+    denoise_half.PACK, denoise_half.OPEN, denoise_half.OPEN_FINE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image",
@@ -47,7 +49,7 @@ class Case(NamedTuple):
         """Value of every symbol in the kernels' shapes."""
         hp, wp = -(-self.h // 16) * 16, -(-self.w // 16) * 16
         return {**self._asdict(), "hp": hp, "wp": wp, "half_hp": hp // 2, "half_wp": wp // 2, "padded_h": self.h + 2,
-                "padded_w": self.w + 2, "channels": 4, "tiles_high": hp // 16, "tiles_wide": wp // 16}
+                "padded_w": self.w + 2, "channels": 4, "wide": 8, "tiles_high": hp // 16, "tiles_wide": wp // 16}
 
     def __str__(self) -> str:
         return f"{self.h}x{self.w}-{self.height}x{self.width}-{self.heads}"
@@ -72,7 +74,11 @@ def arguments(kernel: Kernel, case: Case, seed: int = 0, bad: bool = False) -> d
     for name in set(FRAME) & values.keys() if bad else ():
         flat = values[name].reshape(-1)
         flat[random.integers(0, flat.size, max(1, flat.size // 9))] = random.choice(BAD, max(1, flat.size // 9))
-    return {name: np.ascontiguousarray(value, np.float32) for name, value in values.items()}
+    return {name: np.ascontiguousarray(value, element_type(kernel, name)) for name, value in values.items()}
+
+
+def element_type(kernel: Kernel, binding: str) -> str:
+    return kernel.types.get(binding, "float32")
 
 
 def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Generator) -> np.ndarray:
@@ -83,6 +89,8 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.where(gates < denoise_layout.BLEND, wide, np.where(gates < denoise_layout.MEMORY, unit, 2 * unit - 1))
     if name == "params":
         return np.array([1.7, random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 1.0, 0.8])
+    if name in ("raw", "raw_fine"):
+        return random.normal(0, 4, size)
     if name == "area":
         return np.array([case.h, case.w])
     if name == "rows":
@@ -109,7 +117,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
 def run(kernel: Kernel, device: Device, inputs: Mapping[str, np.ndarray], case: Case) -> dict[str, np.ndarray]:
     """What a kernel writes, on a device."""
     state = device.compute_state(kernel)
-    empty = {name: np.full(shape(kernel, name, case), np.nan, np.float32) for name in kernel.writes}
+    empty = {name: np.full(shape(kernel, name, case), np.nan, element_type(kernel, name)) for name in kernel.writes}
     written = {name: device.wrap(name, array) for name, array in empty.items()}
     read = {name: device.wrap(name, value) for name, value in inputs.items()}
     commands = device.command_buffer(kernel.name)

@@ -10,7 +10,7 @@ from postfx.kernels.denoise_restore import DETAIL, JUDGE, TILE
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
 from tests.kernels import host_cuda, tonemap_cases
-from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, run, shape
+from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, element_type, run, shape
 from tests.kernels.test_denoise_kernels import assert_same
 
 pytestmark = pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
@@ -26,7 +26,7 @@ def compiled() -> Device:
 
 
 def by_cuda(kernel: Kernel, inputs: dict[str, np.ndarray], shapes: dict[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
-    found = {name: np.full(shapes[name], np.nan, np.float32) for name in kernel.writes}
+    found = {name: np.full(shapes[name], np.nan, element_type(kernel, name)) for name in kernel.writes}
     host_cuda.run(kernel, inputs | found)
     return found
 

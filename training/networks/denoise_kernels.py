@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from training.networks import denoise_upscale as step
 from training.networks import ops
 from training.networks.denoise_upscale import Guides, Inputs, State
-from training.networks.trunk import DISTRUST, IMPORTANCE, KERNEL, MEMORY, MIX
+from training.networks.trunk import DISTRUST, FINE, IMPORTANCE, KERNEL, MEMORY, MIX, activated, weights_from
 
 
 def to_image(picture: Tensor) -> Tensor:
@@ -124,6 +124,30 @@ class Remodulate(nn.Module):
         h, w = diffuse_albedo.shape[:2]
         factor = ops.demodulation(to_image(diffuse_albedo), to_image(specular_albedo))
         return F.pad(filtered[None, :, :h, :w] * factor, (1, 1, 1, 1), mode="replicate")[0]
+
+
+class Pack(nn.Module):
+    """planes (1, C, hp, wp) -> packed (1, hp, wp, C and zeros up to a multiple of 8), half precision."""
+
+    def forward(self, planes: Tensor) -> Tensor:
+        return F.pad(planes, (0, 0, 0, 0, 0, -planes.shape[1] % 8)).permute(0, 2, 3, 1).half()
+
+
+class Open(nn.Module):
+    """raw (1, hp, wp, 32), half precision -> heads (1, 26, hp, wp), activated."""
+
+    def forward(self, raw: Tensor) -> Tensor:
+        heads = raw.float().permute(0, 3, 1, 2)
+        return torch.cat((weights_from(heads[:, :KERNEL]), torch.sigmoid(heads[:, KERNEL:KERNEL + 1])), 1)
+
+
+class OpenFine(nn.Module):
+    """raw_fine (1, hp/2, wp/2, 4 * 80), half precision -> fine (1, 80, hp, wp), activated."""
+
+    def forward(self, raw_fine: Tensor) -> Tensor:
+        _, rows, columns, _ = raw_fine.shape
+        phases = raw_fine.float().reshape(1, rows, columns, 2, 2, FINE)
+        return activated(phases.permute(0, 5, 1, 3, 2, 4).reshape(1, FINE, 2 * rows, 2 * columns))
 
 
 class Upsample(nn.Module):

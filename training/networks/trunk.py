@@ -42,6 +42,12 @@ def weights_from(logits: Tensor) -> Tensor:
     return torch.exp(logits.clamp(-8, 8))
 
 
+def activated(fine: Tensor) -> Tensor:
+    """The fine head (N, 80, h, w) from its logits."""
+    return torch.cat((weights_from(fine[:, :BLEND]), torch.sigmoid(fine[:, BLEND:MEMORY]),
+                      torch.tanh(fine[:, MEMORY:])), 1)
+
+
 class Block(nn.Sequential):
     """3x3 convolutions with ReLU, no normalisation: half-precision friendly and cheap everywhere."""
 
@@ -91,6 +97,4 @@ class Trunk(nn.Module):
         return (self._fine(x), *reversed(levels))
 
     def _fine(self, x: Tensor) -> Tensor:
-        fine = F.pixel_shuffle(self.fine(x), 2)
-        return torch.cat((weights_from(fine[:, :BLEND]), torch.sigmoid(fine[:, BLEND:MEMORY]),
-                          torch.tanh(fine[:, MEMORY:])), 1)
+        return activated(F.pixel_shuffle(self.fine(x), 2))

@@ -15,7 +15,7 @@ struct View {
 [[maybe_unused]] const float MAX_COLOUR = 1e4f, TINY = 1e-8f, MAX_COUNT = 32.0f, MAX_DEPTH = 1e10f, MAX_FLOAT = 3e38f;
 // Channels of the fine head, of a filter kernel and of the parameters: postfx/kernels/denoise_layout.py.
 enum { HIDDEN = 8, KERNEL = 25, PHASES = 25, BLEND = 61, SHARPEN = 65 };
-enum { MIX = 69, DISTRUST, IMPORTANCE, MEMORY };
+enum { MIX = 69, DISTRUST, IMPORTANCE, MEMORY, FINE = MEMORY + HIDDEN };
 enum { EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN };
 
 struct Colour {
@@ -76,6 +76,47 @@ __device__ inline Pair& pair(const View& view, size_t index) {
 
 __device__ inline Four& four(const View& view, size_t index) {
     return reinterpret_cast<Four*>(view.at)[index];
+}
+
+// Eight neighbouring numbers in half precision, as their bits, read or written in one transfer.
+struct alignas(16) Halves {
+    unsigned short at[8];
+};
+
+// A tensor in half precision, by eights.
+__device__ inline Halves* halves(const View& view) {
+    return reinterpret_cast<Halves*>(view.at);
+}
+
+#ifdef __CUDACC_RTC__
+__device__ inline float from_half(unsigned short bits) {
+    float value;
+    asm("cvt.f32.f16 %0, %1;" : "=f"(value) : "h"(bits));
+    return value;
+}
+
+__device__ inline unsigned short to_half(float value) {
+    unsigned short bits;
+    asm("cvt.rn.f16.f32 %0, %1;" : "=h"(bits) : "f"(value));
+    return bits;
+}
+#else
+inline float from_half(unsigned short bits) {
+    return __builtin_bit_cast(_Float16, bits);
+}
+
+inline unsigned short to_half(float value) {
+    return __builtin_bit_cast(unsigned short, _Float16(value));
+}
+#endif
+
+// Activations of the network's heads: of filter weights, and of shares.
+__device__ inline float weight_of(float logit) {
+    return expf(fminf(fmaxf(logit, -8.0f), 8.0f));
+}
+
+__device__ inline float gate_of(float logit) {
+    return 1.0f / (1.0f + expf(-logit));
 }
 
 // log2(1 + exposure * x / toe) * scale within [0, 1], as postfx/kernels/shaper.py; params are exposure, toe and scale.

@@ -1,0 +1,77 @@
+"""How one network of the denoised upscaler is dispatched: alone, or in half precision between kernels of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from postfx.kernels import denoise_half, denoise_layout
+from postfx.kernels.kernel import Kernel
+from postfx.runtime import ArgumentTable, CommandBuffer, PipelineState, Tensor
+
+PACKED, RAW = "packed_", "raw_"
+"""Begin the names of inputs and outputs that are in half precision, channels last."""
+CHANNELS = {"features": denoise_layout.FEATURES, "guides": denoise_layout.GUIDES}
+
+
+def seen_by(state: PipelineState) -> dict[str, tuple[int, ...]]:
+    """Shapes of what kernels prepare for a network, by name."""
+    seen = {}
+    for binding in state.bindings:
+        name, size = binding.name.removeprefix(PACKED), binding.shape
+        if binding.access == "read":
+            seen[name] = size if name == binding.name else (1, CHANNELS[name], *size[1:3])
+    return seen
+
+
+def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
+    """Shapes of the activated heads that a network gives, by name."""
+    heads = {}
+    for binding in state.bindings:
+        name, size = binding.name.removeprefix(RAW), binding.shape
+        if binding.access == "write":
+            heads[name] = size if name == binding.name else denoise_half.opened(name, *size[1:3])
+    return heads
+
+
+class Network:
+    """A network that reads `seen` and writes `heads`, both by name; `new` makes what lies between it and them."""
+
+    def __init__(self, state: PipelineState, seen: Mapping[str, Tensor], heads: Mapping[str, Tensor],
+                 new: Callable[[str, tuple[int, ...], str], Tensor]) -> None:
+        made = {b.name: new(b.name, b.shape, b.dtype) for b in state.bindings if b.name.startswith((PACKED, RAW))}
+        self._table = ArgumentTable(state, made)
+        for binding in state.bindings:
+            if binding.name not in made:
+                self._table[binding.name] = (seen | heads)[binding.name]
+        packed = [name for name in made if name.startswith(PACKED)]
+        raw = [name for name in made if name.startswith(RAW)]
+        self._before = [_table(state, denoise_half.PACK, planes=seen[name.removeprefix(PACKED)], packed=made[name])
+                        for name in packed]
+        self._after = [_opener(state, made[name], heads[name.removeprefix(RAW)]) for name in raw]
+
+    def encode(self, commands: CommandBuffer) -> None:
+        """Record the network's run, which waits for the kernels before it."""
+        if self._before:
+            _dispatch(commands, "pack", self._before, ("compute", "machine-learning"))
+        with commands.machine_learning_encoder("network") as encoder:
+            encoder.barrier(after="compute", before="machine-learning")
+            encoder.dispatch_network(self._table.state, self._table)
+        if self._after:
+            _dispatch(commands, "open", self._after, ("compute", "machine-learning"))
+
+
+def _opener(state: PipelineState, raw: Tensor, heads: Tensor) -> ArgumentTable:
+    if raw.name == f"{RAW}fine":
+        return _table(state, denoise_half.OPEN_FINE, raw_fine=raw, fine=heads)
+    return _table(state, denoise_half.OPEN, raw=raw, heads=heads)
+
+
+def _table(state: PipelineState, kernel: Kernel, **tensors: Tensor) -> ArgumentTable:
+    return ArgumentTable(state.device.compute_state(kernel), tensors)
+
+
+def _dispatch(commands: CommandBuffer, label: str, tables: list[ArgumentTable], after: tuple[str, ...]) -> None:
+    with commands.compute_encoder(label) as encoder:
+        encoder.barrier(after=after, before="compute")
+        for table in tables:
+            encoder.dispatch(table.state, table)
