@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
@@ -11,9 +10,9 @@ from typing import TYPE_CHECKING, TypeVar
 from postfx.runtime.capture import Recorder
 from postfx.runtime.encoders import ComputeEncoder, Encoder, MachineLearningEncoder
 from postfx.runtime.errors import CommandError, EncodingError
+from postfx.runtime.execution import Execution
 from postfx.runtime.footprint import Footprint
 from postfx.runtime.records import Dispatch, Record
-from postfx.runtime.session import first_line
 from postfx.runtime.waiting import timed_out
 
 if TYPE_CHECKING:
@@ -37,14 +36,12 @@ class CommandBuffer:
     Attributes:
         label: name in messages, for example 'frame 12'.
         records: dispatches and barriers in order.
-        running: the dispatch that runs now.
     """
 
     def __init__(self, device: Device, label: str) -> None:
         self.device = device
         self.label = label
         self.records: list[Record] = []
-        self.running: Dispatch | None = None
         self._footprint: Footprint | None = None
         self._groups: list[str] = []
         self._encoder: Encoder | None = None
@@ -53,6 +50,7 @@ class CommandBuffer:
         self._error: CommandError | None = None
         self._timings: dict[int, tuple[str, float]] = {}
         self._recorder: Recorder | None = None
+        self._execution: Execution | None = None
         device.hazards.opened(self)
 
     def begin(self, label: str | None = None) -> None:
@@ -141,6 +139,11 @@ class CommandBuffer:
         return self._done.wait(timeout)
 
     @property
+    def running(self) -> Dispatch | None:
+        """The dispatch that runs now; None where all run as a whole."""
+        return None if self._execution is None else self._execution.running
+
+    @property
     def timings(self) -> list[tuple[str, float]]:
         """(label, milliseconds) of every encoder that ran, in order; complete after `wait`."""
         return list(self._timings.values())
@@ -183,55 +186,10 @@ class CommandBuffer:
         return "/".join([*self._groups, label])
 
     def _run(self) -> None:
-        dispatches = self.footprint().dispatches
-        for index, dispatch in enumerate(dispatches):
-            self.running = dispatch
-            first = self._lost_input(dispatch) or self._execute(dispatch)
-            if first is not None:
-                missing = [tensor for left in dispatches[index:] for tensor in left.writes]
-                self.device.hazards.mark_lost(missing, first)
-                if self._recorder is not None:
-                    self._recorder.failed(dispatch, first)
-                break
-        self._synchronise()
-        self.running = None
+        execution = self._execution = Execution(self.device, self.label, self.footprint().dispatches, self._recorder)
+        execution.run()
+        self._error, self._timings = execution.error, execution.timings
+        self._execution = None
         if self._recorder is not None:
             self._recorder.ended()
         self._done.set()
-
-    def _synchronise(self) -> None:
-        """Wait for a GPU, on which commands only were begun so far."""
-        try:
-            self.device.memory.synchronise()
-        except BaseException as error:
-            self._error = self._error or CommandError(f"'{self.label}' failed: {first_line(error)}", self.label)
-
-    def _lost_input(self, dispatch: Dispatch) -> CommandError | None:
-        """The error of the command that should have written what the dispatch reads, if it failed."""
-        for tensor in dispatch.reads:
-            first = self.device.hazards.loss(tensor) if tensor.allocation.lost else None
-            if first is not None:
-                what = f"{dispatch} of '{self.label}' did not run: it reads '{tensor.name}', but {first}"
-                self._error = CommandError(what, dispatch.label)
-                self._error.__cause__ = first
-                return first
-        return None
-
-    def _execute(self, dispatch: Dispatch) -> CommandError | None:
-        """Run the dispatch; returns the error when it fails."""
-        begin = time.perf_counter()
-        try:
-            dispatch.execute()
-        except BaseException as error:  # whatever it is, the waiting host must learn of it
-            self._error = CommandError(f"{dispatch} of '{self.label}' failed: {first_line(error)}", dispatch.label)
-            self._error.__cause__ = error
-            return self._error
-        elapsed = 1e3 * (time.perf_counter() - begin)
-        label, before = self._timings.get(dispatch.encoder, (dispatch.label, 0.0))
-        self._timings[dispatch.encoder] = (label, before + elapsed)
-        for tensor in dispatch.writes:
-            if tensor.allocation.lost:
-                self.device.hazards.mark_found(tensor)
-        if self._recorder is not None:
-            self._recorder.ran(dispatch, elapsed)
-        return None

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from postfx.runtime.cuda_driver import checked, driver
+from postfx.runtime.cuda_graphs import CudaGraphs, Event
 from postfx.runtime.errors import DeviceError, ModelError
 from postfx.runtime.memory import address
 
 if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor
 
+T = TypeVar("T")
 SOURCES = Path(__file__).parents[1] / "kernels" / "cuda"
 PIXELS, ONE_BLOCK = (32, 8), (32, 32)
 """Threads of a block, columns and rows: of kernels with a thread a pixel, and of those that are one block."""
@@ -55,23 +59,39 @@ class CudaMemory:
         self._enter()
         self._stream = self._device.create_stream()
         self.stream = int(self._stream.handle)
+        self._graphs = CudaGraphs(self.stream)
+        self._lock = threading.RLock()
 
     def allocate(self, nbytes: int) -> CudaChunk:
         """A new chunk."""
-        self._enter()
-        return CudaChunk(self._device.allocate(nbytes, stream=self._stream), nbytes)
+        with self._entered():
+            return CudaChunk(self._device.allocate(nbytes, stream=self._stream), nbytes)
 
     def write(self, pointer: int, array: np.ndarray) -> None:
         """Copy a C-contiguous host array to `pointer`, after what the stream has to do."""
-        self._enter()
-        _checked(_driver().cuMemcpyHtoDAsync(pointer, address(array), array.nbytes, self.stream))
-        self._stream.sync()
+        with self._entered():
+            checked(driver().cuMemcpyHtoDAsync(pointer, address(array), array.nbytes, self.stream))
+            self._stream.sync()
 
     def read(self, pointer: int, array: np.ndarray) -> None:
         """Copy from `pointer` into a C-contiguous host array, after what the stream has to do."""
+        with self._entered():
+            checked(driver().cuMemcpyDtoHAsync(address(array), pointer, array.nbytes, self.stream))
+            self._stream.sync()
+
+    def mark(self) -> Event:
+        """This moment on the stream."""
         self._enter()
-        _checked(_driver().cuMemcpyDtoHAsync(address(array), pointer, array.nbytes, self.stream))
-        self._stream.sync()
+        return Event(self.stream, self._graphs.capturing)
+
+    def milliseconds(self, begin: Event, end: Event) -> float:
+        """From one moment to another that have both passed."""
+        return begin.until(end)
+
+    def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
+        """Launch commands as one CUDA graph, see `CudaGraphs.replay`."""
+        with self._entered():
+            return self._graphs.replay(key, kept, enqueue)
 
     def synchronise(self) -> None:
         """Wait until the stream has nothing left to do."""
@@ -89,13 +109,20 @@ class CudaMemory:
         grid = (-(-columns // block[0]), -(-rows // block[1])) if columns else (1, 1)
         views = [View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4])) for tensor in tensors]
         arguments = (ctypes.c_void_p * len(views))(*map(ctypes.addressof, views))
-        launch, handle, stream = _driver().cuLaunchKernel, _driver().CUfunction(int(kernel.handle)), self.stream
+        launch, handle, stream = driver().cuLaunchKernel, driver().CUfunction(int(kernel.handle)), self.stream
 
         def run(held: tuple = (kernel, views)) -> None:  # what the arguments point at lives as long as the function
             self._enter()
-            _checked(launch(handle, *grid, 1, *block, 1, 0, stream, ctypes.addressof(arguments), 0))
+            checked(launch(handle, *grid, 1, *block, 1, 0, stream, ctypes.addressof(arguments), 0))
 
         return run
+
+    @contextmanager
+    def _entered(self) -> Iterator[None]:
+        """Alone on the stream: what others put there while a graph is captured would become a part of it."""
+        with self._lock:
+            self._enter()
+            yield
 
     def _enter(self) -> None:
         """Make the GPU the one that this thread talks to."""
@@ -108,18 +135,6 @@ class CudaMemory:
 def has_source(name: str) -> bool:
     """Whether a kernel is written for CUDA."""
     return (SOURCES / f"{name}.cu").exists()
-
-
-@cache
-def _driver() -> Any:
-    from cuda.bindings import driver
-
-    return driver
-
-
-def _checked(result: tuple) -> None:
-    if int(result[0]):
-        raise DeviceError(f"CUDA: {result[0].name}")
 
 
 @cache

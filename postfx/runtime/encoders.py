@@ -90,7 +90,7 @@ class Encoder:
             raise BindingError(f"'{self.label}': {error}") from None
         accesses = arguments.reads, arguments.writes
         names = self.label, state.command, self.stage, self._number
-        dispatch = Dispatch(*names, *accesses, arguments.execute, state.model)
+        dispatch = Dispatch(*names, *accesses, arguments.execute, state.model, state)
         check_dispatch(dispatch)
         self._record(dispatch)
 

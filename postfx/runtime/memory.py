@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import math
-from typing import Protocol
+import time
+from collections.abc import Callable, Hashable
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+T = TypeVar("T")
 ALIGNMENT = 256
 """Byte alignment of every tensor: a multiple of the cache line and of what GPU copies like."""
 
@@ -40,6 +43,40 @@ class Memory(Protocol):
         """Wait until all that was begun is done."""
         ...
 
+    def mark(self) -> Any:
+        """This moment in the device's work."""
+        ...
+
+    def milliseconds(self, begin: Any, end: Any) -> float:
+        """From one moment to another; both have passed when all that was begun is done."""
+        ...
+
+    def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
+        """Do again as a whole what `enqueue` does command by command, and return what that returns.
+
+        None where it has to be done command by command, and was not done. What `key` identifies has not changed;
+        `kept` lives as long as it may be done again.
+        """
+        ...
+
+
+class Immediate:
+    """Memory on which work is done when its call returns."""
+
+    def synchronise(self) -> None:
+        """Nothing to wait for."""
+
+    def mark(self) -> float:
+        """This moment, seconds."""
+        return time.perf_counter()
+
+    def milliseconds(self, begin: float, end: float) -> float:
+        """From one moment to another."""
+        return 1e3 * (end - begin)
+
+    def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> None:
+        """Nothing is done as a whole."""
+
 
 class HostChunk:
     """A chunk of host memory; pages that are never touched cost nothing."""
@@ -51,7 +88,7 @@ class HostChunk:
         self.nbytes = nbytes
 
 
-class HostMemory:
+class HostMemory(Immediate):
     """Memory that NumPy, compiled kernels and CPU sessions share."""
 
     host_visible = True
@@ -67,9 +104,6 @@ class HostMemory:
     def read(self, pointer: int, array: np.ndarray) -> None:
         """Copy from `pointer` into a C-contiguous array."""
         ctypes.memmove(address(array), pointer, array.nbytes)
-
-    def synchronise(self) -> None:
-        """Nothing to wait for: work is done when its call returns."""
 
 
 def address(array: np.ndarray) -> int:

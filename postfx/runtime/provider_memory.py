@@ -8,7 +8,7 @@ import numpy as np
 import onnxruntime as ort
 
 from postfx.runtime.errors import DeviceError
-from postfx.runtime.memory import address
+from postfx.runtime.memory import Immediate, address
 from postfx.runtime.session import Placement, Session
 
 _COPY = Path(__file__).with_name("copy.onnx")
@@ -23,8 +23,9 @@ class ProviderChunk:
         self.nbytes = nbytes
 
 
-class ProviderMemory:
-    """Memory of `placement`. ONNX Runtime copies between devices where a session's inputs and outputs are bound."""
+class ProviderMemory(Immediate):
+    """Memory of `placement`. ONNX Runtime copies between devices where a session's inputs and outputs are bound, and
+    waits at the end of each run."""
 
     host_visible = False
 
@@ -43,9 +44,6 @@ class ProviderMemory:
     def read(self, pointer: int, array: np.ndarray) -> None:
         """Copy from the device into a C-contiguous host array."""
         self._copy.copy_bytes(self._here(pointer), ("cpu", 0, address(array)), array.nbytes)
-
-    def synchronise(self) -> None:
-        """Nothing to wait for: ONNX Runtime waits at the end of each run."""
 
     def check(self) -> None:
         """Copy a few bytes to the device and back; DeviceError when they come back changed."""

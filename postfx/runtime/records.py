@@ -24,6 +24,7 @@ class Dispatch:
         reads, writes: the tensors that were bound when it was recorded.
         execute: does the work.
         model: file of the network; None for a kernel.
+        state: what runs.
     """
 
     label: str
@@ -34,6 +35,7 @@ class Dispatch:
     writes: tuple[Tensor, ...]
     execute: Callable[[], None]
     model: Path | None = None
+    state: object = None
 
     def __str__(self) -> str:
         return f"'{self.label}' ({self.command})"
