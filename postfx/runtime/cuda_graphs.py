@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any
@@ -25,7 +26,7 @@ class Event:
         return checked(driver().cuEventElapsedTime(self.handle, end.handle))
 
     def __del__(self) -> None:
-        if hasattr(self, "handle"):
+        if hasattr(self, "handle") and not sys.is_finalizing():
             driver().cuEventDestroy(self.handle)
 
 
@@ -45,7 +46,7 @@ class Graph:
         checked(driver().cuGraphLaunch(self._executable, stream))
 
     def __del__(self) -> None:
-        if hasattr(self, "_executable"):
+        if hasattr(self, "_executable") and not sys.is_finalizing():
             driver().cuGraphExecDestroy(self._executable)
 
 
@@ -58,22 +59,22 @@ class CudaGraphs:
 
     def __init__(self, stream: int) -> None:
         self._stream = stream
-        self._graphs: OrderedDict[Hashable, Graph | None] = OrderedDict()
-        self._seen: set[Hashable] = set()
+        self._known: OrderedDict[Hashable, Graph | None] = OrderedDict()  # None: ran, but was not captured
+        self._refused: OrderedDict[Hashable, None] = OrderedDict()
         self.capturing = False
 
     def replay(self, key: Hashable, kept: Any, enqueue: Callable[[], Any]) -> Any:
         """Launch what `enqueue` puts on the stream; returns what it returned, None when it has to run one by one."""
-        if key not in self._seen:
-            self._seen.add(key)
+        if key in self._refused:
             return None
-        if key not in self._graphs:
-            self._graphs[key] = self._capture(enqueue, kept)
-            self._forget()
-        self._graphs.move_to_end(key)
-        graph = self._graphs[key]
+        if key not in self._known:
+            _remember(self._known, key, None)
+            return None
+        graph = self._known[key] or self._capture(enqueue, kept)
         if graph is None:
+            _remember(self._refused, key, None)
             return None
+        _remember(self._known, key, graph)
         graph.launch(self._stream)
         return graph.result
 
@@ -93,8 +94,10 @@ class CudaGraphs:
         graph = Graph(captured, result, kept)
         return graph if result is not None else None
 
-    def _forget(self) -> None:
-        """Drop the graphs that were not used for longest."""
-        while len(self._graphs) > MOST:
-            key, _ = self._graphs.popitem(last=False)
-            self._seen.discard(key)
+
+def _remember(cache: OrderedDict, key: Hashable, value: Any) -> None:
+    """Put an entry last, and drop those that were not used for longest."""
+    cache[key] = value
+    cache.move_to_end(key)
+    while len(cache) > MOST:
+        cache.popitem(last=False)

@@ -105,9 +105,9 @@ def _options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOption
 def _providers(placement: Placement) -> list:
     if placement.provider == "CPUExecutionProvider":
         return ["CPUExecutionProvider"]
-    options = {"device_id": str(placement.index)}
+    options = {"device_id": str(placement.index), "prefer_nhwc": "1", "fuse_conv_bias": "1"}
     if placement.stream:
-        options |= {"user_compute_stream": str(placement.stream), "prefer_nhwc": "1"}
+        options["user_compute_stream"] = str(placement.stream)
     return [(placement.provider, options), "CPUExecutionProvider"]
 
 

@@ -1,0 +1,112 @@
+"""CUDA graphs: when commands are captured and launched. The driver is played, so this runs without a GPU."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from postfx.runtime import DeviceError, cuda_graphs
+from postfx.runtime.cuda_graphs import MOST, CudaGraphs, Event
+
+STREAM = 77
+
+
+class Driver:
+    """The few functions of the driver that graphs take, and what was asked of them."""
+
+    CUstreamCaptureMode = SimpleNamespace(CU_STREAM_CAPTURE_MODE_RELAXED=2)
+    CUevent_record_flags = SimpleNamespace(CU_EVENT_RECORD_EXTERNAL=1)
+
+    def __init__(self) -> None:
+        self.calls: list[tuple] = []
+        self.made = 0
+        self.end_status = 0
+
+    def __getattr__(self, name: str):
+        def call(*arguments: object) -> tuple:
+            self.calls.append((name, *arguments))
+            self.made += 1
+            if name == "cuStreamEndCapture":
+                return self.end_status, self.made
+            return (0, self.made) if name in ("cuGraphInstantiate", "cuEventCreate", "cuEventElapsedTime") else (0,)
+
+        return call
+
+    def count(self, name: str) -> int:
+        return sum(call[0] == name for call in self.calls)
+
+
+@pytest.fixture
+def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
+    played = Driver()
+    monkeypatch.setattr(cuda_graphs, "driver", lambda: played)
+    return played
+
+
+def test_captured_the_second_time_and_launched_from_then_on(driver: Driver) -> None:
+    graphs, runs = CudaGraphs(STREAM), []
+    replay = lambda: graphs.replay("frame", "states", lambda: runs.append(graphs.capturing) or len(runs))  # noqa: E731
+    assert replay() is None and not runs and not driver.calls
+    assert replay() == 1 and runs == [True]
+    assert replay() == 1 and replay() == 1
+    assert runs == [True], "what was captured is not recorded again"
+    assert driver.count("cuGraphLaunch") == 3 and driver.count("cuStreamBeginCapture") == 1
+    assert not graphs.capturing
+
+
+def test_each_set_of_commands_has_its_own(driver: Driver) -> None:
+    graphs = CudaGraphs(STREAM)
+    for _ in range(3):
+        for key in ("even", "odd"):
+            graphs.replay(key, None, lambda key=key: key)
+    assert [graphs.replay(key, None, list) for key in ("even", "odd")] == ["even", "odd"]
+    assert driver.count("cuGraphInstantiate") == 2
+
+
+def test_what_cannot_be_captured_runs_one_by_one(driver: Driver) -> None:
+    graphs = CudaGraphs(STREAM)
+
+    def enqueue() -> None:
+        raise RuntimeError("operation not permitted when stream is capturing")
+
+    assert [graphs.replay("frame", None, enqueue) for _ in range(4)] == [None] * 4
+    assert driver.count("cuStreamBeginCapture") == 1 and driver.count("cuGraphLaunch") == 0
+    assert driver.count("cuStreamEndCapture") == 1, "the stream has to leave its capture"
+    assert not graphs.capturing
+
+
+def test_a_capture_that_the_driver_gave_up(driver: Driver) -> None:
+    graphs, driver.end_status = CudaGraphs(STREAM), 901
+    assert [graphs.replay("frame", None, lambda: "done") for _ in range(3)] == [None] * 3
+    assert driver.count("cuGraphInstantiate") == 0
+
+
+def test_graphs_of_long_ago_are_dropped_and_made_anew(driver: Driver) -> None:
+    graphs = CudaGraphs(STREAM)
+    for key in range(MOST + 1):
+        graphs.replay(key, None, lambda: True)
+        graphs.replay(key, None, lambda: True)
+    assert driver.count("cuGraphExecDestroy") == 1
+    assert graphs.replay(1, None, list) is True
+    assert graphs.replay(0, None, lambda: True) is None
+
+
+def test_events_are_part_of_a_graph_while_one_is_captured(driver: Driver) -> None:
+    first, second = Event(STREAM, captured=False), Event(STREAM, captured=True)
+    flags = [call[3] for call in driver.calls if call[0] == "cuEventRecordWithFlags"]
+    assert flags == [0, 1]
+    assert first.until(second) > 0
+    del first, second
+    assert driver.count("cuEventDestroy") == 2
+
+
+def test_errors_of_the_driver_are_named(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Status(int):
+        name = "CUDA_ERROR_OUT_OF_MEMORY"
+
+    graphs = CudaGraphs(STREAM)
+    graphs.replay("frame", None, list)
+    monkeypatch.setattr(driver, "cuStreamBeginCapture", lambda *rest: (Status(2),), raising=False)
+    with pytest.raises(DeviceError, match="CUDA: CUDA_ERROR_OUT_OF_MEMORY"):
+        graphs.replay("frame", None, list)
