@@ -107,7 +107,8 @@ class Device:
         Raises ModelError when the model is missing, damaged or cannot run here, or a dimension is left free.
         """
         fixed = {key: int(size) for key, size in (dims or {}).items()}
-        session = Session(library.load(name), name, self._placement, fixed, library.path(name).parent)
+        exclusive = self._placement.stream != 0
+        session = Session(library.load(name), name, self._placement, fixed, library.path(name).parent, exclusive)
         for value in (*session.inputs, *session.outputs):
             free = [str(size or "?") for size in value.shape if not isinstance(size, int)]
             if free:

@@ -37,17 +37,23 @@ class Value(NamedTuple):
 
 
 class Session:
-    """One model ready to run, specialised for `dims` (free dimension name -> size); `folder` has files it refers to."""
+    """One model ready to run, specialised for `dims` (free dimension name -> size); `folder` has files it refers to.
+
+    An `exclusive` one runs on its provider alone: no node of it may fall back to the CPU.
+    """
 
     def __init__(
-        self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int], folder: Path | None = None
+        self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int], folder: Path | None = None,
+        exclusive: bool = False,
     ) -> None:
         _register_shared_arena()
         options = _options(placement, dims)
+        if exclusive:
+            options.add_session_config_entry("session.disable_cpu_ep_fallback", "1")
         if folder is not None:
             options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(folder))
         try:
-            self._session = ort.InferenceSession(model, options, providers=_providers(placement))
+            self._session = ort.InferenceSession(model, options, providers=_providers(placement, exclusive))
         except Exception as error:
             raise ModelError(f"model '{name}' cannot be made ready: {first_line(error)}") from error
         if self._session.get_providers()[0] != placement.provider:
@@ -102,13 +108,13 @@ def _options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOption
     return options
 
 
-def _providers(placement: Placement) -> list:
+def _providers(placement: Placement, exclusive: bool) -> list:
     if placement.provider == "CPUExecutionProvider":
         return ["CPUExecutionProvider"]
     options = {"device_id": str(placement.index), "prefer_nhwc": "1", "fuse_conv_bias": "1"}
     if placement.stream:
         options["user_compute_stream"] = str(placement.stream)
-    return [(placement.provider, options), "CPUExecutionProvider"]
+    return [(placement.provider, options)] + ["CPUExecutionProvider"] * (not exclusive)
 
 
 def _value(item: ort.NodeArg) -> Value:
