@@ -1,10 +1,12 @@
 """Time the whole pass chain against Open Image Denoise, in turn, in one run.
 
-python samples/compare_speed.py [--width 960] [--height 540] [--runs 5] [--models m,s]
+    python samples/compare_speed.py [--width 960] [--height 540] [--runs 5] [--models m,s]
+    python samples/compare_speed.py --device cuda --runs 50 --models s,m
 
-It needs pip install 'postfx[bench]'. postfx turns noisy frames of the given size into twice as large, tone-mapped ones.
-OIDN (high quality, clean albedo and normal) denoises a frame of the same size and one of the output's size. Prints
-medians, spread and ratios.
+It needs pip install 'postfx[bench]', on a GPU also PyTorch with CUDA. postfx turns noisy frames of the given size into
+twice as large, tone-mapped ones. OIDN (clean albedo and normal) denoises a frame of the same size and one of the
+output's size. Prints medians, spread and ratios. On the CPU times are those of whole calls. On a GPU they are the
+device's own, between its first and last command: all planes lie there for both, and nothing is copied.
 """
 import argparse
 import resource
@@ -15,9 +17,9 @@ import numpy as np
 
 import postfx
 from postfx.frame import ROLES
+from postfx.runtime import Device
 
 PLANES = ("colour", "depth", "motion", "normal", "diffuse_albedo", "specular_albedo", "roughness")
-OTHER = "OIDN high, render size"
 
 
 def noisy_frame(width: int, height: int) -> postfx.Frame:
@@ -28,20 +30,46 @@ def noisy_frame(width: int, height: int) -> postfx.Frame:
     return postfx.Frame({postfx.Role(role): plane for role, plane in planes.items()}, jitter=(0.25, -0.25))
 
 
-def oidn(frame: postfx.Frame, scale: int) -> float:
+def oidn_on_cpu(frame: postfx.Frame, scale: int, quality: str) -> float:
+    """Milliseconds of a call."""
     import pyoidn
 
-    planes = [np.ascontiguousarray(np.tile(frame[role], (scale, scale, 1)))
-              for role in (postfx.Role.COLOUR, postfx.Role.DIFFUSE_ALBEDO, postfx.Role.NORMAL)]
+    planes = oidn_planes(frame, scale)
     began = time.perf_counter()
-    pyoidn.denoise(planes[0], albedo=planes[1], normal=planes[2], hdr=True, clean_aux=True, quality="high")
-    return time.perf_counter() - began
+    pyoidn.denoise(planes[0], albedo=planes[1], normal=planes[2], hdr=True, clean_aux=True, quality=quality)
+    return 1e3 * (time.perf_counter() - began)
+
+
+def oidn_on_gpu(frame: postfx.Frame, scale: int, quality: str) -> float:
+    """Milliseconds on the current stream."""
+    import pyoidn
+    import torch
+
+    planes = [torch.from_numpy(plane).cuda() for plane in oidn_planes(frame, scale)]
+    begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+    for _ in range(2):  # the first call at another size makes the filter anew
+        begin.record()
+        pyoidn.denoise(planes[0], albedo=planes[1], normal=planes[2], hdr=True, clean_aux=True, quality=quality)
+        end.record()
+    torch.cuda.synchronize()
+    return begin.elapsed_time(end)
+
+
+def oidn_planes(frame: postfx.Frame, scale: int) -> list[np.ndarray]:
+    return [np.ascontiguousarray(np.tile(frame[role], (scale, scale, 1)))
+            for role in (postfx.Role.COLOUR, postfx.Role.DIFFUSE_ALBEDO, postfx.Role.NORMAL)]
 
 
 def timed(chain: postfx.Pipeline, frame: postfx.Frame) -> float:
+    """Milliseconds of a call on the CPU, of its commands on a GPU."""
     began = time.perf_counter()
     chain(frame)
-    return time.perf_counter() - began
+    called = 1e3 * (time.perf_counter() - began)
+    return called if chain.device.memory.host_visible else sum(chain.timings.values())
+
+
+def shown(milliseconds: float) -> str:
+    return f"{milliseconds:.0f}" if milliseconds >= 100 else f"{milliseconds:.2f}"
 
 
 def main() -> None:
@@ -50,26 +78,32 @@ def main() -> None:
     parser.add_argument("--height", type=int, default=540)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--models", default="m.fp32,m,s", help="tags of networks, comma-separated")
+    parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
+    parser.add_argument("--quality", default="high", help="of OIDN: high (default), balanced, fast; comma-separated")
     args = parser.parse_args()
-    frame = noisy_frame(args.width, args.height)
-    chains = {f"postfx {tag}": postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=tag), postfx.ToneMap()])
+    frame, device = noisy_frame(args.width, args.height), Device(args.device)
+    chains = {f"postfx {tag}": postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=tag), postfx.ToneMap()], device)
               for tag in args.models.split(",")}
-    for chain in 2 * list(chains.values()):
+    for chain in 4 * list(chains.values()):
         timed(chain, frame)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     ways = {name: lambda chain=chain: timed(chain, frame) for name, chain in chains.items()}
-    ways |= {OTHER: lambda: oidn(frame, 1), "OIDN high, output size": lambda: oidn(frame, 2)}
-    seconds = {name: [] for name in ways}
+    oidn = oidn_on_cpu if device.memory.host_visible else oidn_on_gpu
+    for quality in args.quality.split(","):
+        for scale, size in ((1, "render size"), (2, "output size")):
+            ways[f"OIDN {quality}, {size}"] = lambda scale=scale, quality=quality: oidn(frame, scale, quality)
+    found = {name: [] for name in ways}
     for _ in range(args.runs):
         for name, way in ways.items():
-            seconds[name].append(way())
-    other = statistics.median(seconds[OTHER])
-    for name, found in seconds.items():
-        middle = statistics.median(found)
-        print(f"{name:24} median {1000 * middle:7.0f} ms  ({1000 * min(found):.0f} to {1000 * max(found):.0f})  "
-              f"{middle / other:.2f}x of {OTHER}")
+            found[name].append(way())
+    first = next(name for name in ways if name.startswith("OIDN"))
+    other = statistics.median(found[first])
+    for name, times in found.items():
+        middle = statistics.median(times)
+        print(f"{name:28} median {shown(middle):>7} ms  ({shown(min(times))} to {shown(max(times))})  "
+              f"{middle / other:.2f}x of {first}")
     for name, chain in chains.items():
-        print(name, {part: f"{ms:.0f} ms" for part, ms in chain.timings.items()})
+        print(name, {part: f"{shown(ms)} ms" for part, ms in chain.timings.items()})
     print(f"peak memory of postfx, all of these models ready, {peak:.0f} MB")
 
 
