@@ -62,8 +62,9 @@ class Pipeline:
         guides = {role: self.device.wrap(f"guide {role}", frame.guides[role]) for role in plan.guides}
         resident = _resident(frame, plan.input, inputs, guides, self.exposure)
         try:
-            self._run(plan, resident)
-            return _finished(frame, plan, resident, inputs)
+            with self.device.results_lock:  # the next commit may take the memory of the results
+                self._run(plan, resident)
+                return _finished(frame, plan, resident, inputs)
         except BaseException:
             self._reset_passes()
             raise
@@ -106,6 +107,7 @@ class Pipeline:
         try:
             for step in plan.steps:
                 _encode(step, commands, resident)
+            commands.keep(*resident.tensors.values())
             commands.commit()
         finally:
             commands.discard()

@@ -13,14 +13,24 @@ _BIND = "set table['name'] = tensor"
 
 
 class Arguments:
-    """A complete, unchanging set of tensors for a state, ready to run."""
+    """A complete, unchanging set of tensors for a state; `execute` runs it, and is None while some have no memory."""
 
     def __init__(self, state: State, tensors: tuple[Tensor, ...]) -> None:
         pairs = list(zip(state.bindings, tensors, strict=True))
         self.state = state
+        self.tensors = tensors
         self.reads = tuple(tensor for binding, tensor in pairs if binding.access == "read")
         self.writes = tuple(tensor for binding, tensor in pairs if binding.access == "write")
-        self.execute: Callable[[], None] = state.prepare(tensors)
+        unplaced = any(tensor.allocation.unplaced for tensor in tensors)
+        self.execute: Callable[[], None] | None = None if unplaced else state.prepare(tensors)
+        self._placed: Arguments | None = None
+
+    def placed(self) -> Arguments:
+        """The same on the memory that transient tensors have now; made anew only when that has changed."""
+        tensors = tuple(tensor.resident() for tensor in self.tensors)
+        if self._placed is None or self._placed.tensors != tensors:
+            self._placed = Arguments(self.state, tensors)
+        return self._placed
 
 
 class ArgumentTable:

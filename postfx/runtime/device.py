@@ -44,6 +44,9 @@ class Device:
         kernels: library of the portable definitions; default: the `kernels` folder of the models that come with
             postfx.
 
+    Attributes:
+        results_lock: to hold from commit until the host has read transient results, where several threads commit.
+
     Raises DeviceError when the device is not available or an option does not fit it.
     """
 
@@ -64,6 +67,7 @@ class Device:
         self._compute_states: dict[Kernel, State] = {}
         self._encoders = itertools.count()
         self.commit_lock = threading.Lock()
+        self.results_lock = threading.Lock()
         self.active_capture: Capture | None = None
         self.hazards = Hazards()
         self.heap = Heap(self, self.memory)

@@ -1,0 +1,179 @@
+"""The arena: bytes that transient tensors share, placed by what a command buffer recorded.
+
+A transient tensor has no memory while commands are recorded. At commit, the buffer's records tell when each is used,
+the plan for such records gives each an offset, and the records are handed on with tensors in the arena's memory.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Collection, Iterable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from postfx.runtime.memory import ALIGNMENT
+from postfx.runtime.memory_plan import Plan, Uses, make_plan
+from postfx.runtime.ranges import Ranges
+from postfx.runtime.records import Dispatch, Record
+from postfx.runtime.tensor import Allocation, Tensor, size_in_bytes
+
+if TYPE_CHECKING:
+    from postfx.runtime.device import Device
+
+_NOWHERE = 1 << 62
+"""Transient tensors have addresses from here on until they are placed: no memory has them, and no two share one."""
+
+
+class Transient(Allocation):
+    """Stands for memory that a tensor will have when a buffer that uses it is committed.
+
+    Attributes:
+        placed: the memory that it had in the last such buffer.
+        taken: name of the tensor that the memory went to within that buffer, if it did.
+        turn: which of the arena's placements that was.
+    """
+
+    unplaced = True
+
+    def __init__(self, name: str, pointer: int, nbytes: int) -> None:
+        super().__init__(name, pointer, nbytes, owner=None, transient=True)
+        self.taken: str | None = None
+        self.turn = 0
+
+    def release(self) -> None:
+        """Every tensor that looks at it becomes unusable; its memory is the arena's."""
+        super().release()
+        if self.placed is not None:
+            self.placed.release()
+
+    def at(self, memory: Tensor, offset: int) -> Allocation:
+        """It, placed; the same object as the last time when the place is the same."""
+        pointer = memory.start + offset
+        if self.placed is None or self.placed.owner is not memory or self.placed.pointer != pointer:
+            placed = Allocation(self.name, pointer, self.nbytes, owner=memory, transient=True)
+            placed.released = self.released
+            return placed
+        return self.placed
+
+
+class Placement(NamedTuple):
+    """A buffer's records with every transient tensor in its place, and which memory each of them has there."""
+
+    records: list[Record]
+    plan: Plan
+    memory: Tensor
+    places: list[tuple[Transient, Allocation]]
+
+
+class Arena:
+    """Memory that the transient tensors of all command buffers share, one buffer after the other.
+
+    The memory lives as long as a tensor that was placed in it, and is replaced when a plan needs more.
+
+    Attributes:
+        plan: the plan of the last placement, None before the first.
+        plans: how many plans were made so far.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._plans: dict[tuple, Plan] = {}
+        self._memory: weakref.ref[Tensor] | None = None
+        self._next = _NOWHERE
+        self._turn = 0
+        self._label = ""
+        self.plan: Plan | None = None
+        self.plans = 0
+
+    def tensor(self, name: str, shape: tuple[int, ...], dtype: str) -> Tensor:
+        """See `Heap.transient`."""
+        nbytes = -(-max(1, size_in_bytes(shape, dtype)) // ALIGNMENT) * ALIGNMENT
+        allocation = Transient(name, self._next, nbytes)
+        self._next += nbytes
+        return Tensor(self._device, name, shape, dtype, allocation)
+
+    def place(
+        self, records: Sequence[Record], kept: Collection[Allocation], before: Placement | None, label: str
+    ) -> Placement | None:
+        """Give the transient tensors of a buffer that is committed their memory; None when it has none.
+
+        Args:
+            records: as recorded, or as placed before.
+            kept: what the host reads when the buffer is done.
+            before: the placement of the same records at their last commit; it is used again where it can be.
+            label: what messages call the buffer.
+        """
+        if not any(isinstance(record, Dispatch) and record.arguments for record in records):
+            return None
+        if before is None or before.memory is not self._held():
+            before = self._new(records, kept)
+        self._turn, self._label, self.plan = self._turn + 1, label, before.plan
+        for (transient, allocation), taker in zip(before.places, before.plan.takers, strict=True):
+            allocation.written = Ranges()
+            transient.placed, transient.turn = allocation, self._turn
+            transient.taken = None if taker is None else before.places[taker][0].name
+        return before
+
+    def gone(self, transient: Transient) -> str | None:
+        """Why a transient tensor holds nothing any more, as a clause; None while its content is there."""
+        if transient.turn and transient.turn < self._turn:
+            return f"'{self._label}' was committed since: read it before, or make it by heap.tensor"
+        mend = "name it to commands.keep"
+        return transient.taken and f"'{transient.taken}' took its memory later in '{self._label}': {mend}"
+
+    def _new(self, records: Sequence[Record], kept: Collection[Allocation]) -> Placement:
+        uses, transients = _uses(records)
+        plan = self._plan(records, uses, [number for number, item in enumerate(transients) if item in kept], transients)
+        memory = self._memory_for(plan.nbytes)
+        places = [(item, item.at(memory, start)) for item, start in zip(transients, plan.offsets, strict=True)]
+        for transient, allocation in places:
+            transient.placed = allocation
+        return Placement([_placed(record) for record in records], plan, memory, places)
+
+    def _plan(self, records: Sequence[Record], uses: Uses, kept: list[int], transients: list[Transient]) -> Plan:
+        """The plan of all buffers with such records: made for the first of them."""
+        sizes = tuple(transient.nbytes for transient in transients)
+        key = (sizes, uses, tuple(kept), _order(records))
+        if key not in self._plans:
+            self._plans[key] = make_plan(sizes, uses, kept, records)
+            self.plans += 1
+        return self._plans[key]
+
+    def _memory_for(self, nbytes: int) -> Tensor:
+        memory = self._held()
+        if memory is None or memory.nbytes < nbytes:
+            memory = self._device.heap.tensor("arena", (nbytes,), "uint8")
+            self._memory = weakref.ref(memory)
+        return memory
+
+    def _held(self) -> Tensor | None:
+        return None if self._memory is None else self._memory()
+
+
+def _uses(records: Iterable[Record]) -> tuple[Uses, list[Transient]]:
+    """The transient tensors in the order of their first use, and for every dispatch the numbers of those it uses."""
+    numbers: dict[Transient, int] = {}
+    uses = []
+    for record in records:
+        if isinstance(record, Dispatch):
+            tensors = record.arguments.tensors if record.arguments else ()
+            used = dict.fromkeys(tensor.allocation for tensor in tensors if tensor.allocation.unplaced)
+            uses.append(tuple(numbers.setdefault(allocation, len(numbers)) for allocation in used))
+    return tuple(uses), list(numbers)
+
+
+def _order(records: Sequence[Record]) -> tuple:
+    """What tells the order of dispatches: encoders, numbered from the first, with stages and barriers."""
+    first = records[0].encoder
+    return tuple(
+        (record.encoder - first, record.stage) if isinstance(record, Dispatch)
+        else (record.encoder - first, type(record), getattr(record, "after", None), getattr(record, "before", None))
+        for record in records
+    )
+
+
+def _placed(record: Record) -> Record:
+    if not isinstance(record, Dispatch) or record.arguments is None:
+        return record
+    placed = record.arguments.placed()
+    names = (record.label, record.command, record.stage, record.encoder)
+    return Dispatch(*names, placed.reads, placed.writes, placed.execute, record.model, record.state, record.arguments)
