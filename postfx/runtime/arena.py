@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from postfx.runtime.memory import ALIGNMENT
-from postfx.runtime.memory_plan import Plan, Uses, make_plan
+from postfx.runtime.memory_plan import Plan, Present, Uses, make_plan
 from postfx.runtime.ranges import Ranges
 from postfx.runtime.records import Dispatch, Record
 from postfx.runtime.tensor import Allocation, Tensor, size_in_bytes
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 _NOWHERE = 1 << 62
 """Transient tensors have addresses from here on until they are placed: no memory has them, and no two share one."""
+
+MOST_PLANS = 64
+"""Plans that are remembered; the one used longest ago goes first."""
 
 
 class Transient(Allocation):
@@ -133,10 +136,22 @@ class Arena:
         """The plan of all buffers with such records: made for the first of them."""
         sizes = tuple(transient.nbytes for transient in transients)
         key = (sizes, uses, tuple(kept), _order(records))
-        if key not in self._plans:
-            self._plans[key] = make_plan(sizes, uses, kept, records)
+        plan = self._plans.pop(key, None)
+        if plan is None:
+            plan = make_plan(sizes, uses, kept, records, self._present(transients))
             self.plans += 1
-        return self._plans[key]
+        self._plans[key] = plan  # the last is the one used last
+        if len(self._plans) > MOST_PLANS:
+            del self._plans[next(iter(self._plans))]
+        return plan
+
+    def _present(self, transients: Iterable[Transient]) -> Present | None:
+        """Where the tensors lie now, so that addresses change as little as they can."""
+        memory = self._held()
+        if memory is None:
+            return None
+        places = (item.placed for item in transients)
+        return Present(memory.nbytes, [p.pointer - memory.start if p and p.owner is memory else -1 for p in places])
 
     def _memory_for(self, nbytes: int) -> Tensor:
         memory = self._held()
@@ -162,13 +177,15 @@ def _uses(records: Iterable[Record]) -> tuple[Uses, list[Transient]]:
 
 
 def _order(records: Sequence[Record]) -> tuple:
-    """What tells the order of dispatches: encoders, numbered from the first, with stages and barriers."""
-    first = records[0].encoder
-    return tuple(
-        (record.encoder - first, record.stage) if isinstance(record, Dispatch)
-        else (record.encoder - first, type(record), getattr(record, "after", None), getattr(record, "before", None))
-        for record in records
-    )
+    """What tells the order of dispatches: encoders, numbered as they come, with stages and barriers."""
+    numbers: dict[int, int] = {}
+    return tuple((numbers.setdefault(record.encoder, len(numbers)), *_ordering(record)) for record in records)
+
+
+def _ordering(record: Record) -> tuple:
+    if isinstance(record, Dispatch):
+        return (record.stage,)
+    return type(record), getattr(record, "after", None), getattr(record, "before", None)
 
 
 def _placed(record: Record) -> Record:

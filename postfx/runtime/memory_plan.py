@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from postfx.runtime.ordering import predecessors
 from postfx.runtime.records import Record
@@ -36,7 +37,16 @@ class Plan:
         return f"{sizes}, {over:.1f} % over the bound {_megabytes(self.bound)}"
 
 
-def make_plan(sizes: Sequence[int], uses: Uses, kept: Iterable[int], records: Iterable[Record]) -> Plan:
+class Present(NamedTuple):
+    """Memory that there is, and where in it the tensors lie already: offsets, or -1."""
+
+    nbytes: int
+    offsets: Sequence[int]
+
+
+def make_plan(
+    sizes: Sequence[int], uses: Uses, kept: Iterable[int], records: Iterable[Record], present: Present | None = None
+) -> Plan:
     """Place tensors of these sizes. Those used by commands in no certain order never share a byte.
 
     Several orders of placing are tried, and the one that needs the least memory is taken.
@@ -44,6 +54,7 @@ def make_plan(sizes: Sequence[int], uses: Uses, kept: Iterable[int], records: It
     Args:
         kept: numbers of tensors whose content is to be there after the last dispatch.
         records: the dispatches of `uses`, and the barriers.
+        present: tensors stay where they are if that is allowed and the memory holds the others, too.
     """
     users = _users([*uses, tuple(kept)], len(sizes))
     before = _before(users, [*predecessors(records), (1 << len(uses)) - 1])
@@ -55,7 +66,10 @@ def make_plan(sizes: Sequence[int], uses: Uses, kept: Iterable[int], records: It
         sorted(range(len(sizes)), key=lambda i: -sizes[i] * (spans[i][1] - spans[i][0])),
         sorted(range(len(sizes)), key=lambda i: (spans[i][0], -sizes[i])),
     )
-    offsets = min((_place(order, sizes, apart) for order in orders), key=lambda offsets: _end(offsets, sizes))
+    offsets = _settled(present, sizes, apart) if present else None
+    if offsets is None:
+        tried = [_place(order, sizes, apart, [-1] * len(sizes)) for order in orders]
+        offsets = min(tried, key=lambda offsets: _end(offsets, sizes))
     by_time = sorted(range(len(sizes)), key=lambda i: spans[i])
     takers = tuple(next(_takers(i, by_time, offsets, sizes, before), None) for i in range(len(sizes)))
     return Plan(tuple(offsets), _end(offsets, sizes), _bound(spans, sizes), sum(sizes), takers)
@@ -85,9 +99,20 @@ def _ordered(before: Sequence[int], one: int, other: int) -> bool:
     return one == other or bool(before[one] >> other & 1 or before[other] >> one & 1)
 
 
-def _place(order: Iterable[int], sizes: Sequence[int], apart: Sequence[Sequence[int]]) -> list[int]:
+def _settled(present: Present, sizes: Sequence[int], apart: Sequence[Sequence[int]]) -> list[int] | None:
+    """Offsets that leave tensors where they are; None when they must not lie there or the others find no room."""
+    lying = [item for item, offset in enumerate(present.offsets) if offset >= 0]
+    if any(_touch(item, other, present.offsets, sizes) for item in lying for other in apart[item]):
+        return None
+    others = sorted(set(range(len(sizes))).difference(lying), key=lambda i: -sizes[i])
+    offsets = _place(others, sizes, apart, list(present.offsets))
+    return offsets if _end(offsets, sizes) <= present.nbytes else None
+
+
+def _place(
+    order: Iterable[int], sizes: Sequence[int], apart: Sequence[Sequence[int]], offsets: list[int]
+) -> list[int]:
     """Put each tensor into the smallest gap that holds it, between those placed already that it must not touch."""
-    offsets = [-1] * len(sizes)
     for item in order:
         taken = sorted((offsets[other], offsets[other] + sizes[other]) for other in apart[item] if offsets[other] >= 0)
         gaps, end = [], 0
@@ -102,9 +127,13 @@ def _place(order: Iterable[int], sizes: Sequence[int], apart: Sequence[Sequence[
 def _takers(
     item: int, by_time: Iterable[int], offsets: Sequence[int], sizes: Sequence[int], before: Sequence[int]
 ) -> Iterator[int]:
-    start, end = offsets[item], offsets[item] + sizes[item]
-    later = (i for i in by_time if before[i] >> item & 1)
-    return (i for i in later if offsets[i] < end and start < offsets[i] + sizes[i])
+    return (i for i in by_time if before[i] >> item & 1 and _touch(item, i, offsets, sizes))
+
+
+def _touch(one: int, other: int, offsets: Sequence[int], sizes: Sequence[int]) -> bool:
+    """Whether two tensors share a byte; those with no place share none."""
+    first, second = offsets[one], offsets[other]
+    return min(first, second) >= 0 and first < second + sizes[other] and second < first + sizes[one]
 
 
 def _bound(spans: Sequence[tuple[int, int]], sizes: Sequence[int]) -> int:
