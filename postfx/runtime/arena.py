@@ -6,6 +6,7 @@ the plan for such records gives each an offset, and the records are handed on wi
 
 from __future__ import annotations
 
+import itertools
 import weakref
 from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,14 +14,14 @@ from typing import TYPE_CHECKING, NamedTuple
 from postfx.runtime.memory import ALIGNMENT
 from postfx.runtime.memory_plan import Plan, Present, Uses, make_plan
 from postfx.runtime.ranges import Ranges
-from postfx.runtime.records import Dispatch, Record
+from postfx.runtime.records import Dispatch, EncoderBarrier, Record
 from postfx.runtime.tensor import Allocation, Tensor, size_in_bytes
 
 if TYPE_CHECKING:
     from postfx.runtime.device import Device
 
 _NOWHERE = 1 << 62
-"""Transient tensors have addresses from here on until they are placed: no memory has them, and no two share one."""
+"""Transient tensors have addresses that are multiples of this until they are placed: no memory has them."""
 
 MOST_PLANS = 64
 """Plans that are remembered; the one used longest ago goes first."""
@@ -81,7 +82,7 @@ class Arena:
         self._device = device
         self._plans: dict[tuple, Plan] = {}
         self._memory: weakref.ref[Tensor] | None = None
-        self._next = _NOWHERE
+        self._numbers = itertools.count(1)
         self._turn = 0
         self._label = ""
         self.plan: Plan | None = None
@@ -90,9 +91,7 @@ class Arena:
     def tensor(self, name: str, shape: tuple[int, ...], dtype: str) -> Tensor:
         """See `Heap.transient`."""
         nbytes = -(-max(1, size_in_bytes(shape, dtype)) // ALIGNMENT) * ALIGNMENT
-        allocation = Transient(name, self._next, nbytes)
-        self._next += nbytes
-        return Tensor(self._device, name, shape, dtype, allocation)
+        return Tensor(self._device, name, shape, dtype, Transient(name, next(self._numbers) * _NOWHERE, nbytes))
 
     def place(
         self, records: Sequence[Record], kept: Collection[Allocation], before: Placement | None, label: str
@@ -167,13 +166,10 @@ class Arena:
 def _uses(records: Iterable[Record]) -> tuple[Uses, list[Transient]]:
     """The transient tensors in the order of their first use, and for every dispatch the numbers of those it uses."""
     numbers: dict[Transient, int] = {}
-    uses = []
-    for record in records:
-        if isinstance(record, Dispatch):
-            tensors = record.arguments.tensors if record.arguments else ()
-            used = dict.fromkeys(tensor.allocation for tensor in tensors if tensor.allocation.unplaced)
-            uses.append(tuple(numbers.setdefault(allocation, len(numbers)) for allocation in used))
-    return tuple(uses), list(numbers)
+    dispatches = [record for record in records if isinstance(record, Dispatch)]
+    used = (dispatch.arguments.transients if dispatch.arguments else () for dispatch in dispatches)
+    uses = tuple([tuple([numbers.setdefault(item, len(numbers)) for item in items]) for items in used])
+    return uses, list(numbers)
 
 
 def _order(records: Sequence[Record]) -> tuple:
@@ -185,7 +181,7 @@ def _order(records: Sequence[Record]) -> tuple:
 def _ordering(record: Record) -> tuple:
     if isinstance(record, Dispatch):
         return (record.stage,)
-    return type(record), getattr(record, "after", None), getattr(record, "before", None)
+    return (type(record),) if isinstance(record, EncoderBarrier) else (type(record), record.after, record.before)
 
 
 def _placed(record: Record) -> Record:
