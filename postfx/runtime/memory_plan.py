@@ -20,7 +20,8 @@ class Plan:
     Attributes:
         offsets: of each tensor, bytes.
         nbytes: memory that they need together.
-        bound: largest sum of sizes in use at once; no plan needs less.
+        bound: largest sum of sizes in use at once, as far as commands recorded one after the other may run at once; no
+            plan needs less.
         total: what they would need without sharing.
         takers: of each tensor, the number of one that takes some of its bytes later, or None.
     """
@@ -57,7 +58,8 @@ def make_plan(
         present: tensors stay where they are if that is allowed and the memory holds the others, too.
     """
     users = _users([*uses, tuple(kept)], len(sizes))
-    before = _before(users, [*predecessors(records), (1 << len(uses)) - 1])
+    earlier = [*predecessors(records), (1 << len(uses)) - 1]
+    before = _before(users, earlier)
     apart = [[other for other in range(len(sizes)) if not _ordered(before, item, other)] for item in range(len(sizes))]
     spans = [(_first(mask), mask.bit_length()) for mask in users]
     orders = (
@@ -72,7 +74,7 @@ def make_plan(
         offsets = min(tried, key=lambda offsets: _end(offsets, sizes))
     by_time = sorted(range(len(sizes)), key=lambda i: spans[i])
     takers = tuple(next(_takers(i, by_time, offsets, sizes, before), None) for i in range(len(sizes)))
-    return Plan(tuple(offsets), _end(offsets, sizes), _bound(spans, sizes), sum(sizes), takers)
+    return Plan(tuple(offsets), _end(offsets, sizes), _bound(spans, sizes, earlier), sum(sizes), takers)
 
 
 def _users(uses: Uses, count: int) -> list[int]:
@@ -136,9 +138,14 @@ def _touch(one: int, other: int, offsets: Sequence[int], sizes: Sequence[int]) -
     return min(first, second) >= 0 and first < second + sizes[other] and second < first + sizes[one]
 
 
-def _bound(spans: Sequence[tuple[int, int]], sizes: Sequence[int]) -> int:
-    times = range(max(end for _, end in spans))
-    return max(sum(size for size, (low, high) in zip(sizes, spans, strict=True) if low <= t < high) for t in times)
+def _bound(spans: Sequence[tuple[int, int]], sizes: Sequence[int], earlier: Sequence[int]) -> int:
+    """Tensors in use during dispatches that may run at once are in use at once: none is done with before another."""
+    most = last = 0
+    for first in range(len(earlier)):
+        while last < len(earlier) and earlier[last] >> first == 0:
+            last += 1
+        most = max(most, sum(n for n, (low, end) in zip(sizes, spans, strict=True) if low < last and first < end))
+    return most
 
 
 def _end(offsets: Sequence[int], sizes: Sequence[int]) -> int:

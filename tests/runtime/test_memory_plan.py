@@ -72,7 +72,22 @@ def test_random_graphs(seed):
     spans = [[index for index, used in enumerate(uses) if item in used] for item in range(len(sizes))]
     alive = [sum(size for item, size in enumerate(sizes)
                  if spans[item][0] <= time and (time <= spans[item][-1] or item in kept)) for time in range(len(uses))]
-    assert plan.bound == max(alive)
+    assert max(alive) <= plan.bound <= most_that_must_be_apart(records, sizes, uses, kept) <= plan.nbytes
+
+
+def most_that_must_be_apart(records, sizes, uses, kept):
+    """Largest sum of tensors of which no two may share a byte, from all sets of tensors."""
+    before = predecessors(records)
+    free = {frozenset((one, other)) for one, other in itertools.permutations(range(len(sizes)), 2)
+            if one not in kept and done_before(one, other, uses, before)}
+    sets = (items for count in range(len(sizes) + 1) for items in itertools.combinations(range(len(sizes)), count))
+    return max(sum(sizes[item] for item in items) for items in sets
+               if not any(frozenset(pair) in free for pair in itertools.combinations(items, 2)))
+
+
+def test_commands_that_may_run_at_once_count_together():
+    records = [Dispatch("label", "command", STAGES[0], 0, (), (), None) for _ in range(2)]
+    assert make_plan([256, 512], [(0,), (1,)], [], records).bound == 768
 
 
 @pytest.mark.parametrize("seed", range(150))
