@@ -1,72 +1,15 @@
 """Transient tensors: who shares memory with whom, who must not, and every misuse by name."""
 
-import gc
-
 import numpy as np
 import pytest
 
-from postfx.runtime import ArgumentTable, BindingError, Device, HazardError, arena
+from postfx.runtime import ArgumentTable, BindingError, HazardError, arena
 from postfx.runtime.memory_plan import Plan
 from tests import toys
+from tests.runtime.chain import Chain, shared, spans
 
 TO_NETWORK = {"after": "compute", "before": "machine-learning"}
 TO_KERNEL = {"after": "machine-learning", "before": "compute"}
-
-
-class Chain:
-    """total = 4 x by two networks, and again by another two; `between` is transient, and so is what leads to it."""
-
-    def __init__(self, device: Device, library, rows: int = 4):
-        self.device = device
-        self.state = device.pipeline_state(library, "double", {"height": rows, "width": 500})
-        self.shape = (1, rows, 500)
-        self.x = device.wrap("x", np.ones(self.shape, np.float32))
-        self.first, self.second = self.new("first"), self.new("second")
-        self.totals = [device.heap.tensor(f"total {i}", self.shape) for i in range(2)]
-
-    def new(self, name):
-        return self.device.heap.transient(name, self.shape)
-
-    def record(self, barrier=True, label="frame 1"):
-        commands = self.device.command_buffer(label)
-        for name, between, total in (("one", self.first, self.totals[0]), ("two", self.second, self.totals[1])):
-            with commands.machine_learning_encoder(name) as encoder:
-                if barrier:
-                    encoder.barrier(after="machine-learning", before="machine-learning")
-                self.double(encoder, self.x, between)
-                encoder.barrier()
-                self.double(encoder, between, total)
-        return commands
-
-    def double(self, encoder, x, y):
-        encoder.dispatch_network(self.state, ArgumentTable(self.state, {"x": x, "y": y}))
-
-    def run(self, **options):
-        commands = self.record(**options)
-        commands.commit()
-        commands.wait(10)
-        return commands
-
-    def right(self, value=4.0):
-        return all(np.all(total.download() == value) for total in self.totals)
-
-
-@pytest.fixture
-def chain(device, library):
-    return Chain(device, library)
-
-
-@pytest.fixture(params=["host", "remote"])
-def any_chain(request, library):
-    return Chain(request.getfixturevalue("device" if request.param == "host" else "remote"), library)
-
-
-def spans(*tensors):
-    return [(tensor.resident().start, tensor.resident().end) for tensor in tensors]
-
-
-def shared(one, other):
-    return one.resident().overlaps(other.resident())
 
 
 def test_tensors_that_are_used_one_after_the_other_share_memory(any_chain):
@@ -214,68 +157,6 @@ def test_released_ones_are_refused(chain):
     for late in (commands, recorded):
         with pytest.raises(HazardError, match="uses 'first', which was released before commit"):
             late.commit()
-
-
-def test_a_plan_is_made_once_for_commands_of_one_shape(chain, library):
-    heap = chain.device.heap
-    chain.run()
-    made = heap.allocations
-    for _ in range(3):
-        chain.run()
-    assert (heap.arena.plans, heap.allocations) == (1, made)
-    Chain(chain.device, library, rows=8).run()
-    assert heap.arena.plans == 2
-    Chain(chain.device, library).run()
-    chain.run(barrier=False)
-    assert heap.arena.plans == 3  # back to the first size; then another order
-
-
-def test_other_work_recorded_between_makes_no_other_plan(chain):
-    chain.run()
-    commands = chain.device.command_buffer("frame 2")
-    for name, between, total in (("one", chain.first, chain.totals[0]), ("two", chain.second, chain.totals[1])):
-        chain.device.next_encoder()  # as when another thread records
-        with commands.machine_learning_encoder(name) as encoder:
-            encoder.barrier(after="machine-learning", before="machine-learning")
-            chain.double(encoder, chain.x, between)
-            encoder.barrier()
-            chain.double(encoder, between, total)
-    commands.commit()
-    commands.wait(10)
-    assert chain.device.heap.arena.plans == 1
-
-
-def test_tensors_stay_where_they_are_when_another_plan_allows_it(chain):
-    chain.run(barrier=False)  # apart
-    places = spans(chain.first, chain.second)
-    chain.run(barrier=True)   # might share
-    assert spans(chain.first, chain.second) == places
-    assert chain.device.heap.arena.plans == 2
-
-
-def test_commands_run_again_also_after_their_memory_was_replaced(any_chain, library):
-    chain = any_chain
-    commands = chain.run()
-    commands.commit()
-    commands.wait(10)
-    large = Chain(chain.device, library, rows=400)
-    large.run(label="large")
-    for total in chain.totals:
-        total.fill(0.0)
-    commands.commit()
-    commands.wait(10)
-    assert chain.right() and large.right()
-    assert spans(chain.first)[0][0] >= spans(large.first)[0][0]  # in the new memory
-
-
-def test_memory_is_given_back_with_the_last_tensor(device, library):
-    before = device.heap.used
-    chain = Chain(device, library)
-    chain.run()
-    assert ("arena", 8192) in device.heap.tensors()
-    del chain
-    gc.collect()
-    assert device.heap.used == before
 
 
 def test_after_a_failed_command_the_buffer_runs_again(device, library):
