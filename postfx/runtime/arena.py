@@ -7,6 +7,7 @@ the plan for such records gives each an offset, and the records are handed on wi
 from __future__ import annotations
 
 import itertools
+import threading
 import weakref
 from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -34,6 +35,7 @@ class Transient(Allocation):
         placed: the memory that it had in the last such buffer.
         taken: name of the tensor that the memory went to within that buffer, if it did.
         turn: which of the arena's placements that was.
+        needs: bytes of the largest plan that placed it.
     """
 
     unplaced = True
@@ -41,7 +43,7 @@ class Transient(Allocation):
     def __init__(self, name: str, pointer: int, nbytes: int) -> None:
         super().__init__(name, pointer, nbytes, owner=None, transient=True)
         self.taken: str | None = None
-        self.turn = 0
+        self.turn = self.needs = 0
 
     def release(self) -> None:
         """Every tensor that looks at it becomes unusable; its memory is the arena's."""
@@ -71,7 +73,8 @@ class Placement(NamedTuple):
 class Arena:
     """Memory that the transient tensors of all command buffers share, one buffer after the other.
 
-    The memory lives as long as a tensor that was placed in it, and is replaced when a plan needs more.
+    The memory lives as long as a tensor that was placed in it. It is replaced when a plan needs more, and when tensors
+    are gone and the others need less.
 
     Attributes:
         plan: the plan of the last placement, None before the first.
@@ -82,6 +85,9 @@ class Arena:
         self._device = device
         self._plans: dict[tuple, Plan] = {}
         self._memory: weakref.ref[Tensor] | None = None
+        self._live: weakref.WeakSet[Transient] = weakref.WeakSet()
+        self._live_lock = threading.Lock()
+        self._count = 0
         self._numbers = itertools.count(1)
         self._turn = 0
         self._label = ""
@@ -91,7 +97,10 @@ class Arena:
     def tensor(self, name: str, shape: tuple[int, ...], dtype: str) -> Tensor:
         """See `Heap.transient`."""
         nbytes = -(-max(1, size_in_bytes(shape, dtype)) // ALIGNMENT) * ALIGNMENT
-        return Tensor(self._device, name, shape, dtype, Transient(name, next(self._numbers) * _NOWHERE, nbytes))
+        transient = Transient(name, next(self._numbers) * _NOWHERE, nbytes)
+        with self._live_lock:
+            self._live.add(transient)
+        return Tensor(self._device, name, shape, dtype, transient)
 
     def place(
         self, records: Sequence[Record], kept: Collection[Allocation], before: Placement | None, label: str
@@ -125,7 +134,9 @@ class Arena:
     def _new(self, records: Sequence[Record], kept: Collection[Allocation]) -> Placement:
         uses, transients = _uses(records)
         plan = self._plan(records, uses, [number for number, item in enumerate(transients) if item in kept], transients)
-        memory = self._memory_for(plan.nbytes)
+        for transient in transients:
+            transient.needs = max(transient.needs, plan.nbytes)
+        memory = self._memory_for(plan)
         places = [(item, item.at(memory, start)) for item, start in zip(transients, plan.offsets, strict=True)]
         for transient, allocation in places:
             transient.placed = allocation
@@ -152,11 +163,15 @@ class Arena:
         places = (item.placed for item in transients)
         return Present(memory.nbytes, [p.pointer - memory.start if p and p.owner is memory else -1 for p in places])
 
-    def _memory_for(self, nbytes: int) -> Tensor:
-        memory = self._held()
-        if memory is None or memory.nbytes < nbytes:
-            memory = self._device.heap.tensor("arena", (nbytes,), "uint8")
-            self._memory = weakref.ref(memory)
+    def _memory_for(self, plan: Plan) -> Tensor:
+        """The memory that there is, or other if the plan needs more, or all tensors that live need less."""
+        memory, count = self._held(), len(self._live)
+        if memory is None or memory.nbytes < plan.nbytes or self._count != count:
+            with self._live_lock:
+                needed = max(item.needs for item in self._live)
+            if memory is None or memory.nbytes != needed:
+                memory = self._device.heap.tensor("arena", (needed,), "uint8")
+        self._memory, self._count = weakref.ref(memory), count
         return memory
 
     def _held(self) -> Tensor | None:

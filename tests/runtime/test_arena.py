@@ -65,3 +65,17 @@ def test_memory_is_given_back_with_the_last_tensor(device, library):
     del chain
     gc.collect()
     assert device.heap.used == before
+
+
+def test_memory_shrinks_when_who_needed_more_is_gone(device, library, chain):
+    large = Chain(device, library, rows=400)
+    for one in (chain, large, chain):
+        one.run()
+    assert device.heap.tensors()[0] == ("arena", 800_000)
+    del large
+    chain.run()
+    gc.collect()
+    assert ("arena", 8192) in device.heap.tensors() and chain.right()
+    made = device.heap.allocations
+    chain.run()
+    assert device.heap.allocations == made
