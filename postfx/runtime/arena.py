@@ -45,19 +45,11 @@ class Transient(Allocation):
         self.taken: str | None = None
         self.turn = self.needs = 0
 
-    def release(self) -> None:
-        """Every tensor that looks at it becomes unusable; its memory is the arena's."""
-        super().release()
-        if self.placed is not None:
-            self.placed.release()
-
     def at(self, memory: Tensor, offset: int) -> Allocation:
         """It, placed; the same object as the last time when the place is the same."""
         pointer = memory.start + offset
         if self.placed is None or self.placed.owner is not memory or self.placed.pointer != pointer:
-            placed = Allocation(self.name, pointer, self.nbytes, owner=memory, transient=True)
-            placed.released = self.released
-            return placed
+            return Allocation(self.name, pointer, self.nbytes, owner=memory, transient=True)
         return self.placed
 
 
@@ -119,7 +111,7 @@ class Arena:
             before = self._new(records, kept)
         self._turn, self._label, self.plan = self._turn + 1, label, before.plan
         for (transient, allocation), taker in zip(before.places, before.plan.takers, strict=True):
-            allocation.written = Ranges()
+            allocation.written, allocation.released = Ranges(), transient.released
             transient.placed, transient.turn = allocation, self._turn
             transient.taken = None if taker is None else before.places[taker][0].name
         return before
