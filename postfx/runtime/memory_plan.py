@@ -102,9 +102,9 @@ def _ordered(before: Sequence[int], one: int, other: int) -> bool:
 
 
 def _settled(present: Present, sizes: Sequence[int], apart: Sequence[Sequence[int]]) -> list[int] | None:
-    """Offsets that leave tensors where they are; None when they must not lie there or the others find no room."""
+    """Offsets that leave tensors where they are; None when none lies there or may, or the others find no room."""
     lying = [item for item, offset in enumerate(present.offsets) if offset >= 0]
-    if any(_touch(item, other, present.offsets, sizes) for item in lying for other in apart[item]):
+    if not lying or any(_touch(item, other, present.offsets, sizes) for item in lying for other in apart[item]):
         return None
     others = sorted(set(range(len(sizes))).difference(lying), key=lambda i: -sizes[i])
     offsets = _place(others, sizes, apart, list(present.offsets))

@@ -109,6 +109,13 @@ def test_what_is_present_stays():
     check(plan, records, [256] * 3, [(0,), (1,), (2,)], [], 4096)
 
 
+def test_memory_in_which_none_of_them_lies_changes_nothing():
+    for seed in range(50):
+        records, sizes, uses = random_graph(random.Random(seed))
+        empty = Present(1 << 20, [-1] * len(sizes))
+        assert make_plan(sizes, uses, [], records, empty) == make_plan(sizes, uses, [], records)
+
+
 def test_a_chain_takes_what_two_links_take():
     records, uses = [], []
     for index in range(SERIAL):
