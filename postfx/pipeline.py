@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Sequence
 from functools import cache
 
+import numpy as np
+
 from postfx.errors import FrameError
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, FrameSpec, Role
@@ -43,6 +45,7 @@ class Pipeline:
         self.timings: dict[str, float] = {}
         self.exposure: float | None = None
         self._meter = ExposureMeter(exposure)
+        self._copies: dict[str, Tensor] = {}  # of planes, on devices whose memory the host does not share
 
     def __call__(self, frame: Frame) -> Frame:
         """The frame after all passes; the given frame is not changed.
@@ -58,12 +61,13 @@ class Pipeline:
         if frame.reset:
             self._reset_passes()
         self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
-        inputs = {role: self.device.wrap(role, frame[role]) for role in plan.planes}
-        guides = {role: self.device.wrap(f"guide {role}", frame.guides[role]) for role in plan.guides}
+        inputs = {role: self._input(role, frame[role]) for role in plan.planes}
+        guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
         resident = _resident(frame, plan.input, inputs, guides, self.exposure)
         try:
-            self._run(plan, resident)
-            return _finished(frame, plan, resident, inputs)
+            with self.device.results_lock:  # the next commit may take the memory of the results
+                self._run(plan, resident)
+                return _finished(frame, plan, resident, inputs)
         except BaseException:
             self._reset_passes()
             raise
@@ -89,10 +93,17 @@ class Pipeline:
             plan = make_plan(self.passes, spec)
             if self.plan is None or self._specs(plan) != self._specs(self.plan):
                 self.plan = None
+                self._copies.clear()
                 for step in plan.steps:
                     step.instance.compile(self.device, step.input)
             self.plan = plan
         return self.plan
+
+    def _input(self, name: str, array: np.ndarray) -> Tensor:
+        """A plane as a tensor of this frame. Where it is copied to the device, it always comes to the same memory."""
+        if not self.device.memory.host_visible and name not in self._copies:
+            self._copies[name] = self.device.heap.tensor(name, array.shape)
+        return self.device.wrap(name, array, self._copies.get(name))
 
     def _specs(self, plan: Plan) -> list[tuple[str, FrameSpec]]:
         return [(step.name, step.input) for step in plan.steps]
@@ -106,6 +117,7 @@ class Pipeline:
         try:
             for step in plan.steps:
                 _encode(step, commands, resident)
+            commands.keep(*resident.tensors.values())
             commands.commit()
         finally:
             commands.discard()

@@ -51,14 +51,16 @@ def test_the_examples_own_tests_pass(vignette, tmp_path):
     names["test_the_portable_kernel_agrees"](Library(tmp_path))
 
 
-def test_the_runtime_example_runs(tmp_path, monkeypatch):
+def test_the_runtime_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = {}
-    first, again, capture = blocks("runtime.md", "python")
+    first, again, transient, capture = blocks("runtime.md", "python")
     exec(first, names)
     assert np.isfinite(names["grid"].array).all() and names["grid"].array.any()
     exec(again, names)
     assert names["commands"].label == "frame 4"
     assert [label for label, _ in names["commands"].timings] == ["prepare", "coefficients"]
+    exec(transient, names)
+    assert names["commands"].label == "frame 5" and "0.0 % over the bound" in capsys.readouterr().out
     exec(capture, names)
     assert "prepare" in (tmp_path / "look/capture.json").read_text() and (tmp_path / "look/capture.html").is_file()

@@ -107,11 +107,14 @@ class Graph:
         return self._output
 
     def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
-        return self._device.heap.tensor(name, shape, dtype)
+        return self._device.heap.transient(name, shape, dtype)
+
+    def _kept(self, name: str, shape: tuple[int, ...]) -> Tensor:
+        return self._device.heap.tensor(name, shape)
 
     def _make_tensors(self, network: PipelineState) -> None:
         s = self._sizes
-        self._params = self._new("params", (5,))
+        self._params = self._kept("params", (5,))
         self._depth_scale = self._new("depth scale", (1,))
         self._moved = self._new("moved", (s.h, s.w, 2))
         self._warped = self._new("warped", (s.height, s.width, 3))
@@ -128,7 +131,7 @@ class Graph:
             self._black = self._zeros("no reflectance", (s.h, s.w, 3))  # makes a factor of one
 
     def _zeros(self, name: str, shape: tuple[int, ...]) -> Tensor:
-        tensor = self._new(name, shape)
+        tensor = self._kept(name, shape)
         tensor.fill(0)
         return tensor
 
@@ -155,7 +158,7 @@ class Graph:
                 self._table(f"mix {i}", denoise_filter.MIX_LEVELS, coarse=filtered[i + 1], level=levels[i],
                             heads=heads, mixed=mixed)
                 self._filter_order.append(f"mix {i}")
-            area = self._new(f"area {i}", (2,))
+            area = self._kept(f"area {i}", (2,))
             area.upload(self._sizes.area(i))
             self._table(f"filter {i}", denoise_filter.FILTER, mixed=mixed, heads=heads, area=area, filtered=filtered[i])
             self._filter_order.append(f"filter {i}")

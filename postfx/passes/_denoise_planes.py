@@ -34,7 +34,7 @@ class Resampler:
         self._size, self._out_size, self._nearest = size, out_size, role is Role.DEPTH
         new = device.heap.tensor
         self._rows, self._columns = new(f"{name} rows", out_size[:1]), new(f"{name} columns", out_size[1:])
-        self.output = new(name, (*out_size, ROLES[role].channels))
+        self.output = device.heap.transient(name, (*out_size, ROLES[role].channels))
         tensors = {"rows": self._rows, "columns": self._columns, "output": self.output}
         self._table = ArgumentTable(device.compute_state(RESAMPLE), tensors)
 

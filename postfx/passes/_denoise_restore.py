@@ -17,11 +17,12 @@ class Restore:
     jittered ones, whose samples do not lie where the result's pixels do."""
 
     def __init__(self, device: Device, size: Size) -> None:
-        new, tiles = device.heap.tensor, (-(-size.height // TILE), -(-size.width // TILE))
+        new, between = device.heap.tensor, device.heap.transient
+        tiles = -(-size.height // TILE), -(-size.width // TILE)
         self._params, self._evidence = new("restore params", (5,)), new("evidence", (1,))
-        self._output = new("restored", (*size, 3))
-        self._tensors = {"params": self._params, "evidence": self._evidence, "sums": new("sums", (*tiles, SUMS)),
-                         "detail": new("detail", (*tiles, 1)), "output": self._output}
+        self._output = between("restored", (*size, 3))
+        self._tensors = {"params": self._params, "evidence": self._evidence, "sums": between("sums", (*tiles, SUMS)),
+                         "detail": between("detail", (*tiles, 1)), "output": self._output}
         self._tables = [self._table(device, kernel) for kernel in (JUDGE, DETAIL, RESTORE)]
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor) -> Tensor:

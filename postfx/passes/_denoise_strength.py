@@ -30,7 +30,7 @@ class Strength:
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float) -> None:
         self._plain = Plain(device, spec, output)
-        self._output = device.heap.tensor("strength output", (*output, 3))
+        self._output = device.heap.transient("strength output", (*output, 3))
         self._table = ArgumentTable(device.compute_state(STRENGTH), {"output": self._output})
         self._amount = device.heap.tensor("amount", (1,))
         self._amount.upload([amount])

@@ -140,7 +140,10 @@ class Pass:
         return ()
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        """Make pipeline states and heap tensors for frames of `spec`, and drop the history. Not called when skipped."""
+        """Make pipeline states and heap tensors for frames of `spec`, and drop the history. Not called when skipped.
+
+        What holds something within a frame only is made by `device.heap.transient`.
+        """
         self._spec = spec
         self.reset()
 

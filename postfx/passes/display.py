@@ -26,7 +26,7 @@ class Display(Pass):
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         self._exposure = device.heap.tensor("display exposure", (1,))
-        self._output = device.heap.tensor("display colour", (spec.height, spec.width, 3))
+        self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
         tensors = {"exposure": self._exposure, "output": self._output}
         self._table = ArgumentTable(device.compute_state(ENCODE_SRGB), tensors)
         self._exposed = spec.encoding == "scene-linear"

@@ -47,14 +47,14 @@ class ToneMap(Pass):
         self._shaper = _shaper(library, model)
         self._network = device.pipeline_state(library, model)
         shapes = {binding.name: binding.shape for binding in self._network.bindings}
-        new = device.heap.tensor
+        new, between = device.heap.tensor, device.heap.transient
         self._params, self._keep = new("tonemap params", (3,)), new("tonemap keep", (1,))
-        self._lowres, self._grid = new("lowres", shapes["lowres"]), new("grid", shapes["grid"])
+        self._lowres, self._grid = between("lowres", shapes["lowres"]), between("grid", shapes["grid"])
         self._history = [new("smoothed grid", shapes["grid"]) for _ in range(2)]
         for grid in self._history:
             grid.fill(0)
-        guide = new("guide", shapes["guide"])
-        self._output = new("display colour", (spec.height, spec.width, 3))
+        guide = between("guide", shapes["guide"])
+        self._output = between("display colour", (spec.height, spec.width, 3))
         self._tables = {
             "lowres": ArgumentTable(device.compute_state(LOWRES), {"params": self._params, "lowres": self._lowres}),
             "smooth": ArgumentTable(device.compute_state(SMOOTH), {"current": self._grid, "keep": self._keep}),

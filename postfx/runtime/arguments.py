@@ -7,20 +7,36 @@ from collections.abc import Callable, Iterator, Mapping
 from postfx.runtime.errors import BindingError
 from postfx.runtime.shapes import could_match, solve
 from postfx.runtime.states import Binding, State
-from postfx.runtime.tensor import Tensor
+from postfx.runtime.tensor import Allocation, Tensor
 
 _BIND = "set table['name'] = tensor"
 
 
 class Arguments:
-    """A complete, unchanging set of tensors for a state, ready to run."""
+    """A complete, unchanging set of tensors for a state.
+
+    Attributes:
+        reads, writes: the tensors by what is done to them.
+        transients: allocations of the transient ones that have no memory yet.
+        execute: runs the state on them; None while some have no memory.
+    """
 
     def __init__(self, state: State, tensors: tuple[Tensor, ...]) -> None:
         pairs = list(zip(state.bindings, tensors, strict=True))
         self.state = state
         self.reads = tuple(tensor for binding, tensor in pairs if binding.access == "read")
         self.writes = tuple(tensor for binding, tensor in pairs if binding.access == "write")
-        self.execute: Callable[[], None] = state.prepare(tensors)
+        self.transients = tuple(dict.fromkeys(t.allocation for t in tensors if t.allocation.unplaced))
+        self.execute: Callable[[], None] | None = None if self.transients else state.prepare(tensors)
+        self._tensors = tensors
+        self._placed: tuple[tuple[Allocation | None, ...], Arguments] | None = None
+
+    def placed(self) -> Arguments:
+        """The same on the memory that transient tensors have now; made anew only when that has changed."""
+        places = tuple([transient.placed for transient in self.transients])
+        if self._placed is None or self._placed[0] != places:
+            self._placed = places, Arguments(self.state, tuple(tensor.resident() for tensor in self._tensors))
+        return self._placed[1]
 
 
 class ArgumentTable:

@@ -7,12 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
 
+from postfx.runtime.arena import Placement
 from postfx.runtime.capture import Recorder
 from postfx.runtime.encoders import ComputeEncoder, Encoder, MachineLearningEncoder
 from postfx.runtime.errors import CommandError, EncodingError
 from postfx.runtime.execution import Execution
 from postfx.runtime.footprint import Footprint
 from postfx.runtime.records import Dispatch, Record
+from postfx.runtime.tensor import Allocation, Tensor
 from postfx.runtime.waiting import timed_out
 
 if TYPE_CHECKING:
@@ -42,6 +44,8 @@ class CommandBuffer:
         self.device = device
         self.label = label
         self.records: list[Record] = []
+        self._kept: set[Allocation] = set()
+        self._placement: Placement | None = None
         self._footprint: Footprint | None = None
         self._groups: list[str] = []
         self._encoder: Encoder | None = None
@@ -63,7 +67,7 @@ class CommandBuffer:
             raise EncodingError(f"'{self.label}' cannot begin again: {_STATES['committed']}")
         self._require_no_encoder("begin again")
         self.label = self.label if label is None else label
-        self.records, self._footprint = [], None
+        self.records, self._kept, self._placement, self._footprint = [], set(), None, None
         self._error, self._timings = None, {}
         self._state = "open"
         self.device.hazards.opened(self)
@@ -85,8 +89,16 @@ class CommandBuffer:
         finally:
             self._groups.pop()
 
+    def keep(self, *tensors: Tensor) -> None:
+        """The host reads these tensors when the buffer is done: those that are transient among them keep their memory
+        to its end, and until another buffer with transient tensors is committed. Raises EncodingError after commit."""
+        self._require_open()
+        self._kept.update(tensor.allocation for tensor in tensors)
+
     def commit(self) -> None:
-        """Check all hazards and hand the commands to the device's queue. Nothing can be recorded until `begin`.
+        """Give transient tensors their memory, check all hazards and hand the commands to the device's queue.
+
+        Nothing can be recorded until `begin`.
 
         A buffer that was waited for may be committed again without recording: the same dispatches run on the same
         tensors, which may have been uploaded to in the meantime.
@@ -101,6 +113,7 @@ class CommandBuffer:
         self._error, self._timings = None, {}
         self._done.clear()
         with self.device.commit_lock:
+            self._place()
             self.device.hazards.commit(self)
             self._state = "committed"
             capture = self.device.active_capture
@@ -181,6 +194,11 @@ class CommandBuffer:
     def _close(self, state: str) -> None:
         self._state = state
         self.device.hazards.closed(self)
+
+    def _place(self) -> None:
+        placement = self.device.heap.arena.place(self.records, self._kept, self._placement, self.label)
+        if placement is not None and placement is not self._placement:
+            self.records, self._placement, self._footprint = placement.records, placement, None
 
     def _full(self, label: str) -> str:
         return "/".join([*self._groups, label])

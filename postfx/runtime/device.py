@@ -44,6 +44,9 @@ class Device:
         kernels: library of the portable definitions; default: the `kernels` folder of the models that come with
             postfx.
 
+    Attributes:
+        results_lock: to hold from commit until the host has read transient results, where several threads commit.
+
     Raises DeviceError when the device is not available or an option does not fit it.
     """
 
@@ -64,6 +67,7 @@ class Device:
         self._compute_states: dict[Kernel, State] = {}
         self._encoders = itertools.count()
         self.commit_lock = threading.Lock()
+        self.results_lock = threading.RLock()
         self.active_capture: Capture | None = None
         self.hazards = Hazards()
         self.heap = Heap(self, self.memory)
@@ -81,16 +85,21 @@ class Device:
         """Threads that help the queue's own thread with bands of kernels."""
         return ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="postfx band")
 
-    def wrap(self, name: str, array: np.ndarray) -> Tensor:
+    def wrap(self, name: str, array: np.ndarray, copy: Tensor | None = None) -> Tensor:
         """A tensor with a C-contiguous array's content: the same memory on the CPU, an upload elsewhere.
 
-        Counts as written. While commands use it the array must not be changed. Raises BindingError when the array is
-        not C-contiguous or of a type tensors cannot have.
+        Counts as written. While commands use it the array must not be changed.
+
+        Args:
+            copy: where the content has to be uploaded, a tensor of the same shape and type whose memory to take for it.
+
+        Raises BindingError when the array is not C-contiguous or of a type tensors cannot have.
         """
         if not array.flags.c_contiguous:
             raise BindingError(f"array '{name}' is not C-contiguous: pass np.ascontiguousarray(array)")
         if not self.memory.host_visible:
-            tensor = self.heap.tensor(name, array.shape, array.dtype.name)
+            copy = copy or self.heap.tensor(name, array.shape, array.dtype.name)
+            tensor = Tensor(self, name, copy.shape, copy.dtype, Allocation(name, copy.start, copy.nbytes, owner=copy))
             tensor.upload(array)
             return tensor
         allocation = Allocation(name, address(array), array.nbytes, owner=array, writable=array.flags.writeable)

@@ -90,7 +90,8 @@ class Encoder:
             raise BindingError(f"'{self.label}': {error}") from None
         accesses = arguments.reads, arguments.writes
         names = self.label, state.command, self.stage, self._number
-        dispatch = Dispatch(*names, *accesses, arguments.execute, state.model, state)
+        kept = None if arguments.execute else arguments  # for the commit, which places what is transient
+        dispatch = Dispatch(*names, *accesses, arguments.execute, state.model, state, kept)
         check_dispatch(dispatch)
         self._record(dispatch)
 

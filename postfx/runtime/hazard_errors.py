@@ -36,7 +36,11 @@ def undefined(need: Need, dispatches: list[Dispatch]) -> HazardError:
     later = dispatches[dispatches.index(need.dispatch) + 1:]
     writer = next((item for item in later if any(need.tensor.overlaps(other) for other in item.writes)), None)
     mend = f"only {writer} writes it, later: record it first" if writer else "upload to it, or write it by a command"
-    message = f"read before write: {need.dispatch} reads '{name}', which nothing wrote before: {mend}"
+    what = f"'{name}', which nothing wrote before"
+    if need.tensor.allocation.transient:
+        what = f"transient '{name}', which nothing in this command buffer wrote before"
+        mend = mend if writer else "write it by a command, or make what is kept from buffer to buffer by heap.tensor"
+    message = f"read before write: {need.dispatch} reads {what}: {mend}"
     return HazardError(message, "read before write", name, writer.label if writer else None, label)
 
 

@@ -72,19 +72,21 @@ class Hazards:
         """What may be done with a tensor now."""
         with self._lock:
             writer = reader = recorded = None
+            resident = tensor.resident()
             for commands, dispatch in _dispatches(self._flying):
-                if _uses(dispatch.writes, tensor):
+                if _uses(dispatch.writes, resident):
                     writer = _use(commands, dispatch)
-                if _uses(dispatch.reads, tensor):
+                if _uses(dispatch.reads, resident):
                     reader = _use(commands, dispatch)
             for commands, dispatch in _dispatches(self._open):
                 if _uses(dispatch.writes, tensor) or _uses(dispatch.reads, tensor):
                     recorded = _use(commands, dispatch)
                     break
             needed = Ranges((tensor.span(),) if tensor.nbytes else ())
-            failed = self._failure(tensor.allocation, needed)
-            defined = failed is None and tensor.allocation.written.includes(needed)
-            return TensorState(tensor.released, defined, writer, reader, recorded, failed)
+            gone = tensor.device.heap.arena.gone(tensor.allocation) if tensor.allocation.transient else None
+            failed = self._failure(resident.allocation, needed)
+            defined = gone is None and failed is None and resident.allocation.written.includes(needed)
+            return TensorState(tensor.released, defined, writer, reader, recorded, failed, gone)
 
     def mark_written(self, tensor: Tensor) -> None:
         """The tensor's content is defined now."""

@@ -8,6 +8,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from postfx.runtime.arena import Arena
 from postfx.runtime.memory import ALIGNMENT, Chunk, Memory
 from postfx.runtime.tensor import Allocation, Tensor, size_in_bytes
 
@@ -53,9 +54,13 @@ class _Block:
 
 
 class Heap:
-    """The device's arena. A tensor's memory returns to it on `release()` or when the last view of it is dropped.
+    """The device's memory. A tensor's memory returns to it on `release()` or when the last view of it is dropped.
 
     Memory is zeroed by nobody: reading a tensor before it is written or uploaded is a HazardError.
+
+    Attributes:
+        arena: memory that transient tensors share.
+        allocations: how many times memory was carved from chunks so far.
     """
 
     def __init__(self, device: Device, memory: Memory) -> None:
@@ -67,6 +72,8 @@ class Heap:
         self._lock = threading.Lock()
         self._used = 0
         self._peak = 0
+        self.arena = Arena(device)
+        self.allocations = 0
 
     def tensor(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
         """A new tensor of undefined content. `name` is what messages call it and need not be unique."""
@@ -78,6 +85,15 @@ class Heap:
         allocation.on_release(self._returned.append, (start, start + nbytes))
         self._live.add(allocation)
         return Tensor(self._device, name, shape, dtype, allocation)
+
+    def transient(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
+        """A new tensor for commands of one command buffer: memory is shared with others that are used at other times.
+
+        In every buffer that uses it a command must write it before one reads it: HazardError at commit otherwise. It
+        has memory from commit on, and content until its bytes go to another tensor or another buffer with transient
+        tensors is committed. The host may look at it until then, and never writes it.
+        """
+        return self.arena.tensor(name, shape, dtype)
 
     @property
     def size(self) -> int:
@@ -104,6 +120,7 @@ class Heap:
 
     def _carve(self, nbytes: int) -> tuple[Chunk, int]:
         self._collect()
+        self.allocations += 1
         fits = [(block.best_fit(nbytes), index) for index, block in enumerate(self._blocks)]
         found = min(((fit, index) for fit, index in fits if fit is not None), default=None)
         block = self._blocks[found[1]] if found else self._grow(nbytes)

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from postfx.runtime.tensor import Tensor
+
+if TYPE_CHECKING:
+    from postfx.runtime.arguments import Arguments
 
 STAGES = ("compute", "machine-learning")
 """Stages of the queue: compute kernels and networks."""
@@ -22,9 +26,10 @@ class Dispatch:
         stage: one of `STAGES`.
         encoder: number of the encoder within the device; barriers refer to it.
         reads, writes: the tensors that were bound when it was recorded.
-        execute: does the work.
+        execute: does the work; None until a commit gives transient tensors their memory.
         model: file of the network; None for a kernel.
         state: what runs.
+        arguments: the tensors as they were bound, where some are transient.
     """
 
     label: str
@@ -33,9 +38,10 @@ class Dispatch:
     encoder: int
     reads: tuple[Tensor, ...]
     writes: tuple[Tensor, ...]
-    execute: Callable[[], None]
+    execute: Callable[[], None] | None
     model: Path | None = None
     state: object = None
+    arguments: Arguments | None = None
 
     def __str__(self) -> str:
         return f"'{self.label}' ({self.command})"

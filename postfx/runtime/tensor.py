@@ -32,14 +32,23 @@ class Allocation:
     Attributes:
         written: bytes that hold data once every committed command has run.
         lost: bytes among them that a command failed to write, with its error; nothing in most allocations.
+        transient: whether it holds data within one command buffer only, see `Heap.transient`.
+        unplaced: whether it stands for memory that it gets at commit only, as transient ones do.
+        placed: where an unplaced one was in the last buffer that used it.
     """
 
-    def __init__(self, name: str, pointer: int, nbytes: int, owner: object, writable: bool = True) -> None:
+    unplaced = False
+
+    def __init__(
+        self, name: str, pointer: int, nbytes: int, owner: object, writable: bool = True, transient: bool = False
+    ) -> None:
         self.name = name
         self.pointer = pointer
         self.nbytes = nbytes
         self.owner = owner
         self.writable = writable
+        self.transient = transient
+        self.placed: Allocation | None = None
         self.released = False
         self.written = Ranges()
         self.lost: list[tuple[Ranges, CommandError]] = []
@@ -60,7 +69,8 @@ class Allocation:
 class Tensor:
     """A contiguous tensor on a device.
 
-    Made by `device.heap.tensor` (undefined content) or `device.wrap` (content of a NumPy array).
+    Made by `device.heap.tensor` (undefined content), `device.heap.transient` (content within a command buffer) or
+    `device.wrap` (content of a NumPy array).
     """
 
     def __init__(
@@ -77,6 +87,7 @@ class Tensor:
         self.start = allocation.pointer + offset
         self.end = self.start + self.nbytes
         self._host: np.ndarray | None = None
+        self._resident: Tensor | None = None
 
     def __repr__(self) -> str:
         return f"Tensor('{self.name}', {self.shape}, {self.dtype})"
@@ -101,10 +112,10 @@ class Tensor:
         """The tensor as a read-only NumPy view, without a copy; host memory only. Write by `upload` or `fill`.
 
         Raises DeviceError where the host cannot see the memory, HazardError when a committed command that was not
-        waited for writes it or when nothing ever wrote it.
+        waited for writes it, when nothing ever wrote it, or when it is transient and its memory went to another tensor.
         """
         check_host_read(self.name, self.state)
-        view = self.host_view().view()
+        view = self.resident().host_view().view()
         view.flags.writeable = False
         return view
 
@@ -113,14 +124,15 @@ class Tensor:
         check_host_read(self.name, self.state)
         copy = np.empty(self.shape, self.dtype)
         if copy.nbytes:
-            self._device.memory.read(self.start, copy)
+            self._device.memory.read(self.resident().start, copy)
         return copy
 
     def upload(self, values: Any) -> None:
         """Copy host values of exactly this shape into the tensor.
 
-        Raises HazardError while a recorded or committed command that was not waited for uses the memory: commands
-        run after commit, so they would see the new values.
+        Raises BindingError when they do not fit, or the tensor is read-only or transient. Raises HazardError while a
+        recorded or committed command that was not waited for uses the memory: commands run after commit, so they would
+        see the new values.
         """
         source = np.asarray(values)
         if source.shape != self.shape or not np.can_cast(source.dtype, self.dtype, "same_kind"):
@@ -152,6 +164,16 @@ class Tensor:
         """
         self.allocation.release()
 
+    def resident(self) -> Tensor:
+        """The tensor itself; for a transient one, its place in the last committed buffer that used it."""
+        placed = self.allocation.placed
+        if placed is None:
+            return self
+        if self._resident is None or self._resident.allocation is not placed:
+            inside = self.start - self.allocation.pointer
+            self._resident = Tensor(self._device, self.name, self.shape, self.dtype, placed, inside)
+        return self._resident
+
     def span(self) -> tuple[int, int]:
         """The tensor's byte range inside its allocation."""
         return self.start - self.allocation.pointer, self.end - self.allocation.pointer
@@ -169,6 +191,9 @@ class Tensor:
         return self._host
 
     def _check_host_write(self) -> None:
+        if self.allocation.transient:
+            mend = "make one that the host writes by heap.tensor"
+            raise BindingError(f"tensor '{self.name}' is transient, so only commands write it: {mend}")
         if not self.allocation.writable:
             raise BindingError(f"tensor '{self.name}' wraps a read-only array: it cannot be written")
         check_host_write(self.name, self.state)

@@ -30,6 +30,7 @@ class TensorState:
         reader: the last command in flight that reads it.
         recorded: the first command that uses it and is recorded, but not committed.
         failed: the error of the command whose failure left it undefined.
+        gone: why a transient tensor's content is no longer there, as a clause.
     """
 
     released: bool
@@ -38,6 +39,7 @@ class TensorState:
     reader: Use | None
     recorded: Use | None
     failed: CommandError | None
+    gone: str | None = None
 
     @property
     def kind(self) -> str:
@@ -54,8 +56,11 @@ class TensorState:
 
 
 def check_host_read(name: str, state: TensorState) -> None:
-    """HazardError when the tensor was released, a command in flight writes it, or it holds no data."""
+    """HazardError when the tensor was released, a command in flight writes it, or it holds no data (any more)."""
     _check_alive(name, state)
+    if state.gone:
+        message = f"transient '{name}' is read by the host, but {state.gone}"
+        raise HazardError(message, "read before write", name, None, "host")
     if state.writer:
         raise _in_use(name, "reads", state.writer, "writes")
     if state.failed:

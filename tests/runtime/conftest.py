@@ -10,6 +10,7 @@ from postfx.runtime import ArgumentTable, Device, Library, PipelineState
 from postfx.runtime.provider_memory import ProviderMemory
 from postfx.runtime.session import Placement
 from tests import toys
+from tests.runtime.chain import Chain
 
 
 @pytest.fixture(scope="session")
@@ -69,3 +70,13 @@ def bench(device: Device, library: Library) -> Bench:
 @pytest.fixture
 def ones() -> np.ndarray:
     return np.ones((1, 4, 5), np.float32)
+
+
+@pytest.fixture
+def chain(device, library):
+    return Chain(device, library)
+
+
+@pytest.fixture(params=["host", "remote"])
+def any_chain(request, library):
+    return Chain(request.getfixturevalue("device" if request.param == "host" else "remote"), library)
