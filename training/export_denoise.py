@@ -52,9 +52,11 @@ MEANING = {
 }
 
 
-# Kernel -> its torch definition, and the sizes to trace with: a picture of 21x33 padded to 32x48, enlarged to 29x51.
-SIZES = {"h": 21, "w": 33, "hp": 32, "wp": 48, "height": 29, "width": 51, "padded_h": 23, "padded_w": 35,
-         "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3, "heads": FINE, "channels": 3}
+# Kernel -> its torch definition, and the sizes to trace with: 21x33 pixels of a picture of 25x45, padded to 32x48,
+# enlarged to 29x51 of 35x70.
+SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35, "width": 70, "out_th": 29,
+         "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3,
+         "heads": FINE, "channels": 3}
 KERNELS = {
     denoise_prepare.SCALE: definitions.Scale,
     denoise_prepare.DILATE: definitions.Dilate,

@@ -12,13 +12,22 @@ from postfx.kernels.denoise_layout import (
     FEATURES,
     FRESH,
     GAIN,
+    HEIGHT,
     HIDDEN,
     JITTER_X,
     JITTER_Y,
+    LEFT,
     MAX_COUNT,
     MAX_DEPTH,
     MAX_FLOAT,
+    OUT_HEIGHT,
+    OUT_LEFT,
+    OUT_TOP,
+    OUT_WIDTH,
     REFLECTANCE,
+    TOP,
+    UNKNOWN,
+    WIDTH,
     kernel,
 )
 from postfx.kernels.numeric import (
@@ -39,12 +48,28 @@ ZERO, ONE, FOUR, NEAREST = np.float32(0), np.float32(1), np.float32(4), np.float
 
 
 @fused
-def recall_row(y, moved, state, last_depth, fresh, memory, before, valid):
-    """The state of the frame before along a row: bilinear (12, w), edge repeated, and the nearest pixel's depth."""
-    h, w = moved.shape[:2]
+def is_unknown(a, b, c, d, tx, ty):
+    """Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their weights."""
+    if min(min(a, b), min(c, d)) > ZERO:
+        return False
+    left, upper = ONE - tx, ONE - ty
+    lacking = left * upper if a <= ZERO else ZERO
+    lacking += tx * upper if b <= ZERO else ZERO
+    lacking += left * ty if c <= ZERO else ZERO
+    lacking += tx * ty if d <= ZERO else ZERO
+    return lacking > np.float32(UNKNOWN)
+
+
+@fused
+def recall_row(y, columns, moved, state, last_depth, fresh, memory, before, valid):
+    """The state of the frame before along a row: bilinear (12, w), edge repeated, and the nearest pixel's depth.
+
+    ``y`` and ``columns`` are places in the frame, ``moved`` (w, 2) is the motion there.
+    """
+    h, w = state.shape[:2]
     flat = state.reshape(h * w * MEMORY)
-    for x in range(w):
-        px, py = np.float32(x) + moved[y, x, 0], np.float32(y) + moved[y, x, 1]
+    for x in range(columns.size):
+        px, py = np.float32(columns[x]) + moved[x, 0], np.float32(y) + moved[x, 1]
         held = -0.5 <= px <= w - 0.5 and -0.5 <= py <= h - 0.5
         valid[x] = fresh if held else ZERO
         if valid[x] == ZERO:
@@ -58,6 +83,10 @@ def recall_row(y, moved, state, last_depth, fresh, memory, before, valid):
         right, below = MEMORY * (min(x0 + 1, w - 1) - x0), MEMORY * w * (min(y0 + 1, h - 1) - y0)
         at = np.uint64((y0 * w + x0) * MEMORY)
         to_right, to_below, across = np.uint64(right), np.uint64(below), np.uint64(right + below)
+        count = at + np.uint64(3)
+        if is_unknown(flat[count], flat[count + to_right], flat[count + to_below], flat[count + across], tx, ty):
+            valid[x], memory[:, x], memory[3, x] = ZERO, ZERO, -ONE
+            continue
         for c in range(MEMORY):
             i = at + np.uint64(c)
             top = flat[i] + (flat[i + to_right] - flat[i]) * tx
@@ -66,10 +95,9 @@ def recall_row(y, moved, state, last_depth, fresh, memory, before, valid):
 
 
 @fused
-def mean_row(y, warped, h, left, right, total, mean):
-    """Mean (3, w) of the output pixels that each render pixel of a row touches."""
-    height, width = warped.shape[:2]
-    top, bottom = y * height // h, -(-(y + 1) * height // h)
+def mean_row(top, bottom, warped, left, right, total, mean):
+    """Mean (3, w) of the output pixels that each render pixel of a row touches: rows ``top`` to ``bottom``."""
+    width = warped.shape[1]
     total[:] = ZERO
     for j in range(top, bottom):
         line = warped[j].reshape(3 * width)
@@ -105,11 +133,11 @@ def colour_planes(row, colour, factor, exposure, memory, gain, mean, valid, feat
 
 
 @fused
-def bounded_planes(row, first, picture, low, high, features):
+def bounded_planes(row, first, picture, count, low, high, features):
     """Channels of a picture's row as they are, within bounds."""
     for c in range(picture.shape[1]):
         plane = features[0, first + c, row]
-        for x in range(picture.shape[0]):
+        for x in range(count):
             plane[x] = clamp(picture[x, c], low, high)
 
 
@@ -142,48 +170,53 @@ def memory_planes(row, valid, memory, features):
     count = valid.size
     features[0, 21, row, :count] = valid
     for x in range(count):
-        features[0, 22, row, x] = memory[3, x] / np.float32(MAX_COUNT)
+        features[0, 22, row, x] = max(memory[3, x], ZERO) / np.float32(MAX_COUNT)
     for c in range(HIDDEN):
         features[0, 27 + c, row, :count] = memory[4 + c]
 
 
 @compiled
 def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
-                 warped, depth_scale, params, past, features):
-    """The network's input, mirrored up to its size, and the reprojected accumulation."""
-    h, w = colour.shape[:2]
-    width = warped.shape[1]
-    two = np.float32(2)
-    left = np.array([x * width // w for x in range(w)])
-    right = np.array([-(-(x + 1) * width // w) for x in range(w)])
-    memory, mean, factor = np.empty((MEMORY, w), np.float32), np.empty((3, w), np.float32), np.empty((3, w), np.float32)
-    before, valid, total = np.ones(w, np.float32), np.empty(w, np.float32), np.empty(3 * width, np.float32)
+                 warped, depth_scale, params, window, past, features):
+    """The network's input, mirrored beyond the frame and up to its size, and the reprojected accumulation."""
+    h, w, height, width = int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]), int(window[OUT_WIDTH])
+    top, first, above, before_left = int(window[TOP]), int(window[LEFT]), int(window[OUT_TOP]), int(window[OUT_LEFT])
+    two, lines, count = np.float32(2), min(moved.shape[0], h - top), min(moved.shape[1], w - first)
+    columns = np.arange(first, first + count)
+    left = np.array([x * width // w - before_left for x in columns])
+    right = np.array([-(-(x + 1) * width // w) - before_left for x in columns])
+    memory, mean = np.empty((MEMORY, count), np.float32), np.empty((3, count), np.float32)
+    factor, before = np.empty((3, count), np.float32), np.ones(count, np.float32)
+    valid, total = np.empty(count, np.float32), np.empty(3 * warped.shape[1], np.float32)
     for row in range(y0, y1):
-        y = mirrored(row, h)
-        for x in range(w):
-            factor[0, x], factor[1, x], factor[2, x] = demodulation(diffuse_albedo, specular_albedo, y, x)
-        recall_row(y, moved, state, last_depth, params[FRESH], memory, before, valid)
-        mean_row(y, warped, h, left, right, total, mean)
-        colour_planes(row, colour[y], factor, params[EXPOSURE], memory, params[GAIN], mean, valid, features)
-        bounded_planes(row, 9, diffuse_albedo[y], ZERO, two, features)
-        bounded_planes(row, 12, specular_albedo[y], ZERO, two, features)
-        bounded_planes(row, 15, normal[y], -ONE, ONE, features)
-        bounded_planes(row, 18, roughness[y], ZERO, ONE, features)
-        depth_planes(row, depth[y], before, valid, depth_scale[0], features)
-        motion_plane(row, moved[y], features)
+        here = mirrored(row, lines)
+        y = top + here
+        for x in range(count):
+            factor[0, x], factor[1, x], factor[2, x] = demodulation(diffuse_albedo, specular_albedo, y, first + x)
+        recall_row(y, columns, moved[here], state, last_depth, params[FRESH], memory, before, valid)
+        mean_row(y * height // h - above, -(-(y + 1) * height // h) - above, warped, left, right, total, mean)
+        colour_planes(row, colour[y, first:], factor, params[EXPOSURE], memory, params[GAIN], mean, valid, features)
+        bounded_planes(row, 9, diffuse_albedo[y, first:], count, ZERO, two, features)
+        bounded_planes(row, 12, specular_albedo[y, first:], count, ZERO, two, features)
+        bounded_planes(row, 15, normal[y, first:], count, -ONE, ONE, features)
+        bounded_planes(row, 18, roughness[y, first:], count, ZERO, ONE, features)
+        depth_planes(row, depth[y, first:], before, valid, depth_scale[0], features)
+        motion_plane(row, moved[here, :count], features)
         memory_planes(row, valid, memory, features)
         features[0, 23, row, :] = params[JITTER_X]
         features[0, 24, row, :] = params[JITTER_Y]
         features[0, 26, row, :] = np.float32(w) / np.float32(width)
         for c in range(FEATURES):
-            for x in range(w, features.shape[3]):
-                features[0, c, row, x] = features[0, c, row, mirrored(x, w)]
-        if row < h:
-            for x in range(w):
+            for x in range(count, features.shape[3]):
+                features[0, c, row, x] = features[0, c, row, mirrored(x, count)]
+        if row < past.shape[0]:
+            for x in range(past.shape[1]):
+                at = mirrored(x, count)
                 for c in range(3):
-                    past[row, x, c] = memory[c, x] * params[GAIN]
-                past[row, x, 3] = memory[3, x]
+                    past[row, x, c] = memory[c, at] * params[GAIN]
+                past[row, x, 3] = memory[3, at]
 
 
 FEATURE = kernel("features", ("colour", *REFLECTANCE, "normal", "roughness", "depth", "moved", "state", "last_depth",
-                              "warped", "depth_scale", "params"), ("past", "features"), feature_rows, ("features", 2))
+                              "warped", "depth_scale", "params", "window"), ("past", "features"), feature_rows,
+                 ("features", 2))

@@ -79,16 +79,18 @@ def filter_rows(y0, y1, mixed, heads, area, filtered):
 
 
 @compiled
-def remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, radiance):
-    """Filtered colour times reflectance: (3, h + 2, w + 2) exposed linear, a border of repeated pixels around it."""
-    h, w = diffuse_albedo.shape[:2]
+def remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows, part_columns, radiance):
+    """Filtered colour times reflectance: (3, th + 2, tw + 2) exposed linear, a border of repeated pixels around it."""
+    h, w = part_rows.size, part_columns.size
+    top, left = int(part_rows[0]), int(part_columns[0])
     for row in range(y0, y1):
-        y = min(max(row - 1, 0), h - 1)
+        y = int(part_rows[min(max(row - 1, 0), h - 1)])
         for x in range(w):
-            r, g, b = demodulation(diffuse_albedo, specular_albedo, y, x)
-            radiance[0, row, x + 1] = filtered[0, y, x] * r
-            radiance[1, row, x + 1] = filtered[1, y, x] * g
-            radiance[2, row, x + 1] = filtered[2, y, x] * b
+            column = int(part_columns[x])
+            r, g, b = demodulation(diffuse_albedo, specular_albedo, y, column)
+            radiance[0, row, x + 1] = filtered[0, y - top, column - left] * r
+            radiance[1, row, x + 1] = filtered[1, y - top, column - left] * g
+            radiance[2, row, x + 1] = filtered[2, y - top, column - left] * b
         for c in range(3):
             radiance[c, row, 0] = radiance[c, row, 1]
             radiance[c, row, w + 1] = radiance[c, row, w]
@@ -99,4 +101,5 @@ POOL = kernel("pool", ("finer",), ("level",), pool_rows, ("level", 1))
 MIX_LEVELS = kernel("mix", ("coarse", "level", "heads"), ("mixed",), mix_rows, ("mixed", 1), mixed=PLANAR)
 FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1),
                 mixed=("channels", "hp", "wp"))
-REMODULATE = kernel("remodulate", ("filtered", *REFLECTANCE), ("radiance",), remodulate_rows, ("radiance", 1))
+REMODULATE = kernel("remodulate", ("filtered", *REFLECTANCE, "part_rows", "part_columns"), ("radiance",),
+                    remodulate_rows, ("radiance", 1))

@@ -7,7 +7,7 @@ albedo 0, specular albedo 3, normal 6, roughness 9, depth 10. The torch definiti
 
 import numpy as np
 
-from postfx.kernels.denoise_layout import GUIDE_PLANES, GUIDES, MAX_DEPTH, kernel
+from postfx.kernels.denoise_layout import GUIDE_PLANES, GUIDES, HEIGHT, MAX_DEPTH, WIDTH, kernel
 from postfx.kernels.numeric import clamp, compiled, fused, mirrored
 
 CORNERS = 4
@@ -25,19 +25,20 @@ def picked_planes(picture, columns, low, high, first, row, guides):
 
 
 @compiled
-def guide_rows(y0, y1, depth, guide_diffuse_albedo, guide_specular_albedo, guide_normal, guide_roughness, guide_depth,
-               depth_scale, guides):
+def guide_rows(y0, y1, guide_diffuse_albedo, guide_specular_albedo, guide_normal, guide_roughness, guide_depth,
+               depth_scale, window, part_rows, part_columns, guides):
     """The nearest guide pixel at every corner; mirrored up to the network's size."""
-    h, w = depth.shape[:2]
+    h, w = int(window[HEIGHT]), int(window[WIDTH])
+    top, left = int(part_rows[0]), int(part_columns[0])
     height, width = guide_depth.shape[:2]
     scale, padded = depth_scale[0], guides.shape[3]
     columns = np.empty((2, padded), np.int64)
     for x in range(padded):
         for side in range(2):
-            columns[side, x] = (4 * mirrored(x, w) + 1 + 2 * side) * width // (4 * w)
+            columns[side, x] = (4 * mirrored(left + x, w) + 1 + 2 * side) * width // (4 * w)
     for row in range(y0, y1):
         for corner in range(CORNERS):
-            y = (4 * mirrored(row, h) + 1 + 2 * (corner // 2)) * height // (4 * h)
+            y = (4 * mirrored(top + row, h) + 1 + 2 * (corner // 2)) * height // (4 * h)
             at, first = columns[corner % 2], CHANNELS * corner
             picked_planes(guide_diffuse_albedo[y], at, ZERO, TWO, first, row, guides)
             picked_planes(guide_specular_albedo[y], at, ZERO, TWO, first + 3, row, guides)
@@ -49,4 +50,5 @@ def guide_rows(y0, y1, depth, guide_diffuse_albedo, guide_specular_albedo, guide
                 near[x] = scale / (scale + near[x])
 
 
-GUIDE = kernel("guides", ("depth", *GUIDE_PLANES, "depth_scale"), ("guides",), guide_rows, ("guides", 2))
+GUIDE = kernel("guides", (*GUIDE_PLANES, "depth_scale", "window", "part_rows", "part_columns"), ("guides",), guide_rows,
+               ("guides", 2))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from postfx.kernels.denoise_layout import GAIN, kernel
+from postfx.kernels.denoise_layout import GAIN, HEIGHT, LEFT, TOP, WIDTH, kernel
 from postfx.kernels.numeric import centre, compiled, expm1, fused, fused_inline, log1p, vectorised
 
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -41,14 +41,14 @@ def across(flat, start, w0, w1, w2, w3):
 
 
 @fused
-def warp_row(y, history, index, shift_x, shift_y, wx, wy, row):
-    """Row ``y`` (3 width,) of the history moved; ``index`` is the render pixel of each output pixel."""
+def warp_row(y, columns, history, index, shift_x, shift_y, wx, wy, row):
+    """Row ``y`` of the history moved, at ``columns``; ``index`` is the render pixel of each output pixel."""
     height, width = history.shape[:2]
     flat = history.reshape(height * width * 3)
     line = np.uint64(3 * width)
-    for x in range(width):
+    for x in range(index.size):
         at = index[x]
-        left, top = x + shift_x[at] - 1, y + shift_y[at] - 1
+        left, top = columns[x] + shift_x[at] - 1, y + shift_y[at] - 1
         w0, w1, w2, w3 = wx[0, at], wx[1, at], wx[2, at], wx[3, at]
         d0, d1, d2, d3 = wy[0, at], wy[1, at], wy[2, at], wy[3, at]
         if 0 <= left <= width - 4 and 0 <= top <= height - 4:
@@ -78,27 +78,32 @@ def rescale_row(row, gain):
 
 
 @compiled
-def history_rows(y0, y1, history, moved, params, warped):
+def history_rows(y0, y1, history, moved, params, window, out_rows, out_columns, warped):
     """The last output where its pixels are now, bicubic, edge repeated; rescaled where the exposure changed."""
     height, width = history.shape[:2]
-    h, w = moved.shape[:2]
-    index = np.empty(width, np.int64)
-    for x in range(width):
-        index[x], _ = centre(x, w, width)
-    shift_x, shift_y = np.empty(w, np.int32), np.empty(w, np.int32)
-    wx, wy = np.empty((4, w), np.float32), np.empty((4, w), np.float32)
+    h, w = int(window[HEIGHT]), int(window[WIDTH])
+    columns, count = out_columns.astype(np.int64), moved.shape[1]
+    index = np.empty(columns.size, np.int64)
+    for x in range(index.size):
+        at, _ = centre(columns[x], w, width)
+        index[x] = min(max(at - int(window[LEFT]), 0), count - 1)
+    shift_x, shift_y = np.empty(count, np.int32), np.empty(count, np.int32)
+    wx, wy = np.empty((4, count), np.float32), np.empty((4, count), np.float32)
     last = -1
-    for y in range(y0, y1):
+    for out in range(y0, y1):
+        y = int(out_rows[out])
         iy, _ = centre(y, h, height)
+        iy = min(max(iy - int(window[TOP]), 0), moved.shape[0] - 1)
         if iy != last:
             steps(moved[iy], 0, np.float32(width / w), shift_x, wx)
             steps(moved[iy], 1, np.float32(height / h), shift_y, wy)
             last = iy
-        row = warped[y].reshape(3 * width)
-        warp_row(y, history, index, shift_x, shift_y, wx, wy, row)
+        row = warped[out].reshape(3 * index.size)
+        warp_row(y, columns, history, index, shift_x, shift_y, wx, wy, row)
         np.maximum(row, ZERO, row)
         if params[GAIN] != ONE:
             rescale_row(row, params[GAIN])
 
 
-HISTORY = kernel("history", ("history", "moved", "params"), ("warped",), history_rows, ("warped", 0))
+HISTORY = kernel("history", ("history", "moved", "params", "window", "out_rows", "out_columns"), ("warped",),
+                 history_rows, ("warped", 0))

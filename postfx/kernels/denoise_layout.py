@@ -1,11 +1,18 @@
 """What the upscaler's kernels share: the layout of their tensors and a way to name them.
 
 ``params`` is float32 (5,): exposure, jitter x, jitter y, fresh (0 drops the history) and the exposure's gain since
-the previous frame. ``state`` (h, w, 12) holds accumulated demodulated colour (3), effective sample count and hidden
-channels (8), colour already exposed; ``history`` (height, width, 3) is log(1 + exposed output). ``fine`` is the
-network's head at render size: 5x5 kernel 25, 3x3 weights at four phases 36, history blend and sharpening at four
-phases 4 each, mix, distrust, importance, hidden state 8. Pictures are (h, w, channels), pyramid levels planar
-(channels, h, w). Names that begin with ``guide_`` are planes at output size.
+the previous frame. ``state`` (h, w, 12) holds accumulated demodulated colour (3), effective sample count (0 where it
+holds nothing) and hidden channels (8), colour already exposed; ``history`` (height, width, 3) is log(1 + exposed
+output). ``fine`` is the network's head at render size: 5x5 kernel 25, 3x3 weights at four phases 36, history blend and
+sharpening at four phases 4 each, mix, distrust, importance, hidden state 8. Pictures are (h, w, channels), pyramid
+levels planar (channels, h, w). Names that begin with ``guide_`` are planes at output size.
+
+Kernels work on a part of the frame, whose planes and history are read whole; what is made on the way has the part's
+size, (th, tw) at render and (out_th, out_tw) at output size, and a part may end beyond the frame. ``window`` is float32
+(8,): the part's first row and column, the frame's height and width, and the same at output size. ``part_rows``,
+``part_columns``, ``out_rows`` and ``out_columns`` are the frame's rows and columns that the part holds, the last one
+repeated beyond the frame. ``past`` (th, tw, 4) is the reprojected accumulation with its count, -1 where the history
+does not hold a pixel that lies in the frame.
 """
 
 from collections.abc import Callable
@@ -20,6 +27,8 @@ KERNEL, PHASES, BLEND, SHARPEN, MIX, DISTRUST, IMPORTANCE, MEMORY = 25, 25, 61, 
 FINE = MEMORY + HIDDEN
 GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
 EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN = range(5)
+TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
+UNKNOWN = 1e-3  # share of a reprojected pixel that the history may lack
 MAX_COUNT = 32.0
 MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
 
@@ -35,12 +44,14 @@ GUIDE_PLANES = {
     "guide_depth": ("height", "width", 1),
 }
 SHAPES = PLANES | GUIDE_PLANES | {
-    "depth_scale": (1,), "moved": ("h", "w", 2), "history": ("height", "width", 3), "warped": ("height", "width", 3),
-    "params": (5,), "state": ("h", "w", 4 + HIDDEN), "last_depth": ("h", "w", 1), "past": ("h", "w", 4),
-    "features": (1, FEATURES, "hp", "wp"), "fine": (1, FINE, "hp", "wp"), "next_state": ("h", "w", 4 + HIDDEN),
-    "next_depth": ("h", "w", 1), "level": (4, "hp", "wp"), "finer": (4, "2*hp", "2*wp"),
+    "depth_scale": (1,), "moved": ("th", "tw", 2), "history": ("height", "width", 3), "warped": ("out_th", "out_tw", 3),
+    "params": (5,), "window": (8,), "part_rows": ("th",), "part_columns": ("tw",),
+    "out_rows": ("out_th",), "out_columns": ("out_tw",), "state": ("h", "w", 4 + HIDDEN), "last_depth": ("h", "w", 1),
+    "past": ("th", "tw", 4), "features": (1, FEATURES, "hp", "wp"), "fine": (1, FINE, "hp", "wp"),
+    "next_state": ("th", "tw", 4 + HIDDEN), "next_depth": ("th", "tw", 1), "level": (4, "hp", "wp"),
+    "finer": (4, "2*hp", "2*wp"),
     "heads": (1, "heads", "hp", "wp"), "coarse": (3, "half_hp", "half_wp"), "area": (2,), "filtered": (3, "hp", "wp"),
-    "radiance": (3, "padded_h", "padded_w"), "output": ("height", "width", 3), "next_history": ("height", "width", 3),
+    "radiance": (3, "padded_h", "padded_w"), "output": ("out_th", "out_tw", 3), "next_history": ("out_th", "out_tw", 3),
     "guides": (1, GUIDES, "hp", "wp"),
 }
 

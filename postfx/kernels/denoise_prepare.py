@@ -7,10 +7,12 @@ from postfx.kernels.denoise_layout import (
     EXPOSURE,
     HIDDEN,
     IMPORTANCE,
+    LEFT,
     MAX_COUNT,
     MAX_FLOAT,
     MEMORY,
     REFLECTANCE,
+    TOP,
     kernel,
 )
 from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, demodulation, inline
@@ -38,48 +40,51 @@ def finite(value):
 
 
 @compiled
-def dilate_rows(y0, y1, motion, depth, moved):
+def dilate_rows(y0, y1, motion, depth, part_rows, part_columns, moved):
     """Motion of a clearly nearer neighbour in 3x3, else the pixel's own."""
     h, w = depth.shape[:2]
-    for y in range(y0, y1):
-        for x in range(w):
+    for row in range(y0, y1):
+        for column in range(moved.shape[1]):
+            y, x = int(part_rows[row]), int(part_columns[column])
             near, at_y, at_x = depth[y, x, 0] * np.float32(0.9), y, x
             for j in range(max(0, y - 1), min(h, y + 2)):
                 for i in range(max(0, x - 1), min(w, x + 2)):
                     if depth[j, i, 0] < near:
                         near, at_y, at_x = depth[j, i, 0], j, i
-            moved[y, x, 0] = finite(motion[at_y, at_x, 0])
-            moved[y, x, 1] = finite(motion[at_y, at_x, 1])
+            moved[row, column, 0] = finite(motion[at_y, at_x, 0])
+            moved[row, column, 1] = finite(motion[at_y, at_x, 1])
 
 
 @compiled
-def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, depth, past, fine, params, state, next_depth,
-                    level):
-    """Running mean of demodulated colour; ``level`` (4, hp, wp) is it with its importance, zero in the padding."""
-    h, w = colour.shape[:2]
+def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, depth, past, fine, params, window, state,
+                    next_depth, level):
+    """Running mean of demodulated colour; ``level`` (4, hp, wp) is it with its importance, zero beyond the frame."""
+    top, left = int(window[TOP]), int(window[LEFT])
+    rows, columns = min(past.shape[0], colour.shape[0] - top), min(past.shape[1], colour.shape[1] - left)
     for y in range(y0, y1):
-        if y >= h:
-            level[:, y, :] = ZERO
-            continue
-        level[:, y, w:] = ZERO
-        for x in range(w):
-            f0, f1, f2 = demodulation(diffuse_albedo, specular_albedo, y, x)
-            share = ONE / (past[y, x, 3] + ONE)
+        first = columns if y < rows else 0
+        level[:, y, first:] = ZERO
+        if y < past.shape[0]:
+            state[y, first:], next_depth[y, first:] = ZERO, ZERO
+        for x in range(first):
+            v, u = top + y, left + x
+            f0, f1, f2 = demodulation(diffuse_albedo, specular_albedo, v, u)
+            share = ONE / (max(past[y, x, 3], ZERO) + ONE)
             alpha = share + (ONE - share) * fine[0, DISTRUST, y, x]
             for c, f in enumerate((f0, f1, f2)):
-                exposed = clamp(colour[y, x, c], ZERO, MAX_FLOAT) * params[EXPOSURE]
+                exposed = clamp(colour[v, u, c], ZERO, MAX_FLOAT) * params[EXPOSURE]
                 noisy = min(exposed / f, np.float32(MAX_COLOUR))
                 mean = past[y, x, c] + (noisy - past[y, x, c]) * alpha
                 state[y, x, c] = mean
                 level[c, y, x] = mean
             level[3, y, x] = fine[0, IMPORTANCE, y, x]
-            next_depth[y, x, 0] = depth[y, x, 0]
+            next_depth[y, x, 0] = depth[v, u, 0]
             state[y, x, 3] = min(ONE / alpha, np.float32(MAX_COUNT))
             for c in range(HIDDEN):
                 state[y, x, 4 + c] = fine[0, MEMORY + c, y, x]
 
 
 SCALE = kernel("scale", ("depth",), ("depth_scale",), scale_rows, ("depth_scale", 0))
-DILATE = kernel("dilate", ("motion", "depth"), ("moved",), dilate_rows, ("moved", 0))
-ACCUMULATE = kernel("accumulate", ("colour", *REFLECTANCE, "depth", "past", "fine", "params"),
+DILATE = kernel("dilate", ("motion", "depth", "part_rows", "part_columns"), ("moved",), dilate_rows, ("moved", 0))
+ACCUMULATE = kernel("accumulate", ("colour", *REFLECTANCE, "depth", "past", "fine", "params", "window"),
                     ("next_state", "next_depth", "level"), accumulate_rows, ("level", 1))

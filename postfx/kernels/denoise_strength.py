@@ -22,4 +22,4 @@ def strength_rows(y0, y1, denoised, plain, strength, amount, output):
 
 IMAGE = ("height", "width", 3)
 STRENGTH = kernel("strength", ("denoised", "plain", "strength", "amount"), ("output",), strength_rows, ("output", 0),
-                  denoised=IMAGE, plain=IMAGE, strength=("height", "width", 1), amount=(1,))
+                  denoised=IMAGE, plain=IMAGE, output=IMAGE, strength=("height", "width", 1), amount=(1,))

@@ -10,10 +10,18 @@ from postfx.kernels.denoise_layout import (
     EXPOSURE,
     FRESH,
     GUIDE_REFLECTANCE,
+    HEIGHT,
     JITTER_X,
     JITTER_Y,
+    LEFT,
+    OUT_HEIGHT,
+    OUT_LEFT,
+    OUT_TOP,
+    OUT_WIDTH,
     PHASES,
     SHARPEN,
+    TOP,
+    WIDTH,
     kernel,
 )
 from postfx.kernels.denoise_phases import (
@@ -56,10 +64,11 @@ def blend_rows(current, warped, trust, darken, history, output):
 
 
 @fused
-def factor_row(y, diffuse_albedo, specular_albedo, factor):
+def factor_row(y, left, diffuse_albedo, specular_albedo, factor):
     """Reflectance that a row of the output is multiplied by, interleaved."""
-    for x in range(diffuse_albedo.shape[1]):
-        factor[3 * x], factor[3 * x + 1], factor[3 * x + 2] = demodulation(diffuse_albedo, specular_albedo, y, x)
+    for x in range(factor.size // 3):
+        at = min(left + x, diffuse_albedo.shape[1] - 1)
+        factor[3 * x], factor[3 * x + 1], factor[3 * x + 2] = demodulation(diffuse_albedo, specular_albedo, y, at)
 
 
 @vectorised
@@ -70,19 +79,21 @@ def remodulate_row(factor, current):
 
 
 @compiled
-def trust_side(side, y, size, moved, scale, fresh, trust):
-    """At scale 2, how much of the history each output pixel on one side of the render pixels keeps.
+def trust_side(first, y, size, moved, past, scale, fresh, trust):
+    """At scale 2, how much of the history each output pixel on one side of the render pixels keeps, from ``first`` on.
 
-    ``trust`` holds the predicted blend at first; nothing is kept where the pixel lay beyond the border.
+    ``trust`` holds the predicted blend at first; nothing is kept where the pixel lay beyond the border, or where the
+    history does not hold it.
     """
     for x in range(trust.size):
-        px, py = np.float32(2 * x + side) + moved[x, 0] * scale[0], y + moved[x, 1] * scale[1]
-        trust[x] = fresh * (ONE - trust[x]) if held(px, py, size[0], size[1]) else ZERO
+        px, py = np.float32(2 * x + first) + moved[x, 0] * scale[0], y + moved[x, 1] * scale[1]
+        kept = held(px, py, size[0], size[1]) and past[x, 3] >= ZERO
+        trust[x] = fresh * (ONE - trust[x]) if kept else ZERO
 
 
 @compiled
-def double_row(y, iy, lower, radiance, column, fine, moved, gauss_x, gauss_y, wide_x, size, scale, fresh, rows, soft,
-               current, trust):
+def double_row(y, left, iy, lower, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, fresh,
+               rows, soft, current, trust):
     """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps."""
     w = rows.shape[1]
     for side in range(2):
@@ -100,7 +111,7 @@ def double_row(y, iy, lower, radiance, column, fine, moved, gauss_x, gauss_y, wi
             encode_sharp(rows[c], rows[4], soft, fine[0, SHARPEN + corner, iy])
             place(rows[c], 3 * side + c, 6, current)
         rows[3] = fine[0, BLEND + corner, iy, :w]
-        trust_side(side, np.float32(y), size, moved[iy], scale, fresh, rows[3])
+        trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, fresh, rows[3])
         for c in range(3):
             place(rows[3], 3 * side + c, 6, trust)
 
@@ -114,8 +125,8 @@ def control_row(first, iy, ty, fine, index, leans, corners, out):
 
 
 @compiled
-def any_row(y, iy, ty, radiance, column, fine, moved, gauss_x, gauss_y, wide_x, size, scale, fresh, index, leans,
-            corners, rows, soft, current, trust):
+def any_row(y, left, iy, ty, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, fresh, index,
+            leans, corners, rows, soft, current, trust):
     """A row at any scale."""
     w = corners.shape[1]
     rows[:4], rows[4] = ZERO, TINY
@@ -132,68 +143,79 @@ def any_row(y, iy, ty, radiance, column, fine, moved, gauss_x, gauss_y, wide_x, 
         place(rows[c], c, 3, current)
     control_row(BLEND, iy, ty, fine, index, leans, corners, rows[3])
     for x in range(index.size):
-        px, py = np.float32(x) + moved[iy, index[x], 0] * scale[0], np.float32(y) + moved[iy, index[x], 1] * scale[1]
-        kept = fresh * (ONE - rows[3, x]) if held(px, py, size[0], size[1]) else ZERO
-        trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = kept
+        at = index[x]
+        px, py = np.float32(left + x) + moved[iy, at, 0] * scale[0], np.float32(y) + moved[iy, at, 1] * scale[1]
+        inside = held(px, py, size[0], size[1]) and past[iy, at, 3] >= ZERO
+        trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = fresh * (ONE - rows[3, x]) if inside else ZERO
 
 
 @compiled
-def resolve_rows(y0, y1, radiance, fine, moved, warped, diffuse_albedo, specular_albedo, guided, params, output,
-                 history):
+def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, guided, params, window,
+                 output, history):
     """Output pixels from 3x3 samples by predicted weight and distance, blended with the reprojected history.
 
-    The albedos have the output's size and are looked at only if ``guided``.
+    The albedos have the frame's output size and are looked at only if ``guided``.
     """
+    frame_h, frame_w, frame_height, frame_width = (int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]),
+                                                   int(window[OUT_WIDTH]))
     h, w = moved.shape[:2]
     height, width = output.shape[:2]
-    size, scale = (width, height), (np.float32(width / w), np.float32(height / h))
+    left = int(window[OUT_LEFT])
+    size = frame_width, frame_height
+    scale = np.float32(frame_width / frame_w), np.float32(frame_height / frame_h)
     index, leans = np.empty(width, np.int64), np.empty(width, np.float32)
     gauss_x, gauss_y = np.empty((3, width), np.float32), np.empty(3, np.float32)
     wide_x = np.empty((3, width), np.float32)
     for x in range(width):
-        index[x], offset = centre(x, w, width)
+        at, offset = centre(min(left + x, frame_width - 1), frame_w, frame_width)
+        index[x] = min(max(at - int(window[LEFT]), 0), w - 1)
         leans[x] = lean(offset)
         wide_x[0, x], wide_x[1, x], wide_x[2, x] = wide_gauss(params[JITTER_X] - offset)
         for i in range(3):
             gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
-    double = width == 2 * w and height == 2 * h
+    double = frame_width == 2 * frame_w and frame_height == 2 * frame_h
     corners, rows = np.empty((2, w), np.float32), np.empty((5, w if double else width), np.float32)
     column, soft = np.empty((3, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
     current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
     factor = np.empty(3 * width if guided else 0, np.float32)
-    for y in range(y0, y1):
-        iy, offset = centre(y, h, height)
+    for row in range(y0, y1):
+        y = min(int(window[OUT_TOP]) + row, frame_height - 1)
+        iy, offset = centre(y, frame_h, frame_height)
+        iy = min(max(iy - int(window[TOP]), 0), h - 1)
         upper, middle, lower = wide_gauss(params[JITTER_Y] - offset)
         for j in range(3):
             gauss_y[j] = gauss(j - 1 + params[JITTER_Y] - offset)
         for c in range(3):
             weighted(radiance[c, iy], radiance[c, iy + 1], radiance[c, iy + 2], upper, middle, lower, column[c])
         if double:
-            double_row(y, iy, y % 2, radiance, column, fine, moved, gauss_x, gauss_y, wide_x, size, scale,
+            double_row(y, left, iy, y % 2, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale,
                        params[FRESH], rows, soft, current, trust)
         else:
-            any_row(y, iy, lean(offset), radiance, column, fine, moved, gauss_x, gauss_y, wide_x, size, scale,
-                    params[FRESH], index, leans, corners, rows, soft, current, trust)
+            any_row(y, left, iy, lean(offset), radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size,
+                    scale, params[FRESH], index, leans, corners, rows, soft, current, trust)
         if guided:
-            factor_row(y, diffuse_albedo, specular_albedo, factor)
+            factor_row(y, left, diffuse_albedo, specular_albedo, factor)
             remodulate_row(factor, current)
-        blend_rows(current, warped[y].reshape(3 * width), trust, ONE / params[EXPOSURE], history[y].reshape(3 * width),
-                   output[y].reshape(3 * width))
+        blend_rows(current, warped[row].reshape(3 * width), trust, ONE / params[EXPOSURE],
+                   history[row].reshape(3 * width), output[row].reshape(3 * width))
 
 
 @compiled
-def upsample_rows(y0, y1, radiance, fine, moved, warped, params, output, history):
+def upsample_rows(y0, y1, radiance, fine, moved, past, warped, params, window, output, history):
     """Radiance that already holds the reflectance."""
-    resolve_rows(y0, y1, radiance, fine, moved, warped, warped, warped, False, params, output, history)
+    resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, False, params, window, output, history)
 
 
 @compiled
-def guided_rows(y0, y1, radiance, fine, moved, warped, diffuse_albedo, specular_albedo, params, output, history):
+def guided_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, params, window, output,
+                history):
     """Radiance without reflectance, which is put back at output size."""
-    resolve_rows(y0, y1, radiance, fine, moved, warped, diffuse_albedo, specular_albedo, True, params, output, history)
+    resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, True, params, window,
+                 output, history)
 
 
 WRITES = ("output", "next_history")
-UPSAMPLE = kernel("upsample", ("radiance", "fine", "moved", "warped", "params"), WRITES, upsample_rows, ("output", 0))
-UPSAMPLE_GUIDED = kernel("upsample_guided", ("radiance", "fine", "moved", "warped", *GUIDE_REFLECTANCE, "params"),
-                         WRITES, guided_rows, ("output", 0))
+READS = ("radiance", "fine", "moved", "past", "warped")
+UPSAMPLE = kernel("upsample", (*READS, "params", "window"), WRITES, upsample_rows, ("output", 0))
+UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "params", "window"), WRITES, guided_rows,
+                         ("output", 0))

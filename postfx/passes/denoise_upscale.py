@@ -11,11 +11,13 @@ import numpy as np
 from postfx.errors import GuideError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_budget import Ladder, cost, family
-from postfx.passes._denoise_graph import Graph, Sizes, has_model
+from postfx.passes._denoise_frame import Frames
+from postfx.passes._denoise_graph import has_model
 from postfx.passes._denoise_models import GUIDED, model_of
 from postfx.passes._denoise_planes import ABSENT, Planes, Resampler, Size
 from postfx.passes._denoise_restore import Restore
 from postfx.passes._denoise_strength import Plain, Strength
+from postfx.passes._denoise_window import Sizes
 from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device, Tensor
 
@@ -98,7 +100,7 @@ class DenoiseUpscale(Pass):
         tags = self._tags(guided)
         self._models = {tag: model_of(tag, guided, device) for tag in tags}
         self._ladder = Ladder(list(map(cost, self._models.values())), self.budget) if self.budget else None
-        self._graph = Graph(device, Sizes(spec.height, spec.width, *size), list(self._models.values()), guided)
+        self._frames = Frames(device, Sizes(spec.height, spec.width, *size), list(self._models.values()), guided)
         self._restore = Restore(device, size) if size == (spec.height, spec.width) else None
         full = self.strength == 1 and not spec.has(Role.STRENGTH)
         self._strength = None if full else Strength(device, spec, size, self.strength)
@@ -138,8 +140,8 @@ class DenoiseUpscale(Pass):
         gain = frame.exposure / self._exposure if keep else 1.0
         params = np.array([frame.exposure, *frame.jitter, keep, gain], np.float32)
         self._used = list(self._models)[self._ladder.rung if self._ladder else 0]
-        self._graph.use(self._models[self._used])
-        colour = self._graph.encode(commands, self._planes.encode(commands, frame), params)
+        self._frames.use(self._models[self._used])
+        colour = self._frames.encode(commands, self._planes.encode(commands, frame), params, keep)
         self._fresh, self._exposure = True, frame.exposure
         colour = self._restore.encode(commands, frame, colour) if self._restore else colour
         return self._strength.encode(commands, frame, colour) if self._strength else colour

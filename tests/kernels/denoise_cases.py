@@ -21,6 +21,7 @@ from postfx.kernels import (
 )
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.resample import RESAMPLE, positions
+from postfx.passes._denoise_window import Sizes, Window
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.shapes import parse
 
@@ -37,27 +38,38 @@ FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "
 
 
 class Case(NamedTuple):
-    """Sizes of a run; `heads` are the channels of the network's output that the filter kernels look at."""
+    """Sizes of a run; `heads` are the channels of the network's output that the filter kernels look at, `part` the
+    first row and column, height and width of the part of the frame that is worked on, None for all of it."""
 
     h: int
     w: int
     height: int
     width: int
     heads: int = denoise_layout.FINE
+    part: tuple[int, int, int, int] | None = None
+
+    @property
+    def window(self) -> Window:
+        return Window(Sizes(self.h, self.w, self.height, self.width), *(self.part or (0, 0, self.h, self.w)))
 
     def sizes(self) -> dict[str, int]:
         """Value of every symbol in the kernels' shapes."""
-        hp, wp = -(-self.h // 16) * 16, -(-self.w // 16) * 16
-        return {**self._asdict(), "hp": hp, "wp": wp, "half_hp": hp // 2, "half_wp": wp // 2, "padded_h": self.h + 2,
-                "padded_w": self.w + 2, "channels": 4, "wide": 8, "tiles_high": hp // 16, "tiles_wide": wp // 16}
+        window = self.window
+        hp, wp = -(-window.rows // 16) * 16, -(-window.columns // 16) * 16
+        return {**self._asdict(), "hp": hp, "wp": wp, "half_hp": hp // 2, "half_wp": wp // 2,
+                "th": window.rows, "tw": window.columns, "out_th": window.out.rows, "out_tw": window.out.columns,
+                "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
+                "tiles_high": -(-self.h // 16), "tiles_wide": -(-self.w // 16)}
 
     def __str__(self) -> str:
-        return f"{self.h}x{self.w}-{self.height}x{self.width}-{self.heads}"
+        return "-".join(map(str, (f"{self.h}x{self.w}", f"{self.height}x{self.width}", self.heads, *(self.part or ()))))
 
 
 CASES = (Case(64, 64, 128, 128), Case(50, 66, 50, 66), Case(45, 77, 90, 154), Case(34, 66, 51, 99, 26),
          Case(51, 30, 153, 90, 25), Case(33, 47, 89, 127), Case(17, 5, 34, 10), Case(3, 40, 4, 52),
-         Case(20, 24, 39, 48), Case(1, 1, 2, 2), Case(1, 1, 3, 3), Case(1, 1, 1, 1))
+         Case(20, 24, 39, 48), Case(1, 1, 2, 2), Case(1, 1, 3, 3), Case(1, 1, 1, 1),
+         Case(90, 120, 180, 240, part=(16, 48, 48, 64)), Case(90, 120, 180, 240, part=(48, 64, 48, 64)),
+         Case(75, 91, 113, 137, part=(32, 0, 48, 96)), Case(61, 77, 79, 99, part=(16, 32, 32, 32)))
 
 
 def shape(kernel: Kernel, binding: str, case: Case) -> tuple[int, ...]:
@@ -69,7 +81,7 @@ def shape(kernel: Kernel, binding: str, case: Case) -> tuple[int, ...]:
 def arguments(kernel: Kernel, case: Case, seed: int = 0, bad: bool = False) -> dict[str, np.ndarray]:
     """Arguments that a kernel reads, with the ranges of real ones; `bad` puts values into the frame that no file
     should hold."""
-    random = np.random.default_rng([seed, *case])
+    random = np.random.default_rng([seed, *case[:5], *(case.part or ())])
     values = {name: _value(name, shape(kernel, name, case), case, random) for name in kernel.reads}
     for name in set(FRAME) & values.keys() if bad else ():
         flat = values[name].reshape(-1)
@@ -92,7 +104,10 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
     if name in ("raw", "raw_fine"):
         return random.normal(0, 4, size)
     if name == "area":
-        return np.array([case.h, case.w])
+        return np.array([min(case.window.rows, case.h - case.window.top),
+                         min(case.window.columns, case.w - case.window.left)])
+    if name in (places := case.window.places()):
+        return places[name]
     if name == "rows":
         return positions(case.h, case.height, 0.3)
     if name == "columns":
@@ -111,7 +126,19 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.concatenate((256 + 0 * unit[..., :1], 4 * unit[..., 1:2] ** 4, unit[..., 2:]), -1)
     if name in ("colour", "denoised"):
         return 40 * unit**4
-    return {"past": 30 * unit, "state": 30 * unit, "depth_scale": 1 + unit}.get(name, unit)
+    if name in ("past", "state"):  # with holes, where the history does not know a pixel
+        unit[..., 3][random.random(size[:2]) < 0.05] = -1 / 30 if name == "past" else 0
+        return 30 * unit
+    return {"depth_scale": 1 + unit}.get(name, unit)
+
+
+def in_frame(kernel: Kernel, results: Mapping[str, np.ndarray], case: Case) -> dict[str, np.ndarray]:
+    """Results without what lies beyond the frame at output size, which may be anything."""
+    out, cut = case.window.out, {}
+    for name, value in results.items():
+        ends_beyond = kernel.shapes[name][:2] == ("out_th", "out_tw")
+        cut[name] = value[: case.height - out.top, : case.width - out.left] if ends_beyond else value
+    return cut
 
 
 def run(kernel: Kernel, device: Device, inputs: Mapping[str, np.ndarray], case: Case) -> dict[str, np.ndarray]:
@@ -125,4 +152,4 @@ def run(kernel: Kernel, device: Device, inputs: Mapping[str, np.ndarray], case: 
         encoder.dispatch(state, ArgumentTable(state, read | written))
     commands.commit()
     commands.wait(timeout=60)
-    return {name: tensor.download() for name, tensor in written.items()}
+    return in_frame(kernel, {name: tensor.download() for name, tensor in written.items()}, case)

@@ -7,7 +7,7 @@ import pytest
 
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
-from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, run
+from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, in_frame, run
 
 torch = pytest.importorskip("torch")
 
@@ -31,8 +31,9 @@ def test_portable_definition_matches_torch(kernel: Kernel, case: Case, portable:
     inputs = arguments(kernel, case)
     with torch.no_grad():
         results = DEFINITIONS[kernel]()(*(torch.from_numpy(inputs[name]) for name in kernel.reads))
-    wanted = [x.numpy() for x in (results if isinstance(results, tuple) else (results,))]
+    arrays = [x.numpy() for x in (results if isinstance(results, tuple) else (results,))]
+    wanted = in_frame(kernel, dict(zip(kernel.writes, arrays, strict=True)), case)
     found = run(kernel, portable, inputs, case)
-    for name, value in zip(kernel.writes, wanted, strict=True):
+    for name, value in wanted.items():
         assert np.isfinite(value).all(), name
         np.testing.assert_allclose(found[name], value, rtol=0, atol=TOLERANCE * max(1.0, np.abs(value).max()))

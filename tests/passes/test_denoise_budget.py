@@ -7,7 +7,7 @@ import pytest
 
 from postfx.frame import Role
 from postfx.passes._denoise_budget import Ladder, cost, family
-from postfx.passes._denoise_graph import Graph
+from postfx.passes._denoise_frame import Frames
 from postfx.passes.base import PassOptionError
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
@@ -82,14 +82,14 @@ def test_a_budget_of_nothing_is_an_error(budget: float) -> None:
 def test_the_history_goes_on_with_the_other_network(monkeypatch: pytest.MonkeyPatch) -> None:
     """All but the hidden state, which it could not read."""
     chain, kept = Pipeline([upscaler := DenoiseUpscale(budget=1000)], Device("cpu", threads=2), exposure=0.0), []
-    use = Graph.use
+    use = Frames.use
 
-    def watched(graph: Graph, model: str) -> None:
-        before = graph._state[1 - graph._turn].download()
-        use(graph, model)
-        kept.append((before, graph._state[1 - graph._turn].download()))
+    def watched(frames: Frames, model: str) -> None:
+        before = frames._history.next["next_state"].download()
+        use(frames, model)
+        kept.append((before, frames._history.next["next_state"].download()))
 
-    monkeypatch.setattr(Graph, "use", watched)
+    monkeypatch.setattr(Frames, "use", watched)
     chosen = []
     for number in range(1, 8):
         chain(noisy(number))

@@ -1,14 +1,18 @@
 """The upscaler's compute kernels as torch modules with the kernels' own bindings: what is exported to ONNX.
 
 Pictures are (H, W, C) as in ``postfx.kernels``, pyramid levels (C, H, W); ``params`` is (5,): exposure, jitter x,
-jitter y, fresh, gain. Every size is read off a binding, so that one file serves all sizes.
+jitter y, fresh, gain; ``window`` is (8,): the part of the frame to work on, see ``postfx.kernels.denoise_layout``.
+Every size is read off a binding, so that one file serves all sizes.
 """
+from typing import NamedTuple
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from postfx.kernels.denoise_layout import UNKNOWN
 from training.networks import denoise_upscale as step
-from training.networks import ops
+from training.networks import ops, phases
 from training.networks.denoise_upscale import Guides, Inputs, State
 from training.networks.trunk import DISTRUST, FINE, IMPORTANCE, KERNEL, MEMORY, MIX, activated, weights_from
 
@@ -21,6 +25,66 @@ def to_image(picture: Tensor) -> Tensor:
 def to_picture(image: Tensor) -> Tensor:
     """(1, C, H, W) -> (H, W, C)."""
     return image[0].permute(1, 2, 0)
+
+
+class Window(NamedTuple):
+    """The part of the frame to work on: its first row and column, the frame's size, and both at output size."""
+
+    top: Tensor
+    left: Tensor
+    h: Tensor
+    w: Tensor
+    out_top: Tensor
+    out_left: Tensor
+    height: Tensor
+    width: Tensor
+
+    @classmethod
+    def of(cls, window: Tensor) -> "Window":
+        return cls(*window.long().unbind())
+
+    def mirrored(self, part: Tensor) -> ops.Place:
+        """Rows and columns of a part (h, w, C), beyond the frame as in a mirror."""
+        ends = (torch.clamp(whole - first, max=size) - 1 for whole, first, size in zip(
+            (self.h, self.w), (self.top, self.left), part.shape[:2], strict=True))
+        return tuple((end - (index - end).abs()).clamp(min=0) for index, end in zip(counted(part), ends, strict=True))
+
+    def held(self, part: Tensor) -> ops.Place:
+        """Rows and columns of the frame that a part (h, w, C) holds; its last ones are repeated."""
+        rows, columns = counted(part)
+        return (rows + self.top).clamp(max=self.h - 1), (columns + self.left).clamp(max=self.w - 1)
+
+    def valid(self, part: Tensor) -> Tensor:
+        """(h, w, 1): 1 where a part (h, w, C) lies in the frame, else 0."""
+        rows, columns = counted(part)
+        return ((rows + self.top < self.h)[:, None] & (columns + self.left < self.w))[..., None].to(part.dtype)
+
+    def outputs(self, part: Tensor) -> ops.Place:
+        """Rows and columns of the frame at output size that a part (H, W, C) holds; its last ones are repeated."""
+        rows, columns = counted(part)
+        return (rows + self.out_top).clamp(max=self.height - 1), (columns + self.out_left).clamp(max=self.width - 1)
+
+    def centres(self, at: ops.Place, moved: Tensor) -> phases.Centres:
+        """Where, in a part ``moved`` (h, w, C), the frame's pixels ``at`` output size lie."""
+        sizes = (self.h, self.height), (self.w, self.width)
+        (rows, y), (columns, x) = (ops.nearest_of(index, *size) for index, size in zip(at, sizes, strict=True))
+        return phases.Centres((rows - self.top).clamp(0, moved.shape[0] - 1), y,
+                              (columns - self.left).clamp(0, moved.shape[1] - 1), x)
+
+    def enlarged_motion(self, moved: Tensor, at: phases.Centres) -> Tensor:
+        """Motion (h, w, 2) of a part at output size (1, 2, H, W), in output pixels."""
+        scale = torch.stack((self.width / self.w, self.height / self.h)).to(moved.dtype)
+        return ops.pick(to_image(moved * scale), at.rows, at.columns)
+
+
+def counted(picture: Tensor) -> ops.Place:
+    """Numbers of the rows and columns of a picture (h, w, C)."""
+    return tuple(torch.arange(size, device=picture.device) for size in picture.shape[:2])
+
+
+def part(picture: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+    """Rows and columns of a picture, as (1, C, h, w)."""
+    return ops.pick(to_image(picture), rows, columns)
 
 
 def expose(colour: Tensor, params: Tensor) -> Tensor:
@@ -36,59 +100,94 @@ class Scale(nn.Module):
 
 
 class Dilate(nn.Module):
-    """motion (h, w, 2), depth (h, w, 1) -> moved (h, w, 2)."""
+    """motion (h, w, 2), depth (h, w, 1), part_rows (th,), part_columns (tw,) -> moved (th, tw, 2)."""
 
-    def forward(self, motion: Tensor, depth: Tensor) -> Tensor:
-        return to_picture(ops.dilate_motion(to_image(motion), to_image(depth)))
+    def forward(self, motion: Tensor, depth: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        moved = ops.dilate_motion(to_image(motion), to_image(depth))
+        return to_picture(ops.pick(moved, rows.long(), columns.long()))
 
 
 class History(nn.Module):
-    """history (H, W, 3), moved (h, w, 2), params -> warped (H, W, 3)."""
+    """history (H, W, 3), moved (th, tw, 2), params, window, out_rows (out_th,), out_columns (out_tw,) ->
+    warped (out_th, out_tw, 3)."""
 
-    def forward(self, history: Tensor, moved: Tensor, params: Tensor) -> Tensor:
-        return to_picture(step.reproject_output(to_image(history), to_image(moved), params[4]))
+    def forward(self, history: Tensor, moved: Tensor, params: Tensor, window: Tensor, rows: Tensor,
+                columns: Tensor) -> Tensor:
+        frame, place = Window.of(window), (rows.long(), columns.long())
+        motion = frame.enlarged_motion(moved, frame.centres(place, moved))
+        warped = ops.warp(to_image(history), motion, "bicubic", place).clamp(min=0)
+        return to_picture(torch.log1p(torch.expm1(warped) * params[4]))
 
 
 class Features(nn.Module):
-    """The frame and what it remembers -> past (h, w, 4), features (1, 35, hp, wp), padded to multiples of 16."""
+    """The frame and what it remembers -> past (th, tw, 4), features (1, 35, hp, wp), padded to multiples of 16."""
 
     def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, normal: Tensor,
                 roughness: Tensor, depth: Tensor, moved: Tensor, state: Tensor, last_depth: Tensor, warped: Tensor,
-                depth_scale: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
-        planes = (diffuse_albedo, specular_albedo, normal, roughness, depth, moved)
-        inputs = Inputs(expose(colour, params), *map(to_image, planes), params[None, 1:3], params[4])
-        output, old, fresh = to_image(warped), to_image(state), params[3].reshape(1, 1, 1, 1)
-        before = State(output, old[:, :3], old[:, 3:4], old[:, 4:], to_image(last_depth), fresh)
-        past = step.recall(inputs, before, inputs.motion, output)
+                depth_scale: Tensor, params: Tensor, window: Tensor) -> tuple[Tensor, Tensor]:
+        frame = Window.of(window)
+        here = frame.mirrored(moved)
+        place = here[0] + frame.top, here[1] + frame.left
+        exposed = ops.pick(expose(colour, params), *place)
+        planes = (part(plane, *place) for plane in (diffuse_albedo, specular_albedo, normal, roughness, depth))
+        inputs = Inputs(exposed, *planes, part(moved, *here), params[None, 1:3], params[4])
+        old, fresh = to_image(state), params[3].reshape(1, 1, 1, 1)
+        lacking = ops.warp((old[:, 3:4] <= 0).to(old.dtype), inputs.motion, place=place) > UNKNOWN
+        unknown = lacking * ops.inside(inputs.motion, place, state.shape[:2]) * fresh
+        before = State(inputs.motion, old[:, :3], old[:, 3:4], old[:, 4:], to_image(last_depth), fresh * (1 - unknown))
+        past = step.recall(inputs, before, inputs.motion, inputs.motion, place)
         factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
-        features = step.features(inputs, past, factor, depth_scale.reshape(1, 1, 1, 1))
-        return to_picture(torch.cat((past.accumulated, past.count), 1)), step.aligned(features)
+        features = step.features_of(inputs, past, factor, depth_scale.reshape(1, 1, 1, 1),
+                                    self._mean(frame, place, warped), frame.w / frame.width)
+        count = torch.where(unknown > 0, -torch.ones_like(unknown), past.count)
+        return to_picture(torch.cat((past.accumulated, count), 1)), step.aligned(features)
+
+    def _mean(self, frame: Window, place: ops.Place, warped: Tensor) -> Tensor:
+        """Mean of the last output over each render pixel."""
+        mean = to_image(warped)
+        for axis, at, size, full, first in ((-2, place[0], frame.h, frame.height, frame.out_top),
+                                            (-1, place[1], frame.w, frame.width, frame.out_left)):
+            start, end = at * full // size - first, ((at + 1) * full + size - 1) // size - first
+            mean = ops.spans_mean(mean, start, end, axis)
+        return mean
 
 
 class GuideFeatures(nn.Module):
-    """depth (h, w, 1), guides (H, W, C), depth_scale -> guides (1, 44, hp, wp), padded to multiples of 16."""
+    """guides (H, W, C), depth_scale, window, part_rows (th,), part_columns (tw,) -> guides (1, 44, hp, wp), padded to
+    multiples of 16."""
 
-    def forward(self, depth: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, normal: Tensor,
-                roughness: Tensor, guide_depth: Tensor, depth_scale: Tensor) -> Tensor:
-        h, w = depth.shape[:2]
+    def forward(self, diffuse_albedo: Tensor, specular_albedo: Tensor, normal: Tensor, roughness: Tensor,
+                guide_depth: Tensor, depth_scale: Tensor, window: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        frame = Window.of(window)
         guides = Guides(*map(to_image, (diffuse_albedo, specular_albedo, normal, roughness, guide_depth)))
-        return step.aligned(step.guide_features(guides, h, w, depth_scale.reshape(1, 1, 1, 1)))
+        seen = step.seen_guides(guides, depth_scale.reshape(1, 1, 1, 1))
+        at = [[(4 * self._mirrored(first, count, size) + 1 + 2 * side) * full // (4 * size) for side in range(2)]
+              for first, count, size, full in ((frame.top, rows.shape[0], frame.h, frame.height),
+                                               (frame.left, columns.shape[0], frame.w, frame.width))]
+        return torch.cat([ops.pick(seen, at[0][i], at[1][j]) for i in range(2) for j in range(2)], 1)
+
+    def _mirrored(self, first: Tensor, count: int, size: Tensor) -> Tensor:
+        """Rows of the frame from ``first`` on, ``count`` and more up to a multiple of 16."""
+        index = torch.arange(count + -count % step.ALIGN) + first
+        return (size - 1 - (index - (size - 1)).abs()).clamp(min=0)
 
 
 class Accumulate(nn.Module):
-    """Frame, past (h, w, 4), fine -> next_state (h, w, 12), next_depth (h, w, 1), level (4, hp, wp)."""
+    """Frame, past (th, tw, 4), fine -> next_state (th, tw, 12), next_depth (th, tw, 1), level (4, hp, wp)."""
 
     def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, depth: Tensor, past: Tensor,
-                fine: Tensor, params: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        h, w = colour.shape[:2]
+                fine: Tensor, params: Tensor, window: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        place = Window.of(window)
+        (h, w), at, valid = past.shape[:2], place.held(past), place.valid(past)
         here, old = fine[:, :, :h, :w], to_image(past)
-        factor = ops.demodulation(to_image(diffuse_albedo), to_image(specular_albedo))
-        noisy = step.demodulate(expose(colour, params), factor)
-        accumulated, count = step.accumulate(noisy, old[:, :3], old[:, 3:], here[:, DISTRUST:IMPORTANCE])
-        state = torch.cat((accumulated, count, here[:, MEMORY:]), 1)
-        level = torch.cat((accumulated, here[:, IMPORTANCE:MEMORY]), 1)
+        factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
+        noisy = step.demodulate(ops.pick(expose(colour, params), *at), factor)
+        accumulated, count = step.accumulate(noisy, old[:, :3], old[:, 3:].clamp(min=0), here[:, DISTRUST:IMPORTANCE])
+        state = to_picture(torch.cat((accumulated, count, here[:, MEMORY:]), 1)) * valid
+        level = torch.cat((accumulated, here[:, IMPORTANCE:MEMORY]), 1) * to_image(valid)
         level = F.pad(level, (0, fine.shape[3] - w, 0, fine.shape[2] - h))
-        return to_picture(state), depth.clone(), level[0]
+        now = to_picture(part(depth, *at))
+        return state, torch.where(valid > 0, now, torch.zeros_like(now)), level[0]
 
 
 class Pool(nn.Module):
@@ -118,12 +217,15 @@ class Filter(nn.Module):
 
 
 class Remodulate(nn.Module):
-    """filtered (3, hp, wp), albedos (h, w, 3) -> radiance (3, h + 2, w + 2), its edge repeated once around."""
+    """filtered (3, hp, wp), albedos (h, w, 3), part_rows (th,), part_columns (tw,) -> radiance (3, th + 2, tw + 2), its
+    edge repeated once around."""
 
-    def forward(self, filtered: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor) -> Tensor:
-        h, w = diffuse_albedo.shape[:2]
-        factor = ops.demodulation(to_image(diffuse_albedo), to_image(specular_albedo))
-        return F.pad(filtered[None, :, :h, :w] * factor, (1, 1, 1, 1), mode="replicate")[0]
+    def forward(self, filtered: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, rows: Tensor,
+                columns: Tensor) -> Tensor:
+        at = rows.long(), columns.long()
+        factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
+        here = ops.pick(filtered[None], at[0] - at[0][:1], at[1] - at[1][:1])
+        return F.pad(here * factor, (1, 1, 1, 1), mode="replicate")[0]
 
 
 class Pack(nn.Module):
@@ -151,29 +253,35 @@ class OpenFine(nn.Module):
 
 
 class Upsample(nn.Module):
-    """radiance (3, h + 2, w + 2), fine, moved (h, w, 2), warped (H, W, 3), params -> output, next_history (H, W, 3)."""
+    """radiance (3, th + 2, tw + 2), fine, moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3), params,
+    window -> output, next_history (out_th, out_tw, 3)."""
 
-    def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, warped: Tensor,
-                params: Tensor) -> tuple[Tensor, Tensor]:
-        return resolve(radiance, fine, moved, warped, None, params)
+    def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor, params: Tensor,
+                window: Tensor) -> tuple[Tensor, Tensor]:
+        return resolve(radiance, fine, moved, past, warped, None, params, Window.of(window))
 
 
 class UpsampleGuided(nn.Module):
     """The same with albedos (H, W, 3), by which the radiance is multiplied."""
 
-    def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, warped: Tensor, diffuse_albedo: Tensor,
-                specular_albedo: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
-        factor = ops.demodulation(to_image(diffuse_albedo), to_image(specular_albedo))
-        return resolve(radiance, fine, moved, warped, factor, params)
+    def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor,
+                diffuse_albedo: Tensor, specular_albedo: Tensor, params: Tensor,
+                window: Tensor) -> tuple[Tensor, Tensor]:
+        frame = Window.of(window)
+        at = frame.outputs(warped)
+        factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
+        return resolve(radiance, fine, moved, past, warped, factor, params, frame)
 
 
-def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, warped: Tensor, factor: Tensor | None,
-            params: Tensor) -> tuple[Tensor, Tensor]:
+def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor, factor: Tensor | None,
+            params: Tensor, frame: Window) -> tuple[Tensor, Tensor]:
     h, w = moved.shape[:2]
-    here = fine[:, :, :h, :w]
-    inside = ops.inside(ops.enlarge_motion(to_image(moved), *warped.shape[:2])) * params[3]
+    here, place = fine[:, :, :h, :w], frame.outputs(warped)
+    at = frame.centres(place, moved)
+    held = ops.inside(frame.enlarged_motion(moved, at), place, (frame.height, frame.width))
+    known = ops.pick((to_image(past)[:, 3:] >= 0).to(moved.dtype), at.rows, at.columns)
     filtered = radiance[None, :, 1:1 + h, 1:1 + w]
-    encoded = step.resolve(filtered, here, params[None, 1:3], to_image(warped), inside, factor)
+    encoded = step.resolve(filtered, here, params[None, 1:3], to_image(warped), held * known * params[3], factor, at)
     return to_picture(torch.expm1(encoded) / params[0]), to_picture(encoded)
 
 

@@ -109,13 +109,15 @@ def reproject_output(output: Tensor, motion: Tensor, gain: Tensor | None) -> Ten
     return moved if gain is None else torch.log1p(torch.expm1(moved) * gain)
 
 
-def recall(inputs: Inputs, state: State, motion: Tensor, output: Tensor) -> Reprojected:
-    """The rest of the state moved along the dilated ``motion``, beside the reprojected ``output``."""
-    valid = ops.inside(motion) * state.fresh
+def recall(inputs: Inputs, state: State, motion: Tensor, output: Tensor, place: ops.Place | None = None) -> Reprojected:
+    """The rest of the state moved along the dilated ``motion``, beside the reprojected ``output``; all of the frame, or
+    what lies at a ``place`` in it."""
+    valid = ops.inside(motion, place, state.depth.shape[-2:]) * state.fresh
     inside = ops.inside(ops.enlarge_motion(motion, *output.shape[-2:])) * state.fresh
-    rest = ops.warp(torch.cat((state.accumulated, state.count, state.hidden), 1), motion) * valid
+    rest = ops.warp(torch.cat((state.accumulated, state.count, state.hidden), 1), motion, place=place) * valid
     accumulated = rest[:, :3] if inputs.gain is None else rest[:, :3] * inputs.gain
-    before, now = (ops.sanitise(z, 1e-6, MAX_DEPTH) for z in (ops.warp_nearest(state.depth, motion), inputs.depth))
+    depth = ops.warp_nearest(state.depth, motion, place)
+    before, now = (ops.sanitise(z, 1e-6, MAX_DEPTH) for z in (depth, inputs.depth))
     change = (4 * torch.log(before / now)).clamp(-1, 1) * valid
     return Reprojected(motion, output, inside, accumulated, rest[:, 3:4], rest[:, 4:], change, valid)
 
@@ -127,9 +129,15 @@ def demodulate(colour: Tensor, factor: Tensor) -> Tensor:
 
 def features(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor) -> Tensor:
     """The trunk's input (N, 35, h, w), with the ``scale`` of depth; ``postfx/kernels`` fills the same channels."""
-    n, _, h, w = inputs.colour.shape
-    plane = inputs.colour.new_ones(n, 1, h, w)
-    history = torch.expm1(ops.box_mean(past.output, h, w)) * past.valid
+    h, w = inputs.colour.shape[-2:]
+    return features_of(inputs, past, factor, scale, ops.box_mean(past.output, h, w), w / past.output.shape[-1])
+
+
+def features_of(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor, mean: Tensor,
+                shrink: float | Tensor) -> Tensor:
+    """The same from the ``mean`` of the last output at each render pixel, and render over output size."""
+    plane = torch.ones_like(inputs.depth)
+    history = torch.expm1(mean) * past.valid
     return torch.cat((
         torch.log1p(demodulate(inputs.colour, factor)),
         ops.log_encode(past.accumulated), ops.log_encode(history / factor),
@@ -139,17 +147,22 @@ def features(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor) -
         past.depth_change, past.valid, past.count / MAX_COUNT,
         plane * inputs.jitter[:, :, None, None],
         torch.log1p(past.motion.norm(dim=1, keepdim=True)) / 4,
-        plane * (w / past.output.shape[-1]), past.hidden), 1)
+        plane * shrink, past.hidden), 1)
 
 
 def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:
     """The guides at the four quarter-pixel corners of each render pixel, nearest sample: (N, 44, h, w)."""
-    at = torch.cat((
+    at = seen_guides(guides, scale)
+    rows, columns = phases.corner_index(h, at.shape[-2], at.device), phases.corner_index(w, at.shape[-1], at.device)
+    return torch.cat([ops.pick(at, rows[i], columns[j]) for i in range(2) for j in range(2)], 1)
+
+
+def seen_guides(guides: Guides, scale: Tensor) -> Tensor:
+    """What the trunk sees of each pixel of the guides: (N, 11, H, W)."""
+    return torch.cat((
         ops.sanitise(guides.diffuse_albedo, 0, 2), ops.sanitise(guides.specular_albedo, 0, 2),
         ops.sanitise(guides.normal, -1, 1), ops.sanitise(guides.roughness, 0, 1),
         scale / (scale + ops.sanitise(guides.depth, 0, MAX_DEPTH))), 1)
-    rows, columns = phases.corner_index(h, at.shape[-2], at.device), phases.corner_index(w, at.shape[-1], at.device)
-    return torch.cat([ops.pick(at, rows[i], columns[j]) for i in range(2) for j in range(2)], 1)
 
 
 def aligned(image: Tensor, multiple: int = ALIGN) -> Tensor:
@@ -185,15 +198,22 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
 
 
 def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, inside: Tensor,
-            factor: Tensor | None) -> Tensor:
+            factor: Tensor | None, at: phases.Centres | None = None) -> Tensor:
     """Upsample radiance, sharpen it, multiply it by a ``factor`` (N, 3, H, W) if there is one, and blend it with the
-    reprojected history ``warped``, which is log-encoded, as is the result."""
+    reprojected history ``warped``, which is log-encoded, as is the result. ``at`` says where the output's pixels lie;
+    None: they fill the same area."""
     n, _, h, w = radiance.shape
     height, width = warped.shape[-2:]
     weights = fine[:, KERNEL:BLEND].reshape(n, 9, 4, h, w)
     controls = fine[:, BLEND:MIX].reshape(n, 2, 4, h, w)
-    blend, sharpen = phases.interpolate_phases(controls, height, width)[:, :, None].unbind(1)
-    detail, soft = (ops.log_encode(x) for x in phases.upsample(radiance, weights, jitter, height, width))
+    if at is None:
+        controls = phases.interpolate_phases(controls, height, width)
+        pictures = phases.upsample(radiance, weights, jitter, height, width)
+    else:
+        controls = phases.interpolate_at(controls, at)
+        pictures = phases.upsample_at(radiance, weights, jitter, at)
+    blend, sharpen = controls[:, :, None].unbind(1)
+    detail, soft = (ops.log_encode(x) for x in pictures)
     current = (detail + sharpen * (detail - soft)).clamp(min=0)
     if factor is not None:
         current = ops.log_encode(torch.expm1(current) * factor)

@@ -57,40 +57,48 @@ def depth_scale(depth: Tensor) -> Tensor:
     return torch.where(near > 0, hits / near.clamp(min=1e-12), torch.ones_like(near))
 
 
-def positions(motion: Tensor) -> tuple[Tensor, Tensor]:
-    """Where each pixel was in the previous frame: x and y in pixels, (N, h, w)."""
-    h, w = motion.shape[-2:]
-    x = torch.arange(w, device=motion.device, dtype=motion.dtype) + motion[:, 0]
-    y = torch.arange(h, device=motion.device, dtype=motion.dtype)[:, None] + motion[:, 1]
-    return x, y
+Place = tuple[Tensor, Tensor]  # rows and columns of a frame, whole numbers
 
 
-def inside(motion: Tensor) -> Tensor:
-    """1 where the previous position lies in the frame, else 0; (N, 1, h, w)."""
+def positions(motion: Tensor, place: Place | None = None) -> tuple[Tensor, Tensor]:
+    """Where each pixel was in the previous frame: x and y in pixels, (N, h, w). The pixels are all of the frame,
+    or those at a ``place`` in it."""
     h, w = motion.shape[-2:]
-    x, y = positions(motion)
+    rows, columns = place or (torch.arange(h, device=motion.device), torch.arange(w, device=motion.device))
+    return columns.to(motion.dtype) + motion[:, 0], rows.to(motion.dtype)[:, None] + motion[:, 1]
+
+
+def inside(motion: Tensor, place: Place | None = None, size: tuple[int, int] | None = None) -> Tensor:
+    """1 where the previous position lies in the frame, else 0; (N, 1, h, w). The frame's ``size`` is the motion's."""
+    h, w = size or motion.shape[-2:]
+    x, y = positions(motion, place)
     return ((x >= -0.5) & (x <= w - 0.5) & (y >= -0.5) & (y <= h - 0.5)).to(motion.dtype)[:, None]
 
 
-def warp(image: Tensor, motion: Tensor, mode: str = "bilinear") -> Tensor:
+def warp(image: Tensor, motion: Tensor, mode: str = "bilinear", place: Place | None = None) -> Tensor:
     """``image`` of the previous frame seen from the current one; beyond the border its edge repeats."""
     h, w = image.shape[-2:]
-    x, y = positions(motion)
+    x, y = positions(motion, place)
     grid = torch.stack(((2 * x + 1) / w - 1, (2 * y + 1) / h - 1), -1)
     return F.grid_sample(image, grid, mode=mode, padding_mode="border", align_corners=False)
 
 
-def warp_nearest(image: Tensor, motion: Tensor) -> Tensor:
+def warp_nearest(image: Tensor, motion: Tensor, place: Place | None = None) -> Tensor:
     """The nearest pixel of the previous frame; by index, so that no rounding of normalised positions picks another."""
     n, c, h, w = image.shape
-    x, y = (p.round() for p in positions(motion))
+    x, y = (p.round() for p in positions(motion, place))
     index = y.clamp(0, h - 1).long() * w + x.clamp(0, w - 1).long()
-    return image.flatten(2).gather(2, index.flatten(1)[:, None].expand(n, c, h * w)).reshape(n, c, h, w)
+    return image.flatten(2).gather(2, index.flatten(1)[:, None].expand(n, c, -1)).reshape(n, c, *motion.shape[-2:])
 
 
 def nearest_index(size: int, out_size: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """For every output pixel the input pixel that holds its centre, and the centre's offset from that pixel's."""
-    centre = (2 * torch.arange(out_size, device=device) + 1) * size  # in units of 1 / (2 out_size): exact
+    return nearest_of(torch.arange(out_size, device=device), size, out_size)
+
+
+def nearest_of(at: Tensor, size: int | Tensor, out_size: int | Tensor) -> tuple[Tensor, Tensor]:
+    """The same for the output pixels ``at``."""
+    centre = (2 * at + 1) * size  # in units of 1 / (2 out_size): exact
     index = centre // (2 * out_size)
     return index, (centre - index * (2 * out_size)) / (2 * out_size) - 0.5
 
@@ -126,7 +134,12 @@ def span_mean(image: Tensor, size: int, axis: int) -> Tensor:
     """The same along one axis."""
     full = image.shape[axis]
     index = torch.arange(size, device=image.device)
-    start, end = index * full // size, ((index + 1) * full + size - 1) // size
+    return spans_mean(image, index * full // size, ((index + 1) * full + size - 1) // size, axis)
+
+
+def spans_mean(image: Tensor, start: Tensor, end: Tensor, axis: int) -> Tensor:
+    """Mean of the pixels from each ``start`` up to, not including, its ``end`` along one axis."""
+    full = image.shape[axis]
     total = torch.zeros((), device=image.device)
     for k in range(MAX_SPAN):
         share = ((start + k < end) / (end - start)).unflatten(0, (-1, *[1] * (-1 - axis)))

@@ -2,15 +2,31 @@
 
 The corners are where output centres lie at scale 2; at other scales what was predicted there is interpolated.
 """
+from typing import NamedTuple
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from training.networks.ops import TINY, enlarge, nearest_index, pick, shifted
+from training.networks.ops import TINY, nearest_index, pick, shifted
 
 PHASE_TAPS = 3
 SAMPLE_SIGMA = 0.5  # render pixels: a sample says little about what lies farther away
 BLUR_SIGMA = 1.0  # what sharpening is measured against
+
+
+class Centres(NamedTuple):
+    """Render pixels that hold the centres of output rows and columns, and the centres' offsets from theirs."""
+
+    rows: Tensor
+    y: Tensor
+    columns: Tensor
+    x: Tensor
+
+
+def centres(h: int, w: int, height: int, width: int, device: torch.device) -> Centres:
+    """Of a whole picture."""
+    return Centres(*nearest_index(h, height, device), *nearest_index(w, width, device))
 
 
 def corner_index(size: int, out_size: int, device: torch.device) -> Tensor:
@@ -51,11 +67,13 @@ def interpolate_phases(phases: Tensor, height: int, width: int) -> Tensor:
 
 def interpolate_any(phases: Tensor, height: int, width: int) -> Tensor:
     """The same without the short cut of scale 2."""
-    h, w = phases.shape[-2:]
-    rows, y = nearest_index(h, height, phases.device)
-    columns, x = nearest_index(w, width, phases.device)
-    ty, tx = (2 * y + 0.5).clamp(0, 1)[:, None], (2 * x + 0.5).clamp(0, 1)
-    at = pick(phases, rows, columns)
+    return interpolate_at(phases, centres(*phases.shape[-2:], height, width, phases.device))
+
+
+def interpolate_at(phases: Tensor, at: Centres) -> Tensor:
+    """The same at some rows and columns."""
+    ty, tx = (2 * at.y + 0.5).clamp(0, 1)[:, None], (2 * at.x + 0.5).clamp(0, 1)
+    at = pick(phases, at.rows, at.columns)
     top = at[:, :, 0] * (1 - tx) + at[:, :, 1] * tx
     bottom = at[:, :, 2] * (1 - tx) + at[:, :, 3] * tx
     return top * (1 - ty) + bottom * ty
@@ -83,12 +101,14 @@ def upsample_double(radiance: Tensor, weights: Tensor, jitter: Tensor) -> tuple[
 
 def upsample_any(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
     """Any scale."""
-    h, w = radiance.shape[-2:]
-    _, y = nearest_index(h, height, radiance.device)
-    _, x = nearest_index(w, width, radiance.device)
-    blend = interpolate_any(weights, height, width) * sample_prior(jitter, x, y)
-    taps = enlarge(shifted(radiance, PHASE_TAPS, "replicate"), height, width)
-    return weighted_mean(taps, blend), weighted_mean(taps, sample_prior(jitter, x, y, BLUR_SIGMA))
+    return upsample_at(radiance, weights, jitter, centres(*radiance.shape[-2:], height, width, radiance.device))
+
+
+def upsample_at(radiance: Tensor, weights: Tensor, jitter: Tensor, at: Centres) -> tuple[Tensor, Tensor]:
+    """The same at some rows and columns."""
+    blend = interpolate_at(weights, at) * sample_prior(jitter, at.x, at.y)
+    taps = pick(shifted(radiance, PHASE_TAPS, "replicate"), at.rows, at.columns)
+    return weighted_mean(taps, blend), weighted_mean(taps, sample_prior(jitter, at.x, at.y, BLUR_SIGMA))
 
 
 def weighted_mean(taps: Tensor, weights: Tensor) -> Tensor:

@@ -17,6 +17,7 @@ struct View {
 enum { HIDDEN = 8, KERNEL = 25, PHASES = 25, BLEND = 61, SHARPEN = 65 };
 enum { MIX = 69, DISTRUST, IMPORTANCE, MEMORY, FINE = MEMORY + HIDDEN };
 enum { EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN };
+enum { TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH };
 
 struct Colour {
     float r, g, b;
@@ -34,6 +35,18 @@ __device__ inline int within(int index, int size) {
 // A row that goes on beyond its end as in a mirror, and stops at its start.
 __device__ inline int mirrored(int index, int size) {
     return max(size - 1 - abs(index - (size - 1)), 0);
+}
+
+// Which part of the frame the kernels work on: first row and column at render size, the frame's size, and both at
+// output size. A part may end beyond the frame.
+struct Window {
+    int top, left, h, w, out_top, out_left, height, width;
+};
+
+__device__ inline Window window_of(const View& view) {
+    const float* at = view.at;
+    return {int(at[TOP]), int(at[LEFT]), int(at[HEIGHT]), int(at[WIDTH]),
+            int(at[OUT_TOP]), int(at[OUT_LEFT]), int(at[OUT_HEIGHT]), int(at[OUT_WIDTH])};
 }
 
 // The render pixel that holds an output pixel's centre; `offset` becomes the centre's offset from it in [-0.5, 0.5).
@@ -165,11 +178,14 @@ __device__ inline float at_corner(const float* first, size_t plane, int corner, 
 
 // An output pixel from 3x3 samples by predicted weight and distance; DOUBLED where both sides are twice the render's.
 template <bool DOUBLED>
-__device__ inline Enlarged enlarged(int x, int y, int width, int height, const View& radiance, const View& fine,
-                                    const View& moved, const View& params) {
-    const int w = moved.size[1], h = moved.size[0];
+__device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
+                                    const View& moved, const View& past, const View& params) {
+    const int w = part.w, h = part.h, width = part.width, height = part.height;
     float u = x % 2 ? 0.25f : -0.25f, v = y % 2 ? 0.25f : -0.25f;
-    const int column = DOUBLED ? x / 2 : centre(x, w, width, u), row = DOUBLED ? y / 2 : centre(y, h, height, v);
+    const int frame_column = DOUBLED ? x / 2 : centre(x, w, width, u);
+    const int frame_row = DOUBLED ? y / 2 : centre(y, h, height, v);
+    const int column = within(frame_column - part.left, moved.size[1]);
+    const int row = within(frame_row - part.top, moved.size[0]);
     const float right = fminf(fmaxf(2.0f * u + 0.5f, 0.0f), 1.0f), lower = fminf(fmaxf(2.0f * v + 0.5f, 0.0f), 1.0f);
     const int corner = 2 * (y % 2) + x % 2;
     u = params.at[JITTER_X] - u;
@@ -202,21 +218,22 @@ __device__ inline Enlarged enlarged(int x, int y, int width, int height, const V
     const float sharpen = at_corner<DOUBLED>(head + SHARPEN * plane, plane, corner, right, lower);
     const float blend = at_corner<DOUBLED>(head + BLEND * plane, plane, corner, right, lower);
     const Colour sharp = {log_encode(sum.r / total), log_encode(sum.g / total), log_encode(sum.b / total)};
-    const int at = 2 * (row * w + column);
-    const float px = x + moved.at[at] * (float(width) / w), py = y + moved.at[at + 1] * (float(height) / h);
-    const bool held = px >= -0.5f && px <= width - 0.5f && py >= -0.5f && py <= height - 0.5f;  // not if NaN
+    const int at = row * moved.size[1] + column;
+    const float px = x + moved.at[2 * at] * (float(width) / w), py = y + moved.at[2 * at + 1] * (float(height) / h);
+    const bool inside = px >= -0.5f && px <= width - 0.5f && py >= -0.5f && py <= height - 0.5f;  // not if NaN
+    const bool held = inside && past.at[4 * at + 3] >= 0.0f;
     return {{fmaxf(sharp.r + sharpen * (sharp.r - log_encode(soft.r)), 0.0f),
              fmaxf(sharp.g + sharpen * (sharp.g - log_encode(soft.g)), 0.0f),
              fmaxf(sharp.b + sharpen * (sharp.b - log_encode(soft.b)), 0.0f)},
             held ? params.at[FRESH] * (1.0f - blend) : 0.0f};
 }
 
-// The same at any scale.
-__device__ inline Enlarged enlarged(int x, int y, int width, int height, const View& radiance, const View& fine,
-                                    const View& moved, const View& params) {
-    if (width == 2 * moved.size[1] && height == 2 * moved.size[0])
-        return enlarged<true>(x, y, width, height, radiance, fine, moved, params);
-    return enlarged<false>(x, y, width, height, radiance, fine, moved, params);
+// The same at any scale; x and y count the frame's output pixels.
+__device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
+                                    const View& moved, const View& past, const View& params) {
+    if (part.width == 2 * part.w && part.height == 2 * part.h)
+        return enlarged<true>(x, y, part, radiance, fine, moved, past, params);
+    return enlarged<false>(x, y, part, radiance, fine, moved, past, params);
 }
 
 // Blends one channel with the reprojected history and decodes it; `at` counts floats.

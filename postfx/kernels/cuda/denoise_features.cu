@@ -1,6 +1,7 @@
 // The network's input, mirrored up to its size, and the reprojected accumulation: colour, diffuse_albedo,
-// specular_albedo and normal (h, w, 3), roughness and depth (h, w, 1), moved (h, w, 2), state (h, w, 12),
-// last_depth (h, w, 1), warped (height, width, 3), depth_scale (1,), params (5,) -> past (h, w, 4),
+// specular_albedo and normal (h, w, 3), roughness and depth (h, w, 1), moved (th, tw, 2), state (h, w, 12),
+// last_depth (h, w, 1), warped (out_th, out_tw, 3), depth_scale (1,), params (5,), window (8,) -> past (th, tw, 4), whose
+// count is -1 where the history lacks a pixel of the frame, and
 // features (1, 35, hp, wp): colour 0, accumulated colour 3, last output 6, diffuse albedo 9, specular albedo 12,
 // normal 15, roughness 18, depth 19, its change 20, valid history 21, sample count 22, jitter 23, length of motion 25,
 // inverse scale 26, hidden state 27.
@@ -23,6 +24,12 @@ __device__ inline Four recalled_four(const View& state, size_t a, size_t b, size
             between(p.z, q.z, r.z, s.z, tx, ty), between(p.w, q.w, r.w, s.w, tx, ty)};
 }
 
+// Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their weights.
+__device__ inline bool is_unknown(float a, float b, float c, float d, float tx, float ty) {
+    const float lacking = between(a <= 0.0f, b <= 0.0f, c <= 0.0f, d <= 0.0f, tx, ty);
+    return lacking > 1e-3f;
+}
+
 __device__ inline Recalled recall(const View& state, const View& last_depth, float px, float py, float fresh) {
     const int h = last_depth.size[0], w = last_depth.size[1];
     const bool held = px >= -0.5f && px <= float(w) - 0.5f && py >= -0.5f && py <= float(h) - 0.5f;
@@ -34,19 +41,21 @@ __device__ inline Recalled recall(const View& state, const View& last_depth, flo
     const float tx = px - float(x0), ty = py - float(y0);
     const size_t upper = size_t(y0) * w, lower = size_t(y1) * w;
     const size_t a = 3 * (upper + x0), b = 3 * (upper + x1), c = 3 * (lower + x0), d = 3 * (lower + x1);
+    if (is_unknown(four(state, a).w, four(state, b).w, four(state, c).w, four(state, d).w, tx, ty))
+        return {{0.0f, 0.0f, 0.0f, -1.0f}, {}, {}, 1.0f, 0.0f};
     return {recalled_four(state, a, b, c, d, tx, ty), recalled_four(state, a + 1, b + 1, c + 1, d + 1, tx, ty),
             recalled_four(state, a + 2, b + 2, c + 2, d + 2, tx, ty), depth, fresh};
 }
 
-// Mean of the output pixels that render pixel (y, x) of (h, w) touches.
-__device__ inline Colour touched_mean(const View& warped, unsigned y, unsigned x, unsigned h, unsigned w) {
-    const unsigned height = warped.size[0], width = warped.size[1];
-    const unsigned left = x * width / w, right = ((x + 1) * width + w - 1) / w;
-    const unsigned top = y * height / h, bottom = ((y + 1) * height + h - 1) / h;
+// Mean of the output pixels that render pixel (y, x) of the frame touches.
+__device__ inline Colour touched_mean(const View& warped, unsigned y, unsigned x, const Window& part) {
+    const unsigned h = part.h, w = part.w, height = part.height, width = part.width;
+    const int left = int(x * width / w) - part.out_left, right = int(((x + 1) * width + w - 1) / w) - part.out_left;
+    const int top = int(y * height / h) - part.out_top, bottom = int(((y + 1) * height + h - 1) / h) - part.out_top;
     Colour sum = {0.0f, 0.0f, 0.0f};
-    for (unsigned j = top; j < bottom; j++) {
-        const float* row = warped.at + 3 * (size_t(j) * width);
-        for (unsigned i = left; i < right; i++) {
+    for (int j = top; j < bottom; j++) {
+        const float* row = warped.at + 3 * (size_t(j) * warped.size[1]);
+        for (int i = left; i < right; i++) {
             sum.r += row[3 * i];
             sum.g += row[3 * i + 1];
             sum.b += row[3 * i + 2];
@@ -90,10 +99,14 @@ __device__ inline float depth_change(float before, float depth) {
 
 extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, View specular_albedo, View normal,
                                             View roughness, View depth, View moved, View state, View last_depth,
-                                            View warped, View depth_scale, View params, View past, View features) {
+                                            View warped, View depth_scale, View params, View window, View past,
+                                            View features) {
     const int height = features.size[2], width = features.size[3];
     PIXEL(width, height);
-    const int h = colour.size[0], w = colour.size[1], v = mirrored(y, h), u = mirrored(x, w);
+    const Window part = window_of(window);
+    const int row = mirrored(y, min(moved.size[0], part.h - part.top));
+    const int column = mirrored(x, min(moved.size[1], part.w - part.left));
+    const int w = part.w, v = part.top + row, u = part.left + column;
     const size_t pixel = size_t(v) * w + u, plane = size_t(height) * width;
     // Everything is read before the first write, so that the reads wait together.
     const float exposure = params.at[EXPOSURE], gain = params.at[GAIN], fresh = params.at[FRESH];
@@ -101,9 +114,9 @@ extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, Vi
     const Colour now = three(colour, pixel), direction = three(normal, pixel);
     const Colour diffuse = three(diffuse_albedo, pixel), specular = three(specular_albedo, pixel);
     const float rough = roughness.at[pixel], z = clamped(depth.at[pixel], 0.0f, MAX_DEPTH);
-    const Pair motion = pair(moved, pixel);
+    const Pair motion = pair(moved, size_t(row) * moved.size[1] + column);
     const Recalled memory = recall(state, last_depth, float(u) + motion.x, float(v) + motion.y, fresh);
-    const Colour mean = touched_mean(warped, v, u, h, w);
+    const Colour mean = touched_mean(warped, v, u, part);
     const Colour factor = demodulation(diffuse_albedo, specular_albedo, v, u);
     const Colour share = {1.0f / factor.r, 1.0f / factor.g, 1.0f / factor.b};
     const Colour kept = {memory.mean.x * gain, memory.mean.y * gain, memory.mean.z * gain};
@@ -122,12 +135,13 @@ extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, Vi
     to[19 * plane] = scale / (scale + z);
     to[20 * plane] = depth_change(memory.depth, z) * memory.valid;
     to[21 * plane] = memory.valid;
-    to[22 * plane] = memory.mean.w / MAX_COUNT;
+    to[22 * plane] = fmaxf(memory.mean.w, 0.0f) / MAX_COUNT;
     to[23 * plane] = jitter_x;
     to[24 * plane] = jitter_y;
     to[25 * plane] = log1pf(sqrtf(motion.x * motion.x + motion.y * motion.y)) * 0.25f;
-    to[26 * plane] = float(w) / float(warped.size[1]);
+    to[26 * plane] = float(w) / float(part.width);
     put_four(to + 27 * plane, plane, memory.first);
     put_four(to + 31 * plane, plane, memory.second);
-    if (y < h && x < w) four(past, pixel) = {kept.r, kept.g, kept.b, memory.mean.w};
+    if (y < past.size[0] && x < past.size[1])
+        four(past, size_t(y) * past.size[1] + x) = {kept.r, kept.g, kept.b, memory.mean.w};
 }

@@ -1,5 +1,6 @@
 // The last output where its pixels are now, bicubic, edge repeated, rescaled where the exposure changed:
-// history (height, width, 3), moved (h, w, 2), params (5,) -> warped (height, width, 3), log(1 + exposed).
+// history (height, width, 3), moved (th, tw, 2), params (5,), window (8,), out_rows (out_th,), out_columns (out_tw,)
+// -> warped (out_th, out_tw, 3), log(1 + exposed).
 
 // The four weights of cubic convolution with a = -0.75, the ONNX GridSample and OpenCV default.
 __device__ inline Four cubic_weights(float t) {
@@ -26,17 +27,20 @@ __device__ inline float rescaled(float encoded, float gain) {
     return gain == 1.0f ? held : log1pf(expm1f(held) * gain);
 }
 
-extern "C" __global__ void denoise_history(View history, View moved, View params, View warped) {
-    const int height = warped.size[0], width = warped.size[1];
-    PIXEL(width, height);
-    const unsigned h = moved.size[0], w = moved.size[1];
+extern "C" __global__ void denoise_history(View history, View moved, View params, View window, View out_rows,
+                                           View out_columns, View warped) {
+    PIXEL(warped.size[1], warped.size[0]);
+    const Window part = window_of(window);
+    const int height = part.height, width = part.width;
+    const unsigned h = part.h, w = part.w, v = unsigned(out_rows.at[y]), u = unsigned(out_columns.at[x]);
     // The render pixel that holds this pixel's centre.
-    const unsigned from_y = (2u * y + 1u) * h / (2u * height), from_x = (2u * x + 1u) * w / (2u * width);
-    const Pair motion = pair(moved, size_t(from_y) * w + from_x);
+    const int from_y = int((2u * v + 1u) * h / (2u * height)), from_x = int((2u * u + 1u) * w / (2u * width));
+    const int row = within(from_y - part.top, moved.size[0]), column = within(from_x - part.left, moved.size[1]);
+    const Pair motion = pair(moved, size_t(row) * moved.size[1] + column);
     const float right = motion.x * (float(width) / float(w)), down = motion.y * (float(height) / float(h));
     const float whole_right = floorf(right), whole_down = floorf(down);
     const Four wx = cubic_weights(right - whole_right), wy = cubic_weights(down - whole_down);
-    const int left = x + int(whole_right) - 1, top = y + int(whole_down) - 1;
+    const int left = int(u) + int(whole_right) - 1, top = int(v) + int(whole_down) - 1;
     const int columns[4] = {3 * within(left, width), 3 * within(left + 1, width), 3 * within(left + 2, width),
                             3 * within(left + 3, width)};
     const size_t line = 3 * size_t(width);
@@ -46,7 +50,7 @@ extern "C" __global__ void denoise_history(View history, View moved, View params
     add_taps(history.at + within(top + 2, height) * line, columns, wx, wy.z, sum);
     add_taps(history.at + within(top + 3, height) * line, columns, wx, wy.w, sum);
     const float gain = params.at[GAIN];
-    float* to = warped.at + 3 * (size_t(y) * width + x);
+    float* to = warped.at + 3 * (size_t(y) * warped.size[1] + x);
     to[0] = rescaled(sum.r, gain);
     to[1] = rescaled(sum.g, gain);
     to[2] = rescaled(sum.b, gain);

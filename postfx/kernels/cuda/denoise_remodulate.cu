@@ -1,10 +1,13 @@
 // Filtered colour times reflectance, a border of repeated pixels around it: filtered (3, hp, wp), diffuse_albedo and
-// specular_albedo (h, w, 3) -> radiance (3, h + 2, w + 2), exposed linear.
-extern "C" __global__ void denoise_remodulate(View filtered, View diffuse_albedo, View specular_albedo, View radiance) {
+// specular_albedo (h, w, 3), part_rows (th,), part_columns (tw,)
+// -> radiance (3, th + 2, tw + 2), exposed linear.
+extern "C" __global__ void denoise_remodulate(View filtered, View diffuse_albedo, View specular_albedo, View part_rows,
+                                              View part_columns, View radiance) {
     const int height = radiance.size[1], width = radiance.size[2];
     PIXEL(width, height);
-    const int v = within(y - 1, diffuse_albedo.size[0]), u = within(x - 1, diffuse_albedo.size[1]);
-    const size_t from = size_t(filtered.size[1]) * filtered.size[2], there = size_t(v) * filtered.size[2] + u;
+    const int v = int(part_rows.at[within(y - 1, height - 2)]), u = int(part_columns.at[within(x - 1, width - 2)]);
+    const size_t from = size_t(filtered.size[1]) * filtered.size[2];
+    const size_t there = size_t(v - int(part_rows.at[0])) * filtered.size[2] + u - int(part_columns.at[0]);
     const float r = filtered.at[there], g = filtered.at[from + there], b = filtered.at[2 * from + there];
     const Colour factor = demodulation(diffuse_albedo, specular_albedo, v, u);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;

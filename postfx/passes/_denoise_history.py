@@ -1,0 +1,44 @@
+"""What the denoised upscaler's frames leave to the next."""
+
+from __future__ import annotations
+
+from postfx.kernels import denoise_layout
+from postfx.passes._denoise_window import Sizes
+from postfx.runtime import Device, Tensor
+
+NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth"}
+"""What kernels read of the frame before -> what they write for the next one."""
+
+
+class History:
+    """The last output, what was accumulated and the depth, in two sets used in turn."""
+
+    def __init__(self, device: Device, sizes: Sizes) -> None:
+        shapes = {"history": (sizes.height, sizes.width, 3), "last_depth": (sizes.h, sizes.w, 1),
+                  "state": (sizes.h, sizes.w, 4 + denoise_layout.HIDDEN)}
+        self._sets = [{name: device.heap.tensor(name, shape) for name, shape in shapes.items()} for _ in range(2)]
+        # Before the first frame the history holds nothing, and nothing of it is used: it only has to be defined.
+        for tensor in (tensor for one in self._sets for tensor in one.values()):
+            tensor.fill(0)
+
+    def turn(self) -> None:
+        """Begin a frame: what was written is now the last."""
+        self._sets.reverse()
+
+    @property
+    def last(self) -> dict[str, Tensor]:
+        """What the frame before left, by the kernels' names."""
+        return self._sets[0]
+
+    @property
+    def next(self) -> dict[str, Tensor]:
+        """Where this frame leaves it, by the kernels' names."""
+        return {NEXT[name]: tensor for name, tensor in self._sets[1].items()}
+
+    def forget_hidden(self) -> None:
+        """Between two frames: forget the hidden state, which another network cannot read; nothing in its place is what
+        every network knows from first frames."""
+        state = self._sets[1]["state"]
+        values = state.download()
+        values[..., -denoise_layout.HIDDEN:] = 0
+        state.upload(values)
