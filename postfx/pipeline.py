@@ -12,7 +12,7 @@ from postfx.errors import FrameError
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes.base import Pass, PassContractError, ResidentFrame
-from postfx.plan import Plan, Step, make_plan
+from postfx.plan import Plan, Skipped, Step, make_plan
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 
@@ -76,12 +76,18 @@ class Pipeline:
                 tensor.release()
 
     def explain(self, spec: FrameSpec | None = None) -> Plan:
-        """The plan for a spec, by default the last frame's. `print` it, or take `as_dict()` or `to_json()`."""
+        """The plan for a spec, by default the last frame's, with what frames were spared so far. `print` it, or take
+        `as_dict()` or `to_json()`."""
         if spec is not None:
             return make_plan(self.passes, spec)
         if self.plan is None:
             raise FrameError("there is no plan yet: give explain() a FrameSpec, or process a frame first")
-        return self.plan
+        return dataclasses.replace(self.plan, skipped=(*self.plan.skipped, *self.left_out()))
+
+    def left_out(self) -> list[Skipped]:
+        """What the passes spared the frames so far, with the time that it saved."""
+        steps = self.plan.steps if self.plan else ()
+        return [Skipped(f"{step.name}: {what}", why) for step in steps for what, why in step.instance.left_out()]
 
     def reset(self) -> None:
         """Drop all history: the next frame is treated as the first of a sequence."""
@@ -143,6 +149,7 @@ def _resident(
         world_to_camera=frame.world_to_camera,
         fov_x=frame.fov_x,
         metadata=frame.metadata,
+        given={role: frame[role] for role in tensors},
     )
 
 

@@ -13,6 +13,7 @@ import torch
 from torch import nn
 
 from postfx.kernels import (
+    denoise_assemble,
     denoise_features,
     denoise_filter,
     denoise_guides,
@@ -56,7 +57,7 @@ MEANING = {
 # enlarged to 29x51 of 35x70.
 SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35, "width": 70, "out_th": 29,
          "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3,
-         "heads": FINE, "channels": 3}
+         "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19}
 KERNELS = {
     denoise_prepare.SCALE: definitions.Scale,
     denoise_prepare.DILATE: definitions.Dilate,
@@ -74,6 +75,7 @@ KERNELS = {
     denoise_restore.DETAIL: restore.Detail,
     denoise_restore.RESTORE: restore.Restore,
     denoise_strength.STRENGTH: definitions.Strength,
+    denoise_assemble.ASSEMBLE: definitions.Assemble,
     RESAMPLE: definitions.Resample,
     denoise_half.PACK: definitions.Pack,
     denoise_half.OPEN: definitions.Open,

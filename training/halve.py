@@ -23,8 +23,8 @@ import onnxruntime
 from onnx import TensorProto
 
 from postfx.kernels import denoise_half
-from postfx.passes._denoise_window import ALIGN
 from postfx.passes._denoise_network import PACKED, RAW
+from postfx.passes._denoise_window import ALIGN
 from postfx.runtime import Library
 from training.export import MODELS, ParityError, relative_error, write_card
 from training.half_graph import halve

@@ -100,7 +100,7 @@ class Job:
             seconds=self._seconds,
             frame_ms=self._frame_ms,
             pass_ms=self._pass_ms,
-            skipped=[*self.plan.skipped, *self.left_out],
+            skipped=[*self.plan.skipped, *self.left_out, *self.pipeline.left_out()],
             warnings=[*self.plan.remarks, *self.sequence.warnings],
             chosen={name: dict(counts) for name, counts in self._chosen.items()},
             outputs=self._written,

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from postfx.kernels import denoise_prepare
+from postfx.passes._denoise_assembly import Assembly
 from postfx.passes._denoise_graph import Graph
 from postfx.passes._denoise_history import History
-from postfx.passes._denoise_window import Sizes, Window
+from postfx.passes._denoise_layout import GAIN, Band, Shape, around, cost, halo_of, tiles_of, whole_sides
+from postfx.passes._denoise_window import ALIGN, Sizes, Window
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
+
+MOST_GRAPHS = 4
+"""Sizes of windows, beside the whole frame, that are kept ready."""
+CLOSE = 1.15
+"""A window that is ready is taken if it takes at most so many times as long as the best one."""
+STEPS = 8
+"""Sides of further windows are multiples of this part of the frame's, so that masks that move soon find one ready."""
 
 
 class Frames:
@@ -20,16 +30,19 @@ class Frames:
     """
 
     def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], guided: bool = False) -> None:
-        self._window = Window.whole(sizes)
-        self._graph = Graph(device, self._window, models, guided)
+        self._device, self._sizes, self._models, self._guided = device, sizes, tuple(models), guided
+        self._halo = halo_of(models)
+        self._whole = self._graph_of((sizes.h, sizes.w))
+        self._graphs: OrderedDict[Shape, Graph] = OrderedDict()
         self._history = History(device, sizes)
         new, between = device.heap.tensor, device.heap.transient
-        self._common = {"params": new("params", (5,)), "depth_scale": between("depth scale", (1,)),
-                        "output": between("output", (sizes.height, sizes.width, 3))}
+        self._common = {"params": new("params", (5,)), "depth_scale": between("depth scale", (1,))}
         if guided:
             black = new("no reflectance", (sizes.h, sizes.w, 3))  # makes a factor of one
             black.fill(0)
             self._common["no_reflectance"] = black
+        self._output = between("output", (sizes.height, sizes.width, 3))
+        self._assembly = Assembly(device, sizes)
         self._scale = ArgumentTable(device.compute_state(denoise_prepare.SCALE),
                                     {"depth_scale": self._common["depth_scale"]})
         self.model = models[0]
@@ -40,14 +53,57 @@ class Frames:
             self.model = model
             self._history.forget_hidden()
 
-    def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray, keep: bool) -> Tensor:
-        """Record one frame; returns the output colour tensor."""
+    def layout(self, cells: np.ndarray) -> Band | None:
+        """The tiles for a frame's active cells, of which there is one at least; None where the whole frame is as fast.
+
+        Makes the networks ready that they need.
+        """
+        boxes, shape = around(self._sizes, cells, self._halo)
+        count, least = len(boxes), cost(shape, len(boxes))
+        if least > GAIN * cost((self._sizes.h, self._sizes.w), 1):
+            return None
+        ready = [one for one in self._graphs if one[0] >= shape[0] and one[1] >= shape[1]
+                 and cost(one, count) <= CLOSE * least]
+        shape = min(ready, key=lambda one: cost(one, count)) if ready else self._make(shape)
+        self._graphs.move_to_end(shape)
+        return Band(0, self._sizes.h, tiles_of(self._sizes, boxes, shape, self._halo))
+
+    def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray, keep: bool,
+               band: Band | None = None) -> Tensor:
+        """Record one frame, or the tiles of one, outside of which the output is 0; returns the output colour tensor."""
         self._history.turn()
         self._common["params"].upload(params)
         self._scale["depth"] = planes["depth"]
         with commands.compute_encoder("scale") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._scale.state, self._scale)
-        tensors = {**planes, **self._common, **self._history.last, **self._history.next}
-        self._graph.encode(commands, self._window, self.model, tensors, keep)
-        return self._common["output"]
+        seen = {**planes, **self._common, **self._history.last}
+        targets = {"output": self._output, **self._history.next}
+        if band is None:
+            self._whole.encode(commands, Window.whole(self._sizes), self.model, seen | targets, keep)
+        else:
+            self._encode_tiles(commands, band, seen, targets, keep)
+        return self._output
+
+    def _encode_tiles(self, commands: CommandBuffer, band: Band, seen: Mapping[str, Tensor],
+                      targets: dict[str, Tensor], keep: bool) -> None:
+        window = band.tiles[0].window
+        graph = self._graphs[window.rows, window.columns]
+        for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles), strict=True):
+            graph.encode(commands, tile.window, self.model, {**seen, **slot}, keep)
+        self._assembly.encode(commands, band, targets)
+
+    def _make(self, shape: Shape) -> Shape:
+        """Make a graph ready for windows of a size, or somewhat larger ones if there were others before."""
+        if self._graphs:
+            steps = (max(1, side // STEPS // ALIGN) * ALIGN for side in (self._sizes.h, self._sizes.w))
+            shape = whole_sides(self._sizes, tuple(-(-side // step) * step
+                                                   for side, step in zip(shape, steps, strict=True)))
+        if shape not in self._graphs:
+            if len(self._graphs) == MOST_GRAPHS:
+                self._graphs.popitem(last=False)
+            self._graphs[shape] = self._graph_of(shape)
+        return shape
+
+    def _graph_of(self, shape: Shape) -> Graph:
+        return Graph(self._device, Window(self._sizes, 0, 0, *shape), self._models, self._guided)

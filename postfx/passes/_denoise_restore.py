@@ -25,9 +25,13 @@ class Restore:
                          "detail": between("detail", (*tiles, 1)), "output": self._output}
         self._tables = [self._table(device, kernel) for kernel in (JUDGE, DETAIL, RESTORE)]
 
+    def acts_on(self, frame: ResidentFrame) -> bool:
+        """Whether a frame may get detail back."""
+        return frame.jitter == (0.0, 0.0) and (frame.samples or MANY) > FEW
+
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor) -> Tensor:
         """Record the work on the frame's own colour and the denoised one; returns the colour."""
-        if frame.jitter != (0.0, 0.0) or (frame.samples or MANY) <= FEW:
+        if not self.acts_on(frame):
             return denoised
         self._params.upload([frame.exposure, 0.0, 0.0, 0.0, 0.0])
         self._evidence.upload([min(frame.samples or MANY, MOST) / MANY])

@@ -29,7 +29,7 @@ class Strength:
     """Goes from the input to the result by `amount` times the plane `strength`, if the frame has one."""
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float) -> None:
-        self._plain = Plain(device, spec, output)
+        self.plain = Plain(device, spec, output).encode
         self._output = device.heap.transient("strength output", (*output, 3))
         self._table = ArgumentTable(device.compute_state(STRENGTH), {"output": self._output})
         self._amount = device.heap.tensor("amount", (1,))
@@ -44,7 +44,7 @@ class Strength:
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor) -> Tensor:
         """Record the blend of the frame's own colour with the denoised one; returns the colour."""
-        self._table["plain"], self._table["denoised"] = self._plain.encode(commands, frame), denoised
+        self._table["plain"], self._table["denoised"] = self.plain(commands, frame), denoised
         with commands.compute_encoder("strength") as encoder:
             encoder.barrier(after="compute", before="compute")
             if self._plane:

@@ -63,6 +63,7 @@ class ResidentFrame:
         reset: True when history must be dropped before this frame.
         samples, world_to_camera, fov_x, metadata, guide_jitter: as in `postfx.frame.Frame`.
         guides: role -> tensor like those of `tensors`, at output size; those that passes read.
+        given: role -> plane on the host, of planes that no pass replaced so far: to decide what to record.
     """
 
     spec: FrameSpec
@@ -77,6 +78,7 @@ class ResidentFrame:
     metadata: Mapping[str, Any] = field(default_factory=dict)
     guides: dict[Role, Tensor] = field(default_factory=dict)
     guide_jitter: tuple[float, float] = (0.0, 0.0)
+    given: dict[Role, np.ndarray] = field(default_factory=dict)
 
     def __getitem__(self, role: Role) -> Tensor:
         """Tensor of a plane; FrameError when the frame does not hold it."""
@@ -100,6 +102,7 @@ class ResidentFrame:
             expected = f"(height, width, {ROLES[role].channels}) float32"
             raise FrameError(f"tensor '{tensor.name}' is {tensor.shape} {tensor.dtype}: plane '{role}' is {expected}")
         self.tensors[role] = tensor
+        self.given.pop(role, None)
 
 
 class Pass:
@@ -162,6 +165,10 @@ class Pass:
     def chosen(self) -> str | None:
         """What the pass chose for the last frame, in a word for the user; None where it has no choice."""
         return None
+
+    def left_out(self) -> tuple[tuple[str, str], ...]:
+        """What the frames since `compile` were spared, and for each why and the time that it saved, as measured."""
+        return ()
 
     def reset(self) -> None:
         """Drop the history: the next frame is treated as the first. Does nothing in passes without history.

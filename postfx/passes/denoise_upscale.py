@@ -13,9 +13,11 @@ from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_budget import Ladder, cost, family
 from postfx.passes._denoise_frame import Frames
 from postfx.passes._denoise_graph import has_model
+from postfx.passes._denoise_layout import active_cells
 from postfx.passes._denoise_models import GUIDED, model_of
 from postfx.passes._denoise_planes import ABSENT, Planes, Resampler, Size
 from postfx.passes._denoise_restore import Restore
+from postfx.passes._denoise_spared import Spared
 from postfx.passes._denoise_strength import Plain, Strength
 from postfx.passes._denoise_window import Sizes
 from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
@@ -102,6 +104,7 @@ class DenoiseUpscale(Pass):
         self._ladder = Ladder(list(map(cost, self._models.values())), self.budget) if self.budget else None
         self._frames = Frames(device, Sizes(spec.height, spec.width, *size), list(self._models.values()), guided)
         self._restore = Restore(device, size) if size == (spec.height, spec.width) else None
+        self._spared = Spared()
         full = self.strength == 1 and not spec.has(Role.STRENGTH)
         self._strength = None if full else Strength(device, spec, size, self.strength)
 
@@ -112,8 +115,13 @@ class DenoiseUpscale(Pass):
         return (*(tag for tag in smaller if has_model(model_of(tag, guided))), model)
 
     def ran(self, milliseconds: float) -> None:
-        if self.strength and self._ladder:
-            self._ladder.took(milliseconds)
+        if self.strength:
+            self._spared.took(milliseconds)
+            if self._ladder:
+                self._ladder.took(milliseconds)
+
+    def left_out(self) -> tuple[tuple[str, str], ...]:
+        return self._spared.lines() if self.strength else ()
 
     def chosen(self) -> str | None:
         return self._used if self.budget else None
@@ -136,15 +144,29 @@ class DenoiseUpscale(Pass):
 
     def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
         """The denoised colour, blended by strength; the history stays fully denoised."""
+        cells = self._active(frame)
+        if cells is not None and not cells.any():
+            self._spared.begin(0.0, False)
+            self._fresh = False
+            return self._strength.plain(commands, frame)
+        band = None if cells is None else self._frames.layout(cells)
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
         params = np.array([frame.exposure, *frame.jitter, keep, gain], np.float32)
         self._used = list(self._models)[self._ladder.rung if self._ladder else 0]
         self._frames.use(self._models[self._used])
-        colour = self._frames.encode(commands, self._planes.encode(commands, frame), params, keep)
+        self._spared.begin(1.0 if band is None else band.share, keep)
+        colour = self._frames.encode(commands, self._planes.encode(commands, frame), params, keep, band)
         self._fresh, self._exposure = True, frame.exposure
         colour = self._restore.encode(commands, frame, colour) if self._restore else colour
         return self._strength.encode(commands, frame, colour) if self._strength else colour
+
+    def _active(self, frame: ResidentFrame) -> np.ndarray | None:
+        """Where the frame's strength is not 0, as squares of 16 pixels; None where that is not known, or where the
+        whole frame is judged."""
+        if Role.STRENGTH not in frame.given or (self._restore and self._restore.acts_on(frame)):
+            return None
+        return active_cells(frame.given[Role.STRENGTH])
 
     def _encode_alpha(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
         with commands.compute_encoder("alpha") as encoder:

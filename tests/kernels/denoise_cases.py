@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.kernels import (
+    denoise_assemble,
     denoise_features,
     denoise_filter,
     denoise_guides,
@@ -30,6 +31,7 @@ KERNELS = (
     denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
     denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
     denoise_restore.JUDGE, denoise_restore.DETAIL, denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE,
+    denoise_assemble.ASSEMBLE,
     denoise_half.PACK, denoise_half.OPEN, denoise_half.OPEN_FINE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
@@ -59,6 +61,7 @@ class Case(NamedTuple):
         return {**self._asdict(), "hp": hp, "wp": wp, "half_hp": hp // 2, "half_wp": wp // 2,
                 "th": window.rows, "tw": window.columns, "out_th": window.out.rows, "out_tw": window.out.columns,
                 "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
+                "tiles": 3, "tile_h": window.rows, "tile_w": window.columns, "rows": self.h, "columns": self.w,
                 "tiles_high": -(-self.h // 16), "tiles_wide": -(-self.w // 16)}
 
     def __str__(self) -> str:
@@ -108,6 +111,10 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
                          min(case.window.columns, case.w - case.window.left)])
     if name in (places := case.window.places()):
         return places[name]
+    if name == "places":
+        return _places(case, random)
+    if name in ("frame_rows", "frame_columns"):
+        return 3 + np.arange(size[0])
     if name == "rows":
         return positions(case.h, case.height, 0.3)
     if name == "columns":
@@ -130,6 +137,17 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         unit[..., 3][random.random(size[:2]) < 0.05] = -1 / 30 if name == "past" else 0
         return 30 * unit
     return {"depth_scale": 1 + unit}.get(name, unit)
+
+
+def _places(case: Case, random: np.random.Generator) -> np.ndarray:
+    """Places of tiles that overlap, that end beyond what is written, and that leave some of it out."""
+    places = []
+    for _ in range(3):
+        top, left = random.integers(0, case.h // 2 + 4), random.integers(0, case.w // 2 + 4)
+        bottom, right = top + case.window.rows, left + case.window.columns
+        inner = (top + 2, left + 1, bottom - random.integers(3), right - 1)
+        places.append([top, left, top + random.integers(2), left, bottom, right, *inner])
+    return np.array(places)
 
 
 def in_frame(kernel: Kernel, results: Mapping[str, np.ndarray], case: Case) -> dict[str, np.ndarray]:

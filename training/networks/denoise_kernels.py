@@ -10,6 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from postfx.kernels.denoise_assemble import HELD, OWN
 from postfx.kernels.denoise_layout import UNKNOWN
 from training.networks import denoise_upscale as step
 from training.networks import ops, phases
@@ -283,6 +284,25 @@ def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped:
     filtered = radiance[None, :, 1:1 + h, 1:1 + w]
     encoded = step.resolve(filtered, here, params[None, 1:3], to_image(warped), held * known * params[3], factor, at)
     return to_picture(torch.expm1(encoded) / params[0]), to_picture(encoded)
+
+
+class Assemble(nn.Module):
+    """tiles (n, th, tw, C), places (n, 10), frame_rows (H,), frame_columns (W,) -> picture (H, W, C)."""
+
+    def forward(self, tiles: Tensor, places: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        held, own = (self._within(places[:, first:first + 4], rows, columns) for first in (HELD, OWN))
+        score = held.to(tiles.dtype) + 2 * own.to(tiles.dtype)
+        owner = score.argmax(0)
+        y = (rows - places[:, :1]).long().clamp(min=0).clamp(max=tiles.shape[1] - 1)
+        x = (columns - places[:, 1:2]).long().clamp(min=0).clamp(max=tiles.shape[2] - 1)
+        lines, across = torch.arange(rows.shape[0])[:, None], torch.arange(columns.shape[0])
+        found = tiles[owner, y[owner, lines], x[owner, across]]
+        return torch.where((score.amax(0) > 0)[..., None], found, torch.zeros_like(found))
+
+    def _within(self, boxes: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        """Which boxes (n, 4) hold which pixels: (n, H, W)."""
+        top, left, bottom, right = boxes[:, :, None].unbind(1)
+        return ((rows >= top) & (rows < bottom))[:, :, None] & ((columns >= left) & (columns < right))[:, None]
 
 
 class Strength(nn.Module):

@@ -1,0 +1,165 @@
+"""Which windows of a frame are worked on: few, of one size, around what is active."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from postfx.passes._denoise_window import ALIGN, Box, Sizes, Window
+
+HALO = {"s": 64}
+USUAL_HALO = 44
+"""Render pixels around what is active that a network must see, so that the result there differs by less than 1e-3 from
+that of the whole frame: by the network's size. docs/denoiser.md has the measured differences."""
+
+REACH = 2
+"""Render pixels that a pixel's strength reaches when it is resampled."""
+
+FIXED = 4000
+"""Render pixels whose time a window takes beyond that of its own."""
+
+MOST_BOXES = 6
+GAIN = 0.9
+"""Windows must be expected to take at most this share of the whole frame's time."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A window, and the rows and columns of the frame that it is for; the rest of it is halo."""
+
+    window: Window
+    inner: Box
+
+
+@dataclass(frozen=True)
+class Band:
+    """Rows of the frame, and the tiles that they are made of."""
+
+    top: int
+    rows: int
+    tiles: tuple[Tile, ...]
+
+    @property
+    def share(self) -> float:
+        """Of the frame's pixels that are in windows, counted as often as they are."""
+        frame = self.tiles[0].window.frame
+        return sum(tile.window.rows * tile.window.columns for tile in self.tiles) / (frame.h * frame.w)
+
+
+Shape = tuple[int, int]
+
+
+def active_cells(strength: np.ndarray) -> np.ndarray:
+    """Which squares of 16 pixels have an effect: (h, w, 1) -> (rows, columns) of bool."""
+    mask = strength[..., 0] > 0
+    for _ in range(2):
+        count = -(-mask.shape[0] // ALIGN)
+        reached = (slice(max(0, ALIGN * i - REACH), ALIGN * (i + 1) + REACH) for i in range(count))
+        mask = np.array([mask[part].any(0) for part in reached]).T
+    return mask
+
+
+def halo_of(models: Iterable[str]) -> int:
+    """The halo that is enough for all of some models."""
+    return max(HALO.get(model.split(".")[1], USUAL_HALO) for model in models)
+
+
+def boxes_of(cells: np.ndarray) -> Iterator[list[Box]]:
+    """One box around all active cells, then two, three and more, as long as that leaves cells out; in pixels."""
+    boxes = [_trimmed(cells, Box(0, 0, *cells.shape))]
+    while True:
+        yield [Box(*(ALIGN * side for side in box)) for box in boxes]
+        cuts = [(_area(box) - sum(map(_area, halves)), i, halves)
+                for i, box in enumerate(boxes) for halves in _cuts(cells, box)]
+        gain, i, halves = max(cuts, default=(0, 0, ()), key=lambda cut: cut[0])
+        if gain <= 0 or len(boxes) == MOST_BOXES:
+            return
+        boxes[i:i + 1] = halves
+
+
+def _cuts(cells: np.ndarray, box: Box) -> Iterator[tuple[Box, Box]]:
+    top, left, rows, columns = box
+    for i in range(1, rows):
+        yield _trimmed(cells, Box(top, left, i, columns)), _trimmed(cells, Box(top + i, left, rows - i, columns))
+    for i in range(1, columns):
+        yield _trimmed(cells, Box(top, left, rows, i)), _trimmed(cells, Box(top, left + i, rows, columns - i))
+
+
+def _trimmed(cells: np.ndarray, box: Box) -> Box:
+    """The active part of a box."""
+    part = cells[box.top:box.top + box.rows, box.left:box.left + box.columns]
+    rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
+    if not rows.size:
+        return Box(box.top, box.left, 0, 0)
+    return Box(box.top + int(rows[0]), box.left + int(columns[0]), int(rows[-1] - rows[0]) + 1,
+               int(columns[-1] - columns[0]) + 1)
+
+
+def _area(box: Box) -> int:
+    return box.rows * box.columns
+
+
+def shape_for(frame: Sizes, boxes: Iterable[Box], halo: int) -> Shape:
+    """The least window that holds each of some boxes with its halo."""
+    spans = [(_span(box.top, box.rows, frame.h, halo), _span(box.left, box.columns, frame.w, halo)) for box in boxes]
+    return whole_sides(frame, tuple(max(end - first for first, end in side) for side in zip(*spans, strict=True)))
+
+
+def whole_sides(frame: Sizes, shape: Shape) -> Shape:
+    """A window's size, that of the frame where it would be more."""
+    return min(shape[0], frame.h), min(shape[1], frame.w)
+
+
+def _span(first: int, count: int, size: int, halo: int) -> tuple[int, int]:
+    padded = -(-size // ALIGN) * ALIGN
+    return max(0, first - halo) // ALIGN * ALIGN, min(padded, -(-(first + count + halo) // ALIGN) * ALIGN)
+
+
+def tiles_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> tuple[Tile, ...]:
+    """A window of one shape for each box."""
+    tiles = []
+    for box in boxes:
+        origin = (_origin(box.top, shape[0], frame.h, halo), _origin(box.left, shape[1], frame.w, halo))
+        inner = Box(box.top, box.left, min(box.rows, frame.h - box.top), min(box.columns, frame.w - box.left))
+        tiles.append(Tile(Window(frame, *origin, *shape), inner))
+    return tuple(tiles)
+
+
+def _origin(first: int, count: int, size: int, halo: int) -> int:
+    last = 0 if count >= size else -(-size // ALIGN) * ALIGN - count
+    return min(max(0, first - halo) // ALIGN * ALIGN, last)
+
+
+def cost(shape: Shape, count: int) -> int:
+    """About how long windows take, in render pixels."""
+    return count * (shape[0] * shape[1] + FIXED)
+
+
+def around(frame: Sizes, cells: np.ndarray, halo: int) -> tuple[list[Box], Shape]:
+    """The boxes around active cells whose windows take least, and the size of these."""
+    found = [(boxes, shape_for(frame, boxes, halo)) for boxes in boxes_of(cells)]
+    return min(found, key=lambda item: cost(item[1], len(item[0])))
+
+
+def grid(frame: Sizes, halo: int, most: int) -> tuple[list[list[Box]], Shape] | None:
+    """Boxes of one size that fill a frame, row by row, whose windows have at most so many pixels and take least; None
+    where no window is that small."""
+    best = None
+    counts = (range(1, -(-side // ALIGN) + 1) for side in (frame.h, frame.w))
+    for down, across in itertools.product(*map(_some, counts)):
+        rows, columns = (-(-side // (ALIGN * count)) * ALIGN for side, count in ((frame.h, down), (frame.w, across)))
+        boxes = [[Box(top, left, rows, columns) for left in range(0, frame.w, columns)]
+                 for top in range(0, frame.h, rows)]
+        shape = shape_for(frame, itertools.chain(*boxes), halo)
+        if shape[0] * shape[1] <= most:
+            value = cost(shape, len(boxes) * len(boxes[0]))
+            best = min(best or (value, boxes, shape), (value, boxes, shape), key=lambda item: item[0])
+    return best and best[1:]
+
+
+def _some(counts: range) -> list[int]:
+    """Few of many counts, close to each other where they are small."""
+    return sorted({round(1.15**power) for power in range(60)} & {*counts})

@@ -1,0 +1,67 @@
+"""What frames were spared, and the time that it saved: as measured, on frames that were not spared it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from statistics import median
+
+WARM_UP = 1
+"""Frames of a kind whose time does not count: they prepare what later ones find ready."""
+
+
+@dataclass
+class Kind:
+    """Frames that were worked on alike: how many, what share of them was worked on, and milliseconds of the later."""
+
+    frames: int = 0
+    share: float = 0.0
+    times: list[float] = field(default_factory=list)
+
+
+class Spared:
+    """Counts frames by what was done with them, in the order: `begin`, `took`."""
+
+    def __init__(self) -> None:
+        self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind()}
+        self._alone = 0
+        self._now = "whole"
+
+    def begin(self, share: float, has_history: bool) -> None:
+        """A frame begins, of which a share is worked on by the network."""
+        self._now = "whole" if share == 1 else "tiles" if share else "nothing"
+        kind = self._kinds[self._now]
+        kind.frames += 1
+        kind.share += share
+        self._alone += share > 0 and not has_history
+
+    def took(self, milliseconds: float) -> None:
+        """The frame's time on the device."""
+        kind = self._kinds[self._now]
+        if kind.frames > WARM_UP:
+            kind.times = [*kind.times[-63:], milliseconds]
+
+    def lines(self) -> tuple[tuple[str, str], ...]:
+        """What was left out, and why and what it saved."""
+        found = []
+        tiles, nothing = self._kinds["tiles"], self._kinds["nothing"]
+        if tiles.frames:
+            part = 100 * tiles.share / tiles.frames
+            found.append((f"network outside of {part:.0f} % of {_count(tiles.frames)}",
+                          f"strength is 0 there; {self._saved(tiles)}"))
+        if nothing.frames:
+            found.append((f"network for {_count(nothing.frames)}", f"strength is 0 everywhere; {self._saved(nothing)}"))
+        if self._alone:
+            found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion plane"))
+        return tuple(found)
+
+    def _saved(self, kind: Kind) -> str:
+        whole = self._kinds["whole"].times
+        if not kind.times:
+            return "time not measured yet"
+        if not whole:
+            return f"{median(kind.times):.0f} ms a frame; no whole frame was run to compare with"
+        return f"{median(kind.times):.0f} ms a frame instead of {median(whole):.0f} ms"
+
+
+def _count(frames: int) -> str:
+    return f"{frames} frame{'s' * (frames > 1)}"
