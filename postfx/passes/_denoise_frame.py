@@ -69,8 +69,13 @@ class Frames:
         return Band(0, self._sizes.h, tiles_of(self._sizes, boxes, shape, self._halo))
 
     def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray, keep: bool,
-               band: Band | None = None) -> Tensor:
-        """Record one frame, or the tiles of one, outside of which the output is 0; returns the output colour tensor."""
+               still: bool, band: Band | None = None) -> Tensor:
+        """Record one frame, or the tiles of one, outside of which the output is 0; returns the output colour tensor.
+
+        Args:
+            keep: whether the frame has a history.
+            still: whether it shows what the last one showed, where it did.
+        """
         self._history.turn()
         self._common["params"].upload(params)
         self._scale["depth"] = planes["depth"]
@@ -80,17 +85,17 @@ class Frames:
         seen = {**planes, **self._common, **self._history.last}
         targets = {"output": self._output, **self._history.next}
         if band is None:
-            self._whole.encode(commands, Window.whole(self._sizes), self.model, seen | targets, keep)
+            self._whole.encode(commands, Window.whole(self._sizes), self.model, seen | targets, keep and not still)
         else:
-            self._encode_tiles(commands, band, seen, targets, keep)
+            self._encode_tiles(commands, band, seen, targets)
         return self._output
 
     def _encode_tiles(self, commands: CommandBuffer, band: Band, seen: Mapping[str, Tensor],
-                      targets: dict[str, Tensor], keep: bool) -> None:
+                      targets: dict[str, Tensor]) -> None:
         window = band.tiles[0].window
         graph = self._graphs[window.rows, window.columns]
         for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles), strict=True):
-            graph.encode(commands, tile.window, self.model, {**seen, **slot}, keep)
+            graph.encode(commands, tile.window, self.model, {**seen, **slot}, True)
         self._assembly.encode(commands, band, targets)
 
     def _make(self, shape: Shape) -> Shape:

@@ -47,20 +47,21 @@ class Graph:
         self._networks = {model: Network(state, self._seen, self._heads, between) for model, state in networks.items()}
 
     def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Mapping[str, Tensor],
-               keep: bool) -> None:
+               moves: bool) -> None:
         """Record the work on a window of this graph's size.
 
         Args:
             tensors: the frame's planes, history and what there is one of in a frame, and what is to be written, by the
                 kernels' names.
-            keep: whether there is a history; without one it is not brought to this frame, but read as it is, of no
-                account.
+            moves: whether the last output has to be brought to this frame; else it is read as it is, in a window of the
+                whole frame: it is where it should be, or of no account.
         """
-        self._bind({**tensors, **self._place(window), "warped": self._made["warped"] if keep else tensors["history"]})
+        warped = self._made["warped"] if moves else tensors["history"]
+        self._bind({**tensors, **self._place(window), "warped": warped})
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             self._run(encoder, "dilate")
-            for names in (("history",) * keep, self._looks):
+            for names in (("history",) * moves, self._looks):
                 encoder.barrier()
                 self._run(encoder, *names)
         self._networks[model].encode(commands)

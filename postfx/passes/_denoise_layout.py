@@ -10,10 +10,9 @@ import numpy as np
 
 from postfx.passes._denoise_window import ALIGN, Box, Sizes, Window
 
-HALO = {"s": 64}
-USUAL_HALO = 44
+HALO, SMALL_HALO, GUIDED_HALO = 44, 64, 128
 """Render pixels around what is active that a network must see, so that the result there differs by less than 1e-3 from
-that of the whole frame: by the network's size. docs/denoiser.md has the measured differences."""
+that of the whole frame: usually, model s, and models that read guides. docs/denoiser.md has measured differences."""
 
 REACH = 2
 """Render pixels that a pixel's strength reaches when it is resampled."""
@@ -64,7 +63,8 @@ def active_cells(strength: np.ndarray) -> np.ndarray:
 
 def halo_of(models: Iterable[str]) -> int:
     """The halo that is enough for all of some models."""
-    return max(HALO.get(model.split(".")[1], USUAL_HALO) for model in models)
+    return max(GUIDED_HALO if model.endswith(".guides") else SMALL_HALO if model.split(".")[1] == "s" else HALO
+               for model in models)
 
 
 def boxes_of(cells: np.ndarray) -> Iterator[list[Box]]:

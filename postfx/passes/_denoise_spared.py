@@ -23,16 +23,17 @@ class Spared:
 
     def __init__(self) -> None:
         self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind()}
-        self._alone = 0
+        self._alone = self._still = 0
         self._now = "whole"
 
-    def begin(self, share: float, has_history: bool) -> None:
+    def begin(self, share: float, has_history: bool, is_still: bool) -> None:
         """A frame begins, of which a share is worked on by the network."""
         self._now = "whole" if share == 1 else "tiles" if share else "nothing"
         kind = self._kinds[self._now]
         kind.frames += 1
         kind.share += share
         self._alone += share > 0 and not has_history
+        self._still += is_still and share == 1
 
     def took(self, milliseconds: float) -> None:
         """The frame's time on the device."""
@@ -52,6 +53,8 @@ class Spared:
             found.append((f"network for {_count(nothing.frames)}", f"strength is 0 everywhere; {self._saved(nothing)}"))
         if self._alone:
             found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion plane"))
+        if self._still:
+            found.append((f"reprojection of the last output for {_count(self._still)}", "nothing moves"))
         return tuple(found)
 
     def _saved(self, kind: Kind) -> str:

@@ -146,7 +146,7 @@ class DenoiseUpscale(Pass):
         """The denoised colour, blended by strength; the history stays fully denoised."""
         cells = self._active(frame)
         if cells is not None and not cells.any():
-            self._spared.begin(0.0, False)
+            self._spared.begin(0.0, False, False)
             self._fresh = False
             return self._strength.plain(commands, frame)
         band = None if cells is None else self._frames.layout(cells)
@@ -155,8 +155,9 @@ class DenoiseUpscale(Pass):
         params = np.array([frame.exposure, *frame.jitter, keep, gain], np.float32)
         self._used = list(self._models)[self._ladder.rung if self._ladder else 0]
         self._frames.use(self._models[self._used])
-        self._spared.begin(1.0 if band is None else band.share, keep)
-        colour = self._frames.encode(commands, self._planes.encode(commands, frame), params, keep, band)
+        still = keep and gain == 1 and self._is_still(frame)
+        self._spared.begin(1.0 if band is None else band.share, keep, still)
+        colour = self._frames.encode(commands, self._planes.encode(commands, frame), params, keep, still, band)
         self._fresh, self._exposure = True, frame.exposure
         colour = self._restore.encode(commands, frame, colour) if self._restore else colour
         return self._strength.encode(commands, frame, colour) if self._strength else colour
@@ -167,6 +168,9 @@ class DenoiseUpscale(Pass):
         if Role.STRENGTH not in frame.given or (self._restore and self._restore.acts_on(frame)):
             return None
         return active_cells(frame.given[Role.STRENGTH])
+
+    def _is_still(self, frame: ResidentFrame) -> bool:
+        return Role.MOTION in frame.given and not frame.given[Role.MOTION].any()
 
     def _encode_alpha(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
         with commands.compute_encoder("alpha") as encoder:

@@ -1,0 +1,187 @@
+"""The upscaler on a part of the frame: what is active is as in a run of the whole, the rest is the resampled input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.frame import Frame, Role
+from postfx.io.sequence import read_sequence
+from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from tests.passes.denoise_frames import flat, guided, noisy
+from tests.passes.test_denoise_strength import masked, resampled
+
+ROOM = Path(__file__).resolve().parents[2] / "samples" / "room" / "noisy.####.exr"
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    return Device("cpu", threads=2)
+
+
+@pytest.fixture(scope="module")
+def room() -> list[Frame]:
+    """Four frames of a moving camera, 320x180."""
+    return list(read_sequence(ROOM, "1-4"))
+
+
+def chain(device: Device, **options) -> Pipeline:
+    return Pipeline([DenoiseUpscale(**options)], device)
+
+
+def seen(colour: np.ndarray, exposure: float) -> np.ndarray:
+    """Within [0, 1], as a display shows it."""
+    light = colour * exposure
+    return (light / (1 + light)) ** (1 / 2.2)
+
+
+def boxes(*places: tuple[slice, slice], size: tuple[int, int] = (180, 320)) -> np.ndarray:
+    mask = np.zeros(size, np.float32)
+    for place in places:
+        mask[place] = 1
+    return mask
+
+
+def full(mask: np.ndarray, factor: int = 2, edge: int = 4) -> np.ndarray:
+    """Output pixels that are denoised fully: not those at the mask's edge, where strength is interpolated."""
+    large = np.kron(mask, np.ones((factor, factor))) > 0
+    for axis in (0, 1):
+        large = np.logical_and.reduce([np.roll(large, shift, axis) for shift in range(-edge, edge + 1)])
+    return large
+
+
+MASKS = {
+    "bottom": boxes(np.s_[130:, :]),
+    "box": boxes(np.s_[60:120, 100:170]),
+    "corners": boxes(np.s_[8:40, 10:60], np.s_[150:, 250:]),
+}
+
+
+@pytest.mark.parametrize("mask", MASKS.values(), ids=MASKS.keys())
+def test_a_masked_frame_is_the_whole_frame_where_it_is_active(
+    mask: np.ndarray, device: Device, room: list[Frame]
+) -> None:
+    """Over four frames of motion, of which those after the first have no history outside of what was computed."""
+    whole, tiled = chain(device, model="m.fp32"), chain(device, model="m.fp32")
+    for frame in room:
+        wanted = whole(frame)[Role.COLOUR]
+        found = tiled(masked(frame, mask))[Role.COLOUR]
+        error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
+        assert error[full(mask)].max() < 1e-3
+        outside = np.kron(mask, np.ones((2, 2))) == 0
+        outside &= full(1 - mask)
+        np.testing.assert_array_equal(found[outside], resampled(frame, Role.COLOUR, 2)[outside])
+    assert any("strength is 0 there" in item.why for item in tiled.explain().skipped)
+
+
+@pytest.mark.parametrize("model", ["s", "m", "l"])
+def test_the_halo_is_enough_for_every_network(model: str, device: Device, room: list[Frame]) -> None:
+    """Integers at that: of a first frame, since later a rounding that flips is a difference of its own."""
+    mask = MASKS["box"]
+    whole = chain(device, model=model)
+    wanted, found = whole(room[0])[Role.COLOUR], chain(device, model=model)(masked(room[0], mask))[Role.COLOUR]
+    error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
+    assert error[full(mask)].max() < 1e-3
+
+
+@pytest.mark.parametrize(("scale", "with_guides"), [(1.5, False), (1.3, False), (3, True), (2, True)])
+def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool, device: Device) -> None:
+    """1.3 times the size, where no two tiles have output pixels at the same places."""
+    size = (149, 213 + 300 * with_guides)
+    mask = boxes(np.s_[10:50, 120:200], size=size)
+    output = tuple(round(side * scale) for side in size)
+    frames = [noisy(number, *size) for number in (1, 2)]
+    frames = [guided(frame, *output) if with_guides else frame for frame in frames]
+    whole, tiled = chain(device, scale=scale, model="m.fp32"), chain(device, scale=scale, model="m.fp32")
+    for frame in frames:
+        wanted, part = whole(frame)[Role.COLOUR], masked(frame, mask)
+        found = tiled(part)[Role.COLOUR]
+        active = resampled(part, Role.STRENGTH, scale)[..., 0] == 1
+        error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
+        assert active.sum() > 1000 and error[active].max() < 1e-3
+    assert any("strength is 0 there" in item.why for item in tiled.explain().skipped)
+
+
+def test_a_mask_that_moves_never_shows_what_is_not_there(device: Device) -> None:
+    """A picture of one colour stays that colour: where the history holds nothing, nothing is mixed in. Every frame
+    moves by half a pixel, so each history pixel is made of several."""
+    tiled = chain(device, model="s")
+    for number in range(5):
+        mask = boxes(np.s_[20 * number:20 * number + 40, 60:150])
+        frame = flat(number, 0.3, 180, 320)
+        frame.planes[Role.MOTION][:] = 0.5, -0.5
+        found = tiled(masked(frame, mask))[Role.COLOUR]
+        np.testing.assert_allclose(found, 0.3, rtol=2e-3)
+
+
+def test_what_becomes_active_is_denoised_as_in_a_first_frame(device: Device, room: list[Frame]) -> None:
+    """Where the mask was not before, nor its halo."""
+    first, second = boxes(np.s_[:40, :40]), boxes(np.s_[:40, 240:280])
+    moved = chain(device, model="m.fp32")
+    moved(masked(room[0], first))
+    found = moved(masked(room[1], second))[Role.COLOUR]
+    alone = chain(device, model="m.fp32")
+    wanted = alone(replace(masked(room[1], second), reset=True))[Role.COLOUR]
+    fixed = Pipeline([DenoiseUpscale(model="m.fp32")], device, exposure=np.log2(moved.exposure))
+    wanted = fixed(replace(masked(room[1], second), reset=True))[Role.COLOUR]
+    error = np.abs(seen(found, moved.exposure) - seen(wanted, moved.exposure)).max(2)
+    assert error[full(second)].max() < 1e-3
+
+
+def test_nothing_active_runs_no_network_and_drops_the_history(device: Device, room: list[Frame]) -> None:
+    tiled = chain(device, model="s")
+    tiled(masked(room[0], 1))
+    np.testing.assert_array_equal(tiled(masked(room[1], 0))[Role.COLOUR], resampled(room[1], Role.COLOUR, 2))
+    found = tiled(masked(room[2], 1))[Role.COLOUR]
+    fixed = Pipeline([DenoiseUpscale(model="s")], device, exposure=np.log2(tiled.exposure))
+    np.testing.assert_array_equal(found, fixed(room[2])[Role.COLOUR])
+    assert any("strength is 0 everywhere" in item.why for item in tiled.explain().skipped)
+
+
+def test_a_mask_that_moves_every_frame_makes_few_networks_ready(device: Device, monkeypatch) -> None:
+    made, make = [], device.pipeline_state
+    monkeypatch.setattr(device, "pipeline_state", lambda *args: made.append(args) or make(*args))
+    tiled = chain(device, model="s")
+    for number in range(24):
+        size = 40 + 3 * number
+        mask = boxes(np.s_[4 * number:4 * number + size, 7 * number:7 * number + size], size=(256, 400))
+        tiled(masked(noisy(1, 256, 400), mask))
+    assert len(made) <= 10
+
+
+def test_the_portable_kernels_do_the_same(device: Device) -> None:
+    portable = Device("cpu", threads=2, compiled_kernels=False)
+    mask, frames = boxes(np.s_[100:140, 20:60], size=(160, 240)), [noisy(number, 160, 240) for number in (1, 2)]
+    one, other = (chain(place, model="s.fp32") for place in (device, portable))
+    for frame in frames:
+        found, wanted = (run(masked(frame, mask))[Role.COLOUR] for run in (one, other))
+        np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-3)
+
+
+def test_the_time_falls_with_the_mask(device: Device) -> None:
+    """The fastest of three, and far from what is measured, for the machine has other work."""
+    frame, times = noisy(1, 256, 448), []
+    for share in (0.0, 0.9):
+        tiled = chain(device, model="m")
+        frames = [masked(frame, np.arange(256)[:, None] >= share * 256)] * 5
+        times.append(min([tiled(one) and tiled.timings["denoise_upscale"] for one in frames][2:]))
+    assert times[1] < 0.75 * times[0]
+
+
+def test_a_still_picture_is_not_moved(device: Device) -> None:
+    """The same bits as with motion that the kernel takes for none."""
+    frames = [noisy(number, 48, 64) for number in (1, 2, 3)]
+    for frame in frames:
+        frame.planes[Role.MOTION][:] = 0
+    tiny = [replace(frame, planes={**frame.planes, Role.MOTION: np.full_like(frame[Role.MOTION], 1e-30)})
+            for frame in frames]
+    still, moving = (Pipeline([DenoiseUpscale()], device, exposure=0.0) for _ in range(2))
+    for one, other in zip(frames, tiny, strict=True):
+        np.testing.assert_array_equal(still(one)[Role.COLOUR], moving(other)[Role.COLOUR])
+    reasons = [item.why for item in still.explain().skipped]
+    assert "nothing moves" in reasons and "nothing moves" not in [item.why for item in moving.explain().skipped]
