@@ -44,12 +44,14 @@ class Job:
     """
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        self.sequence = Sequence(arguments.input, arguments.frames, arguments.profile, guides=arguments.guides)
+        device = Device(arguments.device, arguments.threads, memory=arguments.memory)
+        self.sequence = Sequence(arguments.input, arguments.frames, arguments.profile, guides=arguments.guides,
+                                 scratch=device.scratch)
+        self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
         if self.outputs and not arguments.explain:
             self.outputs.check(self.sequence.numbers)
         self.left_out: list[Skipped] = []
-        device = Device(arguments.device, arguments.threads)
         self.pipeline = Pipeline(self._passes(arguments), device, arguments.exposure)
         self.plan = self.pipeline.explain(self._first_spec())
         self._preroll, self._scale = arguments.preroll, arguments.scale
@@ -131,7 +133,7 @@ class Job:
                 self._chosen.setdefault(step.name, Counter())[choice] += 1
 
     def _write(self, path: Path, result: Frame, progress: FrameProgress) -> None:
-        written = str(write_frame(path, result))
+        written = str(write_frame(path, result, relax=self._relax))
         self._written.append(written)
         progress.advance(written)
 

@@ -26,6 +26,7 @@ examples:
   postfx run shot/ -o out/ --skip-existing --scale 1.5
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
+  postfx run poster.exr -o out/ --memory 4G
   postfx run shot/noisy.####.exr --explain
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-frame 5
 
@@ -117,6 +118,11 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
         "--profile", metavar="NAME|FILE", help="how the renderer names its planes (default: found from the file)"
     )
     group.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
+    group.add_argument(
+        "--memory", metavar="SIZE",
+        help="what the process may have in memory, e.g. 4G: frames are worked on in tiles, and what is too large lies "
+        "in temporary files (TMPDIR); CPU only (default: no limit)",
+    )
     group.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all cores)")
 
 

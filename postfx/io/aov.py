@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from postfx.errors import MissingPlaneError, ReadError
-from postfx.frame import Frame, FrameSpec, Role
+from postfx.frame import ROLES, Frame, FrameSpec, Role
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.io.convert import Camera, convert, fill_value
 from postfx.io.exr import ImageFile, Part
 from postfx.io.guides import GuideLayout, larger_planes, planes_that_guide
 from postfx.io.layout import Header, Match, make_layout
 from postfx.io.profile import load_profile
+from postfx.scratch import Scratch
 
 
 class FrameFiles:
@@ -60,9 +61,13 @@ class FrameFiles:
         return FrameSpec(width, height, tuple(self.layout.planes), guides=guides)
 
     def read(
-        self, number: int, roles: Iterable[Role] | None = None, guides: Iterable[Role] | None = None
+        self,
+        number: int,
+        roles: Iterable[Role] | None = None,
+        guides: Iterable[Role] | None = None,
+        scratch: Scratch | None = None,
     ) -> Frame:
-        """Frame with the planes of `roles` (None: all that are there) and these guides.
+        """Frame with the planes of `roles` (None: all that are there) and these guides, in arrays of `scratch`.
 
         Without `guides`, `roles` tells what to read at whatever size it is there. Raises MissingPlaneError when one
         of them is not there, ReadError when pixels cannot be decoded.
@@ -72,9 +77,13 @@ class FrameFiles:
             raise self.missing(Role.COLOUR)
         matches = {role: self.match(role) for role in wanted}
         guide_matches = {role: self.guide(role) for role in guiding}
-        pixels = _read_channels([*matches.values(), *guide_matches.values()])
-        planes = {role: _assemble(match, pixels, self.layout.camera) for role, match in matches.items()}
-        guides = {role: _assemble(match, pixels, self.guides.camera) for role, match in guide_matches.items()}
+        if scratch is None:
+            pixels = _read_channels([*matches.values(), *guide_matches.values()])
+            planes = {role: _assemble(match, pixels, self.layout.camera) for role, match in matches.items()}
+            guides = {role: _assemble(match, pixels, self.guides.camera) for role, match in guide_matches.items()}
+        else:
+            planes = _read_in_pieces(matches, self.layout.camera, scratch)
+            guides = _read_in_pieces(guide_matches, self.guides.camera, scratch) if guide_matches else {}
         return self._frame(number, planes, guides, next(iter(matches.values())).channels[0].part)
 
     def guide(self, role: Role) -> Match:
@@ -156,8 +165,23 @@ class FrameFiles:
         )
 
 
-def _read_channels(matches: Iterable[Match]) -> dict[Channel, np.ndarray]:
-    """Every needed channel once, with one read of each part that holds any."""
+def _read_in_pieces(matches: Mapping[Role, Match], camera: Camera, scratch: Scratch) -> dict[Role, np.ndarray]:
+    """Planes of one size, some rows of all at a time."""
+    width, height = next(iter(matches.values())).size
+    planes = {role: scratch.empty((height, width, ROLES[role].channels)) for role in matches}
+    # A piece is there as it is read, with channels between the wanted ones, and as it is converted.
+    row_bytes = 8 * sum(plane.nbytes for plane in planes.values()) // height
+    for rows in scratch.pieces(height, row_bytes):
+        pixels = _read_channels(matches.values(), rows)
+        for role, match in matches.items():
+            planes[role][slice(*rows)] = _assemble(match, pixels, camera, rows[0], height)
+    return planes
+
+
+def _read_channels(
+    matches: Iterable[Match], rows: tuple[int, int] | None = None
+) -> dict[Channel, np.ndarray]:
+    """Every needed channel once, or some of its rows, with one read of each part that holds any."""
     wanted: dict[tuple[ImageFile, int], dict[Channel, float]] = {}
     for match in matches:
         for channel in match.channels:
@@ -165,13 +189,15 @@ def _read_channels(matches: Iterable[Match]) -> dict[Channel, np.ndarray]:
     pixels: dict[Channel, np.ndarray] = {}
     for (file, _), channels in wanted.items():
         part = next(iter(channels)).part
-        read = file.read(part, {channel.name: fill for channel, fill in channels.items()})
+        read = file.read(part, {channel.name: fill for channel, fill in channels.items()}, rows)
         pixels.update({channel: read[channel.name] for channel in channels})
     return pixels
 
 
-def _assemble(match: Match, pixels: Mapping[Channel, np.ndarray], camera: Camera) -> np.ndarray:
+def _assemble(
+    match: Match, pixels: Mapping[Channel, np.ndarray], camera: Camera, first: int = 0, height: int | None = None
+) -> np.ndarray:
     planes = [pixels[channel] for channel in match.channels]
     if len({plane.shape for plane in planes}) > 1:
         raise ReadError(f"{match.channels[0].file.path}: channels {match.names} differ in size; write them as one part")
-    return convert(np.stack(planes, axis=-1), match.rule, camera)
+    return convert(np.stack(planes, axis=-1), match.rule, camera, first, height)

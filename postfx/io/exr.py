@@ -90,15 +90,22 @@ class ImageFile:
     def __exit__(self, *_: object) -> None:
         self._input.close()
 
-    def read(self, part: Part, channels: Mapping[str, float]) -> dict[str, np.ndarray]:
-        """Channels of a part as float32 arrays (height, width) of the display window.
+    def read(
+        self, part: Part, channels: Mapping[str, float], rows: tuple[int, int] | None = None
+    ) -> dict[str, np.ndarray]:
+        """Channels of a part as float32 arrays (height, width) of the display window, or of some of its rows: first
+        and last, not included.
 
         `channels` maps each wanted name to the value for pixels outside the data window. ReadError when the file ends
         early or its pixels cannot be decoded.
         """
         indices = [part.channels.index(name) for name in channels]
         first, last = min(indices), max(indices)
-        pixels = self._input.read_image(part.index, 0, first, last + 1, oiio.FLOAT)
+        if rows is None:
+            pixels = self._input.read_image(part.index, 0, first, last + 1, oiio.FLOAT)
+        else:
+            part = _some_rows(part, *rows)
+            pixels = self._read_rows(part, first, last + 1)
         if pixels is None:
             reason = _first_line(self._input.geterror())
             raise ReadError(f"{self.path}: broken file: {reason}; render or copy this frame again")
@@ -108,6 +115,24 @@ class ImageFile:
             name: to_display_window(pixels[:, :, index - first], part, fill)
             for name, index, fill in zip(channels, indices, fills, strict=True)
         }
+
+    def _read_rows(self, part: Part, first: int, last: int) -> np.ndarray | None:
+        """The data window's rows of a part that has only some of them."""
+        data = part.data
+        if data.height <= 0:
+            return np.empty((0, data.width, last - first), np.float32)
+        self._input.seek_subimage(part.index, 0)
+        spec = self._input.spec()
+        if not spec.tile_height:
+            return self._input.read_scanlines(part.index, 0, data.y0, data.y1 + 1, 0, first, last, oiio.FLOAT)
+        top = spec.y + (data.y0 - spec.y) // spec.tile_height * spec.tile_height
+        bottom = min(spec.y + spec.height, spec.y + -(-(data.y1 + 1 - spec.y) // spec.tile_height) * spec.tile_height)
+        columns = (spec.x, spec.x + spec.width)
+        pixels = self._input.read_tiles(part.index, 0, *columns, top, bottom, 0, 1, first, last, oiio.FLOAT)
+        if pixels is None:
+            return None
+        pixels = pixels.reshape(bottom - top, data.width, last - first)
+        return np.ascontiguousarray(pixels[data.y0 - top:data.y1 + 1 - top])
 
     def _scan(self) -> tuple[Part, ...]:
         parts, deep = [], []
@@ -132,6 +157,14 @@ def to_display_window(pixels: np.ndarray, part: Part, fill: float) -> np.ndarray
         inside = pixels[y0 - data.y0 : y1 - data.y0, x0 - data.x0 : x1 - data.x0]
         result[y0 - display.y0 : y1 - display.y0, x0 - display.x0 : x1 - display.x0] = inside
     return result
+
+
+def _some_rows(part: Part, first: int, last: int) -> Part:
+    """A part of which only these rows of the display window are looked at."""
+    data, display = part.data, part.display
+    display = display._replace(y0=part.display.y0 + first, y1=part.display.y0 + last - 1)
+    top, bottom = max(data.y0, display.y0), min(data.y1, display.y1)
+    return replace(part, display=display, data=data._replace(y0=top, y1=max(bottom, top - 1)))
 
 
 def _own_windows(parts: list[Part]) -> tuple[Part, ...]:

@@ -12,13 +12,15 @@ from postfx.io.aov import FrameFiles
 from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.exr import READABLE
 from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, parse_pattern, pattern_of, patterns_in
+from postfx.scratch import Scratch
 
 
 class Sequence:
     """Frames of a pattern, a folder or a single file; iterating reads them one by one.
 
-    A frame read after another than its predecessor on the disk is marked as a cut (`Frame.reset`), because its motion
-    vectors lead to a frame that was left out.
+    Planes are in arrays of `scratch`, if it is given, and are read piece by piece. A frame read after another than its
+    predecessor on the disk is marked as a cut (`Frame.reset`), because its motion vectors lead to a frame that was left
+    out.
 
     Attributes:
         pattern: how the files are named.
@@ -35,7 +37,9 @@ class Sequence:
         profile: str | None = None,
         planes: Iterable[Role] | None = None,
         guides: str | PathLike[str] | None = None,
+        scratch: Scratch | None = None,
     ) -> None:
+        self._scratch = scratch
         self.pattern, named = _locate(str(source))
         self.profile = profile
         self.guides = None if guides is None else Sequence(guides, profile=profile)
@@ -109,7 +113,7 @@ class Sequence:
         Raises MissingFrameError, MissingPlaneError, GuideError or ReadError.
         """
         with self.open(number) as files:
-            frame = files.read(number, self.planes if planes is None else planes, guides)
+            frame = files.read(number, self.planes if planes is None else planes, guides, self._scratch)
         cut = self._is_cut(number)  # asked for every frame, as it keeps the number
         frame.reset = frame.reset or cut
         return frame

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -22,6 +23,8 @@ WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
 _BITS = {".tif": 16, ".tiff": 16}
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
 _HALF_MAX = 65504.0
+_PIECE = 16 << 20  # bytes in float32 that are converted and written at once
+Pixels = Callable[[slice], np.ndarray]  # rows -> pixels as they are stored
 
 
 def is_display_format(path: str | PathLike[str]) -> bool:
@@ -32,24 +35,26 @@ def is_display_format(path: str | PathLike[str]) -> bool:
     return suffix in DISPLAY_FORMATS
 
 
-def write_frame(path: str | PathLike[str], frame: Frame, half: bool = True) -> Path:
+def write_frame(
+    path: str | PathLike[str], frame: Frame, half: bool = True, relax: Callable[[], None] | None = None
+) -> Path:
     """Write colour and alpha of a frame; returns the path.
 
     EXR holds linear light (a display-encoded frame is decoded), half floats unless `half` is False, ZIP compression,
     the input's display window scaled to the frame's size and its useful header attributes. PNG and JPEG hold 8 bits,
     TIFF 16 bits of sRGB code values; a scene-linear frame is clipped to 0..1 there, so tone-map it first. The file
-    appears under its name only when it is complete; folders are made.
+    appears under its name only when it is complete; folders are made. `relax` is called again and again meanwhile.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written.
     """
     path = Path(path)
     display = is_display_format(path)
-    pixels = _display_pixels(frame, path) if display else _linear_pixels(frame, half)
-    spec = _spec(frame, pixels, path, display)
+    convert = _display_pixels(frame, path) if display else _linear_pixels(frame, half)
+    spec = _spec(frame, convert(slice(0, 1)), path, display)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(temporary, spec, pixels)
+        _write(temporary, spec, convert, relax)
         os.replace(temporary, path)
     except OSError as error:
         reason = (error.strerror or str(error)).replace(str(temporary), str(path))
@@ -83,29 +88,36 @@ def _is_ended(path: Path) -> bool:
         return file.read() == b"\xff\xd9"
 
 
-def _linear_pixels(frame: Frame, half: bool) -> np.ndarray:
-    colour = frame[Role.COLOUR]
-    colour = srgb_decode(colour) if frame.encoding == "srgb" else colour
-    pixels = _with_alpha(colour, frame)
-    return np.clip(pixels, -_HALF_MAX, _HALF_MAX).astype(np.float16) if half else pixels
+def _linear_pixels(frame: Frame, half: bool) -> Pixels:
+    def convert(rows: slice) -> np.ndarray:
+        colour = frame[Role.COLOUR][rows]
+        colour = srgb_decode(colour) if frame.encoding == "srgb" else colour
+        pixels = _with_alpha(colour, frame, rows)
+        return np.clip(pixels, -_HALF_MAX, _HALF_MAX).astype(np.float16) if half else pixels
+
+    return convert
 
 
-def _display_pixels(frame: Frame, path: Path) -> np.ndarray:
-    colour = frame[Role.COLOUR]
-    encoded = colour if frame.encoding == "srgb" else srgb_encode(colour)
+def _display_pixels(frame: Frame, path: Path) -> Pixels:
     opaque = Role.ALPHA not in frame or path.suffix.lower() in JPEG or frame[Role.ALPHA].min() >= 1
-    pixels = encoded if opaque else _with_alpha(encoded, frame)
     bits = _BITS.get(path.suffix.lower(), 8)
-    scaled = np.nan_to_num(np.clip(pixels, 0, 1)) * (2**bits - 1)
-    return np.rint(scaled).astype(np.uint16 if bits == 16 else np.uint8)
+
+    def convert(rows: slice) -> np.ndarray:
+        colour = frame[Role.COLOUR][rows]
+        encoded = colour if frame.encoding == "srgb" else srgb_encode(colour)
+        pixels = encoded if opaque else _with_alpha(encoded, frame, rows)
+        scaled = np.nan_to_num(np.clip(pixels, 0, 1)) * (2**bits - 1)
+        return np.rint(scaled).astype(np.uint16 if bits == 16 else np.uint8)
+
+    return convert
 
 
-def _with_alpha(colour: np.ndarray, frame: Frame) -> np.ndarray:
-    return np.concatenate([colour, frame[Role.ALPHA]], axis=2) if Role.ALPHA in frame else colour
+def _with_alpha(colour: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
+    return np.concatenate([colour, frame[Role.ALPHA][rows]], axis=2) if Role.ALPHA in frame else colour
 
 
 def _spec(frame: Frame, pixels: np.ndarray, path: Path, display: bool) -> oiio.ImageSpec:
-    height, width, channels = pixels.shape
+    height, width, channels = len(frame[Role.COLOUR]), *pixels.shape[1:]
     spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
     spec.channelnames = ("R", "G", "B", "A")[:channels]
     if display:
@@ -119,11 +131,18 @@ def _spec(frame: Frame, pixels: np.ndarray, path: Path, display: bool) -> oiio.I
     return spec
 
 
-def _write(path: Path, spec: oiio.ImageSpec, pixels: np.ndarray) -> None:
+def _write(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
     output = oiio.ImageOutput.create(str(path))
     if output is None:
         raise OSError(oiio.geterror())
-    written = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
+    written = output.open(str(path), spec)
+    step = max(16, _PIECE // (4 * spec.width * spec.nchannels) // 16 * 16)
+    for first in range(0, spec.height, step):
+        last = min(spec.height, first + step)
+        pixels = np.ascontiguousarray(convert(slice(first, last)))
+        written = written and output.write_scanlines(spec.y + first, spec.y + last, 0, pixels)
+        if relax is not None:
+            relax()
     closed = output.close()
     if not (written and closed):
         raise OSError(output.geterror().splitlines()[0] if output.has_error else "unknown reason")

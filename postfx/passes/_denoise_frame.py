@@ -11,7 +11,8 @@ from postfx.kernels import denoise_prepare
 from postfx.passes._denoise_assembly import Assembly
 from postfx.passes._denoise_graph import Graph
 from postfx.passes._denoise_history import History
-from postfx.passes._denoise_layout import GAIN, Band, Shape, around, cost, halo_of, tiles_of, whole_sides
+from postfx.passes._denoise_layout import GAIN, Band, Shape, around, band_of, cost, halo_of, whole_sides
+from postfx.passes._denoise_memory import bands_within
 from postfx.passes._denoise_window import ALIGN, Sizes, Window
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
@@ -32,8 +33,11 @@ class Frames:
     def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], guided: bool = False) -> None:
         self._device, self._sizes, self._models, self._guided = device, sizes, tuple(models), guided
         self._halo = halo_of(models)
-        self._whole = self._graph_of((sizes.h, sizes.w))
         self._graphs: OrderedDict[Shape, Graph] = OrderedDict()
+        self._bands = bands_within(device.scratch, sizes, models)
+        self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
+        if self._bands:
+            self._make(self._band_shape)
         self._history = History(device, sizes)
         new, between = device.heap.tensor, device.heap.transient
         self._common = {"params": new("params", (5,)), "depth_scale": between("depth scale", (1,))}
@@ -59,6 +63,9 @@ class Frames:
         Makes the networks ready that they need.
         """
         boxes, shape = around(self._sizes, cells, self._halo)
+        if self._bands:
+            fits = shape[0] <= self._band_shape[0] and shape[1] <= self._band_shape[1]
+            return band_of(self._sizes, boxes, self._band_shape, self._halo) if fits else None
         count, least = len(boxes), cost(shape, len(boxes))
         if least > GAIN * cost((self._sizes.h, self._sizes.w), 1):
             return None
@@ -66,7 +73,7 @@ class Frames:
                  and cost(one, count) <= CLOSE * least]
         shape = min(ready, key=lambda one: cost(one, count)) if ready else self._make(shape)
         self._graphs.move_to_end(shape)
-        return Band(0, self._sizes.h, tiles_of(self._sizes, boxes, shape, self._halo))
+        return band_of(self._sizes, boxes, shape, self._halo)
 
     def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray, keep: bool,
                still: bool, band: Band | None = None) -> Tensor:
@@ -84,11 +91,16 @@ class Frames:
             encoder.dispatch(self._scale.state, self._scale)
         seen = {**planes, **self._common, **self._history.last}
         targets = {"output": self._output, **self._history.next}
-        if band is None:
+        if band is None and self._whole:
             self._whole.encode(commands, Window.whole(self._sizes), self.model, seen | targets, keep and not still)
-        else:
-            self._encode_tiles(commands, band, seen, targets)
+        for some in [band] if band else self._bands:
+            self._encode_tiles(commands, some, seen, targets)
         return self._output
+
+    @property
+    def _band_shape(self) -> Shape:
+        window = self._bands[0].tiles[0].window
+        return window.rows, window.columns
 
     def _encode_tiles(self, commands: CommandBuffer, band: Band, seen: Mapping[str, Tensor],
                       targets: dict[str, Tensor]) -> None:

@@ -160,6 +160,17 @@ def grid(frame: Sizes, halo: int, most: int) -> tuple[list[list[Box]], Shape] | 
     return best and best[1:]
 
 
+def bands_of(frame: Sizes, rows: Iterable[Iterable[Box]], shape: Shape, halo: int) -> list[Band]:
+    """A band for each row of boxes that fill the frame."""
+    bands = [(boxes[0].top, min(boxes[0].rows, frame.h - boxes[0].top), boxes) for boxes in map(list, rows)]
+    return [Band(top, count, tiles_of(frame, boxes, shape, halo)) for top, count, boxes in bands]
+
+
+def band_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> Band:
+    """All rows of the frame, of which only boxes are worked on."""
+    return Band(0, frame.h, tiles_of(frame, boxes, shape, halo))
+
+
 def _some(counts: range) -> list[int]:
     """Few of many counts, close to each other where they are small."""
     return sorted({round(1.15**power) for power in range(60)} & {*counts})

@@ -28,6 +28,7 @@ from postfx.runtime.session import Session
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import Allocation, Tensor
 from postfx.runtime.waiting import wait_for_all
+from postfx.scratch import Scratch
 
 if TYPE_CHECKING:
     from postfx.kernels.kernel import Kernel
@@ -41,13 +42,16 @@ class Device:
         threads: CPU threads for kernels and networks; default: the cores that this process may use.
         compiled_kernels: run kernels by what is written for the device, where there is such: compiled rows on the CPU,
             CUDA sources on a GPU. When False, by their portable ONNX definitions.
+        memory: bytes that the process may have in memory, as a number or like '4G'; tensors beyond lie in temporary
+            files, and passes go over frames in tiles. The CPU only, which 'auto' then is.
         kernels: library of the portable definitions; default: the `kernels` folder of the models that come with
             postfx.
 
     Attributes:
         results_lock: to hold from commit until the host has read transient results, where several threads commit.
 
-    Raises DeviceError when the device is not available or an option does not fit it.
+    Raises DeviceError when the device is not available or an option does not fit it, MemoryBudgetError for a budget
+    that cannot be read.
     """
 
     def __init__(
@@ -56,11 +60,13 @@ class Device:
         threads: int | None = None,
         compiled_kernels: bool | None = None,
         kernels: Library | None = None,
+        memory: str | int | None = None,
     ) -> None:
         if threads is not None and threads < 1:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
         self.threads = threads or _usable_cores()
-        self._placement, self.memory = choose(name, self.threads)
+        self.scratch = None if memory is None else Scratch(memory)
+        self._placement, self.memory = choose(name, self.threads, self.scratch)
         self.name = name if name != "auto" else self._placement.memory
         self._compiled = True if compiled_kernels is None else compiled_kernels
         self._kernels = kernels

@@ -92,6 +92,7 @@ class Execution:
     def _execute(self, dispatch: Dispatch) -> list[Span]:
         memory = self._device.memory
         spans = _enqueue(memory, [dispatch])
+        memory.relax()
         for tensor in dispatch.writes:
             if tensor.allocation.lost:
                 self._device.hazards.mark_found(tensor)

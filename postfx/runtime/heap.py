@@ -93,6 +93,8 @@ class Heap:
         has memory from commit on, and content until its bytes go to another tensor or another buffer with transient
         tensors is committed. The host may look at it until then, and never writes it.
         """
+        if self._device.scratch:  # the arena is one piece, which as a whole would lie in a file
+            return self.tensor(name, shape, dtype)
         return self.arena.tensor(name, shape, dtype)
 
     @property

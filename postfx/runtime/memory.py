@@ -5,12 +5,17 @@ from __future__ import annotations
 import ctypes
 import math
 import time
+import weakref
 from collections.abc import Callable, Hashable
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from postfx.scratch import Scratch
+
 T = TypeVar("T")
+TENSORS = 0.3
+"""Share of a memory budget that tensors may have; networks have their own."""
 ALIGNMENT = 256
 """Byte alignment of every tensor: a multiple of the cache line and of what GPU copies like."""
 
@@ -43,6 +48,10 @@ class Memory(Protocol):
         """Wait until all that was begun is done."""
         ...
 
+    def relax(self) -> None:
+        """A dispatch is done: keep no more in memory than has to be."""
+        ...
+
     def mark(self) -> Any:
         """This moment in the device's work."""
         ...
@@ -62,6 +71,9 @@ class Memory(Protocol):
 
 class Immediate:
     """Memory on which work is done when its call returns."""
+
+    def relax(self) -> None:
+        """All is kept."""
 
     def synchronise(self) -> None:
         """Nothing to wait for."""
@@ -88,14 +100,39 @@ class HostChunk:
         self.nbytes = nbytes
 
 
+class MappedChunk:
+    """A chunk in a temporary file."""
+
+    def __init__(self, scratch: Scratch, nbytes: int) -> None:
+        self._storage = np.frombuffer(scratch.mapped(nbytes), np.uint8)
+        self.pointer = address(self._storage)
+        self.nbytes = nbytes
+
+
 class HostMemory(Immediate):
-    """Memory that NumPy, compiled kernels and CPU sessions share."""
+    """Memory that NumPy, compiled kernels and CPU sessions share. With a budget, large chunks beyond its share for
+    tensors lie in temporary files."""
 
     host_visible = True
 
-    def allocate(self, nbytes: int) -> HostChunk:
+    def __init__(self, scratch: Scratch | None = None) -> None:
+        self._scratch = scratch
+        self._held: weakref.WeakSet[HostChunk] = weakref.WeakSet()
+
+    def allocate(self, nbytes: int) -> HostChunk | MappedChunk:
         """A new chunk of host memory."""
-        return HostChunk(nbytes)
+        if self._scratch is not None:
+            held = sum(chunk.nbytes for chunk in self._held)
+            if held + nbytes > TENSORS * self._scratch.budget:
+                return MappedChunk(self._scratch, nbytes)
+        chunk = HostChunk(nbytes)
+        self._held.add(chunk)
+        return chunk
+
+    def relax(self) -> None:
+        """Let go of the pages of temporary files."""
+        if self._scratch is not None:
+            self._scratch.relax()
 
     def write(self, pointer: int, array: np.ndarray) -> None:
         """Copy a C-contiguous array to `pointer`."""

@@ -101,12 +101,15 @@ class CompiledComputeState:
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that runs the rows on bound tensors."""
         arrays = [tensor.host_view() for tensor in tensors]
-        count = tensors[self._rows_of].shape[self._axis]
-        return lambda: self._run(count, arrays)
+        count, scratch = tensors[self._rows_of].shape[self._axis], self.device.scratch
+        if scratch is None:
+            return lambda: self._run(0, count, arrays)
+        row_bytes = sum(tensor.nbytes for tensor in tensors) // max(1, count)
+        return lambda: [self._run(first, last, arrays) for first, last in scratch.pieces(count, row_bytes)]
 
-    def _run(self, count: int, arrays: list) -> None:
-        bands = max(1, min(self.device.threads, count // MINIMUM_ROWS))
-        edges = [count * band // bands for band in range(bands + 1)]
+    def _run(self, first: int, last: int, arrays: list) -> None:
+        bands = max(1, min(self.device.threads, (last - first) // MINIMUM_ROWS))
+        edges = [first + (last - first) * band // bands for band in range(bands + 1)]
         pool = self.device.thread_pool if bands > 1 else None
         others: list[Future] = [pool.submit(self._rows, edges[i], edges[i + 1], *arrays) for i in range(1, bands)]
         try:

@@ -122,9 +122,18 @@ class Tensor:
     def download(self) -> np.ndarray:
         """A NumPy copy of the content. Raises HazardError as `array` does."""
         check_host_read(self.name, self.state)
-        copy = np.empty(self.shape, self.dtype)
-        if copy.nbytes:
-            self._device.memory.read(self.resident().start, copy)
+        scratch, here = self._device.scratch, self.resident()
+        if scratch is None:
+            copy = np.empty(self.shape, self.dtype)
+            if copy.nbytes:
+                self._device.memory.read(here.start, copy)
+            return copy
+        copy, view = scratch.empty(self.shape, self.dtype), here.host_view()
+        if not copy.ndim:
+            copy[...] = view
+            return copy
+        for first, last in scratch.pieces(len(copy), copy.nbytes // max(1, len(copy))):
+            copy[first:last] = view[first:last]
         return copy
 
     def upload(self, values: Any) -> None:
@@ -146,7 +155,14 @@ class Tensor:
 
     def fill(self, value: float) -> None:
         """Set every element to `value`. Raises HazardError as `upload` does."""
-        self.upload(np.broadcast_to(np.asarray(value, self.dtype), self.shape))
+        scratch = self._device.scratch
+        if scratch is None or not self.shape:
+            self.upload(np.broadcast_to(np.asarray(value, self.dtype), self.shape))
+            return
+        self._check_host_write()
+        for first, last in scratch.pieces(self.shape[0], self.nbytes // max(1, self.shape[0])):
+            self.host_view()[first:last] = value
+        self._device.hazards.mark_written(self)
 
     def view(self, name: str, shape: tuple[int, ...], offset: int = 0) -> Tensor:
         """A tensor over part of the same memory: `shape` elements from element `offset` on, no copy."""
