@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -144,33 +145,38 @@ def around(frame: Sizes, cells: np.ndarray, halo: int) -> tuple[list[Box], Shape
     return min(found, key=lambda item: cost(item[1], len(item[0])))
 
 
-def grid(frame: Sizes, halo: int, most: int) -> tuple[list[list[Box]], Shape] | None:
-    """Boxes of one size that fill a frame, row by row, whose windows have at most so many pixels and take least; None
-    where no window is that small."""
-    best = None
-    counts = (range(1, -(-side // ALIGN) + 1) for side in (frame.h, frame.w))
-    for down, across in itertools.product(*map(_some, counts)):
+def grids(frame: Sizes, halo: int) -> Iterator[tuple[Shape, Shape]]:
+    """Sizes of boxes that fill a frame row by row, and the size of their windows: from one box to many."""
+    for down, across in itertools.product(*(_some(-(-side // ALIGN)) for side in (frame.h, frame.w))):
         rows, columns = (-(-side // (ALIGN * count)) * ALIGN for side, count in ((frame.h, down), (frame.w, across)))
-        boxes = [[Box(top, left, rows, columns) for left in range(0, frame.w, columns)]
-                 for top in range(0, frame.h, rows)]
-        shape = shape_for(frame, itertools.chain(*boxes), halo)
-        if shape[0] * shape[1] <= most:
-            value = cost(shape, len(boxes) * len(boxes[0]))
-            best = min(best or (value, boxes, shape), (value, boxes, shape), key=lambda item: item[0])
-    return best and best[1:]
+        window = _longest(rows, frame.h, halo), _longest(columns, frame.w, halo)
+        yield (rows, columns), whole_sides(frame, window)
 
 
-def bands_of(frame: Sizes, rows: Iterable[Iterable[Box]], shape: Shape, halo: int) -> list[Band]:
-    """A band for each row of boxes that fill the frame."""
-    bands = [(boxes[0].top, min(boxes[0].rows, frame.h - boxes[0].top), boxes) for boxes in map(list, rows)]
-    return [Band(top, count, tiles_of(frame, boxes, shape, halo)) for top, count, boxes in bands]
+def count_of(frame: Sizes, box: Shape) -> int:
+    """How many boxes of a size fill a frame."""
+    return -(-frame.h // box[0]) * -(-frame.w // box[1])
+
+
+@cache
+def _longest(count: int, size: int, halo: int) -> int:
+    """Rows of the largest window of boxes of so many rows."""
+    return max(end - first for first, end in (_span(top, count, size, halo) for top in range(0, size, count)))
+
+
+def _some(most: int) -> list[int]:
+    """Few of the numbers up to `most`, close to each other where they are small."""
+    return sorted({*(round(1.15**power) for power in range(60)), most} & {*range(1, most + 1)})
+
+
+def bands_of(frame: Sizes, box: Shape, shape: Shape, halo: int) -> list[Band]:
+    """Bands of boxes that fill a frame."""
+    rows, columns = box
+    tops, lefts = range(0, frame.h, rows), range(0, frame.w, columns)
+    return [Band(top, min(rows, frame.h - top), tiles_of(frame, [Box(top, left, *box) for left in lefts], shape, halo))
+            for top in tops]
 
 
 def band_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> Band:
     """All rows of the frame, of which only boxes are worked on."""
     return Band(0, frame.h, tiles_of(frame, boxes, shape, halo))
-
-
-def _some(counts: range) -> list[int]:
-    """Few of many counts, close to each other where they are small."""
-    return sorted({round(1.15**power) for power in range(60)} & {*counts})

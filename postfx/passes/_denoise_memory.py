@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from postfx.passes._denoise_layout import Band, Box, bands_of, grid, halo_of, shape_for
+from postfx.passes._denoise_layout import Band, bands_of, cost, count_of, grids, halo_of
 from postfx.passes._denoise_window import Sizes
 from postfx.scratch import MemoryBudgetError, Scratch
 
@@ -30,13 +30,14 @@ def bands_within(scratch: Scratch | None, frame: Sizes, models: Sequence[str]) -
     if frame.h * frame.w <= most:
         return []
     halo = seamless(models)
-    found = grid(frame, halo, most)
-    if found is None:
-        rows, columns = shape_for(frame, [Box(16, 16, 16, 16)], halo)
-        least = PROCESS + rows * columns * PIXEL / WINDOW
+    possible = list(grids(frame, halo))
+    fitting = [(box, shape) for box, shape in possible if shape[0] * shape[1] <= most]
+    if not fitting:
+        least = PROCESS + min(shape[0] * shape[1] for _, shape in possible) * PIXEL / WINDOW
         raise MemoryBudgetError(f"{frame.w}x{frame.h} cannot be denoised within {scratch.budget >> 20}M: "
-                                f"give a memory budget of {-(-int(least) >> 20) + 1}M or more")
-    return bands_of(frame, found[0], found[1], halo)
+                                f"give a memory budget of {(int(least) >> 20) + 1}M or more")
+    box, shape = min(fitting, key=lambda item: cost(item[1], count_of(frame, item[0])))
+    return bands_of(frame, box, shape, halo)
 
 
 def seamless(models: Sequence[str]) -> int:

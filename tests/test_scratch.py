@@ -1,0 +1,98 @@
+"""Memory budgets: sizes as people write them, arrays in files, frames in tiles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postfx import Device, Frame, Pipeline, Role
+from postfx.passes._denoise_memory import bands_within
+from postfx.passes._denoise_window import Sizes
+from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.tonemap import ToneMap
+from postfx.runtime import DeviceError
+from postfx.scratch import MemoryBudgetError, Scratch, bytes_of
+from tests.passes.denoise_frames import noisy
+
+
+@pytest.mark.parametrize(("text", "size"), [("4G", 4 << 30), ("1.5 GB", 3 << 29), ("512m", 512 << 20), ("2KiB", 2048),
+                                            (4096, 4096)])
+def test_sizes_as_people_write_them(text: str | int, size: int) -> None:
+    assert bytes_of(text) == size
+
+
+@pytest.mark.parametrize("text", ["", "lots", "-4G", "0", "4 X", "4GG"])
+def test_other_sizes_are_errors(text: str) -> None:
+    with pytest.raises(MemoryBudgetError, match="is no size: give bytes, or a number with K, M, G or T"):
+        bytes_of(text)
+
+
+def test_large_arrays_keep_their_content_when_let_go_of() -> None:
+    scratch = Scratch("16M")
+    small, large = scratch.empty((8, 8)), scratch.empty((1024, 512))
+    small[:], large[:] = 1, np.arange(512)
+    scratch.relax()
+    np.testing.assert_array_equal(large, np.tile(np.arange(512), (1024, 1)))
+    assert small.base is None and large.base is not None
+
+
+def test_pieces_cover_everything_once() -> None:
+    pieces = list(Scratch("1M").pieces(1000, 4096))
+    assert [row for first, last in pieces for row in range(first, last)] == list(range(1000))
+    assert len(pieces) > 10
+
+
+def resident() -> int:
+    """Bytes of this process in memory."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096
+
+
+def test_tensors_beyond_the_budget_take_no_memory() -> None:
+    device = Device("cpu", memory="256M")
+    before = resident()
+    tensors = [device.heap.tensor(f"tensor {i}", (64 << 20,), "uint8") for i in range(6)]
+    for i, tensor in enumerate(tensors):
+        tensor.fill(i)
+    device.memory.relax()
+    assert resident() - before < 128 << 20
+    assert [int(tensor.array[-1]) for tensor in tensors] == list(range(6))
+
+
+def test_a_budget_is_for_the_cpu() -> None:
+    with pytest.raises(DeviceError, match="a memory budget is for the CPU, not for 'cuda': leave one of them out"):
+        Device("cuda", memory="4G")
+    assert Device("auto", memory="4G").memory.host_visible
+
+
+@pytest.mark.parametrize("model", ["s", "m.fp32"])
+def test_frames_in_tiles_have_no_seams(model: str) -> None:
+    """Against whole ones, tone-mapped, over frames of motion."""
+    whole = Pipeline([DenoiseUpscale(model=model), ToneMap()], Device("cpu", threads=2))
+    tiled = Pipeline([DenoiseUpscale(model=model), ToneMap()], Device("cpu", threads=2, memory="560M"))
+    for number in (1, 2):
+        frame = noisy(number, 300, 330)
+        wanted, found = whole(frame)[Role.COLOUR], tiled(frame)[Role.COLOUR]
+        assert np.abs(found - wanted).max() < 1e-3
+    bands = tiled.passes[0]._frames._bands
+    assert len(bands) * len(bands[0].tiles) > 1
+
+
+def test_a_budget_that_is_too_small_names_the_smallest_that_would_do() -> None:
+    frame = noisy(1, 300, 330)
+    with pytest.raises(MemoryBudgetError, match="330x300 cannot be denoised within 320M: give a memory") as error:
+        Pipeline([DenoiseUpscale(model="s")], Device("cpu", memory="320M"))(frame)
+    least, sizes = str(error.value).split()[-3], Sizes(300, 330, 600, 660)
+    assert len(bands_within(Scratch(least), sizes, ["denoise_upscale.s.int8"])) > 1
+    with pytest.raises(MemoryBudgetError):
+        bands_within(Scratch(bytes_of(least) - (2 << 20)), sizes, ["denoise_upscale.s.int8"])
+
+
+def test_a_mask_within_a_budget() -> None:
+    frame = noisy(1, 300, 330)
+    plane = np.zeros((300, 330, 1), np.float32)
+    plane[200:230, 40:80] = 1
+    frame = Frame({**frame.planes, Role.STRENGTH: plane}, jitter=frame.jitter)
+    wanted, found = (Pipeline([DenoiseUpscale(model="s")], Device("cpu", memory=memory))(frame)[Role.COLOUR]
+                     for memory in (None, "470M"))
+    np.testing.assert_allclose(found, wanted, atol=1e-3, rtol=1e-3)
