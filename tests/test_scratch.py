@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from postfx.passes._denoise_memory import bands_within
 from postfx.passes._denoise_window import Sizes
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.passes.tonemap import ToneMap
-from postfx.runtime import DeviceError
+from postfx.runtime import DeviceError, device
 from postfx.scratch import MemoryBudgetError, Scratch, bytes_of
 from tests.passes.denoise_frames import noisy
 
@@ -49,19 +51,22 @@ def resident() -> int:
 
 
 def test_tensors_beyond_the_budget_take_no_memory() -> None:
-    device = Device("cpu", memory="256M")
+    place = Device("cpu", memory="256M")
     before = resident()
-    tensors = [device.heap.tensor(f"tensor {i}", (64 << 20,), "uint8") for i in range(6)]
+    tensors = [place.heap.tensor(f"tensor {i}", (64 << 20,), "uint8") for i in range(6)]
     for i, tensor in enumerate(tensors):
         tensor.fill(i)
-    device.memory.relax()
+    place.memory.relax()
     assert resident() - before < 128 << 20
     assert [int(tensor.array[-1]) for tensor in tensors] == list(range(6))
 
 
-def test_a_budget_is_for_the_cpu() -> None:
-    with pytest.raises(DeviceError, match="a memory budget is for the CPU, not for 'cuda': leave one of them out"):
-        Device("cuda", memory="4G")
+def test_a_budget_is_for_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    remote = SimpleNamespace(host_visible=False)
+    with monkeypatch.context() as patch:
+        patch.setattr(device, "choose", lambda name, threads: (None, remote))
+        with pytest.raises(DeviceError, match="a memory budget is for the CPU, not for 'cuda': leave one of them out"):
+            Device("cuda", memory="4G")
     assert Device("auto", memory="4G").memory.host_visible
 
 

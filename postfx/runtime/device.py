@@ -21,7 +21,7 @@ from postfx.runtime.errors import BindingError, DeviceError, ModelError
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
 from postfx.runtime.library import Library
-from postfx.runtime.memory import address
+from postfx.runtime.memory import HostMemory, Memory, address
 from postfx.runtime.placement import choose
 from postfx.runtime.queue import CommandQueue
 from postfx.runtime.session import Session
@@ -66,7 +66,10 @@ class Device:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
         self.threads = threads or _usable_cores()
         self.scratch = None if memory is None else Scratch(memory)
-        self._placement, self.memory = choose(name, self.threads, self.scratch)
+        name = "cpu" if self.scratch and name == "auto" else name
+        self._placement, self.memory = choose(name, self.threads)
+        if self.scratch:
+            self.memory = _within(self.scratch, self.memory, name)
         self.name = name if name != "auto" else self._placement.memory
         self._compiled = True if compiled_kernels is None else compiled_kernels
         self._kernels = kernels
@@ -183,6 +186,13 @@ class Device:
         session = Session(library.load(kernel.name), kernel.name, self._placement, {})
         _check_portable(kernel, session)
         return PortableComputeState(self, kernel, session)
+
+
+def _within(scratch: Scratch, memory: Memory, name: str) -> HostMemory:
+    """Memory of a device with a budget."""
+    if not memory.host_visible:
+        raise DeviceError(f"a memory budget is for the CPU, not for '{name}': leave one of them out")
+    return HostMemory(scratch)
 
 
 def _usable_cores() -> int:

@@ -13,26 +13,21 @@ from postfx.runtime.errors import DeviceError, PostfxError
 from postfx.runtime.memory import HostMemory, Memory
 from postfx.runtime.provider_memory import ProviderMemory
 from postfx.runtime.session import Placement, first_line
-from postfx.scratch import Scratch
 
 _NAME = re.compile(r"(auto|cpu|cuda)(?::(\d+))?")
 
 
-def choose(name: str, threads: int, scratch: Scratch | None = None) -> tuple[Placement, Memory]:
-    """Placement and memory of 'cpu', 'cuda', 'cuda:1' or 'auto', the CPU with a budget if there is one. Raises
-    DeviceError when it is not available."""
+def choose(name: str, threads: int) -> tuple[Placement, Memory]:
+    """Placement and memory of 'cpu', 'cuda', 'cuda:1' or 'auto'. Raises DeviceError when it is not available."""
     match = _NAME.fullmatch(name)
     if match is None or (match[2] and match[1] != "cuda"):
         raise DeviceError(f"no device '{name}': use auto, cpu, cuda or cuda:N")
     index = int(match[2] or 0)
-    if scratch is not None and match[1] == "cuda":
-        raise DeviceError(f"a memory budget is for the CPU, not for '{name}': leave one of them out")
-    fault = "a memory budget is for the CPU" if scratch else None
-    fault = fault if scratch or match[1] == "cpu" else cuda_fault(index)
+    fault = None if match[1] == "cpu" else cuda_fault(index)
     if match[1] == "cuda" and fault:
         raise DeviceError(f"device '{name}' is not available: {fault}")
     if match[1] == "cpu" or fault:
-        return Placement("CPUExecutionProvider", "cpu", 0, threads), HostMemory(scratch)
+        return Placement("CPUExecutionProvider", "cpu", 0, threads), HostMemory()
     try:
         memory = CudaMemory(index)
     except DeviceError:
