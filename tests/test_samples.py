@@ -37,6 +37,18 @@ def test_speed_is_compared_with_oidn():
     assert printed.count("x of OIDN high") == 5
 
 
+def test_the_time_of_masked_frames(tmp_path):
+    printed = run("masked_speed.py", "--width", "96", "--height", "64", "--runs", "1", "-o", str(tmp_path / "a.png"))
+    assert printed.count("% masked: denoised upscaler") == 6
+    assert (tmp_path / "a.png").stat().st_size > 10000
+
+
+def test_memory_is_measured_within_a_budget():
+    printed = run("measure_memory.py", "--sizes", "256", "--memory", "none,1G", "--model", "s")
+    assert printed.count("256x256 model s budget") == 2
+
+
 def test_every_script_is_run_here():
-    named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py"}
+    named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py",
+             "measure_memory.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named
