@@ -16,21 +16,29 @@ PLACE = 10
 
 
 @compiled
+def copy(source, target):
+    for i in range(target.size):
+        target[i] = source[i]
+
+
+@compiled
 def assemble_rows(y0, y1, tiles, places, frame_rows, frame_columns, picture):
     """Row by row: first what tiles hold, then what is their own; of several tiles the first is written last."""
     left, right = int(frame_columns[0]), int(frame_columns[0]) + frame_columns.size
+    count, height, width, channels = tiles.shape
+    lines = tiles.reshape(count, height, width * channels)
     for row in range(y0, y1):
-        y = int(frame_rows[row])
-        picture[row] = np.float32(0)
+        y, target = int(frame_rows[row]), picture[row].reshape(frame_columns.size * channels)
+        target[:] = np.float32(0)
         for kind in (HELD, OWN):
-            for tile in range(tiles.shape[0] - 1, -1, -1):
+            for tile in range(count - 1, -1, -1):
                 place = places[tile]
                 if place[kind] <= y < place[kind + 2]:
                     first, last = max(int(place[kind + 1]), left), min(int(place[kind + 3]), right)
                     if first < last:
-                        shift = int(place[ORIGIN + 1])
-                        line = tiles[tile, y - int(place[ORIGIN]), first - shift:last - shift]
-                        picture[row, first - left:last - left] = line
+                        begin = (first - int(place[ORIGIN + 1])) * channels
+                        copy(lines[tile, y - int(place[ORIGIN])][begin:],
+                             target[(first - left) * channels:(last - left) * channels])
 
 
 ASSEMBLE = kernel("assemble", ("tiles", "places", "frame_rows", "frame_columns"), ("picture",), assemble_rows,
