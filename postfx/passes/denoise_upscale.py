@@ -37,7 +37,7 @@ class DenoiseUpscale(Pass):
         budget: milliseconds that a frame may take on the device, None for no limit: networks smaller than `model`, of
             its precision ('s' below 'm', 's' and 'm' below 'l'), take turns with it; the history goes on.
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength`
-            says the same pixel by pixel, and both are multiplied.
+            says the same pixel by pixel, and both are multiplied; where it is 0, no network runs.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. Without a
     motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, a strength outside 0 to 1,
