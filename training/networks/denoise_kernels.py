@@ -4,8 +4,6 @@ Pictures are (H, W, C) as in ``postfx.kernels``, pyramid levels (C, H, W); ``par
 jitter y, fresh, gain; ``window`` is (8,): the part of the frame to work on, see ``postfx.kernels.denoise_layout``.
 Every size is read off a binding, so that one file serves all sizes.
 """
-from typing import NamedTuple
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -13,79 +11,10 @@ from torch import Tensor, nn
 from postfx.kernels.denoise_assemble import HELD, OWN
 from postfx.kernels.denoise_layout import UNKNOWN
 from training.networks import denoise_upscale as step
-from training.networks import ops, phases
+from training.networks import ops
 from training.networks.denoise_upscale import Guides, Inputs, State
 from training.networks.trunk import DISTRUST, FINE, IMPORTANCE, KERNEL, MEMORY, MIX, activated, weights_from
-
-
-def to_image(picture: Tensor) -> Tensor:
-    """(H, W, C) -> (1, C, H, W)."""
-    return picture.permute(2, 0, 1)[None]
-
-
-def to_picture(image: Tensor) -> Tensor:
-    """(1, C, H, W) -> (H, W, C)."""
-    return image[0].permute(1, 2, 0)
-
-
-class Window(NamedTuple):
-    """The part of the frame to work on: its first row and column, the frame's size, and both at output size."""
-
-    top: Tensor
-    left: Tensor
-    h: Tensor
-    w: Tensor
-    out_top: Tensor
-    out_left: Tensor
-    height: Tensor
-    width: Tensor
-
-    @classmethod
-    def of(cls, window: Tensor) -> "Window":
-        return cls(*window.long().unbind())
-
-    def mirrored(self, part: Tensor) -> ops.Place:
-        """Rows and columns of a part (h, w, C), beyond the frame as in a mirror."""
-        ends = (torch.clamp(whole - first, max=size) - 1 for whole, first, size in zip(
-            (self.h, self.w), (self.top, self.left), part.shape[:2], strict=True))
-        return tuple((end - (index - end).abs()).clamp(min=0) for index, end in zip(counted(part), ends, strict=True))
-
-    def held(self, part: Tensor) -> ops.Place:
-        """Rows and columns of the frame that a part (h, w, C) holds; its last ones are repeated."""
-        rows, columns = counted(part)
-        return (rows + self.top).clamp(max=self.h - 1), (columns + self.left).clamp(max=self.w - 1)
-
-    def valid(self, part: Tensor) -> Tensor:
-        """(h, w, 1): 1 where a part (h, w, C) lies in the frame, else 0."""
-        rows, columns = counted(part)
-        return ((rows + self.top < self.h)[:, None] & (columns + self.left < self.w))[..., None].to(part.dtype)
-
-    def outputs(self, part: Tensor) -> ops.Place:
-        """Rows and columns of the frame at output size that a part (H, W, C) holds; its last ones are repeated."""
-        rows, columns = counted(part)
-        return (rows + self.out_top).clamp(max=self.height - 1), (columns + self.out_left).clamp(max=self.width - 1)
-
-    def centres(self, at: ops.Place, moved: Tensor) -> phases.Centres:
-        """Where, in a part ``moved`` (h, w, C), the frame's pixels ``at`` output size lie."""
-        sizes = (self.h, self.height), (self.w, self.width)
-        (rows, y), (columns, x) = (ops.nearest_of(index, *size) for index, size in zip(at, sizes, strict=True))
-        return phases.Centres((rows - self.top).clamp(0, moved.shape[0] - 1), y,
-                              (columns - self.left).clamp(0, moved.shape[1] - 1), x)
-
-    def enlarged_motion(self, moved: Tensor, at: phases.Centres) -> Tensor:
-        """Motion (h, w, 2) of a part at output size (1, 2, H, W), in output pixels."""
-        scale = torch.stack((self.width / self.w, self.height / self.h)).to(moved.dtype)
-        return ops.pick(to_image(moved * scale), at.rows, at.columns)
-
-
-def counted(picture: Tensor) -> ops.Place:
-    """Numbers of the rows and columns of a picture (h, w, C)."""
-    return tuple(torch.arange(size, device=picture.device) for size in picture.shape[:2])
-
-
-def part(picture: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
-    """Rows and columns of a picture, as (1, C, h, w)."""
-    return ops.pick(to_image(picture), rows, columns)
+from training.networks.window import Window, part, to_image, to_picture
 
 
 def expose(colour: Tensor, params: Tensor) -> Tensor:
