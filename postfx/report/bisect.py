@@ -12,8 +12,7 @@ import numpy as np
 
 from postfx.errors import PostfxError, ReadError
 from postfx.report.capture_data import read
-
-_BLOCK = 1 << 20
+from postfx.runtime.difference import largest_error
 
 
 class CompareError(PostfxError):
@@ -78,36 +77,6 @@ def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison
             differences.append(Difference(*names, *largest_error(*arrays)))
     over = (difference for difference in differences if difference.error > tolerance)
     return Comparison(tolerance, differences, next(over, None))
-
-
-def largest_error(a: np.ndarray, b: np.ndarray) -> tuple[float, tuple[int, ...]]:
-    """The largest relative error as in `compare`, and its index; works on blocks, so it takes little memory."""
-    left, right = a.reshape(-1), b.reshape(-1)
-    usual = _mean_size(right)
-    worst, place = 0.0, 0
-    for start in range(0, left.size, _BLOCK):
-        errors = _errors(left[start : start + _BLOCK], right[start : start + _BLOCK], usual)
-        at = int(errors.argmax())
-        if errors[at] > worst:
-            worst, place = float(errors[at]), start + at
-    return worst, tuple(int(i) for i in np.unravel_index(place, a.shape))
-
-
-def _errors(a: np.ndarray, b: np.ndarray, usual: float) -> np.ndarray:
-    a, b = a.astype(np.float64), b.astype(np.float64)
-    same = (a == b) | (np.isnan(a) & np.isnan(b))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        errors = np.abs(a - b) / np.maximum(np.abs(b), usual)
-    return np.where(same, 0.0, np.where(np.isfinite(a) & np.isfinite(b), errors, np.inf))
-
-
-def _mean_size(values: np.ndarray) -> float:
-    total, count = 0.0, 0
-    for start in range(0, values.size, _BLOCK):
-        block = np.abs(values[start : start + _BLOCK].astype(np.float64))
-        kept = block[np.isfinite(block)]
-        total, count = total + float(kept.sum()), count + kept.size
-    return total / count if count else 0.0
 
 
 def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, dict, dict]]:
