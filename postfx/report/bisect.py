@@ -25,7 +25,9 @@ class Difference:
 
     Attributes:
         index, label, command: the command; the first capture's words.
-        access: 'input' for what came from outside, 'write' for what the command wrote.
+        access: 'input' for what came from outside, 'node' for what a node inside the network wrote, 'write' for what the
+            command wrote.
+        node: "node 12 Conv 'name'"; None except for nodes.
         error: the largest relative error, see `compare`; infinite where one is finite and the other is not.
         place: index of the element with that error; () of a tensor of one element.
     """
@@ -37,6 +39,7 @@ class Difference:
     tensor: str
     error: float
     place: tuple[int, ...]
+    node: str | None = None
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,8 @@ class Comparison:
 def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison:
     """Compare two captures that kept all of their tensors (tensors='all'), command by command in order.
 
+    Where both looked into a network (network=True), its nodes come before what the command wrote.
+
     The relative error of an element is |a - b| / max(|b|, mean of |b| over the tensor): b is the reference, and
     elements near 0 are measured by the tensor's usual size. NaN equals NaN and an infinity one of its sign.
 
@@ -71,16 +76,17 @@ def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison
         raise CompareError(f"the captures have {counts} commands: capture the same passes, options and frame")
     differences = []
     for one, other in zip(first["commands"], second["commands"], strict=True):
-        for access, left, right in _pairs(one, other):
+        for access, node, left, right in _pairs(one, other):
             arrays = _load(first_folder, left), _load(second_folder, right)
             names = one["index"], one["label"], one["command"], access, left["name"]
-            differences.append(Difference(*names, *largest_error(*arrays)))
+            differences.append(Difference(*names, *largest_error(*arrays), node))
     over = (difference for difference in differences if difference.error > tolerance)
     return Comparison(tolerance, differences, next(over, None))
 
 
-def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, dict, dict]]:
-    """Tensors to compare: inputs from outside where both have their content, and all that was written."""
+def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, str | None, dict, dict]]:
+    """Tensors to compare: inputs from outside where both have their content, nodes where both have them, and all that
+    was written."""
     where = f"command {one['index']} '{one['label']}'"
     if (one["label"], one["stage"]) != (other["label"], other["stage"]):
         raise CompareError(f"{where} is '{other['label']}' in the other capture: capture the same passes and options")
@@ -91,7 +97,22 @@ def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, di
             raise CompareError(f"{where} {key} other tensors in the other capture: {mend}")
         for left, right in zip(mine, theirs, strict=True):
             if left["bytes"] and (access == "write" or (left.get("file") and right.get("file"))):
-                yield access, left, right
+                yield access, None, left, right
+        if access == "input" and one["network"] and other["network"]:
+            yield from _node_pairs(where, one["network"]["nodes"], other["network"]["nodes"])
+
+
+def _node_pairs(where: str, mine: list[dict], theirs: list[dict]) -> Iterator[tuple[str, str, dict, dict]]:
+    """What nodes wrote, but constants, up to the first node that failed in one of the captures."""
+    for one, other in zip(mine, theirs, strict=False):
+        same = [(node["op"], [_shape(value) for value in node["outputs"]]) for node in (one, other) if not node["error"]]
+        if len(same) == 2 and same[0] != same[1]:
+            mend = "compare frames of one size and one network"
+            raise CompareError(f"{where}: node {one['index']} is another one in the other capture: {mend}")
+        name = f"node {one['index']} {one['op']}" + (f" '{one['name']}'" if one["name"] else "")
+        for left, right in zip(one["outputs"], other["outputs"], strict=False):
+            if left["bytes"] and not one["constant"]:
+                yield "node", name, left, right
 
 
 def _shape(tensor: dict[str, Any]) -> tuple[str, list[int]]:

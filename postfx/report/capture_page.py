@@ -17,7 +17,8 @@ from postfx.runtime.captured import CapturedDispatch, CapturedValue
 from postfx.runtime.snapshot import Snapshot
 
 PAGE = "capture.html"
-SCRIPTS = ("capture_graph.js", "network_layout.js", "network_graph.js", "network_details.js", "capture.js")
+SCRIPTS = ("capture_graph.js", "network_layout.js", "network_graph.js", "network_rows.js",
+           "network_details.js", "capture.js")
 Draw = Callable[[Snapshot], list[dict[str, Any]]]
 _PARTS = Path(__file__).parent
 

@@ -30,7 +30,8 @@ def picture(slices: list[np.ndarray]) -> dict[str, str]:
 
 
 def sheet(slices: list[np.ndarray]) -> dict[str, Any]:
-    """All slices as grey tiles of one picture, `SHEET_COLUMNS` in a row: as `picture`, and 'tiles': [columns, rows]."""
+    """All slices as grey tiles of one picture, `SHEET_COLUMNS` in a row: as `picture`, and 'tiles': [columns, rows] and
+    'liveliest', the number of the slice with the most contrast, or one that is not finite."""
     stack = np.stack(slices)
     shown, text = _shown(stack)
     tiles = np.repeat(shown[..., None], 3, axis=-1)
@@ -41,7 +42,7 @@ def sheet(slices: list[np.ndarray]) -> dict[str, Any]:
     padded[: len(tiles)] = tiles
     height, width = tiles.shape[1:3]
     grid = padded.reshape(rows, columns, height, width, 3).swapaxes(1, 2).reshape(rows * height, columns * width, 3)
-    return {"src": _uri(grid), "range": text, "tiles": [columns, rows]}
+    return {"src": _uri(grid), "range": text, "tiles": [columns, rows], "liveliest": _liveliest(stack, shown)}
 
 
 def png(pixels: np.ndarray) -> bytes:
@@ -52,6 +53,11 @@ def png(pixels: np.ndarray) -> bytes:
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     chunks = [_chunk(b"IHDR", header), _chunk(b"IDAT", zlib.compress(rows.tobytes(), 9)), _chunk(b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def _liveliest(stack: np.ndarray, shown: np.ndarray) -> int:
+    wrong = ~np.isfinite(stack).all(axis=(1, 2))
+    return int((shown.std(axis=(1, 2)) + 256 * wrong).argmax())
 
 
 def _uri(pixels: np.ndarray) -> str:
