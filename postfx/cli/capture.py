@@ -31,9 +31,8 @@ class FrameCapture:
         self._network = arguments.capture_network
         self._number: int | None = arguments.capture_frame
         if self._folder is None and (arguments.capture_tensors or self._network or self._number is not None):
-            raise WriteError(
-                "--capture-frame, --capture-tensors and --capture-network need --capture DIR: where to write the capture"
-            )
+            options = "--capture-frame, --capture-tensors and --capture-network"
+            raise WriteError(f"{options} need --capture DIR: where to write the capture")
         if self._folder is not None:
             self._made()  # what it cannot do must not be found out after the first frames
         if self._folder is not None and not arguments.explain:

@@ -12,8 +12,9 @@ if TYPE_CHECKING:
 HELP = "find the first tensor in which two captures differ"
 DESCRIPTION = """\
 Compare two captures of the same passes, options and frame, command by command: the first tensor whose largest relative
-error exceeds the tolerance, and a table of all. With --capture-network that is the first node inside a network. Both have to be made with --capture-tensors all. B is the reference: an
-element's error is |a - b| over |b| or, if that is larger, over the mean of |b|.
+error exceeds the tolerance, and a table of all. Both have to be made with --capture-tensors all; where both also have
+--capture-network, the first node inside a network is found. B is the reference: an element's error is |a - b| over |b|
+or, if that is larger, over the mean of |b|.
 """
 EXAMPLES = """\
 examples:

@@ -145,7 +145,7 @@ def _add_capture(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--capture-network",
         action="store_true",
-        help="also run the frame's networks once more, node by node: figures, pictures and time of what each node wrote",
+        help="also run the frame's networks once more, node by node: figures, pictures and time of each node",
     )
 
 

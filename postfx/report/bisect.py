@@ -25,7 +25,7 @@ class Difference:
 
     Attributes:
         index, label, command: the command; the first capture's words.
-        access: 'input' for what came from outside, 'node' for what a node inside the network wrote, 'write' for what the
+        access: 'input' for what came from outside, 'node' for what a node of the network wrote, 'write' for what the
             command wrote.
         node: "node 12 Conv 'name'"; None except for nodes.
         error: the largest relative error, see `compare`; infinite where one is finite and the other is not.
@@ -104,15 +104,19 @@ def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, st
 
 def _node_pairs(where: str, mine: list[dict], theirs: list[dict]) -> Iterator[tuple[str, str, dict, dict]]:
     """What nodes wrote, but constants, up to the first node that failed in one of the captures."""
-    for one, other in zip(mine, theirs, strict=False):
-        same = [(node["op"], [_shape(value) for value in node["outputs"]]) for node in (one, other) if not node["error"]]
-        if len(same) == 2 and same[0] != same[1]:
-            mend = "compare frames of one size and one network"
-            raise CompareError(f"{where}: node {one['index']} is another one in the other capture: {mend}")
+    failed = any(node["error"] for node in (*mine, *theirs))
+    pairs = [pair for pair in zip(mine, theirs, strict=False) if not (pair[0]["error"] or pair[1]["error"])]
+    if any(_kind(one) != _kind(other) for one, other in pairs) or (len(mine) != len(theirs) and not failed):
+        raise CompareError(f"{where} has other nodes in the other capture: compare frames of one size and one network")
+    for one, other in pairs:
         name = f"node {one['index']} {one['op']}" + (f" '{one['name']}'" if one["name"] else "")
-        for left, right in zip(one["outputs"], other["outputs"], strict=False):
+        for left, right in zip(one["outputs"], other["outputs"], strict=True):
             if left["bytes"] and not one["constant"]:
                 yield "node", name, left, right
+
+
+def _kind(node: dict[str, Any]) -> tuple:
+    return node["op"], [_shape(value) for value in node["outputs"]]
 
 
 def _shape(tensor: dict[str, Any]) -> tuple[str, list[int]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 
@@ -74,12 +74,13 @@ def _with_constants(nodes: Sequence[Node], chains: list[list[int]]) -> list[list
     writer = {name: n for n, node in enumerate(nodes) if node.constant for name in node.outputs if name}
     placed: set[int] = set()
 
-    def constants_of(n: int) -> list[int]:
-        own = [writer[name] for name in nodes[n].inputs if name in writer]
-        found = [m for c in dict.fromkeys(own) if c not in placed for m in (*constants_of(c), c)]
-        placed.update(found)
-        return found
+    def with_constants(n: int) -> Iterator[int]:
+        for constant in (writer[name] for name in nodes[n].inputs if name in writer):
+            if constant not in placed:
+                placed.add(constant)
+                yield from with_constants(constant)
+        yield n
 
-    found = [[m for n in chain for m in (*constants_of(n), n)] for chain in chains]
+    found = [[m for n in chain for m in with_constants(n)] for chain in chains]
     left = [n for n, node in enumerate(nodes) if node.constant and n not in placed]
     return [*found, left] if left else found

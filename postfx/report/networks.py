@@ -113,7 +113,7 @@ def _weight(item: TensorProto) -> dict[str, Any]:
 
 def _values(model: ModelProto, dims: Mapping[str, int]) -> dict[str, dict[str, Any]]:
     """Type and shape of every value that can be told without running; a size that cannot be is '?'."""
-    from onnx import ModelProto, TensorProto, shape_inference
+    from onnx import ModelProto, helper, shape_inference
 
     fixed = ModelProto()
     fixed.CopyFrom(model)
@@ -131,5 +131,6 @@ def _values(model: ModelProto, dims: Mapping[str, int]) -> dict[str, dict[str, A
     for item in (*fixed.graph.input, *fixed.graph.value_info, *fixed.graph.output):
         kind = item.type.tensor_type
         shape = [size.dim_param or size.dim_value or "?" for size in kind.shape.dim] if kind.HasField("shape") else None
-        found[item.name] = {"dtype": TensorProto.DataType.Name(kind.elem_type).lower(), "shape": shape}
+        dtype = helper.tensor_dtype_to_np_dtype(kind.elem_type).name if kind.elem_type else "?"
+        found[item.name] = {"dtype": dtype, "shape": shape}
     return found

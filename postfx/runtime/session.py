@@ -46,7 +46,6 @@ class Session:
         self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int], folder: Path | None = None,
         exclusive: bool = False,
     ) -> None:
-        _register_shared_arena()
         options = session_options(placement, dims)
         if exclusive:
             options.add_session_config_entry("session.disable_cpu_ep_fallback", "1")
@@ -97,6 +96,7 @@ def _register_shared_arena() -> None:
 
 def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOptions:
     """Threads of the device, memory of the arena that all sessions share, free dimensions fixed."""
+    _register_shared_arena()
     options = ort.SessionOptions()
     options.intra_op_num_threads = placement.threads
     options.log_severity_level = 3
