@@ -29,7 +29,8 @@ def look_inside(dispatch: Dispatch, placement: Placement, keep: Keep, ran: bool)
     for node in run_nodes(dispatch.model, placement, inputs):
         found.nodes.append(_captured(node, keep))
         errors += [largest_error(written[n], array)[0] for n, array in node.outputs.items() if n in written]
-    found.difference = max(errors) if errors and len(errors) == len(written) else None
+    if errors and not any(node.error for node in found.nodes):
+        found.difference = max(errors)
     return found
 
 
