@@ -168,6 +168,8 @@ function drawNetwork(network, place) {
 function drawNetworks() {
   const place = document.getElementById("networks");
   for (const network of data.networks) drawNetwork(network, place);
+  const first = place.querySelector("details");
+  if (first) first.open = true;
   if (!data.networks.length) element("p", place, "No network ran.", "note");
 }
 

@@ -64,7 +64,7 @@ function drawVerdict(view) {
 function drawHead(view) {
   view.head.replaceChildren();
   for (const name of ["operator", "part", "attributes", "output", "weights"]) element("span", view.head, name, name);
-  if (view.ran.size) for (const name of ["ms", "range", "not finite", ""]) element("span", view.head, name, name);
+  if (view.ran.size) for (const name of ["ms", "range", ""]) element("span", view.head, name, name);
 }
 
 function drawRow(view, number) {
@@ -116,9 +116,10 @@ function drawValue(view, line, value, weights, ran) {
   const time = element("span", line, ran && ran.ms !== null ? ran.ms.toFixed(2) : "", "ms");
   if (ran && view.slowest) time.style.setProperty("--share", `${Math.min(100, 100 * (ran.ms || 0) / view.slowest)}%`);
   const known = value && value.statistics;
-  element("span", line, known && known.minimum !== null ? `${short(known.minimum)} \u2026 ${short(known.maximum)}` : "", "range");
-  const bad = ran && ran.error ? "failed" : ran ? ran.outputs.map(wrong).filter(Boolean)[0] || "" : wrong(value);
-  element("span", line, bad, "bad");
+  const bad = ran && ran.error ? "failed" : ran ? ran.outputs.map(wrong).find(Boolean) : wrong(value);
+  const range = element("span", line, undefined, "range");
+  if (bad) element("span", range, `${bad} `, "bad");
+  if (known && known.minimum !== null) range.append(`${short(known.minimum)} \u2026 ${short(known.maximum)}`);
   const thumb = element("span", line, undefined, "thumb"), picture = value && data.pictures[value.pictures ?? -1];
   if (!picture) return;
   const { src, tiles = [1, 1], liveliest = 0 } = picture[0], [columns, rows] = tiles, image = element("img", thumb);

@@ -109,7 +109,7 @@ class Capture:
         if (tensors == "all") != (folder is not None):
             raise CaptureError("a capture with tensors='all' needs a folder=, any other has none")
         if network and tensors == "none":
-            raise CaptureError("a capture of networks (network=True, --capture-network) keeps figures: 'none' of tensors cannot be")
+            raise CaptureError("a capture of networks (network=True, --capture-network) cannot keep 'none' of tensors")
         if network:
             require_onnx()
         self.device = device

@@ -46,7 +46,7 @@ def test_errors_before_anything_runs(postfx, shot, tmp_path):
     done = postfx(*RUN, "--capture-frame", "1")
     assert done.code == 2 and "need --capture DIR" in done.err
     done = postfx(*RUN, "--capture", "look", "--capture-network", "--capture-tensors", "none")
-    assert done.code == 2 and "error: a capture of networks (network=True, --capture-network) keeps figures" in done.err
+    assert done.code == 2 and "error: a capture of networks (network=True, --capture-network) cannot keep" in done.err
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
 
 

@@ -90,7 +90,7 @@ def test_a_network_whose_input_was_lost_is_not_looked_into(device, library):
 
 
 def test_options_are_checked(device, monkeypatch):
-    with pytest.raises(CaptureError, match="capture of networks .* keeps figures"):
+    with pytest.raises(CaptureError, match="capture of networks .* cannot keep 'none'"):
         device.capture("none", network=True)
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(CaptureError, match=r"need the package onnx: pip install 'postfx\[capture\]'"):
