@@ -25,8 +25,9 @@ function short(value) {
 // Attributes that differ from the operator's usual ones, in few words.
 function brief(attributes) {
   const usual = { dilations: /^(1,?)+$/, strides: /^(1,?)+$/, group: /^1$/, pads: /^(0,?)+$/, auto_pad: /NOTSET/,
-    axis: /^$/, ceil_mode: /^0$/, storage_order: /^0$/, saturate: /^1$/ };
-  const names = { kernel_shape: "kernel", strides: "stride", pads: "pad", dilations: "dilation", group: "groups" };
+    ceil_mode: /^0$/, storage_order: /^0$/, saturate: /^1$/, antialias: /^0$/, exclude_outside: /^0$/,
+    cubic_coeff_a: /^-0.75$/, extrapolation_value: /^0$/, keep_aspect_ratio_policy: /stretch/ };
+  const names = { kernel_shape: "kernel", mode: "mode", strides: "stride", pads: "pad", dilations: "dilation", group: "groups" };
   const order = [...Object.keys(names), ...Object.keys(attributes)];
   return Object.entries(attributes).filter(([key, value]) => !(usual[key] && usual[key].test(String(value))))
     .sort(([a], [b]) => order.indexOf(a) - order.indexOf(b))
@@ -64,6 +65,7 @@ class NetworkView {
     this.open = new Set(network.nodes.length > OPENED ? [] : network.blocks.keys());
     this.constants = false;
     this.chosen = null;
+    this.choice = null;
     this.matches = [];
     this.block = new Map(network.blocks.flatMap((nodes, number) => nodes.map(node => [node, number])));
     this.box = element("div", place, undefined, "network");
@@ -83,6 +85,7 @@ class NetworkView {
   // Show what happened in one of the commands that ran the network.
   select(command) {
     this.command = data.commands[command];
+    if (this.choice) this.choice.value = command;
     const run = this.command.network;
     this.ran = new Map(run ? run.nodes.map(node => [node.index, node]) : []);
     this.values = new Map(Object.entries(this.network.values));

@@ -24,10 +24,14 @@ function drawTools(view, place) {
 }
 
 function drawChoice(view, tools) {
-  const choice = element("select", tools);
+  const choice = view.choice = element("select", tools);
   for (const number of view.network.commands)
     element("option", choice, `command ${number}: ${data.commands[number].label}`).value = number;
-  choice.addEventListener("change", () => { view.select(Number(choice.value)); view.update(); });
+  choice.addEventListener("change", () => {
+    view.select(Number(choice.value));
+    view.update();
+    if (view.chosen !== null) drawNodeDetails(view, view.chosen);
+  });
 }
 
 // Nodes whose texts have all the words, in the order of drawing.

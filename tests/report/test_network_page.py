@@ -112,6 +112,34 @@ def test_times_and_pictures_are_in_the_rows(page_of):
     assert re.search(r"one by one [\d.]+ ms; the command, fused and optimised, [\d.]+ ms; their results differ", found)
 
 
+def test_arrow_keys_go_from_node_to_node(page_of):
+    key = "document.querySelector('.port').dispatchEvent(new KeyboardEvent('keydown', {key: 'Arrow%s'}));"
+    found = rendered(page_of(), OPEN + "networks.get(0).node(2);" + 2 * (key % "Down") + key % "Up")
+    assert ">3  Sub</h2>" in details(found)
+
+
+def test_a_network_that_ran_twice_shows_either_run(deep, tmp_path):
+    device = Device("cpu", threads=1)
+    state = device.pipeline_state(deep, "deep", {"height": 4, "width": 5})
+    x, y = device.heap.tensor("picture", (1, 2, 4, 5)), device.heap.tensor("y", (1, 4, 4, 5))
+    commands = device.command_buffer("frame")
+    with device.capture(network=True) as capture:
+        for content in (1.0, 0.0):
+            x.fill(content)
+            commands.begin()
+            with commands.machine_learning_encoder("deep") as encoder:
+                encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": y}))
+            commands.commit()
+            commands.wait(10)
+    path = write_capture(capture, tmp_path / "out", "toy")
+    assert "Begins to be not finite" not in rendered(path, OPEN)
+    choose = "const c = document.querySelector('.tools select'); c.value = 1; c.dispatchEvent(new Event('change'));"
+    assert "Begins to be not finite: node 4 Sqrt" in rendered(path, OPEN + choose)
+    shown = "networks.get(1).show(1); document.body.dataset.choice = document.querySelector('.tools select').value;"
+    found = rendered(path, shown)
+    assert "Begins to be not finite: node 4 Sqrt" in found and 'data-choice="1"' in found
+
+
 def test_names_cannot_become_elements(tmp_path):
     from onnx import helper
 
