@@ -16,7 +16,8 @@ from postfx.runtime import Capture, CommandError, Device
 class FrameCapture:
     """What --capture asks for: one frame is captured, the rest run as they would.
 
-    Raises WriteError when the folder cannot be written, and when options are given that need --capture.
+    Raises WriteError when the folder cannot be written, and when options are given that need --capture; CaptureError
+    when options do not fit together, or a package that they need is missing.
 
     Attributes:
         page: the page that was written; None before, and without --capture.
@@ -27,9 +28,13 @@ class FrameCapture:
         self._device = device
         self._folder = Path(arguments.capture) if arguments.capture is not None else None
         self._tensors = arguments.capture_tensors or "thumbnails"
+        self._network = arguments.capture_network
         self._number: int | None = arguments.capture_frame
-        if self._folder is None and (arguments.capture_tensors or self._number is not None):
-            raise WriteError("--capture-frame and --capture-tensors need --capture DIR: where to write the capture")
+        if self._folder is None and (arguments.capture_tensors or self._network or self._number is not None):
+            options = "--capture-frame, --capture-tensors and --capture-network"
+            raise WriteError(f"{options} need --capture DIR: where to write the capture")
+        if self._folder is not None:
+            self._made()  # what it cannot do must not be found out after the first frames
         if self._folder is not None and not arguments.explain:
             _check_folder(self._folder)
 
@@ -52,7 +57,7 @@ class FrameCapture:
         if self._folder is None or self.page or number != self._number:
             yield
             return
-        capture = self._device.capture(self._tensors, self._folder if self._tensors == "all" else None)
+        capture = self._made()
         try:
             with capture:
                 yield
@@ -60,6 +65,9 @@ class FrameCapture:
             self._write(capture, number)
             raise
         self._write(capture, number)
+
+    def _made(self) -> Capture:
+        return self._device.capture(self._tensors, self._folder if self._tensors == "all" else None, self._network)
 
     def _write(self, capture: Capture, number: int) -> None:
         self.page = str(write_capture(capture, self._folder, f"postfx capture: frame {number}"))

@@ -12,8 +12,9 @@ if TYPE_CHECKING:
 HELP = "find the first tensor in which two captures differ"
 DESCRIPTION = """\
 Compare two captures of the same passes, options and frame, command by command: the first tensor whose largest relative
-error exceeds the tolerance, and a table of all. Both have to be made with --capture-tensors all. B is the reference: an
-element's error is |a - b| over |b| or, if that is larger, over the mean of |b|.
+error exceeds the tolerance, and a table of all. Both have to be made with --capture-tensors all; where both also have
+--capture-network, the first node inside a network is found. B is the reference: an element's error is |a - b| over |b|
+or, if that is larger, over the mean of |b|.
 """
 EXAMPLES = """\
 examples:
@@ -53,7 +54,7 @@ def text_of(found: Comparison) -> str:
     for row in found.differences:
         mark = ">" if row is found.first else "!" if row.error > found.tolerance else ""
         head = f"{mark:<2}{row.index:>4} {row.error:9.2e}  {row.access:<6}"
-        lines.append(f"{head}{row.tensor:<24} {row.label}: {row.command}")
+        lines.append(f"{head}{row.tensor:<24} {row.label}: {row.node or row.command}")
     return "\n".join([*lines, _verdict(found)])
 
 
@@ -62,6 +63,7 @@ def _verdict(found: Comparison) -> str:
         return f"equal: no tensor differs by more than {found.tolerance:g}"
     first = found.first
     what = "read from outside by" if first.access == "input" else "written by"
+    what += f" {first.node} of" if first.node else ""
     where = f"{what} command {first.index} '{first.label}' ({first.command})"
     return f"first difference over {found.tolerance:g}: '{first.tensor}' {where}, {first.error:.3g} at {first.place}"
 

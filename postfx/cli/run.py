@@ -29,6 +29,7 @@ examples:
   postfx run poster.exr -o out/ --memory 4G
   postfx run shot/noisy.####.exr --explain
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-frame 5
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-network
 
 exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 130 interrupted
 """
@@ -140,6 +141,11 @@ def _add_capture(group: argparse._ArgumentGroup) -> None:
         choices=("thumbnails", "none", "all"),
         help="of each tensor keep figures and small pictures (default), nothing, or also all of it in DIR/tensors, "
         "for 'postfx capture-compare'",
+    )
+    group.add_argument(
+        "--capture-network",
+        action="store_true",
+        help="also run the frame's networks once more, node by node: figures, pictures and time of each node",
     )
 
 

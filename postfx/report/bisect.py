@@ -12,8 +12,7 @@ import numpy as np
 
 from postfx.errors import PostfxError, ReadError
 from postfx.report.capture_data import read
-
-_BLOCK = 1 << 20
+from postfx.runtime.difference import largest_error
 
 
 class CompareError(PostfxError):
@@ -26,7 +25,9 @@ class Difference:
 
     Attributes:
         index, label, command: the command; the first capture's words.
-        access: 'input' for what came from outside, 'write' for what the command wrote.
+        access: 'input' for what came from outside, 'node' for what a node of the network wrote, 'write' for what the
+            command wrote.
+        node: "node 12 Conv 'name'"; None except for nodes.
         error: the largest relative error, see `compare`; infinite where one is finite and the other is not.
         place: index of the element with that error; () of a tensor of one element.
     """
@@ -38,6 +39,7 @@ class Difference:
     tensor: str
     error: float
     place: tuple[int, ...]
+    node: str | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,8 @@ class Comparison:
 def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison:
     """Compare two captures that kept all of their tensors (tensors='all'), command by command in order.
 
+    Where both looked into a network (network=True), its nodes come before what the command wrote.
+
     The relative error of an element is |a - b| / max(|b|, mean of |b| over the tensor): b is the reference, and
     elements near 0 are measured by the tensor's usual size. NaN equals NaN and an infinity one of its sign.
 
@@ -72,46 +76,17 @@ def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison
         raise CompareError(f"the captures have {counts} commands: capture the same passes, options and frame")
     differences = []
     for one, other in zip(first["commands"], second["commands"], strict=True):
-        for access, left, right in _pairs(one, other):
+        for access, node, left, right in _pairs(one, other):
             arrays = _load(first_folder, left), _load(second_folder, right)
             names = one["index"], one["label"], one["command"], access, left["name"]
-            differences.append(Difference(*names, *largest_error(*arrays)))
+            differences.append(Difference(*names, *largest_error(*arrays), node))
     over = (difference for difference in differences if difference.error > tolerance)
     return Comparison(tolerance, differences, next(over, None))
 
 
-def largest_error(a: np.ndarray, b: np.ndarray) -> tuple[float, tuple[int, ...]]:
-    """The largest relative error as in `compare`, and its index; works on blocks, so it takes little memory."""
-    left, right = a.reshape(-1), b.reshape(-1)
-    usual = _mean_size(right)
-    worst, place = 0.0, 0
-    for start in range(0, left.size, _BLOCK):
-        errors = _errors(left[start : start + _BLOCK], right[start : start + _BLOCK], usual)
-        at = int(errors.argmax())
-        if errors[at] > worst:
-            worst, place = float(errors[at]), start + at
-    return worst, tuple(int(i) for i in np.unravel_index(place, a.shape))
-
-
-def _errors(a: np.ndarray, b: np.ndarray, usual: float) -> np.ndarray:
-    a, b = a.astype(np.float64), b.astype(np.float64)
-    same = (a == b) | (np.isnan(a) & np.isnan(b))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        errors = np.abs(a - b) / np.maximum(np.abs(b), usual)
-    return np.where(same, 0.0, np.where(np.isfinite(a) & np.isfinite(b), errors, np.inf))
-
-
-def _mean_size(values: np.ndarray) -> float:
-    total, count = 0.0, 0
-    for start in range(0, values.size, _BLOCK):
-        block = np.abs(values[start : start + _BLOCK].astype(np.float64))
-        kept = block[np.isfinite(block)]
-        total, count = total + float(kept.sum()), count + kept.size
-    return total / count if count else 0.0
-
-
-def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, dict, dict]]:
-    """Tensors to compare: inputs from outside where both have their content, and all that was written."""
+def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, str | None, dict, dict]]:
+    """Tensors to compare: inputs from outside where both have their content, nodes where both have them, and all that
+    was written."""
     where = f"command {one['index']} '{one['label']}'"
     if (one["label"], one["stage"]) != (other["label"], other["stage"]):
         raise CompareError(f"{where} is '{other['label']}' in the other capture: capture the same passes and options")
@@ -122,7 +97,26 @@ def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, di
             raise CompareError(f"{where} {key} other tensors in the other capture: {mend}")
         for left, right in zip(mine, theirs, strict=True):
             if left["bytes"] and (access == "write" or (left.get("file") and right.get("file"))):
-                yield access, left, right
+                yield access, None, left, right
+        if access == "input" and one["network"] and other["network"]:
+            yield from _node_pairs(where, one["network"]["nodes"], other["network"]["nodes"])
+
+
+def _node_pairs(where: str, mine: list[dict], theirs: list[dict]) -> Iterator[tuple[str, str, dict, dict]]:
+    """What nodes wrote, but constants, up to the first node that failed in one of the captures."""
+    failed = any(node["error"] for node in (*mine, *theirs))
+    pairs = [pair for pair in zip(mine, theirs, strict=False) if not (pair[0]["error"] or pair[1]["error"])]
+    if any(_kind(one) != _kind(other) for one, other in pairs) or (len(mine) != len(theirs) and not failed):
+        raise CompareError(f"{where} has other nodes in the other capture: compare frames of one size and one network")
+    for one, other in pairs:
+        name = f"node {one['index']} {one['op']}" + (f" '{one['name']}'" if one["name"] else "")
+        for left, right in zip(one["outputs"], other["outputs"], strict=True):
+            if left["bytes"] and not one["constant"]:
+                yield "node", name, left, right
+
+
+def _kind(node: dict[str, Any]) -> tuple:
+    return node["op"], [_shape(value) for value in node["outputs"]]
 
 
 def _shape(tensor: dict[str, Any]) -> tuple[str, list[int]]:

@@ -1,4 +1,5 @@
 const data = JSON.parse(document.getElementById("data").textContent);
+const networks = new Map();  // command -> its network's drawing
 const busy = data.commands.reduce((sum, command) => sum + (command.ms || 0), 0);
 
 function element(name, parent, text, kind) {
@@ -73,14 +74,18 @@ function drawTensor(tensor, writer, parent) {
   const [start, end] = tensor.address.map(place => "0x" + place.toString(16));
   element("p", parent, `(${tensor.shape.join(", ")}) ${tensor.dtype}, ${bytes(tensor.bytes)}, ${start} to ${end}`, "figures");
   if (writer.length) element("p", parent, `written by ${writer.join(", ")}`, "figures");
+  if (tensor.statistics) drawStatistics(tensor, parent);
+}
+
+// Figures, small values and pictures of what was kept of a tensor.
+function drawStatistics(tensor, parent) {
   const found = tensor.statistics;
-  if (!found) return;
   const range = `${figure(found.minimum)} to ${figure(found.maximum)}, mean ${figure(found.mean)}`;
   element("p", parent, `${range}, ${(100 * found.zeros).toFixed(1)} % zeros`, "figures");
   const wrong = `${found.nans} NaN, ${found.infinities} infinite`;
   element("p", parent, wrong, found.nans || found.infinities ? "bad" : "figures");
   if (tensor.values) element("p", parent, `values: ${tensor.values.map(figure).join(" ")}`, "figures");
-  if (tensor.pictures !== null) drawPictures(tensor, data.pictures[tensor.pictures], parent);
+  if (tensor.pictures !== null && tensor.pictures !== undefined) drawPictures(tensor, data.pictures[tensor.pictures], parent);
   if (tensor.file) element("p", parent, `all of it: ${tensor.file}`, "figures");
 }
 
@@ -114,6 +119,8 @@ function drawDetails(command) {
   element("h2", panel, `${command.index}  ${command.command}`).style.marginTop = "0";
   element("p", panel, `${command.label}, ${command.stage}, encoder ${command.encoder}: ${state(command)}`, "figures");
   if (command.error) element("p", panel, command.error, "bad");
+  const graph = networks.get(command.index);
+  if (graph) element("button", panel, "its graph").addEventListener("click", () => graph.show(command.index));
   for (const [title, tensors] of [["Writes", command.writes], ["Reads", command.reads]]) {
     element("h2", panel, title);
     for (const tensor of tensors) {
@@ -135,25 +142,34 @@ function choose(index, isolate = true) {
   document.querySelector("#graph svg").classList.toggle("choosing", isolate);
 }
 
+// Draws a network's graph when it is opened for the first time.
+function drawNetwork(network, place) {
+  const box = element("details", place), sizes = Object.values(network.weights);
+  const count = sizes.reduce((total, weight) => total + weight.shape.reduce((a, b) => a * b, 1), 0);
+  const dims = Object.entries(network.dims).map(([name, size]) => `${name} ${size}`).join(", ");
+  element("summary", box, [network.name, dims].filter(Boolean).join(", ") + ": " + (network.note
+    || `${network.nodes.length} nodes, ${count} parameters in ${bytes(sum(sizes))}`));
+  element("p", box, network.file, "figures");
+  if (network.note) return;
+  let view = null;
+  const draw = () => { view = view || new NetworkView(network, box); };
+  box.addEventListener("toggle", () => { if (box.open) draw(); });
+  const show = command => {
+    box.open = true;
+    draw();
+    view.select(command);
+    view.update();
+    box.scrollIntoView({ behavior: "smooth" });
+  };
+  const handle = { show, node: number => { box.open = true; draw(); view.choose(number); } };
+  for (const command of network.commands) networks.set(command, handle);
+}
+
 function drawNetworks() {
   const place = document.getElementById("networks");
-  for (const network of data.networks) {
-    const box = element("details", place);
-    const size = network.note || `${network.nodes.length} nodes, ${network.parameters} parameters`;
-    element("summary", box, `${network.name}: ${size}`);
-    element("p", box, network.file, "figures");
-    if (network.note) continue;
-    element("p", box, `inputs: ${network.inputs.join(", ")}; outputs: ${network.outputs.join(", ")}`, "figures");
-    const table = element("table", box), head = element("tr", element("thead", table));
-    for (const name of ["op", "name", "attributes", "inputs", "outputs", "parameters"]) element("th", head, name);
-    const body = element("tbody", table);
-    for (const node of network.nodes) {
-      const row = element("tr", body);
-      const lists = [node.op, node.name, node.attributes, node.inputs.join(", "), node.outputs.join(", ")];
-      for (const text of lists) element("td", row, text);
-      element("td", row, String(node.parameters), "number");
-    }
-  }
+  for (const network of data.networks) drawNetwork(network, place);
+  const first = place.querySelector("details");
+  if (first) first.open = true;
   if (!data.networks.length) element("p", place, "No network ran.", "note");
 }
 

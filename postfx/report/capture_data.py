@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,17 @@ from typing import Any
 from postfx import __version__
 from postfx.errors import ReadError
 from postfx.report.dependencies import edges
-from postfx.runtime.capture import Capture, CapturedBarrier, CapturedBuffer, CapturedDispatch, CapturedTensor
+from postfx.report.plain import finite_or_text
+from postfx.runtime.capture import Capture
+from postfx.runtime.captured import (
+    CapturedBarrier,
+    CapturedBuffer,
+    CapturedDispatch,
+    CapturedNetwork,
+    CapturedNode,
+    CapturedTensor,
+    CapturedValue,
+)
 
 FORMAT = "postfx capture 1"
 FILE = "capture.json"
@@ -61,23 +70,39 @@ def _command(dispatch: CapturedDispatch, buffer: int) -> dict[str, Any]:
         "ms": dispatch.milliseconds,
         "error": dispatch.error,
         "model": str(dispatch.model) if dispatch.model else None,
+        "dims": dispatch.dims,
         "reads": [_tensor(tensor) for tensor in dispatch.reads],
         "writes": [_tensor(tensor) for tensor in dispatch.writes],
+        "network": _network(dispatch.network) if dispatch.network else None,
+    }
+
+
+def _network(network: CapturedNetwork) -> dict[str, Any]:
+    return {"difference": finite_or_text(network.difference), "nodes": [_node(node) for node in network.nodes]}
+
+
+def _node(node: CapturedNode) -> dict[str, Any]:
+    return {
+        "index": node.index,
+        "op": node.op,
+        "name": node.name,
+        "constant": node.constant,
+        "ms": node.milliseconds,
+        "error": node.error,
+        "outputs": [_value(value) for value in node.outputs],
     }
 
 
 def _tensor(tensor: CapturedTensor) -> dict[str, Any]:
-    plain = {
-        "name": tensor.name,
-        "shape": list(tensor.shape),
-        "dtype": tensor.dtype,
-        "bytes": tensor.nbytes,
-        "address": [tensor.start, tensor.end],
-    }
+    return {**_value(tensor), "address": [tensor.start, tensor.end]}
+
+
+def _value(tensor: CapturedValue) -> dict[str, Any]:
+    plain = {"name": tensor.name, "shape": list(tensor.shape), "dtype": tensor.dtype, "bytes": tensor.nbytes}
     if tensor.snapshot is None:
         return plain
-    figures = {name: _number(value) for name, value in asdict(tensor.snapshot.statistics).items()}
-    values = tensor.snapshot.values and [_number(value) for value in tensor.snapshot.values]
+    figures = {name: finite_or_text(value) for name, value in asdict(tensor.snapshot.statistics).items()}
+    values = tensor.snapshot.values and [finite_or_text(value) for value in tensor.snapshot.values]
     kept = {"statistics": figures, "channels": tensor.snapshot.channels, "values": values}
     return {**plain, **kept, "file": tensor.snapshot.file}
 
@@ -92,7 +117,3 @@ def _record(record: CapturedDispatch | CapturedBarrier) -> dict[str, Any]:
         return {"dispatch": record.index}
     masks = {"after": list(record.after), "before": list(record.before)}
     return {"barrier": record.form, "encoder": record.encoder, **masks}
-
-
-def _number(value: float | None) -> float | str | None:
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import html
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from postfx.errors import WriteError
 from postfx.report.capture_data import FILE, as_dict
 from postfx.report.networks import describe
-from postfx.report.pictures import picture
-from postfx.runtime.capture import Capture, CapturedTensor
+from postfx.report.pictures import picture, sheet
+from postfx.runtime.capture import Capture
+from postfx.runtime.captured import CapturedDispatch, CapturedValue
 from postfx.runtime.snapshot import Snapshot
 
 PAGE = "capture.html"
+SCRIPTS = ("capture_graph.js", "network_layout.js", "network_graph.js", "network_rows.js",
+           "network_details.js", "capture.js")
+Draw = Callable[[Snapshot], list[dict[str, Any]]]
 _PARTS = Path(__file__).parent
 
 
@@ -42,14 +47,12 @@ def page(capture: Capture, title: str) -> str:
 def _page(capture: Capture, data: dict[str, Any], title: str) -> str:
     dispatches = [dispatch for buffer in capture.buffers for dispatch in buffer.dispatches]
     pictures = _Pictures()
-    commands = [
-        {**command, **{key: pictures.add(command[key], getattr(item, key)) for key in ("reads", "writes")}}
-        for command, item in zip(data["commands"], dispatches, strict=True)
-    ]
+    pairs = zip(data["commands"], dispatches, strict=True)
+    commands = [_with_pictures(command, dispatch, pictures) for command, dispatch in pairs]
     parts = {
         "title": html.escape(title),
         "style": _part("capture.css"),
-        "script": _part("capture_graph.js") + _part("capture.js"),
+        "script": "".join(_part(name) for name in SCRIPTS),
         "data": _as_script({**data, "commands": commands, "pictures": pictures.sets, "networks": _networks(data)}),
     }
     return _filled(_part("capture.html"), parts)
@@ -59,23 +62,41 @@ class _Pictures:
     """Pictures of snapshots, each once: an input that ten commands read has one snapshot."""
 
     def __init__(self) -> None:
-        self.sets: list[list[dict[str, str]]] = []
+        self.sets: list[list[dict[str, Any]]] = []
         self._known: dict[int, int] = {}
 
-    def add(self, plain: list[dict[str, Any]], tensors: list[CapturedTensor]) -> list[dict[str, Any]]:
-        """The tensors' entries with 'pictures', a number in `sets` or None."""
-        return [{**entry, "pictures": self._number(t.snapshot)} for entry, t in zip(plain, tensors, strict=True)]
+    def add(
+        self, plain: list[dict[str, Any]], values: Sequence[CapturedValue], draw: Draw
+    ) -> list[dict[str, Any]]:
+        """The values' entries with 'pictures', a number in `sets` or None."""
+        return [{**entry, "pictures": self._number(v.snapshot, draw)} for entry, v in zip(plain, values, strict=True)]
 
-    def _number(self, snapshot: Snapshot | None) -> int | None:
+    def _number(self, snapshot: Snapshot | None, draw: Draw) -> int | None:
         if snapshot is None or not snapshot.pictures:
             return None
         if id(snapshot) not in self._known:
             self._known[id(snapshot)] = len(self.sets)
-            self.sets.append(_pictures(snapshot))
+            self.sets.append(draw(snapshot))
         return self._known[id(snapshot)]
 
 
-def _pictures(snapshot: Snapshot) -> list[dict[str, str]]:
+def _with_pictures(plain: dict[str, Any], dispatch: CapturedDispatch, pictures: _Pictures) -> dict[str, Any]:
+    """A command's entry with numbers of pictures, and its nodes' entries likewise."""
+    accesses = {key: pictures.add(plain[key], getattr(dispatch, key), _pictures) for key in ("reads", "writes")}
+    if dispatch.network is None:
+        return {**plain, **accesses}
+    pairs = zip(plain["network"]["nodes"], dispatch.network.nodes, strict=True)
+    nodes = [{**entry, "outputs": pictures.add(entry["outputs"], node.outputs, _node_picture)} for entry, node in pairs]
+    return {**plain, **accesses, "network": {**plain["network"], "nodes": nodes}}
+
+
+def _node_picture(snapshot: Snapshot) -> list[dict[str, Any]]:
+    count = len(snapshot.pictures)
+    label = "the only channel" if count == 1 else f"channels 0 to {count - 1}"
+    return [{**sheet(snapshot.pictures), "label": label}]
+
+
+def _pictures(snapshot: Snapshot) -> list[dict[str, Any]]:
     """The first three slices as one picture, and where all was captured, each slice as one of its own."""
     slices = snapshot.pictures
     together = slices[:3]
@@ -87,8 +108,12 @@ def _pictures(snapshot: Snapshot) -> list[dict[str, str]]:
 
 
 def _networks(data: dict[str, Any]) -> list[dict[str, Any]]:
-    models = dict.fromkeys(command["model"] for command in data["commands"] if command["model"])
-    return [describe(Path(model)) for model in models]
+    """Each network once for every size that it ran at, with the numbers of its 'commands'."""
+    ran: dict[tuple, list[int]] = {}
+    for command in data["commands"]:
+        if command["model"]:
+            ran.setdefault((command["model"], tuple(command["dims"].items())), []).append(command["index"])
+    return [{**describe(Path(model), dict(dims)), "commands": numbers} for (model, dims), numbers in ran.items()]
 
 
 def _as_script(data: dict[str, Any]) -> str:

@@ -1,66 +1,136 @@
-"""The nodes of ONNX files, for people to read. Works without the package `onnx`, but then has nothing to tell."""
+"""The graphs of ONNX files, for people to read. Needs the package `onnx`, and without it says so."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-LONGEST = 80
-MISSING = "install the package onnx to see its nodes: pip install onnx"
+import numpy as np
+
+from postfx.report.network_blocks import Node, blocks
+from postfx.report.plain import finite_or_text
+from postfx.runtime.errors import CaptureError, ModelError
+from postfx.runtime.onnx_files import constant_nodes, load_graph, reads
+from postfx.runtime.snapshot import statistics
+
+if TYPE_CHECKING:
+    from onnx import AttributeProto, ModelProto, NodeProto, TensorProto
+
+LONGEST = 200
+MOST_VALUES = 16
+"""Weights with at most as many elements are shown in full."""
 
 
-def describe(path: Path) -> dict[str, Any]:
-    """What is in a model file: {'name', 'file', 'note', 'inputs', 'outputs', 'parameters', 'nodes'}.
+def describe(path: Path, dims: Mapping[str, int]) -> dict[str, Any]:
+    """The graph in a model file with its free dimensions fixed to `dims`.
 
-    `note` says why there are no nodes, or is None. Each node has 'op', 'name', 'attributes' (text), 'inputs', 'outputs'
-    and 'parameters', the count of its constants' elements; a constant that two nodes share counts for both.
+    Returns 'name', 'file', 'dims', 'note' and what is in the graph: 'inputs' and 'outputs', names; 'values', name ->
+    'dtype' and 'shape', where these can be worked out without running; 'weights', name -> 'dtype', 'shape', 'bytes',
+    'statistics' and, of small ones, 'values'; 'nodes' in the order of the file and 'blocks' of them in the order to
+    draw (`postfx.report.network_blocks`). A node has 'op', 'domain', 'name', 'attributes', 'inputs' and 'outputs',
+    'constant' where it depends on no input of the graph, and 'weights', the names of those that it reads, also through
+    constant nodes. `note` says why there are no nodes, or is None.
     """
-    head = {"name": path.name.removesuffix(".onnx"), "file": str(path)}
-    empty = {"inputs": [], "outputs": [], "parameters": 0, "nodes": []}
+    head = {"name": path.name.removesuffix(".onnx"), "file": str(path), "dims": dict(dims)}
     try:
-        import onnx
-    except ImportError:
-        return {**head, "note": MISSING, **empty}
-    try:
-        graph = onnx.load(str(path), load_external_data=False).graph
-    except Exception as error:  # protobuf's errors have no common base
-        return {**head, "note": f"cannot be read: {error}", **empty}
-    sizes = {item.name: math.prod(item.dims) for item in graph.initializer}
+        return {**head, "note": None, **_graph(load_graph(path), dims)}
+    except (CaptureError, ModelError) as error:
+        empty = {"inputs": [], "outputs": [], "values": {}, "weights": {}, "nodes": [], "blocks": []}
+        return {**head, "note": str(error), **empty}
+
+
+def _graph(model: ModelProto, dims: Mapping[str, int]) -> dict[str, Any]:
+    graph = model.graph
+    weights = {item.name: item for item in graph.initializer}
+    inputs = [item.name for item in graph.input if item.name not in weights]
+    nodes = _nodes(model, set(weights))
+    parts = [Node(node["inputs"], node["outputs"], node["constant"]) for node in nodes]
     return {
-        **head,
-        "note": None,
-        "inputs": [_value(item) for item in graph.input if item.name not in sizes],
-        "outputs": [_value(item) for item in graph.output],
-        "parameters": sum(sizes.values()),
-        "nodes": [_node(node, sizes) for node in graph.node],
+        "inputs": inputs,
+        "outputs": [item.name for item in graph.output],
+        "values": _values(model, dims),
+        "weights": {name: _weight(item) for name, item in weights.items()},
+        "nodes": nodes,
+        "blocks": blocks(parts),
     }
 
 
-def _node(node: Any, sizes: dict[str, int]) -> dict[str, Any]:
+def _nodes(model: ModelProto, weights: set[str]) -> list[dict[str, Any]]:
+    constant, behind, found = constant_nodes(model), {name: [name] for name in weights}, []
+    for index, node in enumerate(model.graph.node):
+        own = list(dict.fromkeys(weight for name in reads(node) for weight in behind.get(name, ())))
+        if index in constant:
+            behind.update(dict.fromkeys(node.output, own))
+        found.append(_node(node, index in constant, own))
+    return found
+
+
+def _node(node: NodeProto, constant: bool, weights: list[str]) -> dict[str, Any]:
+    inner = [name for name in reads(node) if name not in node.input]
     return {
         "op": node.op_type,
+        "domain": node.domain,
         "name": node.name,
-        "attributes": ", ".join(_attribute(item) for item in node.attribute),
-        "inputs": list(node.input),
+        "attributes": {item.name: _attribute(item) for item in node.attribute},
+        "inputs": [*node.input, *inner],
         "outputs": list(node.output),
-        "parameters": sum(sizes.get(name, 0) for name in node.input),
+        "constant": constant,
+        "weights": weights,
     }
 
 
-def _attribute(item: Any) -> str:
-    import onnx
+def _attribute(item: AttributeProto) -> Any:
+    """A number, a list of numbers, or text."""
+    from onnx import AttributeProto, helper
 
-    value = onnx.helper.get_attribute_value(item)
-    if item.type == onnx.AttributeProto.TENSOR:
-        text = f"tensor {tuple(value.dims)}"
-    elif item.type == onnx.AttributeProto.GRAPH:
-        text = f"graph of {len(value.node)} nodes"
-    else:
-        text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-    return f"{item.name}={text if len(text) <= LONGEST else text[:LONGEST] + '...'}"
+    value = helper.get_attribute_value(item)
+    if item.type == AttributeProto.TENSOR:
+        return f"tensor {tuple(value.dims)}"
+    if item.type == AttributeProto.GRAPH:
+        return f"graph of {len(value.node)} nodes"
+    if item.type == AttributeProto.FLOAT:
+        return finite_or_text(float(value))
+    if item.type == AttributeProto.INT or (item.type == AttributeProto.INTS and len(value) <= MOST_VALUES):
+        return value if isinstance(value, int) else list(value)
+    text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    return text if len(text) <= LONGEST else text[:LONGEST] + "..."
 
 
-def _value(item: Any) -> str:
-    shape = [dimension.dim_param or dimension.dim_value for dimension in item.type.tensor_type.shape.dim]
-    return f"{item.name} ({', '.join(str(size) for size in shape)})"
+def _weight(item: TensorProto) -> dict[str, Any]:
+    from onnx import numpy_helper
+
+    array = np.asarray(numpy_helper.to_array(item))
+    plain = {"dtype": array.dtype.name, "shape": list(array.shape), "bytes": array.nbytes}
+    if not array.size or array.dtype == object:
+        return {**plain, "statistics": None}
+    figures = {name: finite_or_text(value) for name, value in asdict(statistics(array)).items()}
+    if array.size > MOST_VALUES:
+        return {**plain, "statistics": figures}
+    return {**plain, "statistics": figures, "values": [finite_or_text(value) for value in array.ravel().tolist()]}
+
+
+def _values(model: ModelProto, dims: Mapping[str, int]) -> dict[str, dict[str, Any]]:
+    """Type and shape of every value that can be told without running; a size that cannot be is '?'."""
+    from onnx import ModelProto, helper, shape_inference
+
+    fixed = ModelProto()
+    fixed.CopyFrom(model)
+    for item in fixed.graph.input:
+        for size in item.type.tensor_type.shape.dim:
+            if size.dim_param in dims:
+                size.dim_value = dims[size.dim_param]
+    for item in fixed.graph.output:  # their symbols say less than what follows from the inputs
+        item.type.tensor_type.ClearField("shape")
+    try:
+        fixed = shape_inference.infer_shapes(fixed, data_prop=True)
+    except Exception:  # a graph that ONNX Runtime takes may still be too much for the checker: then without shapes
+        pass
+    found = {}
+    for item in (*fixed.graph.input, *fixed.graph.value_info, *fixed.graph.output):
+        kind = item.type.tensor_type
+        shape = [size.dim_param or size.dim_value or "?" for size in kind.shape.dim] if kind.HasField("shape") else None
+        dtype = helper.tensor_dtype_to_np_dtype(kind.elem_type).name if kind.elem_type else "?"
+        found[item.name] = {"dtype": dtype, "shape": shape}
+    return found

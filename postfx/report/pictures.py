@@ -5,12 +5,14 @@ from __future__ import annotations
 import base64
 import struct
 import zlib
+from typing import Any
 
 import numpy as np
 
 LOW, HIGH = 1, 99
 """Percentiles of the finite values that become black and white."""
 GAMMA = 2.2
+SHEET_COLUMNS = 4
 _NOT_FINITE = (255, 0, 255)
 
 
@@ -21,14 +23,26 @@ def picture(slices: list[np.ndarray]) -> dict[str, str]:
     negative value begins at 0 and gets a gamma of 2.2, the rest is linear. NaN and infinities are magenta.
     """
     stack = np.stack(slices, axis=-1)
-    low, high = _range(stack)
-    gamma = low == 0
-    with np.errstate(invalid="ignore"):
-        shown = np.clip((stack - low) / (high - low), 0, 1) ** (1 / GAMMA if gamma else 1)
-    pixels = _as_rgb(np.nan_to_num(shown * 255 + 0.5, nan=0, posinf=0, neginf=0).astype(np.uint8))
+    shown, text = _shown(stack)
+    pixels = _as_rgb(shown)
     pixels[~np.isfinite(stack).all(axis=-1)] = _NOT_FINITE
-    text = f"black {low:.4g}, white {high:.4g}" + (f", gamma {GAMMA}" if gamma else "")
-    return {"src": "data:image/png;base64," + base64.b64encode(png(pixels)).decode("ascii"), "range": text}
+    return {"src": _uri(pixels), "range": text}
+
+
+def sheet(slices: list[np.ndarray]) -> dict[str, Any]:
+    """All slices as grey tiles of one picture, `SHEET_COLUMNS` in a row: as `picture`, and 'tiles': [columns, rows] and
+    'liveliest', the number of the slice with the most contrast, or one that is not finite."""
+    stack = np.stack(slices)
+    shown, text = _shown(stack)
+    tiles = np.repeat(shown[..., None], 3, axis=-1)
+    tiles[~np.isfinite(stack)] = _NOT_FINITE
+    columns = min(SHEET_COLUMNS, len(tiles))
+    rows = -(-len(tiles) // columns)
+    padded = np.zeros((rows * columns, *tiles.shape[1:]), np.uint8)
+    padded[: len(tiles)] = tiles
+    height, width = tiles.shape[1:3]
+    grid = padded.reshape(rows, columns, height, width, 3).swapaxes(1, 2).reshape(rows * height, columns * width, 3)
+    return {"src": _uri(grid), "range": text, "tiles": [columns, rows], "liveliest": _liveliest(stack, shown)}
 
 
 def png(pixels: np.ndarray) -> bytes:
@@ -39,6 +53,25 @@ def png(pixels: np.ndarray) -> bytes:
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     chunks = [_chunk(b"IHDR", header), _chunk(b"IDAT", zlib.compress(rows.tobytes(), 9)), _chunk(b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def _liveliest(stack: np.ndarray, shown: np.ndarray) -> int:
+    wrong = ~np.isfinite(stack).all(axis=(1, 2))
+    return int((shown.std(axis=(1, 2)) + 256 * wrong).argmax())
+
+
+def _uri(pixels: np.ndarray) -> str:
+    return "data:image/png;base64," + base64.b64encode(png(pixels)).decode("ascii")
+
+
+def _shown(stack: np.ndarray) -> tuple[np.ndarray, str]:
+    """Values as uint8, and what black and white stand for."""
+    low, high = _range(stack)
+    gamma = low == 0
+    with np.errstate(invalid="ignore"):
+        shown = np.clip((stack - low) / (high - low), 0, 1) ** (1 / GAMMA if gamma else 1)
+    text = f"black {low:.4g}, white {high:.4g}" + (f", gamma {GAMMA}" if gamma else "")
+    return np.nan_to_num(shown * 255 + 0.5, nan=0, posinf=0, neginf=0).astype(np.uint8), text
 
 
 def _range(stack: np.ndarray) -> tuple[float, float]:

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+
+from postfx.runtime.captured import CapturedBarrier, CapturedBuffer, CapturedDispatch, CapturedTensor
 from postfx.runtime.errors import CaptureError, CommandError
+from postfx.runtime.network_capture import look_inside
+from postfx.runtime.onnx_files import require_onnx
 from postfx.runtime.ranges import Ranges
 from postfx.runtime.records import ConsumerBarrier, Dispatch, EncoderBarrier, Record
 from postfx.runtime.session import first_line
-from postfx.runtime.snapshot import MOST_SLICES, Snapshot, take
+from postfx.runtime.snapshot import MOST_SLICES, NODE_PICTURES, Pictures, Snapshot, content, take
 from postfx.runtime.tensor import Tensor
 
 if TYPE_CHECKING:
@@ -22,75 +29,6 @@ if TYPE_CHECKING:
 
 TENSORS = ("thumbnails", "none", "all")
 """What a capture keeps of tensors: figures and small pictures, nothing, or also the whole content in files."""
-
-
-@dataclass
-class CapturedTensor:
-    """A tensor that a command read or wrote; `start` and `end` are its addresses on the device.
-
-    `snapshot` is there for what the command wrote, and for what it read if no command in the capture wrote that.
-    """
-
-    name: str
-    shape: tuple[int, ...]
-    dtype: str
-    nbytes: int
-    start: int
-    end: int
-    snapshot: Snapshot | None = None
-
-
-@dataclass
-class CapturedDispatch:
-    """One kernel or network run; see `postfx.runtime.records.Dispatch`.
-
-    Attributes:
-        index: its number in the capture, from 0 in the order of commit.
-        milliseconds: its own time; None when it failed or did not run.
-        error: why it failed or did not run; None also behind a command that failed.
-    """
-
-    index: int
-    label: str
-    command: str
-    stage: str
-    encoder: int
-    model: Path | None
-    reads: list[CapturedTensor]
-    writes: list[CapturedTensor]
-    milliseconds: float | None = None
-    error: str | None = None
-
-
-@dataclass(frozen=True)
-class CapturedBarrier:
-    """A barrier; `form` is 'encoder', 'consumer' or 'producer', `after` and `before` its stage masks, sorted."""
-
-    form: str
-    encoder: int
-    after: tuple[str, ...] = ()
-    before: tuple[str, ...] = ()
-
-
-@dataclass
-class CapturedBuffer:
-    """One committed command buffer.
-
-    Attributes:
-        records: dispatches and barriers in order.
-        heap_used, heap_peak, heap_size: the device's heap when the buffer was done, bytes; see `Heap`.
-    """
-
-    label: str
-    records: list[CapturedDispatch | CapturedBarrier]
-    heap_used: int = 0
-    heap_peak: int = 0
-    heap_size: int = 0
-
-    @property
-    def dispatches(self) -> list[CapturedDispatch]:
-        """The dispatches among the records."""
-        return [record for record in self.records if isinstance(record, CapturedDispatch)]
 
 
 @dataclass
@@ -108,14 +46,16 @@ class Recorder:
         """A dispatch is done, and no later one has begun."""
         captured = self._of[dispatch]
         captured.milliseconds = milliseconds
-        try:
+        with self._guarded():
             self._look_at(dispatch, captured)
-        except Exception as error:  # the queue's thread must go on: `Capture.__exit__` raises it
-            self.capture.failure = self.capture.failure or error
+            self._look_inside(dispatch, captured)
 
-    def failed(self, dispatch: Dispatch, error: CommandError) -> None:
-        """A dispatch failed, or what it reads was lost."""
+    def failed(self, dispatch: Dispatch, error: CommandError, ran: bool) -> None:
+        """A dispatch failed while it ran, or did not run because what it reads was lost."""
         self._of[dispatch].error = str(error)
+        if ran:
+            with self._guarded():
+                self._look_inside(dispatch, self._of[dispatch])
 
     def ended(self) -> None:
         """No more commands of the buffer will run; lets go of its tensors."""
@@ -123,6 +63,13 @@ class Recorder:
         self.buffer.heap_used, self.buffer.heap_peak, self.buffer.heap_size = heap.used, heap.peak, heap.size
         self._of = {}
         self.done.set()
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # the queue's thread must go on: `Capture.__exit__` raises it
+            self.capture.failure = self.capture.failure or error
 
     def _look_at(self, dispatch: Dispatch, captured: CapturedDispatch) -> None:
         written = self.capture.written
@@ -132,6 +79,12 @@ class Recorder:
         for number, (tensor, kept) in enumerate(zip(dispatch.writes, captured.writes, strict=True)):
             kept.snapshot = self.capture.snapshot(tensor, f"{captured.index:04d}.{number}")
             written.add(tensor.start, tensor.end)
+
+    def _look_inside(self, dispatch: Dispatch, captured: CapturedDispatch) -> None:
+        if not self.capture.network or dispatch.model is None:
+            return
+        placement, ran = self._commands.device.placement, captured.error is None
+        captured.network = look_inside(dispatch, placement, partial(self.capture.value, captured.index), ran)
 
     def _input(self, tensor: Tensor, index: int) -> Snapshot | None:
         key = (tensor.start, tensor.end, tensor.shape, tensor.dtype)
@@ -147,17 +100,22 @@ class Capture:
 
     Attributes:
         buffers: the buffers in the order of commit.
-        tensors, folder: what is kept of tensors, see `Device.capture`.
+        tensors, folder, network: what is kept, see `Device.capture`.
     """
 
-    def __init__(self, device: Device, tensors: str, folder: str | Path | None) -> None:
+    def __init__(self, device: Device, tensors: str, folder: str | Path | None, network: bool) -> None:
         if tensors not in TENSORS:
             raise CaptureError(f"a capture cannot keep '{tensors}' of tensors: use one of {', '.join(TENSORS)}")
         if (tensors == "all") != (folder is not None):
             raise CaptureError("a capture with tensors='all' needs a folder=, any other has none")
+        if network and tensors == "none":
+            raise CaptureError("a capture of networks (network=True, --capture-network) cannot keep 'none' of tensors")
+        if network:
+            require_onnx()
         self.device = device
         self.tensors = tensors
         self.folder = None if folder is None else Path(folder)
+        self.network = network
         self.buffers: list[CapturedBuffer] = []
         self.written = Ranges()
         self.failure: Exception | None = None
@@ -197,13 +155,25 @@ class Capture:
         """The tensor's content now, as far as this capture keeps it."""
         if self.tensors == "none":
             return None
-        name = re.sub(r"[^\w.-]+", "_", tensor.name)[:60]
-        return take(tensor, MOST_SLICES if self.folder else 3, self.folder, f"tensors/{number}.{name}.npy")
+        return take(content(tensor), Pictures(MOST_SLICES if self.folder else 3), self.folder,
+                    _file(number, tensor.name))
+
+    def value(self, index: int, array: np.ndarray, name: str, figures_only: bool) -> Snapshot | None:
+        """What a node inside the network of command `index` wrote, as far as this capture keeps it."""
+        if figures_only:
+            return take(array, Pictures(0))
+        return take(array, NODE_PICTURES, self.folder, _file(f"{index:04d}", name))
+
+
+def _file(number: str, name: str) -> str:
+    name = re.sub(r"[^\w.-]+", "_", name)[:60]
+    return f"tensors/{number}.{name}.npy"
 
 
 def _captured_dispatch(index: int, dispatch: Dispatch) -> CapturedDispatch:
     names = (dispatch.label, dispatch.command, dispatch.stage, dispatch.encoder, dispatch.model)
-    return CapturedDispatch(index, *names, _captured(dispatch.reads), _captured(dispatch.writes))
+    dims = dict(dispatch.state.dims) if dispatch.model else {}
+    return CapturedDispatch(index, *names, _captured(dispatch.reads), _captured(dispatch.writes), dims=dims)
 
 
 def _captured(tensors: Iterable[Tensor]) -> list[CapturedTensor]:

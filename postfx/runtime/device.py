@@ -67,10 +67,10 @@ class Device:
         self.threads = threads or _usable_cores()
         self.scratch = None if memory is None else Scratch(memory)
         name = "cpu" if self.scratch and name == "auto" else name
-        self._placement, self.memory = choose(name, self.threads)
+        self.placement, self.memory = choose(name, self.threads)
         if self.scratch:
             self.memory = _within(self.scratch, self.memory, name)
-        self.name = name if name != "auto" else self._placement.memory
+        self.name = name if name != "auto" else self.placement.memory
         self._compiled = True if compiled_kernels is None else compiled_kernels
         self._kernels = kernels
         self._compute_states: dict[Kernel, State] = {}
@@ -125,8 +125,8 @@ class Device:
         Raises ModelError when the model is missing, damaged or cannot run here, or a dimension is left free.
         """
         fixed = {key: int(size) for key, size in (dims or {}).items()}
-        exclusive = self._placement.stream != 0
-        session = Session(library.load(name), name, self._placement, fixed, library.path(name).parent, exclusive)
+        exclusive = self.placement.stream != 0
+        session = Session(library.load(name), name, self.placement, fixed, library.path(name).parent, exclusive)
         for value in (*session.inputs, *session.outputs):
             free = [str(size or "?") for size in value.shape if not isinstance(size, int)]
             if free:
@@ -148,17 +148,21 @@ class Device:
         """A new, empty command buffer."""
         return CommandBuffer(self, label)
 
-    def capture(self, tensors: str = "thumbnails", folder: str | Path | None = None) -> Capture:
+    def capture(
+        self, tensors: str = "thumbnails", folder: str | Path | None = None, network: bool = False
+    ) -> Capture:
         """A capture, to use with `with`: it records all command buffers that are committed meanwhile.
 
         Args:
             tensors: what to keep of what each command wrote: 'thumbnails' (figures and small pictures), 'none', or
                 'all' (its whole content, too, in files).
             folder: where 'all' puts the files, in a folder `tensors`.
+            network: also run every network once more, node by node, and keep what each node wrote and its time. Takes
+                several times the network's own time and needs the package `onnx`.
 
         Raises CaptureError when the options do not fit, or another capture of this device is on.
         """
-        return Capture(self, tensors, folder)
+        return Capture(self, tensors, folder, network)
 
     def wait_idle(self, timeout: float | None = None) -> None:
         """Block until everything that was committed is done, and count all of it as waited for.
@@ -183,7 +187,7 @@ class Device:
 
     def _portable_state(self, kernel: Kernel) -> PortableComputeState:
         library = self._kernels or Library(models_dir() / "kernels")
-        session = Session(library.load(kernel.name), kernel.name, self._placement, {})
+        session = Session(library.load(kernel.name), kernel.name, self.placement, {})
         _check_portable(kernel, session)
         return PortableComputeState(self, kernel, session)
 

@@ -116,7 +116,7 @@ class Execution:
         error.__cause__ = cause
         self._device.hazards.mark_lost([tensor for left in dispatches for tensor in left.writes], first or error)
         if self._recorder is not None:
-            self._recorder.failed(dispatches[0], first or error)
+            self._recorder.failed(dispatches[0], first or error, ran=first is None)
 
 
 def _enqueue(memory: Memory, dispatches: Sequence[Dispatch]) -> list[Span]:

@@ -46,14 +46,13 @@ class Session:
         self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int], folder: Path | None = None,
         exclusive: bool = False,
     ) -> None:
-        _register_shared_arena()
-        options = _options(placement, dims)
+        options = session_options(placement, dims)
         if exclusive:
             options.add_session_config_entry("session.disable_cpu_ep_fallback", "1")
         if folder is not None:
             options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(folder))
         try:
-            self._session = ort.InferenceSession(model, options, providers=_providers(placement, exclusive))
+            self._session = ort.InferenceSession(model, options, providers=providers_of(placement, exclusive))
         except Exception as error:
             raise ModelError(f"model '{name}' cannot be made ready: {first_line(error)}") from error
         if self._session.get_providers()[0] != placement.provider:
@@ -95,7 +94,9 @@ def _register_shared_arena() -> None:
     ort.create_and_register_allocator(info, ort.OrtArenaCfg(0, -1, -1, -1))
 
 
-def _options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOptions:
+def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOptions:
+    """Threads of the device, memory of the arena that all sessions share, free dimensions fixed."""
+    _register_shared_arena()
     options = ort.SessionOptions()
     options.intra_op_num_threads = placement.threads
     options.log_severity_level = 3
@@ -108,7 +109,8 @@ def _options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOption
     return options
 
 
-def _providers(placement: Placement, exclusive: bool) -> list:
+def providers_of(placement: Placement, exclusive: bool) -> list:
+    """Where to run, as ONNX Runtime takes it; not `exclusive`, the CPU takes what the provider cannot run."""
     if placement.provider == "CPUExecutionProvider":
         return ["CPUExecutionProvider"]
     options = {"device_id": str(placement.index), "prefer_nhwc": "1", "fuse_conv_bias": "1"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,20 @@ PICTURE_WIDTH = 192
 PICTURE_HEIGHT = 384
 MOST_SLICES = 64
 MOST_VALUES = 64
+NODE_SLICES = 8
 _BLOCK = 1 << 20
+
+
+class Pictures(NamedTuple):
+    """How many slices to keep as pictures, and how wide and high these may be."""
+
+    most: int
+    width: int = PICTURE_WIDTH
+    height: int = PICTURE_HEIGHT
+
+
+NODE_PICTURES = Pictures(NODE_SLICES, 64, 96)
+"""Of what nodes inside networks write, of which there are many."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +55,8 @@ class Snapshot:
     Attributes:
         channels: count of (height, width) slices that the tensor has; 0 when it is no picture.
         pictures: the first of them, float32 (height, width), every n-th pixel so that they are at most `PICTURE_WIDTH`
-            wide and `PICTURE_HEIGHT` high: three of them, or `MOST_SLICES` in a capture of all.
+            wide and `PICTURE_HEIGHT` high: three of them, or `MOST_SLICES` in a capture of all; of nodes inside
+            networks as `NODE_PICTURES`.
         values: all elements, where there are at most `MOST_VALUES`.
         file: the content as .npy, relative to the capture's folder; None unless all was captured.
     """
@@ -53,20 +68,16 @@ class Snapshot:
     file: str | None = None
 
 
-def take(tensor: Tensor, slices: int, folder: Path | None = None, file: str = "") -> Snapshot | None:
-    """The tensor's content now, None when it has no elements; also written to `folder / file` if there is a folder.
-
-    Checks no hazards: the caller stands between two commands of the queue.
-    """
-    if not tensor.nbytes:
+def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None, file: str = "") -> Snapshot | None:
+    """An array's content, None when it has no elements; also written to `folder / file` if there is a folder."""
+    if not array.size:
         return None
-    array = _content(tensor)
     if folder is not None:
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         np.save(folder / file, array)
     planes = as_planes(array)
     values = array.ravel().tolist() if array.size <= MOST_VALUES else None
-    pictures = [] if planes is None else [_small(plane) for plane in planes[:slices]]
+    pictures = [] if planes is None else [_small(plane, wanted) for plane in planes[: wanted.most]]
     return Snapshot(statistics(array), 0 if planes is None else len(planes), pictures, values, file if folder else None)
 
 
@@ -102,8 +113,11 @@ def as_planes(array: np.ndarray) -> np.ndarray | None:
     return array.reshape(-1, *array.shape[-2:])
 
 
-def _content(tensor: Tensor) -> np.ndarray:
-    """The tensor itself where the host sees it, else a copy."""
+def content(tensor: Tensor) -> np.ndarray:
+    """What a tensor holds now: its own memory where the host sees it, else a copy.
+
+    Checks no hazards: the caller stands between two commands of the queue.
+    """
     if tensor.device.memory.host_visible:
         return tensor.host_view()
     copy = np.empty(tensor.shape, tensor.dtype)
@@ -111,6 +125,6 @@ def _content(tensor: Tensor) -> np.ndarray:
     return copy
 
 
-def _small(plane: np.ndarray) -> np.ndarray:
-    step = max(1, -(-plane.shape[0] // PICTURE_HEIGHT), -(-plane.shape[1] // PICTURE_WIDTH))
+def _small(plane: np.ndarray, wanted: Pictures) -> np.ndarray:
+    step = max(1, -(-plane.shape[0] // wanted.height), -(-plane.shape[1] // wanted.width))
     return plane[::step, ::step].astype(np.float32)

@@ -45,7 +45,19 @@ def test_errors_before_anything_runs(postfx, shot, tmp_path):
     assert done.code == 2 and "error: frame 5 of --capture-frame is not processed" in done.err
     done = postfx(*RUN, "--capture-frame", "1")
     assert done.code == 2 and "need --capture DIR" in done.err
+    done = postfx(*RUN, "--capture", "look", "--capture-network", "--capture-tensors", "none")
+    assert done.code == 2 and "error: a capture of networks (network=True, --capture-network) cannot keep" in done.err
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def test_networks_are_looked_into_on_request(postfx, shot, tmp_path):
+    shot(1)
+    assert postfx(*RUN, "--capture", "look", "--capture-network").code == 0
+    (network,) = [command["network"] for command in commands_of(tmp_path / "look") if command["network"]]
+    assert len(network["nodes"]) == 27 and network["difference"] < 1e-3
+    assert all(node["ms"] > 0 and node["outputs"][0]["statistics"] for node in network["nodes"])
+    assert postfx(*RUN, "--overwrite", "--capture", "plain").code == 0
+    assert not any(command["network"] for command in commands_of(tmp_path / "plain"))
 
 
 def test_explain_captures_nothing(postfx, shot, tmp_path):
@@ -55,7 +67,8 @@ def test_explain_captures_nothing(postfx, shot, tmp_path):
 
 
 def test_a_frame_that_fails_is_captured_too(tmp_path):
-    arguments = Namespace(capture=str(tmp_path), capture_tensors=None, capture_frame=None, explain=False)
+    arguments = Namespace(capture=str(tmp_path), capture_tensors=None, capture_frame=None, capture_network=False,
+                          explain=False)
     capture = FrameCapture(arguments, Device("cpu"))
     capture.choose([4, 5, 6])
     with capture.around(4):

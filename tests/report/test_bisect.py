@@ -5,8 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from postfx.report.bisect import CompareError, compare, largest_error
+from postfx.cli.capture_compare import text_of
+from postfx.report.bisect import CompareError, compare
 from postfx.report.capture_page import write_capture
+from postfx.runtime.difference import largest_error
+from tests.deep import LEVEL, capture_deep, make_deep
 
 
 @pytest.fixture
@@ -59,6 +62,45 @@ def test_captures_without_content(captured, make_capture, tmp_path):
     write_capture(make_capture(), tmp_path / "small", "toy")
     with pytest.raises(CompareError, match="no content of tensor 'total': make it with"):
         compare(captured("a"), tmp_path / "small")
+
+
+@pytest.fixture
+def looked_into(tmp_path):
+    """Captures of the network 'deep' with its nodes."""
+
+    def make(name, level=LEVEL, x=1.0, network=True):
+        library = make_deep(tmp_path / f"models {name}", level)
+        capture, _ = capture_deep(library, x, tensors="all", folder=tmp_path / name, network=network)
+        write_capture(capture, tmp_path / name, "toy")
+        return tmp_path / name
+
+    return make
+
+
+def test_the_first_node_that_differs_is_named(looked_into):
+    found = compare(looked_into("a", level=0.6), looked_into("b"))
+    assert (found.first.access, found.first.tensor, found.first.node) == ("node", "above", "node 3 Sub")
+    rows = [(row.access, row.tensor, row.error > 0) for row in found.differences]
+    assert rows == [
+        ("input", "picture", False), ("node", "conv", False), ("node", "relu", False), ("node", "above", True),
+        ("node", "root", True), ("node", "y", True), ("write", "y", True),
+    ]  # fmt: skip
+    assert "written by node 3 Sub of command 0 'deep' (network 'deep')" in text_of(found)
+    assert json.loads(json.dumps(found.as_dict()))["first"]["node"] == "node 3 Sub"
+
+
+def test_without_nodes_in_both_the_command_is_named(looked_into):
+    found = compare(looked_into("a", level=0.6), looked_into("b", network=False))
+    assert (found.first.access, found.first.node) == ("write", None)
+
+
+def test_captures_of_other_nodes(looked_into):
+    a, b = looked_into("a"), looked_into("b")
+    data = json.loads((b / "capture.json").read_text())
+    data["commands"][0]["network"]["nodes"].pop()
+    (b / "capture.json").write_text(json.dumps(data))
+    with pytest.raises(CompareError, match="command 0 'deep' has other nodes in the other capture"):
+        compare(a, b)
 
 
 def test_the_measure():

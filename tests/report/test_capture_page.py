@@ -10,8 +10,8 @@ import pytest
 from postfx.errors import ReadError, WriteError
 from postfx.report.capture_data import as_dict, read
 from postfx.report.capture_page import page, write_capture
-from postfx.report.networks import MISSING
 from postfx.runtime import ArgumentTable, Device
+from postfx.runtime.onnx_files import MISSING
 from tests import toys
 from tests.report.browser import rendered
 
@@ -68,7 +68,8 @@ def test_pictures_and_nodes_are_in_the_page(make_capture):
     assert picture["src"].startswith("data:image/png;base64,iVBORw0KGgo")
     assert data["commands"][1]["reads"][0]["pictures"] is None
     (network,) = data["networks"]
-    assert (network["name"], network["note"], network["inputs"]) == ("double", None, ["x (1, height, width)"])
+    assert (network["name"], network["note"], network["commands"]) == ("double", None, [1])
+    assert network["values"]["x"] == {"dtype": "float32", "shape": [1, 4, 5]}
     (node,) = network["nodes"]
     assert (node["op"], node["inputs"], node["outputs"]) == ("Add", ["x", "x"], ["y"])
 
@@ -112,7 +113,7 @@ def test_other_files_are_no_captures(tmp_path):
 
 
 def test_the_script_draws_commands_graph_and_details(make_capture, tmp_path):
-    found = rendered(write_capture(make_capture(), tmp_path / "out", "toy"), "choose(1);")
+    found = rendered(write_capture(make_capture(), tmp_path / "out", "toy"), "networks.get(1).show(1); choose(1);")
     rows = re.search(r'<table id="commands">(.*?)</table>', found, re.DOTALL)[1]
     assert [label for label in ("toy/add", "toy/double") if f"<td>{label}</td>" in rows] == ["toy/add", "toy/double"]
     graph = re.search(r'<div id="graph">(.*?)</svg>', found, re.DOTALL)[1]
@@ -121,7 +122,8 @@ def test_the_script_draws_commands_graph_and_details(make_capture, tmp_path):
     assert re.findall(r'data-form="(\w+)"', graph) == ["consumer"]
     details = re.search(r'<aside id="details">(.*?)</aside>', found, re.DOTALL)[1]
     assert "6 to 6, mean 6" in details and "written by command 0" in details and "data:image/png" in details
-    assert "<td>Add</td>" in re.search(r'<section id="networks">(.*?)</section>', found, re.DOTALL)[1]
+    assert ">its graph</button>" in details
+    assert ">Add</span>" in re.search(r'<section id="networks">(.*?)</section>', found, re.DOTALL)[1]
 
 
 def test_a_click_shows_a_command_and_what_is_not_finite(make_capture, tmp_path):

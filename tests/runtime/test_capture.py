@@ -5,7 +5,7 @@ import pytest
 
 from postfx.pipeline import Pipeline
 from postfx.runtime import ArgumentTable, CaptureError, CommandError
-from postfx.runtime.capture import CapturedBarrier
+from postfx.runtime.captured import CapturedBarrier
 from postfx.runtime.snapshot import PICTURE_WIDTH, as_planes, statistics
 from tests import toys
 
