@@ -7,7 +7,9 @@ from types import SimpleNamespace
 import pytest
 
 from postfx.runtime import DeviceError, cuda_graphs
+from postfx.runtime.cuda import CudaMemory
 from postfx.runtime.cuda_graphs import MOST, CudaGraphs, Event
+from postfx.runtime.memory import Memory
 
 STREAM = 77
 
@@ -110,3 +112,9 @@ def test_errors_of_the_driver_are_named(driver: Driver, monkeypatch: pytest.Monk
     monkeypatch.setattr(driver, "cuStreamBeginCapture", lambda *rest: (Status(2),), raising=False)
     with pytest.raises(DeviceError, match="CUDA: CUDA_ERROR_OUT_OF_MEMORY"):
         graphs.replay("frame", None, list)
+
+
+def test_memory_of_a_gpu_does_all_that_devices_ask_of_memory() -> None:
+    wanted = {name for name in vars(Memory) if not name.startswith("_")}
+    assert wanted >= {"allocate", "replay", "synchronise"}
+    assert not wanted - set(dir(CudaMemory))
