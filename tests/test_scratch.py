@@ -64,7 +64,7 @@ def test_tensors_beyond_the_budget_take_no_memory() -> None:
 def test_a_budget_is_for_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     remote = SimpleNamespace(host_visible=False)
     with monkeypatch.context() as patch:
-        patch.setattr(device, "choose", lambda name, threads: (None, remote))
+        patch.setattr(device, "choose", lambda *rest: (None, remote))
         with pytest.raises(DeviceError, match="a memory budget is for the CPU, not for 'cuda': leave one of them out"):
             Device("cuda", memory="4G")
     assert Device("auto", memory="4G").memory.host_visible

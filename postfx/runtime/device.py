@@ -46,6 +46,8 @@ class Device:
             files, and passes go over frames in tiles. The CPU only, which 'auto' then is.
         kernels: library of the portable definitions; default: the `kernels` folder of the models that come with
             postfx.
+        graphs: launch commands that ran before as one CUDA graph. Off, since a frame with a mask was wrong when it was
+            launched so; see docs/runtime.md.
 
     Attributes:
         results_lock: to hold from commit until the host has read transient results, where several threads commit.
@@ -61,13 +63,14 @@ class Device:
         compiled_kernels: bool | None = None,
         kernels: Library | None = None,
         memory: str | int | None = None,
+        graphs: bool = False,
     ) -> None:
         if threads is not None and threads < 1:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
         self.threads = threads or _usable_cores()
         self.scratch = None if memory is None else Scratch(memory)
         name = "cpu" if self.scratch and name == "auto" else name
-        self.placement, self.memory = choose(name, self.threads)
+        self.placement, self.memory = choose(name, self.threads, graphs)
         if self.scratch:
             self.memory = _within(self.scratch, self.memory, name)
         self.name = name if name != "auto" else self.placement.memory
