@@ -14,6 +14,7 @@ from postfx.cli.capture import FrameCapture
 from postfx.cli.progress import FrameProgress
 from postfx.cli.summary import Report
 from postfx.errors import GuideError, WriteError
+from postfx.exposure import SMOOTH, SmoothExposure, colours_of
 from postfx.frame import Frame, FrameSpec
 from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
@@ -52,7 +53,9 @@ class Job:
         if self.outputs and not arguments.explain:
             self.outputs.check(self.sequence.numbers)
         self.left_out: list[Skipped] = []
-        self.pipeline = Pipeline(self._passes(arguments), device, arguments.exposure)
+        smooth = arguments.exposure == SMOOTH
+        exposure = SmoothExposure(colours_of(self.sequence)) if smooth else arguments.exposure
+        self.pipeline = Pipeline(self._passes(arguments), device, exposure)
         self.plan = self.pipeline.explain(self._first_spec())
         self._preroll, self._scale = arguments.preroll, arguments.scale
         self._capture = FrameCapture(arguments, device)
