@@ -32,7 +32,7 @@ class Pipeline:
         exposure: 'auto', 'metadata' or a number of stops, see `postfx.exposure.ExposureMeter`; or a meter, such as a
             `postfx.exposure.SmoothExposure` of the whole sequence.
 
-    Where the environment variable POSTFX_EXPOSURE_TOOL is 1, `postfx.passes.exposure_tool` covers the upscaler's output.
+    Where POSTFX_EXPOSURE_TOOL is 1 in the environment, `postfx.passes.exposure_tool` covers the upscaler's output.
 
     Attributes:
         plan: the plan of the last frame, None before the first.
