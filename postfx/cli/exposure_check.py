@@ -113,9 +113,10 @@ def _views(clean: Frame, display: np.ndarray, exposure: float) -> Iterator[tuple
 
 def _row(shot: Shot, report: Report) -> str:
     frames = str(shot.first) if shot.first == shot.last else f"{shot.first}-{shot.last}"
-    beyond = not report.limits_ev[0] < shot.mismatch_ev < report.limits_ev[1]  # black or white: no more can be said
-    mismatch = f"{'beyond ' * beyond}{shot.mismatch_ev:+.2f} EV"
-    right = f"{shot.right_ev:+.2f} EV (x {2**shot.right_ev:.3g})"
+    low, high = report.limits_ev  # black and white: no more can be said there
+    bound = "over " if shot.mismatch_ev <= low else "under " if shot.mismatch_ev >= high else ""
+    mismatch = f"{'beyond ' * bool(bound)}{shot.mismatch_ev:+.2f} EV"
+    right = f"{bound}{shot.right_ev:+.2f} EV (x {2**shot.right_ev:.3g})"
     row = f"{frames:<12}{shot.level:>8.1%}{mismatch:>17}{shot.drift_ev:>7.2f} EV  {right:<24}{shot.verdict}"
     return row + (f" by {shot.drift_ev:.2f} EV" if shot.verdict == DRIFTING else "")
 

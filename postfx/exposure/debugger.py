@@ -16,8 +16,10 @@ from postfx.frame import Frame, Role
 from postfx.passes.base import Pass
 from postfx.runtime import Device
 
-TOLERANCE_EV = 0.125
-"""Half of the quarter stop that must be found; twice as much from the darkest to the brightest frame is a drift."""
+TOLERANCE_EV = 0.2
+"""A mean mismatch that is right: a quarter of a stop is found, noise that moves the meter is not."""
+DRIFT_EV, MOVING_DRIFT_EV = 0.25, 0.5
+"""From the darkest to the brightest frame; more where the scene itself moves, as exposure need not follow all of it."""
 RIGHT, DARK, BRIGHT, DRIFTING = "right", "too dark", "too bright", "drifting"
 
 
@@ -150,7 +152,7 @@ class _Mode:
 
 def _judged(readings: Sequence[Reading]) -> Shot:
     mismatch = np.array([reading.mismatch_ev for reading in readings])
-    verdict = _verdict(mismatch)
+    verdict = _verdict(mismatch, np.ptp([reading.reference_ev for reading in readings]))
     return Shot(
         first=readings[0].number,
         last=readings[-1].number,
@@ -163,8 +165,8 @@ def _judged(readings: Sequence[Reading]) -> Shot:
     )
 
 
-def _verdict(mismatch: np.ndarray) -> str:
-    if np.ptp(mismatch) > 2 * TOLERANCE_EV:
+def _verdict(mismatch: np.ndarray, scene_moves: float) -> str:
+    if np.ptp(mismatch) > (MOVING_DRIFT_EV if scene_moves > DRIFT_EV else DRIFT_EV):
         return DRIFTING
     if abs(mismatch.mean()) <= TOLERANCE_EV:
         return RIGHT

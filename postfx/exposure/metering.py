@@ -102,7 +102,7 @@ def _fixed_ev(mode: str | float) -> float:
         ev = math.nan
     if not abs(ev) <= 64:
         raise ExposureError(
-            f"exposure '{mode}': use auto, metadata or a number of stops (EV) within -64..64; smooth needs a sequence"
+            f"exposure '{mode}': use auto, metadata or a number of stops (EV) within -64..64; for sequences smooth too"
         )
     return ev
 

@@ -14,7 +14,6 @@ from postfx.io.ahead import read_ahead
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence as FrameSequence
-    from postfx.passes.base import ResidentFrame
 
 SMOOTH = "smooth"
 SECONDS = 0.5
@@ -52,7 +51,7 @@ class SmoothExposure:
     def reset(self) -> None:
         """Nothing to forget: the curve belongs to the sequence."""
 
-    def __call__(self, frame: Frame | ResidentFrame) -> float:
+    def __call__(self, frame: Frame) -> float:
         """Multiplier for `frame`, by its number."""
         if not self._ev:
             readings = list(metered(self._frames))
