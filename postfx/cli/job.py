@@ -53,8 +53,8 @@ class Job:
         if self.outputs and not arguments.explain:
             self.outputs.check(self.sequence.numbers)
         self.left_out: list[Skipped] = []
-        smooth = arguments.exposure == SMOOTH
-        exposure = SmoothExposure(colours_of(self.sequence)) if smooth else arguments.exposure
+        self._smooth = arguments.exposure == SMOOTH
+        exposure = SmoothExposure(colours_of(self.sequence)) if self._smooth else arguments.exposure
         self.pipeline = Pipeline(self._passes(arguments), device, exposure)
         self.plan = self.pipeline.explain(self._first_spec())
         self._preroll, self._scale = arguments.preroll, arguments.scale
@@ -87,6 +87,8 @@ class Job:
             with FrameProgress(len(self.sequence)) as progress, WriteBehind() as behind:
                 if self.plan.steps and is_first_run():
                     progress.note("compiling kernels for this processor: some ten seconds, on the first run only")
+                if self._smooth:
+                    progress.note("metering all frames first, for --exposure smooth")
                 works = self._schedule(self.outputs, progress)
                 self._capture.choose([work.number for work in works])
                 for work, frame in read_ahead(works, self._read):

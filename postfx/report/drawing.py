@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -31,16 +32,13 @@ class Canvas:
 
     def line(self, x: np.ndarray, y: np.ndarray, colour: Colour, width: float = 2.0) -> None:
         """A smooth-edged line through points, in order."""
-        cover = np.zeros(self.pixels.shape[:2], np.float32)
         points = np.column_stack([x, y]).astype(float)
-        for start, end in zip(points, points[1:], strict=False):
-            self._cover_segment(cover, start, end, width)
-        self.pixels += cover[..., None] * (np.array(colour, np.float32) - self.pixels)
+        self._strokes(zip(points, points[1:], strict=False), colour, width)
 
     def dots(self, x: np.ndarray, y: np.ndarray, colour: Colour, width: float) -> None:
         """Round dots."""
-        for point in np.column_stack([x, y]):
-            self.line(point[:1].repeat(2), point[1:].repeat(2), colour, width)
+        points = np.column_stack([x, y]).astype(float)
+        self._strokes(zip(points, points, strict=True), colour, width)
 
     def text(self, x: float, y: float, text: str, colour: Colour, size: int = 15, align: str = "left") -> None:
         """A line of text; (x, y) is the middle of its left, right or centre ('left', 'right', 'center')."""
@@ -52,6 +50,12 @@ class Canvas:
     def save(self, path: Path) -> None:
         """Write a PNG; WriteError where that cannot be."""
         save_png(path, (np.clip(self.pixels, 0, 255) + 0.5).astype(np.uint8))
+
+    def _strokes(self, strokes: Iterable[tuple[np.ndarray, np.ndarray]], colour: Colour, width: float) -> None:
+        cover = np.zeros(self.pixels.shape[:2], np.float32)
+        for start, end in strokes:
+            self._cover_segment(cover, start, end, width)
+        self.pixels += cover[..., None] * (np.array(colour, np.float32) - self.pixels)
 
     @staticmethod
     def _cover_segment(cover: np.ndarray, start: np.ndarray, end: np.ndarray, width: float) -> None:

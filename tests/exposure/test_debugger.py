@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import postfx
-from postfx.exposure import ExposureError, ExposureMeter, colours_of
+from postfx.exposure import ExposureError, ExposureMeter, colours_of, measure
 from postfx.exposure.board import Board, Response
 from postfx.exposure.debugger import Report, debug
 from postfx.passes.display import Display
@@ -61,6 +61,14 @@ def test_the_verdict_names_every_error_of_a_metered_scene(error: float, device: 
     assert report.verdict == ("right" if error == 0 else "too bright" if error > 0 else "too dark")
     assert report.shots[0].mismatch_ev == pytest.approx(error, abs=0.05)
     assert report.shots[0].right_ev == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_a_plain_grey_card_reads_the_same_error(view, error: float, device: Device) -> None:
+    """A picture of another kind than the board that the response was sampled on."""
+    card = postfx.Frame({postfx.Role.COLOUR: np.full((180, 320, 3), 0.18, np.float32)})
+    shown = postfx.Pipeline(view, device, float(error))(card)[postfx.Role.COLOUR]
+    assert Response(Board(view, device=device)).ev_of(float(shown.mean())) == pytest.approx(error, abs=0.05)
 
 
 def test_errors_between_the_samples_of_the_response_are_named_too(device: Device) -> None:
@@ -211,6 +219,16 @@ def test_auto_exposure_that_comes_late(device: Device) -> None:
 def test_no_frame_is_an_error(device: Device) -> None:
     with pytest.raises(ExposureError, match="no frame"):
         debug([], [ToneMap()], device=device)
+
+
+@pytest.mark.parametrize("error", (-2.0, -0.25, 0.25, 1.5))
+@pytest.mark.parametrize("name", ("living_room", "staircase", "garage"))
+def test_errors_on_noisy_renders_are_named(name: str, error: float, shared_dir, device: Device) -> None:
+    frames = list(colours_of(postfx.read_sequence(shared_dir / "sequences" / name / "noisy.####.exr")))
+    right = np.mean([measure(frame[postfx.Role.COLOUR]) for frame in frames])
+    report = debug(frames, [ToneMap()], right + error, device=device)
+    assert report.verdict == ("too bright" if error > 0 else "too dark")
+    assert report.shots[0].mismatch_ev == pytest.approx(error, abs=0.05)
 
 
 @pytest.mark.parametrize("name", ("living_room", "staircase", "garage"))

@@ -35,9 +35,15 @@ def test_between_the_bands_it_is_grey(signal):
 
 
 def test_mid_grey_is_green_in_log_c():
-    """Values of ARRI's table for EI 800."""
-    np.testing.assert_allclose(log_c(np.array([0.0, 0.18, 1.0])), [0.0928, 0.3910, 0.5708], atol=2e-4)
-    assert shade(float(log_c(np.array([0.18]))[0])) == COLOURS["18 % mid grey"]
+    """By the manual it is at 400 of 1023."""
+    signal = float(log_c(np.array([0.18]))[0])
+    assert signal == pytest.approx(400 / 1023, abs=5e-4) and shade(signal) == COLOURS["18 % mid grey"]
+
+
+def test_log_c_is_that_of_another_implementation():
+    encode = pytest.importorskip("colour").models.log_encoding_ARRILogC3
+    linear = np.concatenate([np.linspace(0, 0.02, 50), np.geomspace(0.02, 50, 50)])
+    np.testing.assert_allclose(log_c(linear), encode(linear), atol=1e-5)
 
 
 def test_what_is_not_a_number_is_black():
