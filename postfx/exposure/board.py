@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from postfx.exposure.views import luma
 from postfx.frame import Frame, Role
 from postfx.passes.base import Pass
 from postfx.passes.exposure_tool import CELLS, ExposureTool, cells
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
-LUMA = (0.2126, 0.7152, 0.0722)
 STEPS_EV = np.arange(-8.0, 8.01, 0.25)
 """Where a view's response is sampled."""
 HEIGHT = 20 * CELLS
@@ -67,5 +67,5 @@ def grey_level(picture: np.ndarray) -> float:
     """Mean of the levels of a board's two greys; picture: (height, width, 3) as it leaves the chain."""
     rows, columns = cells(*picture.shape[:2])
     dark = rows[:, None] == columns[None, :]
-    luma = picture @ np.array(LUMA)
-    return float((luma[dark].mean() + luma[~dark].mean()) / 2)
+    level = luma(picture)
+    return float((level[dark].mean(dtype=np.float64) + level[~dark].mean(dtype=np.float64)) / 2)
