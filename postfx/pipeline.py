@@ -9,9 +9,10 @@ from functools import cache
 import numpy as np
 
 from postfx.errors import FrameError
-from postfx.exposure import ExposureMeter
+from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes.base import Pass, PassContractError, ResidentFrame
+from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skipped, Step, make_plan
 from postfx.runtime import CommandBuffer, Device, Tensor
 
@@ -28,7 +29,10 @@ class Pipeline:
     Args:
         passes: in the order in which they run; those that would change nothing are skipped.
         device: where to run; default: one device shared by the process.
-        exposure: 'auto', 'metadata' or a number of stops, see `postfx.exposure.ExposureMeter`.
+        exposure: 'auto', 'metadata' or a number of stops, see `postfx.exposure.ExposureMeter`; or a meter, such as a
+            `postfx.exposure.SmoothExposure` of the whole sequence.
+
+    Where POSTFX_EXPOSURE_TOOL is 1 in the environment, `postfx.passes.exposure_tool` covers the upscaler's output.
 
     Attributes:
         plan: the plan of the last frame, None before the first.
@@ -37,14 +41,17 @@ class Pipeline:
     """
 
     def __init__(
-        self, passes: Sequence[Pass], device: Device | None = None, exposure: str | float = "auto"
+        self,
+        passes: Sequence[Pass],
+        device: Device | None = None,
+        exposure: str | float | ExposureMeter | SmoothExposure = "auto",
     ) -> None:
-        self.passes = tuple(passes)
+        self.passes = with_tool(tuple(passes))
         self.device = device if device is not None else default_device()
         self.plan: Plan | None = None
         self.timings: dict[str, float] = {}
         self.exposure: float | None = None
-        self._meter = ExposureMeter(exposure)
+        self._meter = exposure if callable(exposure) else ExposureMeter(exposure)
         self._copies: dict[str, Tensor] = {}  # of planes, on devices whose memory the host does not share
 
     def __call__(self, frame: Frame) -> Frame:

@@ -11,10 +11,11 @@ from typing import Any
 
 import torch
 
-from training.export import export, parser, read_quality, write_card
+from postfx.kernels.checkerboard import CHECKERBOARD
+from training.export import export, export_kernel, parser, read_quality, write_card
 from training.looks import Look, find_look
 from training.networks.hdrnet import SHAPER, SIDE, TOE, WHITE, HDRNet, default_params
-from training.networks.tonemap_kernels import EncodeSrgb, Lowres, SliceApply, Smooth
+from training.networks.tonemap_kernels import Checkerboard, EncodeSrgb, Lowres, SliceApply, Smooth
 
 IMAGE = {0: torch.export.Dim("height", min=1), 1: torch.export.Dim("width", min=1)}
 
@@ -32,6 +33,7 @@ def export_kernels(folder: Path) -> None:
     export(Smooth(), (grid, grid.clone(), torch.ones(1)), reads, ["result"], folder / "smooth.onnx")
     reads, exposure = ["colour", "exposure"], torch.ones(1)
     export(EncodeSrgb(), (colour, exposure), reads, ["output"], folder / "encode_srgb.onnx", [IMAGE, None])
+    export_kernel(CHECKERBOARD, Checkerboard(), {"height": 9, "width": 16}, folder)
 
 
 def card(checkpoint: dict[str, Any], tag: str, look: Look, quality: dict[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from postfx.cli.capture import FrameCapture
 from postfx.cli.progress import FrameProgress
 from postfx.cli.summary import Report
 from postfx.errors import GuideError, WriteError
+from postfx.exposure import SMOOTH, SmoothExposure, colours_of
 from postfx.frame import Frame, FrameSpec
 from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
@@ -52,7 +53,9 @@ class Job:
         if self.outputs and not arguments.explain:
             self.outputs.check(self.sequence.numbers)
         self.left_out: list[Skipped] = []
-        self.pipeline = Pipeline(self._passes(arguments), device, arguments.exposure)
+        self._smooth = arguments.exposure == SMOOTH
+        exposure = SmoothExposure(colours_of(self.sequence)) if self._smooth else arguments.exposure
+        self.pipeline = Pipeline(self._passes(arguments), device, exposure)
         self.plan = self.pipeline.explain(self._first_spec())
         self._preroll, self._scale = arguments.preroll, arguments.scale
         self._capture = FrameCapture(arguments, device)
@@ -84,6 +87,8 @@ class Job:
             with FrameProgress(len(self.sequence)) as progress, WriteBehind() as behind:
                 if self.plan.steps and is_first_run():
                     progress.note("compiling kernels for this processor: some ten seconds, on the first run only")
+                if self._smooth:
+                    progress.note("metering all frames first, for --exposure smooth")
                 works = self._schedule(self.outputs, progress)
                 self._capture.choose([work.number for work in works])
                 for work, frame in read_ahead(works, self._read):

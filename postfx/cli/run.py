@@ -30,6 +30,10 @@ examples:
   postfx run shot/noisy.####.exr --explain
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-frame 5
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-network
+  postfx run shot/noisy.####.exr -o out/picture.####.png --exposure smooth
+  POSTFX_EXPOSURE_TOOL=1 postfx run shot/noisy.####.exr -o out/grey.####.exr
+
+POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx exposure --help'.
 
 exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 130 interrupted
 """
@@ -109,8 +113,9 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--exposure",
         default="auto",
-        metavar="auto|metadata|EV",
-        help="metered on the picture, from the header (postfx:exposure), or a number of stops (default: auto)",
+        metavar="auto|smooth|metadata|EV",
+        help="metered on the pictures so far, on the whole sequence in a pass before (steadier), from the header "
+        "(postfx:exposure), or a number of stops (default: auto)",
     )
 
 

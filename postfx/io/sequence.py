@@ -59,8 +59,12 @@ class Sequence:
         return len(self.numbers)
 
     def __iter__(self) -> Iterator[Frame]:
-        self._last = None
+        self.rewind()
         return (self.read(number) for number in self.numbers)
+
+    def rewind(self) -> None:
+        """The next frame that is read is no cut, whatever was read before."""
+        self._last = None
 
     def before(self, number: int, count: int) -> list[int]:
         """Up to `count` frames that lead to a frame without a hole between them, on the disk and in order."""

@@ -11,7 +11,7 @@ from postfx.cli.main import main
 
 
 def test_help_has_examples_for_every_verb(capsys):
-    for verb in ("run", "inspect", "models", "capture-compare"):
+    for verb in ("run", "inspect", "exposure", "models", "capture-compare"):
         try:
             main([verb, "--help"])
         except SystemExit as exit:

@@ -6,6 +6,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from postfx.kernels.checkerboard import CHECKERBOARD
 from postfx.kernels.encode_srgb import ENCODE_SRGB
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.lowres import LOWRES
@@ -25,6 +26,7 @@ DEFINITIONS = {
     LOWRES: tonemap_kernels.Lowres,
     SMOOTH: tonemap_kernels.Smooth,
     ENCODE_SRGB: tonemap_kernels.EncodeSrgb,
+    CHECKERBOARD: tonemap_kernels.Checkerboard,
 }
 CASES = [
     pytest.param(kernel, height, width, id=f"{kernel.name}-{height}x{width}")

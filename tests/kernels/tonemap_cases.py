@@ -6,20 +6,21 @@ import math
 
 import numpy as np
 
+from postfx.kernels.checkerboard import CHECKERBOARD, turns
 from postfx.kernels.encode_srgb import ENCODE_SRGB
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import KNOTS, SLICE_APPLY
 from postfx.kernels.smooth import GRID, SMOOTH
 
-KERNELS = (SLICE_APPLY, LOWRES, SMOOTH, ENCODE_SRGB)
+KERNELS = (SLICE_APPLY, LOWRES, SMOOTH, ENCODE_SRGB, CHECKERBOARD)
 SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
 SHAPER = (2.0**-8, 1.0 / math.log2(1.0 + 2.0**16))  # toe, and the scale by which 2^8 becomes 1
 
 
 def sizes(kernel: Kernel) -> tuple[tuple[int, int], ...]:
     """Heights and widths that a kernel is run at; one where it does not see the picture."""
-    return SIZES if "colour" in kernel.reads else SIZES[:1]
+    return SIZES if any("height" in shape for shape in kernel.shapes.values()) else SIZES[:1]
 
 
 def hdr(height: int, width: int) -> np.ndarray:
@@ -50,5 +51,8 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
         "previous": random.normal(0, 1, GRID),
         "current": random.normal(0, 1, GRID),
         "keep": np.array([0.3]),
+        "rows": turns(height, 6.5),
+        "columns": turns(width, 6.5),
+        "greys": np.array([0.15, 0.21]),
     }
     return {name: np.ascontiguousarray(values[name], np.float32) for name in kernel.reads}

@@ -44,3 +44,11 @@ class EncodeSrgb(nn.Module):
         x = torch.where(x > 0, x, torch.zeros_like(x)).clamp_max(1.0)  # NaN compares false
         bright = 1.055 * x.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
         return torch.where(x <= 0.0031308, 12.92 * x, bright)
+
+
+class Checkerboard(nn.Module):
+    """rows (H,), columns (W,), greys (2,) -> output (H,W,3): the first grey where row and column are the same."""
+
+    def forward(self, rows: torch.Tensor, columns: torch.Tensor, greys: torch.Tensor) -> torch.Tensor:
+        grey = torch.where(rows[:, None] == columns[None, :], greys[0], greys[1])
+        return grey[:, :, None].repeat(1, 1, 3)

@@ -84,11 +84,15 @@ class ExposureMeter:
         return self._ev if self._ev is not None else 0.0
 
 
+def frame_rate(frame: Frame) -> float:
+    """Frames per second by the header, else 24."""
+    rate = frame.metadata.get("framesPerSecond", FRAMES_PER_SECOND)
+    return float(rate) if isinstance(rate, int | float) and rate > 0 else FRAMES_PER_SECOND
+
+
 def _share(frame: Frame, brighter: bool) -> float:
     """How much of the way to the wanted EV one frame goes."""
-    rate = frame.metadata.get("framesPerSecond", FRAMES_PER_SECOND)
-    rate = float(rate) if isinstance(rate, int | float) and rate > 0 else FRAMES_PER_SECOND
-    return 1.0 - math.exp(-1.0 / (rate * (BRIGHTEN_SECONDS if brighter else DARKEN_SECONDS)))
+    return 1.0 - math.exp(-1.0 / (frame_rate(frame) * (BRIGHTEN_SECONDS if brighter else DARKEN_SECONDS)))
 
 
 def _fixed_ev(mode: str | float) -> float:
@@ -97,7 +101,9 @@ def _fixed_ev(mode: str | float) -> float:
     except ValueError:
         ev = math.nan
     if not abs(ev) <= 64:
-        raise ExposureError(f"exposure '{mode}': use auto, metadata or a number of stops (EV) within -64..64")
+        raise ExposureError(
+            f"exposure '{mode}': use auto, metadata or a number of stops (EV) within -64..64; for sequences smooth too"
+        )
     return ev
 
 

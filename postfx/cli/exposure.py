@@ -1,0 +1,72 @@
+"""`postfx exposure`: is the exposure of a sequence right, steady, and applied as told."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+HELP = "measure whether the exposure is right and steady"
+DESCRIPTION = """\
+Measure the exposure of a sequence where it is seen: a grey checkerboard, divided by the exposure that would be right,
+goes through the tone mapper with the exposure that the run uses. Right, it is a steady mid grey. The level that comes
+out tells by how many stops the exposure is off, frame by frame and shot by shot (from cut to cut), whether it drifts,
+what would be right, and which mistake fits: exposure multiplied in already, not passed on, inverted, in stops, late or
+feeding back.
+
+The board covers the picture, so the denoiser does not run: a frame takes the time to read its colour.
+
+For a tone mapper outside postfx, run 'POSTFX_EXPOSURE_TOOL=1 postfx run ...': the frames then hold the checkerboard,
+divided by the exposure of each, and must look mid grey and steady at the end of your chain.
+"""
+EXAMPLES = """\
+examples:
+  postfx exposure shot/noisy.####.exr
+  postfx exposure shot/noisy.####.exr --exposure metadata --curve curve.png
+  postfx exposure shot/noisy.####.exr --exposure 1.5 --reference metadata
+  postfx exposure shot/noisy.####.exr --views look/
+  postfx exposure shot/noisy.####.exr --exposure auto --json
+
+exit codes: 0 right; 1 too dark, too bright or drifting; 2 an error that its message says how to mend
+"""
+MODES = "auto|smooth|metadata|EV"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this verb's arguments."""
+    parser.add_argument("input", metavar="INPUT", help="pattern, folder or file, as for 'postfx run'")
+    parser.add_argument("--frames", metavar="RANGE", help="frames to measure, e.g. 1-100")
+    parser.add_argument(
+        "--exposure", default="auto", metavar=MODES, help="what is under test, as for 'postfx run' (default: auto)"
+    )
+    parser.add_argument(
+        "--reference",
+        default="smooth",
+        metavar=MODES,
+        help="what would be right (default: smooth, metered on the pictures); give an EV or metadata where the "
+        "exposure is an author's choice",
+    )
+    tonemap = parser.add_mutually_exclusive_group()
+    tonemap.add_argument("--tonemap", metavar="TAG", help="look of the tone mapper (default: as 'postfx run')")
+    tonemap.add_argument("--no-tonemap", action="store_true", help="only expose, clip and encode")
+    parser.add_argument("--curve", metavar="PNG", help="write a picture of the exposure over the sequence")
+    parser.add_argument(
+        "--views",
+        metavar="DIR",
+        help="write curve.png and, of each frame, denoised and exposed as under test: ARRI false colour of the Log C "
+        "signal (log_c) and of the display's (display), and zebra at 95 %%; takes the time of a run",
+    )
+    parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Measure a sequence; returns the exit code."""
+    from postfx.cli.exposure_check import ExposureCheck  # loads the runtime, which --help must not wait for
+
+    check = ExposureCheck(arguments)
+    print(json.dumps(check.as_dict()) if arguments.json else check.text())
+    for path in check.write_pictures():
+        print(f"wrote    {path}", file=sys.stderr)
+    return 0 if check.is_right else 1
