@@ -3,18 +3,7 @@
 docs/integration.md goes through all of it; samples/ray_caster.py is a renderer that uses it.
 """
 
-from postfx.integrate.camera import (
-    IntegrationError,
-    depth_of,
-    perspective,
-    pixel_positions,
-    positions_from_depth,
-    project,
-    view_rays,
-    with_jitter,
-    without_jitter,
-)
-from postfx.integrate.depth import (
+from postfx.depth import (
     depth_from_device,
     depth_from_normalised,
     depth_from_ray,
@@ -25,6 +14,17 @@ from postfx.integrate.depth import (
     normals_to_camera,
     normals_to_world,
     ray_from_depth,
+)
+from postfx.integrate.camera import (
+    IntegrationError,
+    depth_of,
+    perspective,
+    pixel_positions,
+    positions_from_depth,
+    project,
+    view_rays,
+    with_jitter,
+    without_jitter,
 )
 from postfx.integrate.materials import (
     diffuse_albedo,

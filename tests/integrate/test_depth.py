@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postfx import integrate
-from postfx.integrate.depth import DepthError
+from postfx.depth import DepthError
 from tests.integrate.pinhole import Pinhole, turned
 
 NEAR, FAR = 0.1, 250.0

@@ -60,17 +60,19 @@ def depth_from_normalised(normalised: np.ndarray, near: float, far: float, rever
 
 
 def depth_from_ray(
-    distance: np.ndarray, fov_x: float, jitter: Sequence[float] = (0.0, 0.0), pixel_aspect: float = 1.0
+    distance: np.ndarray, fov_x: float, jitter: Sequence[float] = (0.0, 0.0), pixel_aspect: float = 1.0,
+    first: int = 0, height: int | None = None,
 ) -> np.ndarray:
     """Depth along the view axis from the distance to the eye; misses (1e10 and more, not finite) become 1e10.
 
     distance: (height, width) or (height, width, 1). fov_x: horizontal field of view in degrees, the view axis in the
-    middle of the picture. jitter: sample position minus 0.5, pixels. depth = distance * cosine to the view axis.
-    DepthError for an angle outside 0..180.
+    middle of the picture. jitter: sample position minus 0.5, pixels. Of a frame of another `height` these are the rows
+    from the `first` on. depth = distance * cosine to the view axis. DepthError for an angle outside 0..180.
     """
     distance = np.asarray(distance, np.float64)
     hit = np.isfinite(distance) & (distance < DEPTH_MISS)
-    return np.where(hit, distance * _cosines(distance.shape, fov_x, jitter, pixel_aspect), DEPTH_MISS)
+    cosines = _cosines(distance.shape, fov_x, jitter, pixel_aspect, first, height)
+    return np.where(hit, distance * cosines, DEPTH_MISS)
 
 
 def ray_from_depth(
@@ -115,15 +117,19 @@ def normals_from_encoded(encoded: np.ndarray) -> np.ndarray:
     return np.where(missed, 0, 2 * encoded - 1)
 
 
-def _cosines(shape: tuple[int, ...], fov_x: float, jitter: Sequence[float], pixel_aspect: float) -> np.ndarray:
+def _cosines(
+    shape: tuple[int, ...], fov_x: float, jitter: Sequence[float], pixel_aspect: float, first: int = 0,
+    height: int | None = None,
+) -> np.ndarray:
     """Cosine between each pixel's ray and the view axis, shaped to multiply a plane."""
     if not 0 < fov_x < 180:
         raise DepthError(f"field of view {fov_x:g}: give degrees between 0 and 180")
-    height, width = shape[:2]
+    rows, width = shape[:2]
+    height = rows if height is None else height
     step = 2 * math.tan(math.radians(fov_x) / 2) / width
     x = (np.arange(width) + 0.5 + jitter[0] - width / 2) * step
-    y = (np.arange(height) + 0.5 + jitter[1] - height / 2) * step / pixel_aspect
-    return (1 / np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)).reshape(height, width, *shape[2:])
+    y = (np.arange(first, first + rows) + 0.5 + jitter[1] - height / 2) * step / pixel_aspect
+    return (1 / np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)).reshape(rows, width, *shape[2:])
 
 
 def _inverse_planes(near: float, far: float) -> tuple[float, float]:
