@@ -41,7 +41,7 @@ class Picture(NamedTuple):
 
     Attributes:
         light: (2, rows, columns) log2 of the light of both halves of each cell, without layout.
-        guides: role -> (rows, columns, channels), without layout: diffuse albedo, normal, log2 of depth.
+        guides: role -> (rows, columns, channels) with layout: diffuse albedo, normal, log2 of depth.
         motion: (rows, columns, 2) in cells, or None.
     """
 
@@ -108,8 +108,7 @@ def _picture(frame: Frame) -> Picture | None:
     motion = None
     if Role.MOTION in frame:
         motion = frame[Role.MOTION][block // 2 :: block, block // 2 :: block][:rows, :columns].astype(float) / block
-    banded = {role: _band(np.nan_to_num(plane)) for role, plane in guides.items()}
-    return Picture(np.moveaxis(_band(np.moveaxis(light, 0, 2)), 2, 0), banded, motion)
+    return Picture(np.moveaxis(_band(np.moveaxis(light, 0, 2)), 2, 0), guides, motion)
 
 
 def _cells(plane: np.ndarray, block: int) -> np.ndarray:
@@ -117,7 +116,8 @@ def _cells(plane: np.ndarray, block: int) -> np.ndarray:
     rows, columns = (side // block for side in plane.shape[:2])
     near = block // 4
     places = [(y, x) for y in (near, block - 1 - near) for x in (near, block - 1 - near)]
-    return sum(plane[y::block, x::block][:rows, :columns].astype(np.float64) for y, x in places) / len(places)
+    cells = sum(plane[y::block, x::block][:rows, :columns].astype(np.float64) for y, x in places) / len(places)
+    return np.nan_to_num(cells)
 
 
 def _log_depth(depth: np.ndarray) -> np.ndarray:
@@ -159,7 +159,7 @@ def _compared(before: Picture, now: Picture, motion: np.ndarray) -> float | None
     if light is not None and light >= RELATED:
         return light
     guides = [
-        _correlation(_at(before.guides[role], x, y), plane[inside], LEAST_SPREAD[role])
+        _correlation(_at(_band(before.guides[role]), x, y), _band(plane)[inside], LEAST_SPREAD[role])
         for role, plane in now.guides.items()
         if role in before.guides
     ]

@@ -2,8 +2,8 @@
 
 python samples/ray_caster.py [OUTPUT_FOLDER] [--frames 8] [--samples 2] [--size 240x136] [--reference FRAMES]
 
-A textured ball rolls over a chequered floor between a rough copper ball and a flat mirror; the camera moves. --reference
-also renders frames such as 8 at twice the size with 64 samples spread over the pixel, to measure against.
+A textured ball rolls over a chequered floor between a rough copper ball and a flat mirror; the camera moves.
+--reference also renders frames such as 8 at twice the size, 64 samples spread over the pixel, to measure against.
 """
 import argparse
 import math

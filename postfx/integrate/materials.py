@@ -24,10 +24,9 @@ def specular_albedo(f0: np.ndarray, roughness: np.ndarray, cosine: np.ndarray) -
     The split sum f0 * scale + bias for GGX with Smith masking and Schlick's Fresnel, in the rational fit of Hirvonen et
     al. 2019, "Accurate Real-Time Specular Reflections with Radiance Caching" (Ray Tracing Gems, chapter 32, equation
     4). For roughness and cosine from 0.05 to 1 it lies within 0.039 of the integral with separable masking, which was
-    computed from 1.4 million directions; the mean error is 0.007. A renderer with height-correlated masking
-    reflects more where rough surfaces are seen at grazing angles: up to
-    0.13 more for cosines from 0.2. Light that bounces between microfacets is not in it. f0 below 0.02 fades to no
-    reflection at all.
+    computed from 1.4 million directions; the mean error is 0.007. A renderer with height-correlated masking reflects
+    more where rough surfaces are seen at grazing angles: up to 0.13 more for cosines from 0.2. Light that bounces
+    between microfacets is not in it. f0 below 0.02 fades to no reflection at all.
     """
     f0 = np.asarray(f0, np.float64)
     alpha, cosine = _channel(roughness) ** 2, np.abs(_channel(cosine))

@@ -21,9 +21,8 @@ def mirrored_positions(positions: np.ndarray, mirror: np.ndarray, mirror_normals
     """Virtual positions (..., 3): where a flat mirror seems to show what is at `positions`.
 
     mirror: a point of the mirror, where the view ray hit it; mirror_normals: unit normals there.
-    p - 2 ((p - mirror) . n) n. With several mirrors on the way, begin with the last. Their depth is `depth_of` of
-    the virtual positions. For a
-    curved mirror it is that of the tangent plane, and `unfolded_positions` is steadier.
+    p - 2 ((p - mirror) . n) n. With several mirrors on the way, begin with the last. Their depth is `depth_of` of the
+    virtual positions. For a curved mirror it is that of the tangent plane, and `unfolded_positions` is steadier.
     """
     positions, normals = np.asarray(positions, np.float64), np.asarray(mirror_normals, np.float64)
     return positions - 2 * _dot(positions - mirror, normals) * normals
