@@ -165,7 +165,7 @@ def read_sequence(
     Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError or
     ReadError.
     """
-    return Sequence(pattern, frames, profile, planes, guides, depth, cuts)
+    return Sequence(pattern, frames, profile, planes, guides, depth=depth, cuts=cuts)
 
 
 def _locate(source: str) -> tuple[Pattern, list[int] | None]:

@@ -51,6 +51,8 @@ def test_ray_distance_is_the_length_of_the_ray():
     distance = np.linalg.norm(depth[..., None] * rays, axis=-1)
     np.testing.assert_allclose(integrate.depth_from_ray(distance, camera.fov_x, jitter), depth)
     np.testing.assert_allclose(integrate.ray_from_depth(depth[..., None], camera.fov_x, jitter)[..., 0], distance)
+    rows = integrate.depth_from_ray(distance[5:9], camera.fov_x, jitter, first=5, height=len(distance))
+    np.testing.assert_allclose(rows, depth[5:9])
     distance[0, 0], distance[0, 1] = np.inf, 1e10
     assert (integrate.depth_from_ray(distance, camera.fov_x)[0, :2] == 1e10).all()
 
