@@ -2,7 +2,7 @@
 
 Two pictures are related when what they show at corresponding places goes up and down together. They are compared on a
 coarse grid, after taking away what is wider than a fifth of the picture: sky above ground is common to unrelated
-pictures. A correlation near 1 means the same scene; a changing exposure does not count. The noise of the colour is
+pictures. A correlation near 1 means the same scene; a changing exposure does not count. The noise of a plane is
 measured in each frame by its two halves, and what it takes from the correlation is given back (Spearman 1904,
 correction for attenuation). Frames without evidence count as related.
 """
@@ -26,7 +26,7 @@ LEAST_COMPARED = 48  # cells; fewer do not tell one picture from another
 LEAST_OVERLAP = 0.1  # of the cells that must lead into the frame before
 BAND = 17  # cells; what is wider is layout
 SMOOTH = 3
-LEAST_RELIABILITY = 0.5  # share of the light's variance that is no noise
+LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
 FLOOR = 1e-2  # of the mean light: what is darker than this is just black
 LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors, doublings."""
@@ -40,8 +40,8 @@ class Picture(NamedTuple):
     """One frame on the coarse grid.
 
     Attributes:
-        light: (2, rows, columns) log2 of the light of both halves of each cell, without layout.
-        guides: role -> (rows, columns, channels) with layout: diffuse albedo, normal, log2 of depth.
+        light: (rows, columns, 2) log2 of the light of both halves of each cell, without layout.
+        guides: role -> (rows, columns, 2, channels) with layout: diffuse albedo, normal, log2 of depth.
         motion: (rows, columns, 2) in cells, or None.
     """
 
@@ -84,7 +84,7 @@ def relation(before: Picture, now: Picture) -> float | None:
     By the motion vectors; where they do not lead to what is shown, which may be their fault, without motion as well.
     Frames that have none are compared without motion, then shifted as a whole by what fits best.
     """
-    still = np.zeros((*now.light.shape[1:], 2))
+    still = np.zeros_like(now.light)
     first = _compared(before, now, still if now.motion is None else now.motion)
     if first is None or first >= RELATED:
         return first
@@ -108,16 +108,18 @@ def _picture(frame: Frame) -> Picture | None:
     motion = None
     if Role.MOTION in frame:
         motion = frame[Role.MOTION][block // 2 :: block, block // 2 :: block][:rows, :columns].astype(float) / block
-    return Picture(np.moveaxis(_band(np.moveaxis(light, 0, 2)), 2, 0), guides, motion)
+    return Picture(_band(np.moveaxis(light, 0, 2)), guides, motion)
 
 
 def _cells(plane: np.ndarray, block: int) -> np.ndarray:
-    """(rows, columns, channels): mean of four pixels of each whole block, which is enough for planes without noise."""
+    """(rows, columns, 2, channels): means of two pairs of pixels of each whole block; such planes have little noise."""
     rows, columns = (side // block for side in plane.shape[:2])
     near = block // 4
-    places = [(y, x) for y in (near, block - 1 - near) for x in (near, block - 1 - near)]
-    cells = sum(plane[y::block, x::block][:rows, :columns].astype(np.float64) for y, x in places) / len(places)
-    return np.nan_to_num(cells)
+    far = block - 1 - near
+    corners = [(y, x) for y in (near, far) for x in (near, far)]
+    at = {(y, x): plane[y::block, x::block][:rows, :columns].astype(np.float64) for y, x in corners}
+    halves = (at[near, near] + at[far, far]) / 2, (at[near, far] + at[far, near]) / 2
+    return np.nan_to_num(np.stack(halves, axis=2))
 
 
 def _log_depth(depth: np.ndarray) -> np.ndarray:
@@ -128,7 +130,7 @@ def _log_depth(depth: np.ndarray) -> np.ndarray:
 
 
 def _band(planes: np.ndarray) -> np.ndarray:
-    """(rows, columns, channels) without the finest noise and without what is wide."""
+    """(rows, columns, ...) without the finest noise and without what is wide."""
     return _box(planes, SMOOTH) - _box(planes, BAND)
 
 
@@ -155,11 +157,11 @@ def _compared(before: Picture, now: Picture, motion: np.ndarray) -> float | None
     if inside.sum() < max(LEAST_COMPARED, LEAST_OVERLAP * inside.size):
         return 0.0
     x, y = x[inside], y[inside]
-    light = _light_correlation(_at(np.moveaxis(before.light, 0, 2), x, y), np.moveaxis(now.light, 0, 2)[inside])
+    light = _true_correlation(_at(before.light, x, y)[..., None], now.light[inside][..., None], LEAST_SPREAD["light"])
     if light is not None and light >= RELATED:
         return light
     guides = [
-        _correlation(_at(_band(before.guides[role]), x, y), _band(plane)[inside], LEAST_SPREAD[role])
+        _true_correlation(_at(_band(before.guides[role]), x, y), _band(plane)[inside], LEAST_SPREAD[role])
         for role, plane in now.guides.items()
         if role in before.guides
     ]
@@ -168,18 +170,18 @@ def _compared(before: Picture, now: Picture, motion: np.ndarray) -> float | None
     return max(values) if values else None
 
 
-def _light_correlation(before: np.ndarray, now: np.ndarray) -> float | None:
-    """Correlation of the light (cells, 2 halves) of two frames as it would be without noise; None in too much noise."""
-    reliability = min(_reliability(before), _reliability(now))
-    raw = _correlation(before.mean(axis=1, keepdims=True), now.mean(axis=1, keepdims=True), LEAST_SPREAD["light"])
-    if raw is None or reliability < LEAST_RELIABILITY:
+def _true_correlation(before: np.ndarray, now: np.ndarray, least_spread: float) -> float | None:
+    """Correlation of (cells, 2 halves, channels) as it would be without noise; None where there is little else."""
+    reliabilities = _reliability(before), _reliability(now)
+    raw = _correlation(before.mean(axis=1), now.mean(axis=1), least_spread)
+    if raw is None or min(reliabilities) < LEAST_RELIABILITY:
         return None
-    return raw / math.sqrt(_reliability(before) * _reliability(now))
+    return raw / math.sqrt(reliabilities[0] * reliabilities[1])
 
 
 def _reliability(halves: np.ndarray) -> float:
     """Share of the variance of the mean of two halves that is not noise (Spearman-Brown)."""
-    between = _correlation(halves[:, :1], halves[:, 1:], 0.0) or 0.0
+    between = _correlation(halves[:, 0], halves[:, 1], 0.0) or 0.0
     return max(2 * between / (1 + between), 0.0)
 
 
@@ -193,17 +195,17 @@ def _correlation(a: np.ndarray, b: np.ndarray, least_spread: float) -> float | N
 
 
 def _at(planes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bilinear samples (cells, channels) of (rows, columns, channels) at places inside."""
+    """Bilinear samples (cells, ...) of (rows, columns, ...) at places inside."""
     i, j = np.minimum(x.astype(int), planes.shape[1] - 2), np.minimum(y.astype(int), planes.shape[0] - 2)
-    u, v = (x - i)[:, None], (y - j)[:, None]
+    u, v = (value.reshape(-1, *[1] * (planes.ndim - 2)) for value in (x - i, y - j))
     upper = planes[j, i] * (1 - u) + planes[j, i + 1] * u
     return upper * (1 - v) + (planes[j + 1, i] * (1 - u) + planes[j + 1, i + 1] * u) * v
 
 
 def _shift(before: Picture, now: Picture) -> np.ndarray:
     """Shift (2,) in whole cells, x and y, up to half the picture, that fits its light best (cross-correlation)."""
-    rows, columns = now.light.shape[1:]
-    spectra = [np.fft.rfft2(picture.light.mean(axis=0), (2 * rows, 2 * columns)) for picture in (before, now)]
+    rows, columns = now.light.shape[:2]
+    spectra = [np.fft.rfft2(picture.light.mean(axis=2), (2 * rows, 2 * columns)) for picture in (before, now)]
     match = np.fft.irfft2(spectra[0] * np.conj(spectra[1]), (2 * rows, 2 * columns))
     match = np.fft.fftshift(match)[rows - rows // 2 : rows + rows // 2 + 1, columns - columns // 2 :][:, : columns + 1]
     y, x = np.unravel_index(match.argmax(), match.shape)
