@@ -119,7 +119,7 @@ def _cells(plane: np.ndarray, block: int) -> np.ndarray:
     corners = [(y, x) for y in (near, far) for x in (near, far)]
     at = {(y, x): plane[y::block, x::block][:rows, :columns].astype(np.float64) for y, x in corners}
     halves = (at[near, near] + at[far, far]) / 2, (at[near, far] + at[far, near]) / 2
-    return np.nan_to_num(np.stack(halves, axis=2))
+    return np.nan_to_num(np.stack(halves, axis=2), posinf=0, neginf=0)
 
 
 def _log_depth(depth: np.ndarray) -> np.ndarray:
