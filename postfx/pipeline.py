@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from postfx.cuts import CutDetector, CutError
 from postfx.errors import FrameError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import Frame, FrameSpec, Role
@@ -31,6 +32,8 @@ class Pipeline:
         device: where to run; default: one device shared by the process.
         exposure: 'auto', 'metadata' or a number of stops, see `postfx.exposure.ExposureMeter`; or a meter, such as a
             `postfx.exposure.SmoothExposure` of the whole sequence.
+        cuts: 'auto' drops the history also before frames that are unrelated to the one before, as
+            `postfx.cuts.CutDetector` finds them; 'none' only before frames marked with `frame.reset`.
 
     Where POSTFX_EXPOSURE_TOOL is 1 in the environment, `postfx.passes.exposure_tool` covers the upscaler's output.
 
@@ -38,6 +41,7 @@ class Pipeline:
         plan: the plan of the last frame, None before the first.
         timings: pass name -> milliseconds on the device, of the last frame.
         exposure: multiplier used for the last frame; None before the first and when no pass ran.
+        cut: whether the last frame was found to begin another shot.
     """
 
     def __init__(
@@ -45,13 +49,18 @@ class Pipeline:
         passes: Sequence[Pass],
         device: Device | None = None,
         exposure: str | float | ExposureMeter | SmoothExposure = "auto",
+        cuts: str = "auto",
     ) -> None:
+        if cuts not in ("auto", "none"):
+            raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are known")
         self.passes = with_tool(tuple(passes))
         self.device = device if device is not None else default_device()
         self.plan: Plan | None = None
         self.timings: dict[str, float] = {}
         self.exposure: float | None = None
+        self.cut = False
         self._meter = exposure if callable(exposure) else ExposureMeter(exposure)
+        self._detector = CutDetector() if cuts == "auto" else None
         self._copies: dict[str, Tensor] = {}  # of planes, on devices whose memory the host does not share
 
     def __call__(self, frame: Frame) -> Frame:
@@ -63,8 +72,11 @@ class Pipeline:
         """
         plan = self._planned(frame.spec)
         if not plan.steps:
-            self.timings, self.exposure = {}, None
+            self.timings, self.exposure, self.cut = {}, None, False
             return dataclasses.replace(frame)
+        self.cut = self._is_cut(frame)
+        if self.cut:
+            frame = dataclasses.replace(frame, reset=True)
         if frame.reset:
             self._reset_passes()
         self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
@@ -99,7 +111,12 @@ class Pipeline:
     def reset(self) -> None:
         """Drop all history: the next frame is treated as the first of a sequence."""
         self._meter.reset()
+        if self._detector:
+            self._detector.reset()
         self._reset_passes()
+
+    def _is_cut(self, frame: Frame) -> bool:
+        return self._detector is not None and frame.encoding == "scene-linear" and self._detector(frame)
 
     def _planned(self, spec: FrameSpec) -> Plan:
         if self.plan is None or self.plan.available != spec:

@@ -1,4 +1,4 @@
-"""The examples in docs/passes.md and docs/runtime.md do what their text says."""
+"""The examples in docs/passes.md, docs/runtime.md and docs/integration.md do what their text says."""
 
 import importlib
 import re
@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx import integrate, read_sequence
 from postfx.passes import registry
 from postfx.runtime import Device, Library
 
@@ -64,3 +65,21 @@ def test_the_runtime_example_runs(tmp_path, monkeypatch, capsys):
     assert names["commands"].label == "frame 5" and "0.0 % over the bound" in capsys.readouterr().out
     exec(capture, names)
     assert "prepare" in (tmp_path / "look/capture.json").read_text() and (tmp_path / "look/capture.html").is_file()
+
+
+def test_the_frame_of_the_integration_page_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(blocks("integration.md", "python")[0], names)
+    (frame,) = read_sequence("out/noisy.####.exr")
+    focal = names["width"] / 2 / np.tan(np.radians(30))
+    moved = np.float32([focal * 0.1 / 5, 0])
+    np.testing.assert_allclose(frame["motion"], np.broadcast_to(moved, frame["motion"].shape), atol=1e-3)
+
+
+def test_the_integration_page_names_every_helper():
+    page = (DOCS / "integration.md").read_text(encoding="utf-8")
+    apart = {"IntegrationError", "frame_header", "halton", "pixel_positions", "positions_from_depth", "project",
+             "view_rays", "depth_to_device", "ray_from_depth", "normals_to_camera", "fresnel_dielectric",
+             "fresnel_schlick", "roughness_from_exponent", "roughness_from_smoothness"}
+    assert [name for name in integrate.__all__ if name not in page and name not in apart] == []

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import postfx
+from postfx.cuts import CutDetector
+
 SAMPLES = Path(__file__).parent.parent / "samples"
 WRITERS = {"denoise_upscale.py": 8, "tone_map.py": 2, "pipeline.py": 8}
 
@@ -48,7 +51,18 @@ def test_memory_is_measured_within_a_budget():
     assert printed.count("256x256 model s budget") == 2
 
 
+def test_what_the_ray_caster_writes_is_right(tmp_path):
+    """The history helps, and every mistake about motion and jitter costs more than 1 dB."""
+    run("ray_caster.py", str(tmp_path), "--frames", "6", "--size", "160x90", "--reference", "6")
+    printed = run("integration_mistakes.py", str(tmp_path)).splitlines()
+    scores = {line.split(" dB  ")[1]: float(line.split()[0]) for line in printed}
+    costly = [name for name in scores if "motion" in name or "jitter" in name or "reset" in name]
+    assert len(costly) == 8 and max(scores[name] for name in costly) < scores["none"] - 1, scores
+    detector = CutDetector()
+    assert not any(detector(frame) for frame in postfx.read_sequence(tmp_path / "noisy.####.exr"))
+
+
 def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py",
-             "measure_memory.py"}
+             "measure_memory.py", "ray_caster.py", "integration_mistakes.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

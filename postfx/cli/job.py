@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from postfx.cli.capture import FrameCapture
+from postfx.cli.cuts import known_cuts
 from postfx.cli.progress import FrameProgress
 from postfx.cli.summary import Report
 from postfx.errors import GuideError, WriteError
@@ -46,8 +47,10 @@ class Job:
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         device = Device(arguments.device, arguments.threads, memory=arguments.memory)
-        self.sequence = Sequence(arguments.input, arguments.frames, arguments.profile, guides=arguments.guides,
-                                 scratch=device.scratch)
+        self.sequence = Sequence(
+            arguments.input, arguments.frames, arguments.profile, guides=arguments.guides, scratch=device.scratch,
+            depth=arguments.depth, cuts=known_cuts(arguments.cuts),
+        )
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
         if self.outputs and not arguments.explain:
@@ -55,7 +58,8 @@ class Job:
         self.left_out: list[Skipped] = []
         self._smooth = arguments.exposure == SMOOTH
         exposure = SmoothExposure(colours_of(self.sequence)) if self._smooth else arguments.exposure
-        self.pipeline = Pipeline(self._passes(arguments), device, exposure)
+        cuts = "auto" if arguments.cuts == "auto" else "none"
+        self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts)
         self.plan = self.pipeline.explain(self._first_spec())
         self._preroll, self._scale = arguments.preroll, arguments.scale
         self._capture = FrameCapture(arguments, device)
@@ -63,6 +67,7 @@ class Job:
         self._frame_ms: list[float] = []
         self._pass_ms: dict[str, list[float]] = {}
         self._chosen: dict[str, Counter[str]] = {}
+        self._cuts: list[int] = []
         self._written: list[str] = []
 
     def plan_dict(self) -> dict[str, Any]:
@@ -112,6 +117,7 @@ class Job:
             chosen={name: dict(counts) for name, counts in self._chosen.items()},
             outputs=self._written,
             guides=self._guides(),
+            cuts=self._cuts,
             capture=self._capture.page,
             error=str(failure) or "interrupted" if failure is not None else None,
         )
@@ -124,6 +130,8 @@ class Job:
     def _process(self, work: Work, frame: Frame) -> Frame:
         begin = time.perf_counter()
         result = self.pipeline(frame)
+        if self.pipeline.cut:
+            self._cuts.append(work.number)
         if work.write:
             self._note((time.perf_counter() - begin) * 1000)
         return result

@@ -123,6 +123,15 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--profile", metavar="NAME|FILE", help="how the renderer names its planes (default: found from the file)"
     )
+    group.add_argument(
+        "--depth", metavar="KIND[,NAME=NUMBER]", help="what the depth plane holds: planar, ray, device, reversed, "
+        "normalised or normalised-reversed, and near, far, fov, miss, scale; e.g. reversed,near=0.1 (default: by the "
+        "profile)",
+    )
+    group.add_argument(
+        "--cuts", default="auto", metavar="auto|none|FRAMES", help="where shots begin, so that the history is "
+        "dropped: by headers and pictures, nowhere, or at these frames, e.g. 1,48,90 (default: auto)",
+    )
     group.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
     group.add_argument(
         "--memory", metavar="SIZE",

@@ -9,6 +9,7 @@ from typing import Any
 from postfx.plan import Skipped
 
 SHOWN_FRAMES = 3
+SHOWN_CUTS = 12
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class Report:
         chosen: pass name -> what it chose (a network) -> frames, of passes that choose.
         guides: size of the planes at output size, roles that were used, and whether the output's size follows from
             them; None without guides.
+        cuts: frames at which a cut was found in the pictures.
         capture: path of the capture's page, or None.
         error: why the run ended early, or None.
     """
@@ -42,6 +44,7 @@ class Report:
     outputs: list[str]
     chosen: dict[str, dict[str, int]] = field(default_factory=dict)
     guides: dict[str, Any] | None = None
+    cuts: list[int] = field(default_factory=list)
     capture: str | None = None
     error: str | None = None
 
@@ -57,6 +60,7 @@ class Report:
             "outputs": self.outputs,
             "guides": self.guides,
             "chosen": self.chosen,
+            "cuts": self.cuts,
         }
         ends = {"capture": self.capture, "error": self.error}
         return {**result, **{name: text for name, text in ends.items() if text}}
@@ -67,6 +71,7 @@ class Report:
         lines += [f"ran      {name}: {median(times):.1f} ms a frame" for name, times in self.pass_ms.items()]
         lines += [f"chose    {name}: {_counted(counts)}" for name, counts in self.chosen.items()]
         lines += [f"guides   {self._guides_text()}"] if self.guides else []
+        lines += [f"cuts     found at {_listed(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
         lines += [f"warning  {warning}" for warning in self.warnings]
         lines += [f"capture  {self.capture}"] if self.capture else []
@@ -102,6 +107,11 @@ def _spread(times: list[float]) -> dict[str, float] | None:
     if not times:
         return None
     return {"median": round(median(times), 3), "min": round(min(times), 3), "max": round(max(times), 3)}
+
+
+def _listed(numbers: list[int]) -> str:
+    more = f" and {len(numbers) - SHOWN_CUTS} more" if len(numbers) > SHOWN_CUTS else ""
+    return ", ".join(map(str, numbers[:SHOWN_CUTS])) + more
 
 
 def _counted(counts: dict[str, int]) -> str:

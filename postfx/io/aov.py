@@ -13,6 +13,7 @@ from postfx.errors import MissingPlaneError, ReadError
 from postfx.frame import ROLES, Frame, FrameSpec, Role
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.io.convert import Camera, convert, fill_value
+from postfx.io.depth import DepthOption
 from postfx.io.exr import ImageFile, Part
 from postfx.io.guides import GuideLayout, larger_planes, planes_that_guide
 from postfx.io.layout import Header, Match, make_layout
@@ -24,7 +25,8 @@ class FrameFiles:
     """The open files of one frame. Use as a context manager.
 
     `paths` maps a plane's word ('' where one file holds all planes) to its file; `guides` likewise, where planes at
-    output size have files of their own. Else the planes that are larger than the colour are guides. Raises
+    output size have files of their own. Else the planes that are larger than the colour are guides. `depth` replaces
+    what the profile says about depth. Raises ProfileError when near, far or field of view of such a depth is missing,
     MissingFrameError or ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide.
 
     Attributes:
@@ -33,17 +35,21 @@ class FrameFiles:
     """
 
     def __init__(
-        self, paths: Mapping[str, Path], profile: str | None = None, guides: Mapping[str, Path] | None = None
+        self,
+        paths: Mapping[str, Path],
+        profile: str | None = None,
+        guides: Mapping[str, Path] | None = None,
+        depth: DepthOption | None = None,
     ) -> None:
         self._stack = ExitStack()
         try:
             self._files = {word: self._stack.enter_context(ImageFile(path)) for word, path in paths.items()}
             self.path = next(iter(self._files.values())).path
             index = ChannelIndex(self._files)
-            self.layout = make_layout(index, self._attributes(), load_profile(profile) if profile else None)
+            self.layout = make_layout(index, self._attributes(), load_profile(profile) if profile else None, depth)
             self.guides = larger_planes(self.layout)
             if guides:
-                self.guides = self._own_guides(guides, profile)
+                self.guides = self._own_guides(guides, profile, depth)
         except BaseException:
             self._stack.close()
             raise
@@ -122,8 +128,10 @@ class FrameFiles:
             merged = {**part.attributes, **merged}
         return merged
 
-    def _own_guides(self, paths: Mapping[str, Path], profile: str | None) -> GuideLayout:
-        files = self._stack.enter_context(FrameFiles(paths, profile))
+    def _own_guides(
+        self, paths: Mapping[str, Path], profile: str | None, depth: DepthOption | None
+    ) -> GuideLayout:
+        files = self._stack.enter_context(FrameFiles(paths, profile, depth=depth))
         if self.guides:
             names = ", ".join(self.guides.planes)
             self.layout.warnings.append(f"planes {names} are larger than the colour: not read beside the guides given")

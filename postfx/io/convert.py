@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from postfx.depth import depth_from_device, depth_from_normalised, depth_from_ray, normals_to_world
 from postfx.frame import DEPTH_MISS, Role
 from postfx.io.profile import PlaneRule
 
@@ -20,12 +21,15 @@ class Camera:
         fov_x: horizontal field of view in degrees, or None.
         jitter: sample position minus 0.5 in pixels, x right, y down.
         pixel_aspect: width of a pixel over its height.
+        near, far: distances of the near and far plane, or None.
     """
 
     world_to_camera: np.ndarray | None = None
     fov_x: float | None = None
     jitter: tuple[float, float] = (0.0, 0.0)
     pixel_aspect: float = 1.0
+    near: float | None = None
+    far: float | None = None
 
 
 def convert(
@@ -36,13 +40,13 @@ def convert(
     Of a plane of another `height` these are the rows from the `first` on.
     """
     height = plane.shape[0] if height is None else height
-    plane = _affine(plane, rule)
     if rule.role is Role.DEPTH:
         return _depth(plane, rule, camera, first, height)
+    plane = _affine(plane, rule)
     if rule.role is Role.MOTION:
         plane = np.nan_to_num(_motion_pixels(plane, rule.unit, height), copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if rule.role is Role.NORMAL and rule.space == "camera":
-        plane = _camera_to_world(plane, camera)
+        plane = normals_to_world(plane, camera.world_to_camera)
     if rule.clamp is not None:
         plane = np.clip(plane, *rule.clamp)
     return np.ascontiguousarray(plane, np.float32)
@@ -51,7 +55,7 @@ def convert(
 def fill_value(rule: PlaneRule) -> float:
     """Stored value that means 'nothing here', for pixels outside the data window."""
     if rule.role is Role.DEPTH:
-        return DEPTH_MISS if rule.miss is None else rule.miss
+        return _empty(rule) if rule.miss is None else rule.miss
     return -rule.offset[0] if rule.role is Role.MOTION else 0.0
 
 
@@ -61,32 +65,32 @@ def _affine(plane: np.ndarray, rule: PlaneRule) -> np.ndarray:
     return plane * np.float32(rule.scale) if any(scale != 1 for scale in rule.scale) else plane
 
 
-def _depth(plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:
-    missed = ~np.isfinite(plane) | (plane >= DEPTH_MISS)
+def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:
+    missed = ~np.isfinite(stored)
     if rule.miss is not None:
-        missed |= plane == np.float32(rule.miss)
+        missed |= stored == np.float32(rule.miss)
+    plane = _affine(np.where(missed, 0, stored), rule)
+    missed |= plane >= DEPTH_MISS
+    return np.ascontiguousarray(np.where(missed, DEPTH_MISS, _planar(plane, rule, camera, first, height)), np.float32)
+
+
+def _planar(plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:
+    """Depth along the view axis; what the camera must be known for is checked when the plane is found."""
     if rule.kind == "ray" and camera.fov_x is not None:
-        plane = plane * _cosine_to_axis(plane.shape[1], height, camera, range(first, first + plane.shape[0]))
-    return np.ascontiguousarray(np.where(missed, np.float32(DEPTH_MISS), plane), np.float32)
+        return depth_from_ray(plane, camera.fov_x, camera.jitter, camera.pixel_aspect, first, height)
+    if rule.kind == "device":
+        return depth_from_device(plane, camera.near, camera.far or math.inf, rule.reversed)
+    if rule.kind == "normalised":
+        return depth_from_normalised(plane, camera.near, camera.far, rule.reversed)
+    return plane
 
 
-def _cosine_to_axis(width: int, height: int, camera: Camera, rows: range) -> np.ndarray:
-    """(rows, width, 1): cosine between each pixel's ray and the view axis; planar depth = ray distance x cosine."""
-    half = math.tan(math.radians(camera.fov_x) / 2)
-    step = 2 * half / width
-    x = (np.arange(width) + 0.5 + camera.jitter[0] - width / 2) * step
-    y = (np.array(rows) + 0.5 + camera.jitter[1] - height / 2) * step / camera.pixel_aspect
-    return (1 / np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)).astype(np.float32)[:, :, None]
+def _empty(rule: PlaneRule) -> float:
+    """Stored value of a pixel without a surface, where the profile names none."""
+    return math.inf if rule.kind in ("planar", "ray") else 0.0 if rule.reversed else 1.0
 
 
 def _motion_pixels(plane: np.ndarray, unit: str, height: int) -> np.ndarray:
     width = plane.shape[1]
     size = {"pixels": (1, 1), "uv": (width, height), "ndc": (width / 2, height / 2)}[unit]
     return plane * np.float32(size)
-
-
-def _camera_to_world(normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """Row vectors: n_camera = n_world @ R for a rotation R, so n_world = n_camera @ R transposed."""
-    rotation = camera.world_to_camera[:3, :3]
-    rotation = rotation / np.linalg.norm(rotation, axis=0, keepdims=True)
-    return normals @ rotation.T.astype(np.float32)

@@ -12,6 +12,7 @@ import numpy as np
 from postfx.frame import Role
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.io.convert import Camera
+from postfx.io.depth import DepthOption, missing_error, missing_number
 from postfx.io.profile import PlaneRule, Profile, load_profile, profile_names
 
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
@@ -82,18 +83,27 @@ class Header:
             world_to_camera=matrix,
             fov_x=self.number("fov_x") or self._layout.profile.fov_x,
             jitter=(0.0, 0.0) if jitter is None else (float(jitter[0]), float(jitter[1])),
+            near=_first(self.number("near"), self._layout.profile.near),
+            far=_first(self.number("far"), self._layout.profile.far),
             pixel_aspect=float(self._layout.attributes.get("pixelAspectRatio", 1.0)) or 1.0,
         )
 
 
-def make_layout(index: ChannelIndex, attributes: Mapping[str, Any], profile: Profile | None = None) -> Layout:
-    """Where the planes are, by a profile or, without one, by the first that fits."""
+def make_layout(
+    index: ChannelIndex, attributes: Mapping[str, Any], profile: Profile | None = None, depth: DepthOption | None = None
+) -> Layout:
+    """Where the planes are, by a profile or, without one, by the first that fits; `depth` replaces what it says of it.
+
+    Raises ProfileError when the depth plane needs numbers of the camera that are not known.
+    """
     profile = profile or _detect(index, attributes)
     layout = Layout(profile, _layer(index, profile), {}, Camera(), attributes)
-    layout.camera = Header(layout).camera()
+    camera = Header(layout).camera()
+    layout.camera = depth.camera(camera) if depth else camera
     for rule in profile.planes:
         if rule.role not in layout.planes:
-            _match_rule(index, layout, rule)
+            given = depth is not None and rule.role is Role.DEPTH
+            _match_rule(index, layout, depth.rule(rule) if given else rule, given)
     layout.warnings += _colour_warnings(layout)
     return layout
 
@@ -108,7 +118,8 @@ def _colour_warnings(layout: Layout) -> list[str]:
     return warnings
 
 
-def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule) -> None:
+def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: bool) -> None:
+    """Find a plane; `given` tells that the user says what it holds, not the profile."""
     channels = next(filter(None, map(index.find, rule.candidates(layout.layer))), None)
     if channels is None:
         return
@@ -116,10 +127,14 @@ def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule) -> None:
     if rule.role is Role.NORMAL and rule.space == "camera" and layout.camera.world_to_camera is None:
         layout.warnings.append(f"normals {match.names} are in camera space and no worldToCamera header: not used")
         return
-    if rule.role is Role.DEPTH and rule.kind == "ray" and layout.camera.fov_x is None:
+    number = missing_number(rule, layout.camera) if rule.role is Role.DEPTH else None
+    if number == "fov" and not given:
         layout.warnings.append(
-            f"depth {match.names} is distance from the eye, used as it is: give fov_x under [camera] in a profile"
+            f"depth {match.names} is distance from the eye, used as it is: give --depth ray,fov=DEGREES, "
+            "or fov_x under [camera] in a profile"
         )
+    elif number:
+        raise missing_error(channels[0].file.path, match.names, rule, number)
     layout.planes[rule.role] = match
 
 
@@ -141,3 +156,7 @@ def _layer(index: ChannelIndex, profile: Profile) -> str:
     """What precedes the profile's marker channel: 'ViewLayer.' of 'ViewLayer.Combined.R'; '' without a marker."""
     found = next(index.ending_in(profile.marker), None) if profile.marker else None
     return found.name[: -len(profile.marker)] if found else ""
+
+
+def _first(*values: float | None) -> float | None:
+    return next((value for value in values if value is not None), None)

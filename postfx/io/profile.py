@@ -16,6 +16,8 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
 
     [camera]
     fov_x = 50.0                         # degrees, when no header says it
+    near = 0.1                           # distances of the near and far plane, when no header says them
+    far = 1000.0
     column_vectors = true                # worldToCamera is stored for column vectors
 
     [[plane]]
@@ -25,7 +27,9 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
     scale = [1, -1]                      # value = (stored + offset) * scale
     unit = "pixels"                      # motion: pixels, uv (0..1 of the image) or ndc (-1..1)
     space = "world"                      # normals: world or camera
-    kind = "planar"                      # depth: planar, or ray for distance from the eye
+    kind = "planar"                      # depth: planar, ray (distance from the eye), device (a depth buffer: 0 at the
+                                         # near, 1 at the far plane) or normalised (linear between the two planes)
+    reversed = true                      # device and normalised depth: 1 at the near plane
     miss = 0.0                           # depth: value of pixels that hit nothing
     clamp = [0, 1]
     enable = "where the renderer switches this plane on"
@@ -43,8 +47,9 @@ from postfx.errors import ProfileError
 from postfx.frame import ROLES, Role
 
 BUILTIN = Path(__file__).parent / "profiles"
-HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera")
-_CHOICES = {"unit": ("pixels", "uv", "ndc"), "space": ("world", "camera"), "kind": ("planar", "ray")}
+HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera", "near", "far")
+DEPTH_KINDS = ("planar", "ray", "device", "normalised")
+_CHOICES = {"unit": ("pixels", "uv", "ndc"), "space": ("world", "camera"), "kind": DEPTH_KINDS}
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,7 @@ class PlaneRule:
     unit: str = "pixels"
     space: str = "world"
     kind: str = "planar"
+    reversed: bool = False
     miss: float | None = None
     clamp: tuple[float, float] | None = None
     enable: str = ""
@@ -88,6 +94,8 @@ class Profile:
     header: dict[str, tuple[str, ...]] = field(default_factory=dict, hash=False)
     planes: tuple[PlaneRule, ...] = ()
     fov_x: float | None = None
+    near: float | None = None
+    far: float | None = None
     column_vectors: bool = False
 
     def rules(self, role: Role) -> tuple[PlaneRule, ...]:
@@ -122,7 +130,7 @@ def _parse(table: dict[str, Any], path: Path) -> Profile:
     _refuse_unknown(table, ("name", "title", "extends", "marker", "detect", "header", "camera", "plane"), path)
     base = load_profile(table["extends"]) if "extends" in table else Profile("")
     camera = table.get("camera", {})
-    _refuse_unknown(camera, ("fov_x", "column_vectors"), path, "[camera]")
+    _refuse_unknown(camera, ("fov_x", "near", "far", "column_vectors"), path, "[camera]")
     header = table.get("header", {})
     _refuse_unknown(header, HEADER_KEYS, path, "[header]")
     own = {key: tuple(names) for key, names in header.items()}
@@ -134,6 +142,8 @@ def _parse(table: dict[str, Any], path: Path) -> Profile:
         header={key: own.get(key, ()) + base.header.get(key, ()) for key in HEADER_KEYS},
         planes=tuple(_plane(rule, path) for rule in table.get("plane", [])) + base.planes,
         fov_x=camera.get("fov_x", base.fov_x),
+        near=camera.get("near", base.near),
+        far=camera.get("far", base.far),
         column_vectors=camera.get("column_vectors", base.column_vectors),
     )
 

@@ -10,6 +10,7 @@ from postfx.errors import MissingFrameError, SequenceError
 from postfx.frame import Frame, Role
 from postfx.io.aov import FrameFiles
 from postfx.io.channels import COLOUR_FILES, is_plane_word
+from postfx.io.depth import parse_depth
 from postfx.io.exr import READABLE
 from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, parse_pattern, pattern_of, patterns_in
 from postfx.scratch import Scratch
@@ -38,11 +39,15 @@ class Sequence:
         planes: Iterable[Role] | None = None,
         guides: str | PathLike[str] | None = None,
         scratch: Scratch | None = None,
+        depth: str | None = None,
+        cuts: Iterable[int] | None = None,
     ) -> None:
         self._scratch = scratch
         self.pattern, named = _locate(str(source))
         self.profile = profile
-        self.guides = None if guides is None else Sequence(guides, profile=profile)
+        self.depth = None if depth is None else parse_depth(depth)
+        self.cuts = None if cuts is None else frozenset(cuts)
+        self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth)
         self.planes = None if planes is None else tuple(Role(role) for role in planes)
         self.warnings: list[str] = []
         self._found = self.pattern.found()
@@ -105,7 +110,7 @@ class Sequence:
 
     def open(self, number: int) -> FrameFiles:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
-        files = FrameFiles(self.files(number), self.profile, self.guide_files(number))
+        files = FrameFiles(self.files(number), self.profile, self.guide_files(number), self.depth)
         self.warnings += [warning for warning in files.layout.warnings if warning not in self.warnings]
         return files
 
@@ -118,11 +123,11 @@ class Sequence:
         """
         with self.open(number) as files:
             frame = files.read(number, self.planes if planes is None else planes, guides, self._scratch)
-        cut = self._is_cut(number)  # asked for every frame, as it keeps the number
-        frame.reset = frame.reset or cut
+        after_gap = self._is_after_gap(number)  # asked for every frame, as it keeps the number
+        frame.reset = (frame.reset if self.cuts is None else number in self.cuts) or after_gap
         return frame
 
-    def _is_cut(self, number: int) -> bool:
+    def _is_after_gap(self, number: int) -> bool:
         previous, self._last = self._last, number
         if previous is None or previous == number - self._step:
             return False
@@ -143,6 +148,8 @@ def read_sequence(
     profile: str | None = None,
     planes: Iterable[Role] | None = None,
     guides: str | PathLike[str] | None = None,
+    depth: str | None = None,
+    cuts: Iterable[int] | None = None,
 ) -> Sequence:
     """Frames of a sequence, read one at a time while iterating.
 
@@ -154,11 +161,15 @@ def read_sequence(
         planes: roles to read, of planes and guides; None for all that are there.
         guides: files of planes at output size (albedos, normal, roughness, depth), named like `pattern`; frame numbers
             must match. None: planes of `pattern` that are larger than the colour, if there are any.
+        depth: what the depth plane holds, in place of what the profile says: 'reversed,near=0.1', 'ray,fov=54.4',
+            'planar,miss=0', see `postfx.io.depth.parse_depth`.
+        cuts: frame numbers at which a shot begins, in place of what the headers say; empty for nowhere. None: by the
+            headers (postfx:reset). Frames after a gap are marked anyway.
 
     Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError or
     ReadError.
     """
-    return Sequence(pattern, frames, profile, planes, guides)
+    return Sequence(pattern, frames, profile, planes, guides, depth=depth, cuts=cuts)
 
 
 def _locate(source: str) -> tuple[Pattern, list[int] | None]:

@@ -26,3 +26,25 @@ def block_means(colour, block, means):
                         brightest = max(brightest, value)
                         count += 1
             means[j, i] = (total - brightest) / (count - 1) if count > 1 else total
+
+
+@compiled
+def half_means(colour, block, means):
+    """Mean luminance of the two halves of each whole block; colour (h, w, 3) -> means (2, rows, columns).
+
+    The halves are the even and the odd rows, so they show the same with other noise. The brightest pixel of each is
+    left out, as by `block_means`; pixels that are not finite and negative ones count as 0.
+    """
+    for half in range(2):
+        for j in range(means.shape[1]):
+            for i in range(means.shape[2]):
+                total, brightest, count = 0.0, 0.0, 0
+                for y in range(j * block + half, (j + 1) * block, 2):
+                    for x in range(i * block, (i + 1) * block):
+                        value = 0.2126 * colour[y, x, 0] + 0.7152 * colour[y, x, 1] + 0.0722 * colour[y, x, 2]
+                        if abs(value) < np.inf:  # false for NaN too
+                            value = max(value, 0.0)
+                            total += value
+                            brightest = max(brightest, value)
+                    count += block
+                means[half, j, i] = (total - brightest) / (count - 1)

@@ -1,0 +1,212 @@
+"""Scene cuts, found by comparing each frame with the one before it, warped by its motion.
+
+Two pictures are related when what they show at corresponding places goes up and down together. They are compared on a
+coarse grid, after taking away what is wider than a fifth of the picture: sky above ground is common to unrelated
+pictures. A correlation near 1 means the same scene; a changing exposure does not count. The noise of a plane is
+measured in each frame by its two halves, and what it takes from the correlation is given back (Spearman 1904,
+correction for attenuation). Frames without evidence count as related.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from postfx.errors import PostfxError
+from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.kernels.metering import half_means
+
+RELATED = 0.65
+"""Correlation from which two frames are of one shot; docs/integration.md shows it within shots and across cuts."""
+
+MOST_CELLS, LEAST_BLOCK = 80, 4
+LEAST_COMPARED = 48  # cells; fewer do not tell one picture from another
+LEAST_OVERLAP = 0.1  # of the cells that must lead into the frame before
+BAND = 17  # cells; what is wider is layout
+SMOOTH = 3
+LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
+FLOOR = 1e-2  # of the mean light: what is darker than this is just black
+LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
+"""Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors, doublings."""
+
+
+class CutError(PostfxError):
+    """What is said about cuts cannot be understood."""
+
+
+class Picture(NamedTuple):
+    """One frame on the coarse grid.
+
+    Attributes:
+        light: (rows, columns, 2) log2 of the light of both halves of each cell, without layout.
+        guides: role -> (rows, columns, 2, channels) with layout: diffuse albedo, normal, log2 of depth.
+        motion: (rows, columns, 2) in cells, or None.
+    """
+
+    light: np.ndarray
+    guides: dict[Role, np.ndarray]
+    motion: np.ndarray | None
+
+
+class CutDetector:
+    """Stateful: call it with each frame in order; True where a frame is unrelated to the one before it.
+
+    It looks at this frame and the last one only. The first frame and one of another size are no cuts, nor are frames
+    marked with `frame.reset` compared: the history is dropped there anyway.
+
+    Attributes:
+        relation: correlation of the last two frames, 1 the same scene, about 0 another one; None where nothing was
+            compared.
+    """
+
+    def __init__(self) -> None:
+        self._before: Picture | None = None
+        self.relation: float | None = None
+
+    def reset(self) -> None:
+        """Forget the past: the next frame is taken as the first."""
+        self._before = self.relation = None
+
+    def __call__(self, frame: Frame) -> bool:
+        """Whether `frame`, whose colour is scene-linear, begins another shot. False without a colour."""
+        before, self._before = self._before, _picture(frame) if Role.COLOUR in frame else None
+        self.relation = None
+        if before and self._before and before.light.shape == self._before.light.shape and not frame.reset:
+            self.relation = relation(before, self._before)
+        return self.relation is not None and self.relation < RELATED
+
+
+def relation(before: Picture, now: Picture) -> float | None:
+    """Correlation of two frames, one warped onto the other; None where nothing tells.
+
+    By the motion vectors; where they do not lead to what is shown, which may be their fault, without motion as well.
+    Frames that have none are compared without motion, then shifted as a whole by what fits best.
+    """
+    still = np.zeros_like(now.light)
+    first = _compared(before, now, still if now.motion is None else now.motion)
+    if first is None or first >= RELATED:
+        return first
+    other = still + _shift(before, now) if now.motion is None else still
+    return max(first, _compared(before, now, other) or 0.0)
+
+
+def _picture(frame: Frame) -> Picture | None:
+    colour = frame[Role.COLOUR]
+    block = max(LEAST_BLOCK, math.ceil(max(colour.shape[:2]) / MOST_CELLS))
+    rows, columns = (side // block for side in colour.shape[:2])
+    if rows * columns < LEAST_COMPARED:
+        return None
+    halves = np.empty((2, rows, columns))
+    half_means(colour, block, halves)
+    mean = np.sqrt(halves).mean() ** 2
+    light = np.log2(halves + (FLOOR * mean or 1.0))
+    guides = {role: _cells(frame[role], block) for role in (Role.DIFFUSE_ALBEDO, Role.NORMAL) if role in frame}
+    if Role.DEPTH in frame:
+        guides[Role.DEPTH] = _log_depth(_cells(frame[Role.DEPTH], block))
+    motion = None
+    if Role.MOTION in frame:
+        motion = frame[Role.MOTION][block // 2 :: block, block // 2 :: block][:rows, :columns].astype(float) / block
+    return Picture(_band(np.moveaxis(light, 0, 2)), guides, motion)
+
+
+def _cells(plane: np.ndarray, block: int) -> np.ndarray:
+    """(rows, columns, 2, channels): means of two pairs of pixels of each whole block; such planes have little noise."""
+    rows, columns = (side // block for side in plane.shape[:2])
+    near = block // 4
+    far = block - 1 - near
+    corners = [(y, x) for y in (near, far) for x in (near, far)]
+    at = {(y, x): plane[y::block, x::block][:rows, :columns].astype(np.float64) for y, x in corners}
+    halves = (at[near, near] + at[far, far]) / 2, (at[near, far] + at[far, near]) / 2
+    return np.nan_to_num(np.stack(halves, axis=2), posinf=0, neginf=0)
+
+
+def _log_depth(depth: np.ndarray) -> np.ndarray:
+    """log2 of depth; cells with misses lie one doubling behind the farthest one without."""
+    hit = depth < DEPTH_MISS / 8
+    farthest = depth[hit].max(initial=1e-6)
+    return np.log2(np.clip(np.where(hit, depth, 2 * farthest), 1e-6, 2 * farthest))
+
+
+def _band(planes: np.ndarray) -> np.ndarray:
+    """(rows, columns, ...) without the finest noise and without what is wide."""
+    return _box(planes, SMOOTH) - _box(planes, BAND)
+
+
+def _box(planes: np.ndarray, width: int) -> np.ndarray:
+    """Mean over width x width cells, edges repeated."""
+    for axis in (0, 1):
+        pad = [(0, 0)] * planes.ndim
+        pad[axis] = (width // 2 + 1, width // 2)
+        sums = np.cumsum(np.pad(planes, pad, mode="edge"), axis=axis)
+        ends, begins = np.arange(width, sums.shape[axis]), np.arange(sums.shape[axis] - width)
+        planes = (sums.take(ends, axis) - sums.take(begins, axis)) / width
+    return planes
+
+
+def _compared(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
+    """Correlation under one motion: the light's; where that is not related, the mean of the guides' if it is higher.
+
+    None where no plane tells anything, 0 where the motion leads out of the frame before.
+    """
+    rows, columns = motion.shape[:2]
+    y = np.arange(rows)[:, None] + motion[..., 1]
+    x = np.arange(columns)[None, :] + motion[..., 0]
+    inside = (x >= 0) & (x <= columns - 1) & (y >= 0) & (y <= rows - 1)
+    if inside.sum() < max(LEAST_COMPARED, LEAST_OVERLAP * inside.size):
+        return 0.0
+    x, y = x[inside], y[inside]
+    light = _true_correlation(_at(before.light, x, y)[..., None], now.light[inside][..., None], LEAST_SPREAD["light"])
+    if light is not None and light >= RELATED:
+        return light
+    guides = [
+        _true_correlation(_at(_band(before.guides[role]), x, y), _band(plane)[inside], LEAST_SPREAD[role])
+        for role, plane in now.guides.items()
+        if role in before.guides
+    ]
+    known = [value for value in guides if value is not None]
+    values = ([float(np.mean(known))] if known else []) + ([light] if light is not None else [])
+    return max(values) if values else None
+
+
+def _true_correlation(before: np.ndarray, now: np.ndarray, least_spread: float) -> float | None:
+    """Correlation of (cells, 2 halves, channels) as it would be without noise; None where there is little else."""
+    reliabilities = _reliability(before), _reliability(now)
+    raw = _correlation(before.mean(axis=1), now.mean(axis=1), least_spread)
+    if raw is None or min(reliabilities) < LEAST_RELIABILITY:
+        return None
+    return raw / math.sqrt(reliabilities[0] * reliabilities[1])
+
+
+def _reliability(halves: np.ndarray) -> float:
+    """Share of the variance of the mean of two halves that is not noise (Spearman-Brown)."""
+    between = _correlation(halves[:, 0], halves[:, 1], 0.0) or 0.0
+    return max(2 * between / (1 + between), 0.0)
+
+
+def _correlation(a: np.ndarray, b: np.ndarray, least_spread: float) -> float | None:
+    """Pearson's correlation of (cells, channels), all channels together; None where one of the two hardly varies."""
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    spread_a, spread_b = math.sqrt(np.mean(a * a)), math.sqrt(np.mean(b * b))
+    if min(spread_a, spread_b) <= least_spread:
+        return None
+    return float(np.mean(a * b) / (spread_a * spread_b))
+
+
+def _at(planes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Bilinear samples (cells, ...) of (rows, columns, ...) at places inside."""
+    i, j = np.minimum(x.astype(int), planes.shape[1] - 2), np.minimum(y.astype(int), planes.shape[0] - 2)
+    u, v = (value.reshape(-1, *[1] * (planes.ndim - 2)) for value in (x - i, y - j))
+    upper = planes[j, i] * (1 - u) + planes[j, i + 1] * u
+    return upper * (1 - v) + (planes[j + 1, i] * (1 - u) + planes[j + 1, i + 1] * u) * v
+
+
+def _shift(before: Picture, now: Picture) -> np.ndarray:
+    """Shift (2,) in whole cells, x and y, up to half the picture, that fits its light best (cross-correlation)."""
+    rows, columns = now.light.shape[:2]
+    spectra = [np.fft.rfft2(picture.light.mean(axis=2), (2 * rows, 2 * columns)) for picture in (before, now)]
+    match = np.fft.irfft2(spectra[0] * np.conj(spectra[1]), (2 * rows, 2 * columns))
+    match = np.fft.fftshift(match)[rows - rows // 2 : rows + rows // 2 + 1, columns - columns // 2 :][:, : columns + 1]
+    y, x = np.unravel_index(match.argmax(), match.shape)
+    return np.array([x - columns // 2, y - rows // 2], float)

@@ -1,0 +1,142 @@
+"""Pixels, depth and positions in the world, through the camera matrices of a frame.
+
+Matrices are 4x4 for row vectors, as in `postfx.frame.Frame`: clip = [x, y, z, 1] @ world_to_clip. Renderers with column
+vectors give the transposed ones. Clip space has x to the right and y up within -w..w, and w is the distance along the
+view axis; z is never read, so any depth range will do: reversed, 0..1 or -1..1, finite or infinite far plane.
+Pixel positions are (x, y) from the upper left corner, x right, y down: the centre of the first pixel is (0.5, 0.5).
+Results are float64; `Frame` stores planes as float32.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from postfx.errors import PostfxError
+from postfx.frame import DEPTH_MISS
+
+_AXES = {"+x": 0, "+y": 1, "+z": 2, "-x": 0, "-y": 1, "-z": 2}
+
+
+class IntegrationError(PostfxError):
+    """A helper for renderers was given matrices, shapes or words it cannot use."""
+
+
+def perspective(
+    fov_x: float, width: int, height: int, right: str = "+x", up: str = "+y", forward: str = "-z",
+    pixel_aspect: float = 1.0,
+) -> np.ndarray:
+    """Camera to clip space, (4, 4), of a pinhole camera whose renderer has no such matrix.
+
+    fov_x: horizontal field of view in degrees, between 0 and 180. right, up, forward: the camera's own axes, such as
+    "+x", "-x", "-z"; the defaults are those of OpenGL and Blender, pbrt has forward="+z", Mitsuba also right="-x".
+    pixel_aspect: width of a pixel over its height. Clip z is 1: reversed depth 1 / w, infinite far plane.
+    IntegrationError for another angle or axes that do not span space.
+    """
+    if not 0 < fov_x < 180:
+        raise IntegrationError(f"fov_x {fov_x}: give degrees between 0 and 180")
+    axes = [_axis(name) for name in (right, up, forward)]
+    if abs(np.linalg.det(axes)) < 1:
+        raise IntegrationError(f"axes {right}, {up}, {forward}: give one of x, y, z each")
+    x = 1 / math.tan(math.radians(fov_x) / 2)
+    matrix = np.zeros((4, 4))
+    matrix[:3, 0] = axes[0] * x
+    matrix[:3, 1] = axes[1] * x * width / height * pixel_aspect
+    matrix[:3, 3] = axes[2]
+    matrix[3, 2] = 1
+    return matrix
+
+
+def with_jitter(projection: np.ndarray, jitter: Sequence[float], width: int, height: int) -> np.ndarray:
+    """Projection, or world to clip, (4, 4), whose pixel centres sample `jitter` beside those of the given one.
+
+    jitter: sample position minus 0.5, pixels, x right, y down: the header `postfx:jitter`. What lies there is moved to
+    the pixel's centre, so clip x loses 2 jitter_x / width times w, and y, which is up, gains 2 jitter_y / height.
+    """
+    matrix = np.array(projection, np.float64)
+    matrix[:, 0] -= 2 * jitter[0] / width * matrix[:, 3]
+    matrix[:, 1] += 2 * jitter[1] / height * matrix[:, 3]
+    return matrix
+
+
+def without_jitter(projection: np.ndarray, jitter: Sequence[float], width: int, height: int) -> np.ndarray:
+    """The inverse of `with_jitter`: the matrix to compute motion with, from the one that the renderer draws with."""
+    return with_jitter(projection, (-jitter[0], -jitter[1]), width, height)
+
+
+def pixel_positions(width: int, height: int, jitter: Sequence[float] = (0.0, 0.0)) -> np.ndarray:
+    """Where the samples of each pixel lie: (height, width, 2), pixels from the upper left corner, x right, y down."""
+    x, y = np.arange(width) + 0.5 + jitter[0], np.arange(height) + 0.5 + jitter[1]
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def view_rays(
+    width: int, height: int, world_to_clip: np.ndarray, jitter: Sequence[float] = (0.0, 0.0)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Eye (3,) and directions (height, width, 3) in the world; eye + depth * direction is the point at that depth.
+
+    Directions are 1 long along the view axis, not unit vectors. `world_to_clip` is without jitter; `jitter` is where
+    the samples lie. Follows from clip = [x, y, z, 1] @ world_to_clip solved for the columns x, y and w.
+    IntegrationError for a matrix that is not a perspective one.
+    """
+    matrix = np.asarray(world_to_clip, np.float64)
+    columns = matrix[:, [0, 1, 3]] if matrix.shape == (4, 4) else np.zeros((4, 3))
+    if abs(np.linalg.det(columns[:3])) < 1e-12 * np.abs(columns[:3]).max(initial=1e-30) ** 3:
+        raise IntegrationError("world_to_clip is no perspective matrix: give world_to_camera @ projection, row vectors")
+    inverse = np.linalg.inv(columns[:3])
+    position = pixel_positions(width, height, jitter)
+    clip = np.stack(
+        [2 * position[..., 0] / width - 1, 1 - 2 * position[..., 1] / height, np.ones((height, width))], axis=-1
+    )
+    return -columns[3] @ inverse, clip @ inverse
+
+
+def positions_from_depth(
+    depth: np.ndarray, world_to_clip: np.ndarray, jitter: Sequence[float] = (0.0, 0.0)
+) -> np.ndarray:
+    """Positions in the world, (height, width, 3), of a depth plane.
+
+    depth: (height, width) or (height, width, 1), along the view axis; misses (1e10) give points that far away.
+    """
+    depth = as_plane(depth)
+    eye, rays = view_rays(depth.shape[1], depth.shape[0], world_to_clip, jitter)
+    return eye + depth[..., None] * rays
+
+
+def project(points: np.ndarray, world_to_clip: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Pixel positions (..., 2) of points in the world.
+
+    points: (..., 3), or (..., 4) with a last coordinate of 0 for directions, as of the sky. NaN for what lies in or
+    behind the plane of the eye.
+    """
+    clip = _clip(points, world_to_clip)
+    w = np.where(clip[..., 3] > 0, clip[..., 3], np.nan)
+    return np.stack([(clip[..., 0] / w + 1) * width / 2, (1 - clip[..., 1] / w) * height / 2], axis=-1)
+
+
+def depth_of(points: np.ndarray, world_to_clip: np.ndarray) -> np.ndarray:
+    """Depth plane (...,) of points (..., 3) in the world: along the view axis; 1e10 at most, also where not finite."""
+    depth = _clip(points, world_to_clip)[..., 3]
+    return np.where(np.isfinite(depth), np.minimum(depth, DEPTH_MISS), DEPTH_MISS)
+
+
+def as_plane(values: np.ndarray) -> np.ndarray:
+    """A plane of one channel, (height, width) or (height, width, 1), as (height, width) float64."""
+    values = np.asarray(values, np.float64)
+    plane = values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
+    if plane.ndim != 2:
+        raise IntegrationError(f"plane has shape {values.shape}: give (height, width) or (height, width, 1)")
+    return plane
+
+
+def _clip(points: np.ndarray, world_to_clip: np.ndarray) -> np.ndarray:
+    points, matrix = np.asarray(points, np.float64), np.asarray(world_to_clip, np.float64)
+    return points @ matrix if points.shape[-1] == 4 else points @ matrix[:3] + matrix[3]
+
+
+def _axis(name: str) -> np.ndarray:
+    if name not in _AXES:
+        raise IntegrationError(f"axis '{name}': use {', '.join(_AXES)}")
+    return np.eye(3)[_AXES[name]] * (-1 if name[0] == "-" else 1)

@@ -1,0 +1,156 @@
+"""Cuts are found where pictures are unrelated, and nowhere else: on real sequences, pans, flashes and noise."""
+
+from dataclasses import replace
+from itertools import permutations, product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx import DenoiseUpscale, Device, Frame, Pipeline, Role, read_sequence
+from postfx.cuts import CutDetector, CutError
+
+ROOM = Path(__file__).resolve().parent.parent / "samples" / "room"
+COLOUR_ONLY = (Role.COLOUR,)
+WITH_MOTION = (Role.COLOUR, Role.MOTION)
+
+
+@pytest.fixture(scope="module")
+def room() -> list[Frame]:
+    return [unmarked(frame) for frame in read_sequence(ROOM / "noisy.####.exr")]
+
+
+@pytest.fixture(scope="module")
+def picture() -> np.ndarray:
+    """A picture without noise, (360, 640, 3)."""
+    (frame,) = read_sequence(ROOM / "reference.0004.exr")
+    return frame[Role.COLOUR]
+
+
+def unmarked(frame: Frame, roles: tuple[Role, ...] | None = None) -> Frame:
+    """A frame without the header's mark of a cut, with all planes or these."""
+    kept = {role: plane for role, plane in frame.planes.items() if roles is None or role in roles}
+    return replace(frame, planes=kept, reset=False)
+
+
+def cuts(frames: list[Frame]) -> list[int]:
+    """Indices at which a cut is found."""
+    detector = CutDetector()
+    return [index for index, frame in enumerate(frames) if detector(frame)]
+
+
+def turned(frame: Frame) -> Frame:
+    """A frame upside down: another picture with the same noise and planes."""
+    planes = {role: np.rot90(plane, 2) * (-1 if role is Role.MOTION else 1) for role, plane in frame.planes.items()}
+    return replace(frame, planes=planes)
+
+
+def noisier(frame: Frame, kept: float) -> Frame:
+    """Only some of the pixels got light, as with fewer samples."""
+    rng = np.random.default_rng(frame.number)
+    lit = rng.random((frame.spec.height, frame.spec.width, 1)) < kept
+    return replace(frame, planes={**frame.planes, Role.COLOUR: frame[Role.COLOUR] * lit / np.float32(kept)})
+
+
+@pytest.mark.parametrize("roles", [None, WITH_MOTION, COLOUR_ONLY])
+def test_a_join_is_found_and_nothing_else(room, roles):
+    frames = [unmarked(frame, roles) for frame in room]
+    assert cuts(frames + [turned(frame) for frame in frames] + frames) == [8, 16]
+
+
+def test_a_frame_marked_as_a_cut_is_not_found_again(room):
+    assert cuts([room[0], replace(turned(room[1]), reset=True), turned(room[2])]) == []
+
+
+def test_flashes_exposure_and_black_frames_are_no_cuts(room):
+    y, x = np.mgrid[-1:1:180j, -1:1:320j]
+    flash = (1 + 30 * np.exp(-4 * ((x - 0.4) ** 2 + y**2)))[..., None]
+    gains = [1, 1, flash, 1, 64, 1 / 64, 0, 1]
+    lit = [replace(frame, planes={**frame.planes, Role.COLOUR: frame[Role.COLOUR] * gain})
+           for frame, gain in zip(room, gains, strict=True)]
+    assert cuts(lit) == []
+
+
+def test_other_light_on_the_same_surfaces_is_no_cut(room):
+    albedo, facing = room[3][Role.DIFFUSE_ALBEDO], np.maximum(room[3][Role.NORMAL] @ np.float32([0.6, 0.8, 0]), 0.01)
+    relit = replace(room[3], planes={**room[3].planes, Role.COLOUR: albedo * facing[..., None]})
+    assert cuts([room[2], relit, room[4]]) == []
+    assert cuts([unmarked(frame, WITH_MOTION) for frame in (room[2], relit)]) == [1]
+
+
+@pytest.mark.parametrize("roles", [WITH_MOTION, COLOUR_ONLY])
+def test_changing_exposure_without_guides_is_no_cut(room, roles):
+    gains = [1, 1, 8, 1, 64, 1 / 64, 1, 1]
+    lit = [replace(frame, planes={**frame.planes, Role.COLOUR: frame[Role.COLOUR] * gain})
+           for frame, gain in zip(room, gains, strict=True)]
+    assert cuts([unmarked(frame, roles) for frame in lit]) == []
+
+
+@pytest.mark.parametrize("kept", [0.25, 0.05])
+def test_noise_of_one_sample_and_less_is_no_cut(room, kept):
+    assert cuts([noisier(frame, kept) for frame in room]) == []
+
+
+def test_a_cut_is_found_in_the_noise_of_one_sample(room):
+    frames = [noisier(frame, 0.25) for frame in room]
+    assert cuts(frames + [turned(frame) for frame in frames]) == [8]
+
+
+@pytest.mark.parametrize("step", [4, 40, 90])
+def test_fast_pans_are_no_cuts(picture, step):
+    """More than half of the picture's width a frame, with motion vectors."""
+    wide = np.concatenate([picture, picture[:, ::-1]], axis=1)
+    motion = np.broadcast_to(np.float32([step, 0]), (90, 160, 2))
+    frames = [Frame({Role.COLOUR: wide[100:190, at : at + 160], Role.MOTION: motion}) for at in range(0, 900, step)]
+    assert cuts(frames[:12]) == []
+
+
+def test_pans_without_motion_vectors_are_no_cuts(picture):
+    frames = [Frame({Role.COLOUR: picture[100:280, at : at + 320]}) for at in range(0, 320, 60)]
+    assert cuts(frames) == []
+
+
+def test_motion_vectors_that_are_wrong_are_no_cuts(room):
+    wrong = [replace(frame, planes={**frame.planes, Role.MOTION: frame[Role.MOTION] * 1.5 + 20}) for frame in room]
+    assert cuts(wrong) == []
+
+
+def test_tiny_and_empty_pictures_are_no_cuts(room):
+    small = [Frame({Role.COLOUR: frame[Role.COLOUR][:20, :20]}) for frame in (room[0], turned(room[0]))]
+    empty = [Frame({Role.COLOUR: np.full((90, 160, 3), value, np.float32)}) for value in (0.0, 1.0, np.nan)]
+    assert cuts(small) == [] and cuts(empty) == []
+
+
+def test_real_shots(shared_dir, room):
+    shots = {name: [unmarked(frame) for frame in read_sequence(shared_dir / "sequences" / name / "noisy.####.exr")]
+             for name in ("living_room", "staircase", "garage")} | {"room": room}
+    for roles in (None, WITH_MOTION, COLOUR_ONLY):
+        reduced = {name: [unmarked(frame, roles) for frame in frames] for name, frames in shots.items()}
+        assert [name for name, frames in reduced.items() if cuts(frames)] == []
+        joins = [(reduced[a][i], reduced[b][j]) for (a, b), i, j in product(permutations(shots, 2), (0, 7), (0, 4))]
+        assert [cuts(list(pair)) for pair in joins] == [[1]] * len(joins)
+
+
+def test_the_pipeline_drops_its_history_there(room):
+    class Told(DenoiseUpscale):
+        resets = 0
+
+        def reset(self) -> None:
+            self.resets += 1
+            super().reset()
+
+    frames = [*room[:2], *(turned(frame) for frame in room[:2])]
+    for mode, wanted in (("auto", [False, False, True, False]), ("none", [False] * 4)):
+        denoise = Told(scale=1)
+        pipeline = Pipeline([denoise], Device("cpu"), cuts=mode)
+        results, resets = [], []
+        for frame in frames:
+            results.append(pipeline(frame).reset)
+            assert pipeline.cut == results[-1]
+            resets.append(denoise.resets)
+        assert results == wanted and resets[2] - resets[1] == wanted[2] and not any(frame.reset for frame in frames)
+
+
+def test_unknown_modes_are_refused():
+    with pytest.raises(CutError, match="cuts 'always': use auto or none"):
+        Pipeline([], Device("cpu"), cuts="always")
