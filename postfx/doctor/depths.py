@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from postfx.doctor.geometry import Fit, fit_rotation, is_hit, rays
+from postfx.doctor.geometry import LIKELY_FOV, Fit, fit_rotation, is_hit, rays
 from postfx.frame import DEPTH_MISS, Frame, Role
 
 
@@ -50,11 +50,6 @@ def fit_kinds(frame: Frame) -> dict[DepthKind, Fit]:
     return {kind: fit for kind, fit in fits.items() if fit}
 
 
-def angle(fit: Fit) -> float:
-    """Median angle in degrees between normals of depth and stored ones."""
-    return float(np.degrees(np.arccos(np.clip(fit.agreement, -1, 1))))
-
-
 def _within_one(frame: Frame) -> bool:
     hit = is_hit(frame[Role.DEPTH])
     return bool(hit.any()) and float(frame[Role.DEPTH][hit].max()) <= 1
@@ -63,12 +58,9 @@ def _within_one(frame: Frame) -> bool:
 def _fit(frame: Frame, kind: DepthKind) -> Fit | None:
     if not kind.code:
         return fit_rotation(frame)
-    views = (frame.fov_x,) if frame.fov_x else FOVS if kind.code == "depth-ray" else (None,)
+    views = (frame.fov_x,) if frame.fov_x else LIKELY_FOV if kind.code == "depth-ray" else (None,)
     fits = [fit_rotation(_reread(frame, kind, view)) for view in views]
-    return max(filter(None, fits), key=lambda fit: fit.agreement, default=None)
-
-
-FOVS = tuple(range(20, 121, 10))
+    return min(filter(None, fits), key=lambda fit: fit.angle, default=None)
 
 
 def _reread(frame: Frame, kind: DepthKind, fov_x: float | None) -> Frame:
@@ -76,7 +68,7 @@ def _reread(frame: Frame, kind: DepthKind, fov_x: float | None) -> Frame:
     hit = is_hit(depth)
     cosine = 1.0
     if fov_x is not None:
-        cosine = 1 / np.linalg.norm(rays(frame.spec.width, frame.spec.height, fov_x, frame.jitter), axis=-1)
+        cosine = 1 / np.linalg.norm(rays(frame, fov_x, *np.indices(hit.shape)), axis=-1)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         planar = kind.planar(np.where(hit, depth[..., 0], 0.5).astype(np.float64), cosine)
     planar = np.where(hit & np.isfinite(planar) & (planar > 0), planar, DEPTH_MISS)

@@ -25,14 +25,12 @@ class Material:
         stored: role -> counts of odd values in the first frame as it is stored; what is absent is counted in `frames`.
         enable: role -> where the renderer switches a missing plane on.
         unreadable: why reading stopped early, '' when it did not.
-        ray_depth: whether the profile says that stored depth is ray distance and nothing told the field of view.
     """
 
     frames: Sequence[Frame]
     stored: dict[Role, Values] = field(default_factory=dict)
     enable: dict[Role, str] = field(default_factory=dict)
     unreadable: str = ""
-    ray_depth: bool = False
 
     def __post_init__(self) -> None:
         first = self.frames[0]

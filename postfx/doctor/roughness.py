@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postfx.doctor.geometry import normals_of_depth, rays
+from postfx.doctor.geometry import normals_of_depth, smooth_points
 from postfx.doctor.statistics import finite
 from postfx.frame import Frame, Role
 
 LEAST_F0, MOST_F0 = 0.015, 1.0
-LEAST_PIXELS = 400
+LEAST_PIXELS = 150
 LEAST_ERROR = 2e-4
 TELLING = 0.5
 
@@ -89,15 +89,15 @@ def fit_roughness(frame: Frame) -> RoughnessFit | None:
     needed = (Role.SPECULAR_ALBEDO, Role.DEPTH)
     if frame.fov_x is None or any(role not in frame for role in needed):
         return None
-    normal, known = normals_of_depth(frame, frame.fov_x)
-    ray = rays(frame.spec.width, frame.spec.height, frame.fov_x, frame.jitter)
-    cosine = -(normal * ray).sum(-1) / np.linalg.norm(ray, axis=-1)
-    stored, specular = finite(frame[Role.ROUGHNESS])[..., 0], finite(frame[Role.SPECULAR_ALBEDO]).min(2)
-    known &= (specular > 0.005) & (stored >= 0) & (stored <= 1) & (cosine > 0.05)
+    points = smooth_points(frame[Role.DEPTH])
+    _, cosine = normals_of_depth(frame, frame.fov_x, points)
+    stored = finite(frame[Role.ROUGHNESS])[points.rows, points.columns, 0].astype(np.float64)
+    specular = finite(frame[Role.SPECULAR_ALBEDO]).min(2)[points.rows, points.columns].astype(np.float64)
+    known = (specular > 0.005) & (stored >= 0) & (stored <= 1) & (cosine > 0.05)
     groups = _groups(stored[known])
     if not groups:
         return None
-    values = stored[known].astype(np.float64), specular[known].astype(np.float64), cosine[known]
+    values = stored[known], specular[known], cosine[known]
     errors = {kind: _error(kind, groups, *values) for kind in KINDS}
     without = [np.median(np.abs(values[1][group] - np.median(values[1][group]))) for group in groups]
     sizes = [group.size for group in groups]

@@ -104,5 +104,8 @@ VARIANTS = (
               "the jitter was taken off with the wrong sign", "compute motion with matrices that hold no jitter"),
     _jittered(-2, "jitter-sign", "right, with the jitter of the header negated",
               "the header's jitter is that of the projection, not of the sample", "negate postfx:jitter (both axes)"),
+    Variant("motion-worse-than-none", "0 everywhere", "vectors of another frame, or in a unit that is not known",
+            "write the renderer's motion vectors for this frame, or leave the plane out",
+            lambda motion, size, jitter: motion * 0, 5),
 )
 """All variants; the first one is the motion as it is."""

@@ -16,10 +16,12 @@ from postfx.doctor.statistics import finite, local_mean, luminance
 from postfx.doctor.variants import VARIANTS, Variant
 from postfx.frame import Frame, Role
 
-POINTS = 6000
+POINTS = 3000
 CONTRASTY = 0.75
 OCCLUDED = 0.2
 LEAST_INSIDE = 0.5
+RELATED = 0.7
+"""Part of the score of chance that pictures with something in common stay below."""
 GUIDES = ((Role.DIFFUSE_ALBEDO, 1.0), (Role.SPECULAR_ALBEDO, 1.0), (Role.NORMAL, 1.0))
 DEPTH_WEIGHT, COLOUR_WEIGHT = 0.2, 0.2  # depth changes where the camera goes forward, colour is noisy
 
@@ -42,14 +44,16 @@ class Warped:
 
     Attributes:
         before, now: the frames.
+        features: what they were compared by.
         scores: variant -> score; infinite where most of the picture comes from outside.
         by_role: variant -> role -> score of that plane.
         unrelated: score of places chosen at random: what pictures that have nothing in common would get.
-        moved: mean length of the motion in pixels, and the range of both axes together.
+        moved: mean length of the stored motion.
     """
 
     before: Frame
     now: Frame
+    features: list[Feature]
     scores: dict[Variant, float] = field(default_factory=dict)
     by_role: dict[Variant, dict[Role, float]] = field(default_factory=dict)
     unrelated: float = np.inf
@@ -71,21 +75,18 @@ class Warped:
         return min(self.scores.values()) < RELATED * self.unrelated
 
 
-RELATED = 0.7
-
-
 def warp_pair(before: Frame, now: Frame) -> Warped | None:
     """Scores of all variants; None without motion or where nothing has contrast."""
     features = features_of(before, now)
     if Role.MOTION not in now or not features:
         return None
-    result = Warped(before, now)
+    result = Warped(before, now, features)
     motion, size = finite(now[Role.MOTION]), (now.spec.width, now.spec.height)
     result.moved = float(np.linalg.norm(motion, axis=-1).mean())
     for variant in VARIANTS:
-        fixed = variant.fix(motion, size, result.jitter)
         result.by_role[variant] = {
-            feature.role: _error(feature, fixed[feature.rows, feature.columns] + result.jitter) for feature in features
+            f.role: _error(f, variant.fix(motion[f.rows, f.columns], size, result.jitter) + result.jitter)
+            for f in features
         }
         result.scores[variant] = _mean(result.by_role[variant], features)
     result.unrelated = _unrelated(features)

@@ -98,6 +98,7 @@ def roughness_kind(material: Material) -> Iterator[Finding]:
         return
     kind, certain = fit.best, fit.certainty
     if kind.code and certain > 0:
-        evidence = (f"specular albedo is explained with an error of {fit.errors[kind]:.3g} if the plane is {kind.name}, "
-                    f"of {fit.as_it_is:.3g} as linear roughness ({fit.pixels} pixels); certainty {certain:.0%}")
+        evidence = (f"specular albedo is explained with an error of {fit.errors[kind]:.3g} if the plane is "
+                    f"{kind.name}, of {fit.as_it_is:.3g} as linear roughness ({fit.pixels} pixels); "
+                    f"certainty {certain:.0%}")
         yield (error if certain >= 0.5 else warning)(Role.ROUGHNESS, kind.code, evidence, kind.cause, kind.mend)
