@@ -69,7 +69,8 @@ def _guides(frame: Frame, reading: Reading) -> dict[str, Any] | None:
     if not frame.guides:
         return None
     matches = reading.guides.planes
-    planes = [_plane(plane, role, matches[role], count_values(plane)) for role, plane in frame.guides.items()]
+    held = [(role, frame.guides[role]) for role in frame.spec.guide_roles]
+    planes = [_plane(plane, role, matches[role], count_values(plane)) for role, plane in held]
     jitter = list(frame.guide_jitter) if any(frame.guide_jitter) else None
     width, height = frame.guide_size
     return {"source": frame.guide_source, "width": width, "height": height, "jitter": jitter, "planes": planes}

@@ -85,7 +85,7 @@ def _direction(plane: np.ndarray) -> np.ndarray:
 def _distance(plane: np.ndarray) -> np.ndarray:
     used = plane[plane > 0]
     middle = float(np.median(used)) if used.size else 1.0
-    return plane / (plane + middle)
+    return np.maximum(plane, 0) / (np.maximum(plane, 0) + middle)
 
 
 _MAPPINGS: Mapping = {

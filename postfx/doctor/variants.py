@@ -69,13 +69,13 @@ def _signed(signs: tuple[int, int]) -> Variant:
     code, name, mend = _SIGNS[signs]
     cause = {"motion-sign": "current minus previous, or motion to the next frame, was written"}.get(
         code, "the axis counts the other way, for example y up instead of down")
-    return Variant(code, name or "as it is", cause if code else "", mend,
+    return Variant(code, name or "as it is", cause if code else "", mend and f"in a profile {mend}",
                    lambda motion, size, jitter: motion * np.float32(signs), 0 if not code else 1)
 
 
 def _swapped(signs: tuple[int, int]) -> Variant:
     name = "x and y swapped" + (f", then {_SIGNS[signs][1]}" if _SIGNS[signs][1] else "")
-    return Variant("motion-axes", name, "the channels are in the order y, x", "name the channels in the order y, x",
+    return Variant("motion-axes", name, "the channels are in the order y, x", "in a profile channels in the order y, x",
                    lambda motion, size, jitter: motion[..., ::-1] * np.float32(signs), 3)
 
 
@@ -86,7 +86,8 @@ def _scaled(unit: _Unit, signs: tuple[int, int]) -> Variant:
     def fix(motion: np.ndarray, size: Size, jitter: np.ndarray) -> np.ndarray:
         return (motion + np.float32(unit.offset)) * np.float32(unit.factor(size)) * np.float32(signs)
 
-    return Variant(unit.code, name, "the unit is not pixels of this frame", mend, fix, 2 if signs == (1, 1) else 3)
+    return Variant(unit.code, name, "the unit is not pixels of this frame", f"in a profile {mend}", fix,
+                   2 if signs == (1, 1) else 3)
 
 
 def _jittered(times: int, code: str, name: str, cause: str, mend: str) -> Variant:

@@ -12,6 +12,7 @@ from postfx.doctor.statistics import local_mean
 from postfx.frame import DEPTH_MISS, Frame, Role
 
 Frames = list[Frame]
+Change = Callable[[np.ndarray, Frame], np.ndarray]
 GARAGE_FOV = 76.0  # the renderer's files do not say it; about that of its camera
 
 
@@ -24,15 +25,17 @@ class Breakage:
         code: finding that must name it.
         role: the role of that finding.
         apply: frames -> broken frames, or None where the sequence lacks what is to be broken.
+        consequences: other errors that rightly follow from it.
     """
 
     name: str
     code: str
     role: str
     apply: Callable[[Frames], Frames | None]
+    consequences: tuple[str, ...] = ()
 
 
-def plane(role: Role, change: Callable[[np.ndarray, Frame], np.ndarray], *needs: str) -> Callable[[Frames], Frames | None]:
+def plane(role: Role, change: Change, *needs: str) -> Callable[[Frames], Frames | None]:
     """Changes one plane of every frame; None where it or an attribute named in `needs` is absent."""
 
     def apply(frames: Frames) -> Frames | None:
@@ -43,7 +46,7 @@ def plane(role: Role, change: Callable[[np.ndarray, Frame], np.ndarray], *needs:
     return apply
 
 
-def noise(size: float) -> Callable[[np.ndarray, Frame], np.ndarray]:
+def noise(size: float) -> Change:
     def add(pixels: np.ndarray, frame: Frame) -> np.ndarray:
         return np.abs(pixels + np.random.default_rng(frame.number).normal(0, size, pixels.shape) * (pixels > 0))
 
@@ -70,8 +73,7 @@ def camera_space(pixels: np.ndarray, frame: Frame) -> np.ndarray:
     return pixels @ fit_rotation(frame).matrix.T
 
 
-def hits(change: Callable[[np.ndarray, Frame], np.ndarray], miss: float = DEPTH_MISS
-         ) -> Callable[[np.ndarray, Frame], np.ndarray]:
+def hits(change: Change, miss: float = DEPTH_MISS) -> Change:
     """Changes depth where something was hit, and stores `miss` elsewhere."""
     return lambda pixels, frame: np.where(pixels < DEPTH_MISS, change(pixels.astype(np.float64), frame), miss)
 
@@ -91,7 +93,7 @@ def with_misses(frames: Frames) -> Frames | None:
     return plane(Role.DEPTH, hits(lambda depth, frame: depth, 0.0))(frames)
 
 
-def per_image(part: float, offset: float = 0.0) -> Callable[[np.ndarray, Frame], np.ndarray]:
+def per_image(part: float, offset: float = 0.0) -> Change:
     return lambda pixels, frame: pixels * part / np.float32((frame.spec.width, frame.spec.height)) + offset
 
 
@@ -168,14 +170,15 @@ def holes(pixels: np.ndarray, frame: Frame) -> np.ndarray:
     return broken
 
 
-def times(factor: float | list[float]) -> Callable[[np.ndarray, Frame], np.ndarray]:
+def times(factor: float | list[float]) -> Change:
     return lambda pixels, frame: pixels * np.float32(factor)
 
 
 ALBEDO, NORMAL, ROUGH, DEPTH, MOTION = Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION
 
 BREAKAGES = [
-    Breakage("albedo with noise of 0.08", "albedo-noisy", ALBEDO, plane(ALBEDO, noise(0.08))),
+    Breakage("albedo with noise of 0.08", "albedo-noisy", ALBEDO, plane(ALBEDO, noise(0.08)),
+             ("albedo-above-one",)),
     Breakage("albedo times 1.8", "albedo-above-one", ALBEDO, plane(ALBEDO, times(1.8))),
     Breakage("noisy colour as albedo", "albedo-is-lit", ALBEDO, plane(ALBEDO, lit)),
     Breakage("base colour of metals as diffuse albedo", "metal-diffuse-bright", ALBEDO, base_colour_of_metal),

@@ -12,7 +12,7 @@ from postfx.doctor.geometry import motion_of_camera
 from postfx.doctor.material import Material
 from postfx.doctor.statistics import correlation
 from postfx.doctor.variants import VARIANTS, Variant
-from postfx.doctor.warping import Warped, score_offset
+from postfx.doctor.warping import RELATED, Warped, score_offset
 from postfx.frame import Role
 
 BETTER, BETTER_BY_JITTER, BETTER_THAN_NONE = 0.85, 0.95, 0.65
@@ -63,7 +63,7 @@ def _by_picture(warped: Warped) -> str:
     motion, offsets = warped.now[Role.MOTION], list(product(range(-SEARCHED, SEARCHED + 1), repeat=2))
     scores = {at: score_offset(warped.features, motion, np.add(at, warped.jitter)) for at in offsets}
     best = min(scores, key=scores.get)
-    if scores[best] >= CLEARLY_MOVED * scores[0, 0]:
+    if scores[best] >= min(CLEARLY_MOVED * scores[0, 0], RELATED * warped.unrelated):
         return ""
     return f"but the frame before fits better ({scores[best]:.3g}, not {scores[0, 0]:.3g}) when moved by {best} pixels"
 

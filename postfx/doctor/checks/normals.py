@@ -70,7 +70,8 @@ def normal_space(material: Material) -> Iterator[Finding]:
         yield error(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space",
                     "write world normals, or in a profile space = \"camera\"")
     elif _turn(fit.matrix, -world) < SAME:
-        yield error(Role.NORMAL, "normal-inverted", "normals point away from the viewer", "inverted normals",
+        evidence = f"negated, they are within {_turn(fit.matrix, -world):.2g} degrees of what depth and camera say"
+        yield error(Role.NORMAL, "normal-inverted", evidence, "normals point away from the viewer",
                     "negate them, in a profile scale = [-1, -1, -1]")
     elif _turn(fit.matrix, PICTURE_AXES @ frame.world_to_camera[:3, :3]) < SAME:
         yield error("sequence", "matrix-transposed", evidence, "worldToCamera stored for column vectors, or inverted",

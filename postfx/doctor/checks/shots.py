@@ -8,12 +8,14 @@ import numpy as np
 
 from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.material import Material
-from postfx.doctor.statistics import correlation, finite, local_mean, luminance
+from postfx.doctor.statistics import correlation, finite, local_mean, luminance, noise_level
 from postfx.doctor.warping import Warped, score_offset
 from postfx.frame import Frame, Role
 
 LEAST_MOVE = 1.0  # pixels: below, a texture that stays looks like noise that stays
 REPEATED = 0.15
+ONE_SEED = ("the same random seed in every frame",
+            "change the seed with the frame number (Blender: Noise > Seed, clock icon; Mitsuba: seed of render)")
 STEPS = (0.25, 0.125)
 LEAST_JITTER = 0.12  # pixels, root mean square
 FITS_BETTER = 0.82
@@ -70,16 +72,31 @@ def jitter_missing(material: Material) -> Iterator[Finding]:
 
 def samples_repeat(material: Material) -> Iterator[Finding]:
     """Noise that stays in its place while the picture moves, or does not change at all."""
-    pairs = [(a, b) for a, b in material.pairs if Role.COLOUR in a and Role.COLOUR in b and not b.reset]
-    found = [value for pair in pairs if (value := _repeated(*pair)) is not None]
+    pairs = [(a, b) for a, b in material.pairs if Role.COLOUR in a and Role.COLOUR in b]
+    if pairs and all(_identical(*pair) for pair in pairs):
+        noise = noise_level(pairs[0][0][Role.COLOUR])
+        yield error(Role.COLOUR, "samples-correlated", f"noise of {noise:.3g}, the same to the bit in {len(pairs) + 1} "
+                    "frames", *ONE_SEED)
+        return
+    found = [value for pair in pairs if not pair[1].reset and (value := _repeated(*pair)) is not None]
     if not found:
+        if pairs:
+            yield info(Role.COLOUR, "samples-untested", "whether noise repeats over the frames cannot be told",
+                       "it needs motion of more than a pixel", "give frames where the camera moves")
         return
     same, elsewhere = np.mean([value[0] for value in found]), np.mean([value[1] for value in found])
     if same - elsewhere > REPEATED:
         evidence = (f"noise of consecutive frames is {same:.2f} correlated in the same pixel where the picture moves, "
                     f"{elsewhere:.2f} in pixels next to it")
-        yield error(Role.COLOUR, "samples-correlated", evidence, "the same random seed in every frame",
-                    "change the seed with the frame number (Blender: Noise > Seed, clock icon; Mitsuba: sampler seed)")
+        yield error(Role.COLOUR, "samples-correlated", evidence, *ONE_SEED)
+
+
+def _identical(before: Frame, now: Frame) -> bool:
+    """Whether colour that holds noise is the same to the bit."""
+    colour, level = now[Role.COLOUR], noise_level(now[Role.COLOUR])
+    if level is None or level < 0.01 * float(np.abs(finite(colour)).mean()):
+        return False
+    return np.array_equal(before[Role.COLOUR], colour, equal_nan=True)
 
 
 def _repeated(before: Frame, now: Frame) -> tuple[float, float] | None:
