@@ -35,59 +35,68 @@ class Variant:
 
 @dataclass(frozen=True)
 class _Unit:
+    """A unit of stored motion: pixels = (stored + offset) * scale * size of `unit`, as profiles have it."""
+
     name: str
-    mend: str
-    factor: Callable[[Size], tuple[float, float]]
+    cause: str
+    scale: float = 1.0
+    unit: str = "pixels"
     offset: float = 0.0
     code: str = "motion-scale"
 
+    def factor(self, size: Size) -> tuple[float, float]:
+        part = {"pixels": (1.0, 1.0), "uv": size, "ndc": (size[0] / 2, size[1] / 2)}[self.unit]
+        return self.scale * part[0], self.scale * part[1]
+
 
 _SIGNS = {
-    (1, 1): ("", "", ""),
-    (-1, 1): ("motion-sign-x", "x negated", "scale = [-1, 1]"),
-    (1, -1): ("motion-sign-y", "y negated", "scale = [1, -1]"),
-    (-1, -1): ("motion-sign", "both axes negated", "scale = [-1, -1]"),
+    (1, 1): ("", ""),
+    (-1, 1): ("motion-sign-x", "x negated"),
+    (1, -1): ("motion-sign-y", "y negated"),
+    (-1, -1): ("motion-sign", "both axes negated"),
 }
-
-
-def _uniform(factor: float) -> Callable[[Size], tuple[float, float]]:
-    return lambda size: (factor, factor)
-
-
+_ENCODED = "motion was stored as a colour"
 _UNITS = (
-    *(_Unit(f"{factor:.3g} times as long", f"scale by {factor:.3g}", _uniform(factor)) for factor in SCALES),
-    _Unit("in parts of the image (uv 0..1)", 'unit = "uv"', lambda size: (float(size[0]), float(size[1]))),
-    _Unit("in -1..1 of the image (ndc)", 'unit = "ndc"', lambda size: (size[0] / 2, size[1] / 2)),
-    _Unit("in uv, stored around 0.5", 'offset = [-0.5, -0.5], unit = "uv"',
-          lambda size: (float(size[0]), float(size[1])), -0.5, "motion-encoded"),
-    _Unit("in ndc, stored around 0.5", 'offset = [-0.5, -0.5], scale = [2, 2], unit = "ndc"',
-          lambda size: (float(size[0]), float(size[1])), -0.5, "motion-encoded"),
+    *(_Unit(f"{factor:.3g} times as long", f"pixels of a picture {1 / factor:.3g} times as large were written", factor)
+      for factor in SCALES),
+    _Unit("in parts of the image (uv 0..1)", "parts of the image were written instead of pixels", unit="uv"),
+    _Unit("in -1..1 of the image (ndc)", "normalised device coordinates were written instead of pixels", unit="ndc"),
+    _Unit("in uv around 0.5, or ndc as (v + 1) / 2", _ENCODED, 1.0, "uv", -0.5, "motion-encoded"),
+    _Unit("in uv as (v + 1) / 2", _ENCODED, 2.0, "uv", -0.5, "motion-encoded"),
 )
 
 
 def _signed(signs: tuple[int, int]) -> Variant:
-    code, name, mend = _SIGNS[signs]
-    cause = {"motion-sign": "current minus previous, or motion to the next frame, was written"}.get(
+    code, name = _SIGNS[signs]
+    cause = {"": "", "motion-sign": "current minus previous, or motion to the next frame, was written"}.get(
         code, "the axis counts the other way, for example y up instead of down")
-    return Variant(code, name or "as it is", cause if code else "", mend and f"in a profile {mend}",
-                   lambda motion, size, jitter: motion * np.float32(signs), 0 if not code else 1)
+    return Variant(code, name or "as it is", cause, _profile(_Unit("", ""), signs) if code else "",
+                   lambda motion, size, jitter: motion * np.float32(signs), 1 if code else 0)
 
 
 def _swapped(signs: tuple[int, int]) -> Variant:
-    name = "x and y swapped" + (f", then {_SIGNS[signs][1]}" if _SIGNS[signs][1] else "")
-    return Variant("motion-axes", name, "the channels are in the order y, x", "in a profile channels in the order y, x",
+    name = "x and y swapped" + (f", then {_SIGNS[signs][1]}" if signs != (1, 1) else "")
+    also = f", scale = [{signs[0]}, {signs[1]}]" if signs != (1, 1) else ""
+    return Variant("motion-axes", name, "the channels are in the order y, x", f'in a profile channels = ["YX"]{also}',
                    lambda motion, size, jitter: motion[..., ::-1] * np.float32(signs), 3)
 
 
 def _scaled(unit: _Unit, signs: tuple[int, int]) -> Variant:
-    name = unit.name + (f", {_SIGNS[signs][1]}" if _SIGNS[signs][1] else "")
-    mend = unit.mend + (f" and {_SIGNS[signs][2]}" if _SIGNS[signs][2] else "")
+    name = unit.name + (f", {_SIGNS[signs][1]}" if signs != (1, 1) else "")
 
     def fix(motion: np.ndarray, size: Size, jitter: np.ndarray) -> np.ndarray:
         return (motion + np.float32(unit.offset)) * np.float32(unit.factor(size)) * np.float32(signs)
 
-    return Variant(unit.code, name, "the unit is not pixels of this frame", f"in a profile {mend}", fix,
-                   2 if signs == (1, 1) else 3)
+    return Variant(unit.code, name, unit.cause, _profile(unit, signs), fix, 2 if signs == (1, 1) else 3)
+
+
+def _profile(unit: _Unit, signs: tuple[int, int]) -> str:
+    """Keys of a profile's plane that put motion right which is read without them."""
+    scale = [sign * unit.scale for sign in signs]
+    keys = [f"offset = [{unit.offset:g}, {unit.offset:g}]"] if unit.offset else []
+    keys += [f"scale = [{scale[0]:.4g}, {scale[1]:.4g}]"] if scale != [1, 1] else []
+    keys += [f'unit = "{unit.unit}"'] if unit.unit != "pixels" else []
+    return f"in a profile {', '.join(keys)}"
 
 
 def _jittered(times: int, code: str, name: str, cause: str, mend: str) -> Variant:

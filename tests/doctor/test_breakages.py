@@ -1,7 +1,10 @@
 """Every integration mistake is found and named, on the sample and on sequences of other renderers."""
 
+from pathlib import Path
+
 import pytest
 
+from postfx.doctor.variants import VARIANTS
 from tests.doctor.breakages import BREAKAGES
 
 SHARED = ("living_room", "staircase", "garage")
@@ -33,3 +36,10 @@ def test_other_renderers(shared_frames, name, breakage, diagnose):
 
 def test_at_least_twenty_mistakes():
     assert len({breakage.code for breakage in BREAKAGES}) >= 20
+
+
+def test_the_page_shows_every_mistake_found():
+    page = (Path(__file__).parent.parent.parent / "docs" / "doctor.md").read_text(encoding="utf-8")
+    assert f"with {len(VARIANTS)} variants" in page and "missed" not in page.partition("<!-- table -->")[2]
+    for breakage in BREAKAGES:
+        assert f"| {breakage.name} |" in page and f"`{breakage.code}`" in page
