@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import numpy as np
-
 from postfx.doctor.geometry import Fit, fit_rotation
 from postfx.doctor.statistics import Values, count_values
 from postfx.doctor.warping import Warped, warp_pair
@@ -68,8 +66,3 @@ class Material:
         if Role.DEPTH not in self.middle or Role.NORMAL not in self.middle:
             return None
         return fit_rotation(self.middle)
-
-    @cached_property
-    def jitter_changes(self) -> np.ndarray:
-        """(pairs, 2): jitter of each pair's later frame minus the earlier one's, of `shots`."""
-        return np.array([warped.jitter for warped in self.shots], np.float64).reshape(-1, 2)
