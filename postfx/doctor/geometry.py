@@ -6,6 +6,7 @@ Camera space here is that of the picture: x right, y down, z along the view axis
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -88,9 +89,9 @@ def normals_of_depth(frame: Frame, fov_x: float, points: Points) -> tuple[np.nda
     return normal * np.sign(towards)[:, None], np.abs(towards)
 
 
-def unit_normals(frame: Frame) -> np.ndarray:
-    """Stored normals scaled to length 1; (0, 0, 0) where there are none."""
-    normal = finite(frame[Role.NORMAL]).astype(np.float64)
+def unit_normals(frame: Frame, points: Points) -> np.ndarray:
+    """Stored normals (count, 3) scaled to length 1; (0, 0, 0) where there are none."""
+    normal = finite(frame[Role.NORMAL][points.rows, points.columns]).astype(np.float64)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     return np.where(length > 0.1, normal / np.maximum(length, 0.1), 0)
 
@@ -121,19 +122,19 @@ def is_unsigned(frame: Frame) -> bool:
     return are_unit(2 * normal - 1) and not are_unit(normal)
 
 
-def fit_rotation(frame: Frame, fov_x: float | None = None) -> Fit | None:
+def fit_rotation(frame: Frame, views: Sequence[float] = ()) -> Fit | None:
     """The orthogonal matrix between the normals of depth and the stored ones.
 
-    Fields of view: the given one, the frame's, or all likely ones of which the best counts. Orthogonal Procrustes
+    Of the fields of view given, by default the frame's, or all likely ones, the best counts. Orthogonal Procrustes
     (Schoenemann 1966), repeated without the worst quarter; None without enough smooth surfaces.
     """
-    points, stored = smooth_points(frame[Role.DEPTH]), unit_normals(frame)
-    there = np.abs(stored[points.rows, points.columns]).sum(-1) > 0
-    points = Points(points.rows[there], points.columns[there])
-    if points.rows.size < LEAST_POINTS:
+    points = smooth_points(frame[Role.DEPTH])
+    stored = unit_normals(frame, points)
+    there = np.abs(stored).sum(-1) > 0
+    if there.sum() < LEAST_POINTS:
         return None
-    stored, fov_x = stored[points.rows, points.columns], fov_x or frame.fov_x
-    views = (fov_x,) if fov_x else LIKELY_FOV
+    points, stored = Points(points.rows[there], points.columns[there]), stored[there]
+    views = views or ((frame.fov_x,) if frame.fov_x else LIKELY_FOV)
     return min((_procrustes(normals_of_depth(frame, view, points)[0], stored, view) for view in views),
                key=lambda fit: fit.angle)
 

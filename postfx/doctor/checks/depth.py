@@ -8,14 +8,15 @@ import numpy as np
 
 from postfx.doctor.depths import KINDS, DepthKind, fit_kinds
 from postfx.doctor.findings import Finding, error, info, warning
-from postfx.doctor.geometry import LIKELY_FOV, Fit, fit_rotation, is_hit, is_unsigned
+from postfx.doctor.geometry import Fit, fit_rotation, is_hit, is_unsigned
 from postfx.doctor.material import Material
 from postfx.doctor.statistics import percent
-from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.frame import DEPTH_MISS, Role
 
 CLEARLY_OFF, WELL = 1.5, 5.0  # degrees between the normals of depth and the stored ones
 MUCH_BETTER = 0.4
 FAR_AWAY = 50.0
+ANY_FOV = tuple(range(20, 122, 2))
 
 
 def depth_misses(material: Material) -> Iterator[Finding]:
@@ -56,7 +57,7 @@ def depth_kind(material: Material) -> Iterator[Finding]:
         return
     stored = fits[KINDS[0]].angle
     kind = min(fits, key=lambda kind: fits[kind].angle)
-    other = _other_view(frame) if frame.fov_x and stored >= CLEARLY_OFF else None
+    other = fit_rotation(frame, ANY_FOV) if frame.fov_x and stored >= CLEARLY_OFF else None
     best = min(filter(None, (fits[kind], other)), key=lambda fit: fit.angle)
     if stored < CLEARLY_OFF or best.angle >= min(MUCH_BETTER * stored, WELL):
         return
@@ -71,8 +72,3 @@ def depth_kind(material: Material) -> Iterator[Finding]:
 def _facing(fit: Fit, stored: float, kind: DepthKind = KINDS[0]) -> str:
     return (f"surfaces face within {fit.angle:.2g} degrees of their normals if depth is {kind.name} and the field of "
             f"view {fit.fov_x:.4g} degrees; {stored:.3g} degrees as it is")
-
-
-def _other_view(frame: Frame) -> Fit | None:
-    fits = [fit_rotation(frame, view) for view in range(LIKELY_FOV[0], LIKELY_FOV[-1] + 1, 2)]
-    return min(filter(None, fits), key=lambda fit: fit.angle, default=None)

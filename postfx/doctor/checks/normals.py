@@ -88,7 +88,7 @@ def normal_facing(material: Material) -> Iterator[Finding]:
         return
     points = smooth_points(frame[Role.DEPTH])
     seen, _ = normals_of_depth(frame, fit.fov_x, points)
-    cosines = ((seen @ fit.matrix) * unit_normals(frame)[points.rows, points.columns]).sum(-1)
+    cosines = ((seen @ fit.matrix) * unit_normals(frame, points)).sum(-1)
     if (share := percent(cosines < -0.7)) > 1:
         yield warning(Role.NORMAL, "normal-facing", f"{share:.3g} % of the pixels point away from the viewer",
                       "normals of the geometry, not turned towards the viewer", "negate those with normal . view > 0")
