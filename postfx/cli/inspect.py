@@ -1,20 +1,28 @@
-"""`postfx inspect`: what a sequence holds and how postfx understands it."""
+"""`postfx inspect`: what a sequence holds, how postfx understands it, and what is wrong with it."""
 
 from __future__ import annotations
 
 import argparse
 import json
 
-HELP = "show which planes a sequence holds"
+HELP = "find what is wrong with a sequence's planes"
 DESCRIPTION = """\
-Show how postfx understands a sequence: the renderer profile, sizes, every plane with its channels and values, what is
-missing, planes at output size, and the camera. Reads one frame: the first, or the first of --frames.
+Find what is wrong with a sequence: reads up to eight consecutive frames from the first one (or the first of --frames),
+and checks albedos, normals, roughness, depth, motion, jitter, cuts, exposure and noise. Motion is tried in all common
+variants (signs, axes, units, with jitter) by warping, and the best one is named. Each finding says what was measured,
+the likely cause and the mend. After the findings: the renderer profile, sizes, every plane with its channels and
+values, what is missing, planes at output size, and the camera.
 """
 EXAMPLES = """\
 examples:
   postfx inspect shot/noisy.####.exr
-  postfx inspect shot/ --profile studio.toml --frames 12
+  postfx inspect shot/noisy.####.exr --pictures look/       # one PNG a plane
+  postfx inspect shot/ --profile studio.toml --frames 12-20
   postfx inspect shot/noisy.####.exr --guides shot/guides.####.exr
+  postfx inspect shot/noisy.####.exr --json | python -m json.tool
+
+exit codes: 0 fine; 1 warnings only; 2 at least one error; also 2, with one line on standard error and nothing on
+standard output, when the arguments are wrong or the first frame cannot be read; 130 interrupted
 """
 
 
@@ -24,13 +32,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--guides", metavar="GUIDES", help="files of planes at output size, as for 'postfx run'")
     parser.add_argument("--frames", metavar="RANGE", help="frames of interest, e.g. 12 or 1-100")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
+    parser.add_argument("--pictures", metavar="DIR", help="write a picture of every plane of the first frame there")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Inspect a sequence; returns the exit code."""
-    from postfx.cli.inspection import inspect, text_of  # loads NumPy and OpenImageIO, which --help must not wait for
+    from postfx.cli.inspection import Inspection  # loads NumPy and OpenImageIO, which --help must not wait for
+    from postfx.cli.inspection_text import print_text
 
-    found = inspect(arguments.input, arguments.frames, arguments.profile, arguments.guides)
-    print(json.dumps(found) if arguments.json else text_of(found))
-    return 0
+    inspection = Inspection(arguments.input, arguments.frames, arguments.profile, arguments.guides)
+    if arguments.pictures:
+        inspection.write_pictures(arguments.pictures)
+    facts = inspection.facts()
+    if arguments.json:
+        print(json.dumps(facts))
+    else:
+        print_text(facts, inspection.exit_code)
+    return inspection.exit_code

@@ -33,7 +33,7 @@ def test_version(postfx):
 def test_inspect_shows_planes_missing_and_values(postfx, shot):
     shot(1, 2, 4)
     done = postfx("inspect", "in/shot.####.exr")
-    assert done.code == 0
+    assert done.code == 1  # planes are missing
     assert "in/shot.####.exr: 4 frames, 1 to 4" in done.out
     assert "profile generic (Generic names), 48x32" in done.out
     assert any(line.split() == ["depth", "depth.Z", "3", "..", "3"] for line in done.out.splitlines())

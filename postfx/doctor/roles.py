@@ -1,0 +1,55 @@
+"""Which planes of a file became which role, and why."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from postfx.doctor.reading import Reading
+from postfx.frame import Role
+from postfx.io.layout import Layout, Match
+
+SHOWN = 3
+
+
+def explain_roles(reading: Reading) -> dict[str, dict[str, Any]]:
+    """Role -> names of the file's channels ('planes', empty when there are none) and the reason ('why')."""
+    return {str(role): _explain(reading, role) for role in Role}
+
+
+def _explain(reading: Reading, role: Role) -> dict[str, Any]:
+    layout, guides = reading.layout, reading.guides
+    match = layout.planes.get(role)
+    guide = guides.planes.get(role) if guides else None
+    if match is None and guide is None:
+        return {"planes": [], "why": _why_not(layout, role)}
+    found = {"planes": _names(match or guide), "why": _why(layout, match or guide, "" if match else "guide: ")}
+    return {**found, "guides": _names(guide)} if match and guide else found
+
+
+def _names(match: Match) -> list[str]:
+    return [channel.name for channel in match.channels]
+
+
+def _why(layout: Layout, match: Match, prefix: str) -> str:
+    rule, role = match.rule, match.rule.role
+    known = [name for other in layout.profile.rules(role) for name in other.names]
+    preferred = f"profile {layout.profile.name} knows {_listed(known, layout.layer)} for {role}, best first"
+    steps = [f"(stored + {list(rule.offset)}) x {list(rule.scale)}"] if any(rule.offset) else []
+    steps += [f"times {list(rule.scale)}"] if not any(rule.offset) and set(rule.scale) != {1} else []
+    steps += [f"unit {rule.unit}"] if role is Role.MOTION else []
+    steps += [f"{rule.space} space"] if role is Role.NORMAL else []
+    steps += ["ray distance" if rule.kind == "ray" else "along the view axis"] if role is Role.DEPTH else []
+    return prefix + preferred + (f"; read as: {', '.join(steps)}" if steps else "")
+
+
+def _why_not(layout: Layout, role: Role) -> str:
+    rules = layout.profile.rules(role)
+    if not rules:
+        return f"profile {layout.profile.name} has no name for it"
+    names = [",".join(names) for rule in rules for names in rule.candidates(layout.layer)]
+    return f"none of {_listed(names, layout.layer)} is there (profile {layout.profile.name})"
+
+
+def _listed(names: list[str], layer: str) -> str:
+    shown = [f"'{name.replace('{layer}', layer)}'" for name in dict.fromkeys(names)]
+    return ", ".join(shown[:SHOWN]) + (f" and {len(shown) - SHOWN} more" if len(shown) > SHOWN else "")

@@ -1,0 +1,98 @@
+"""Figures of single planes: ranges, counts of odd values, noise, and local means."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postfx.frame import DEPTH_MISS
+
+BLOCK = 8
+FLATTEST = 25
+"""Percentile of the blocks' noise that counts: the flattest quarter has the least texture."""
+
+
+@dataclass(frozen=True)
+class Values:
+    """Counts of values of a plane as it is stored, before anything is mended on reading.
+
+    Attributes:
+        nan, infinite, negative: count of values.
+        total: count of all values.
+    """
+
+    nan: int
+    infinite: int
+    negative: int
+    total: int
+
+
+def count_values(plane: np.ndarray) -> Values:
+    """Odd values of a plane of any shape."""
+    with np.errstate(invalid="ignore"):
+        negative = int((plane < 0).sum())
+    return Values(int(np.isnan(plane).sum()), int(np.isinf(plane).sum()), negative, plane.size)
+
+
+def finite(plane: np.ndarray, miss: float = DEPTH_MISS) -> np.ndarray:
+    """The plane with 0 for what is not finite or a miss."""
+    return np.where(np.isfinite(plane) & (np.abs(plane) < miss), plane, np.float32(0))
+
+
+def noise_level(plane: np.ndarray) -> float | None:
+    """Standard deviation of pixel noise in the flattest quarter of the picture; None where nothing is measured.
+
+    plane: (height, width, C). The Laplacian of Immerkaer 1996 ("Fast noise variance estimation") takes edges and
+    slopes out; its mean size in blocks of 8 x 8 pixels is taken, the largest of the channels. Blocks that hold misses
+    or 0 only are left out.
+    """
+    if min(plane.shape[:2]) < BLOCK + 2:
+        return None
+    valid = np.isfinite(plane).all(2) & (np.abs(plane) < DEPTH_MISS).all(2)
+    used = blocks(valid[1:-1, 1:-1].astype(np.float32)) == 1
+    used &= blocks(np.abs(finite(plane)).max(2)[1:-1, 1:-1]) > 0
+    if used.sum() < 4:
+        return None
+    sizes = blocks(np.abs(_laplacian(finite(plane))).max(2))
+    return float(np.sqrt(np.pi / 2) / 6 * np.percentile(sizes[used], FLATTEST))
+
+
+def blocks(plane: np.ndarray, size: int = BLOCK) -> np.ndarray:
+    """Means of whole blocks of a (height, width) plane."""
+    rows, columns = plane.shape[0] // size, plane.shape[1] // size
+    return plane[: rows * size, : columns * size].reshape(rows, size, columns, size).mean((1, 3))
+
+
+def local_mean(plane: np.ndarray, radius: int) -> np.ndarray:
+    """Means over windows of (2 radius + 1)^2 pixels of a (height, width, C) plane; borders are repeated."""
+    for axis in (0, 1):
+        padding = [(radius + 1, radius) if side == axis else (0, 0) for side in range(3)]
+        sums = np.cumsum(np.pad(plane, padding, mode="edge"), axis=axis, dtype=np.float64)
+        size, window = plane.shape[axis], 2 * radius + 1
+        upper = np.take(sums, range(window, window + size), axis)
+        plane = ((upper - np.take(sums, range(size), axis)) / window).astype(np.float32)
+    return plane
+
+
+def luminance(colour: np.ndarray) -> np.ndarray:
+    """(height, width) Rec.709 luminance."""
+    return colour @ np.float32([0.2126, 0.7152, 0.0722])
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Pearson's coefficient of two equally long samples; 0 when one is constant or too short."""
+    if a.size < 3 or a.std() < 1e-12 or b.std() < 1e-12:
+        return 0.0
+    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+
+
+def percent(mask: np.ndarray) -> float:
+    """Share of true values, in percent; 0 of none."""
+    return 100 * float(mask.mean()) if mask.size else 0.0
+
+
+def _laplacian(plane: np.ndarray) -> np.ndarray:
+    up, middle, down = plane[:-2], plane[1:-1], plane[2:]
+    rows = up - 2 * middle + down
+    return rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:]

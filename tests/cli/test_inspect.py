@@ -1,0 +1,129 @@
+"""`postfx inspect` as people run it: exit codes, JSON, pictures, and mistakes that only the files show."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from postfx.cli.main import main
+from postfx.frame import Role
+
+ROOM = str(Path(__file__).parent.parent.parent / "samples" / "room" / "noisy.####.exr")
+
+
+@pytest.fixture
+def inspect(capsys):
+    """Runs `postfx inspect ARGUMENTS --json`; gives exit code and object."""
+
+    def run(*arguments):
+        code = main(["inspect", *map(str, arguments), "--json"])
+        return code, json.loads(capsys.readouterr().out)
+
+    return run
+
+
+@pytest.fixture
+def broken_room(tmp_path):
+    """Copies three frames of the sample with channels changed: name -> function of its values."""
+
+    def write(**changes):
+        for number in (2, 3, 4):
+            image = oiio.ImageBuf(ROOM.replace("####", f"{number:04d}"))
+            pixels, names = image.get_pixels(oiio.FLOAT), image.spec().channelnames
+            for name, change in changes.items():
+                index = names.index(name.replace("_", "."))
+                pixels[..., index] = change(pixels[..., index])
+            image.set_pixels(oiio.ROI.All, pixels)
+            assert image.write(str(tmp_path / f"noisy.{number:04d}.exr"))
+        return tmp_path / "noisy.####.exr"
+
+    return write
+
+
+def codes(found, level):
+    return {finding["code"] for finding in found["findings"] if finding["level"] == level}
+
+
+def test_nothing_wrong_is_0(inspect):
+    code, found = inspect(ROOM)
+    assert code == 0 and found["findings"] == []
+    assert found["examined"] == list(range(1, 9))
+
+
+def test_roles_say_which_planes_and_why(inspect):
+    _, found = inspect(ROOM, "--frames", "2")
+    assert set(found["roles"]) == set(Role)
+    assert found["roles"]["diffuse_albedo"]["planes"] == ["albedo.R", "albedo.G", "albedo.B"]
+    assert "'albedo'" in found["roles"]["diffuse_albedo"]["why"]
+    assert found["roles"]["overlay"]["planes"] == [] and "'overlay.R" in found["roles"]["overlay"]["why"]
+    assert all({"planes", "why"} <= set(role) for role in found["roles"].values())
+
+
+def test_warnings_only_are_1(inspect, shot):
+    code, found = inspect(shot(1, 2) / "shot.####.exr")
+    assert code == 1 and not codes(found, "error") and "missing-diffuse-albedo" in codes(found, "warning")
+
+
+def test_an_error_is_2_and_has_evidence_cause_and_mend(inspect, broken_room):
+    code, found = inspect(broken_room(motion_Y=lambda y: -y))
+    assert code == 2 and codes(found, "error") == {"motion-sign-y"}
+    (finding,) = found["findings"]
+    assert set(finding) == {"level", "role", "code", "evidence", "cause", "mend"}
+    assert finding["role"] == "motion" and "y negated" in finding["evidence"]
+
+
+def test_values_above_1_are_seen_though_reading_cuts_them_off(inspect, broken_room):
+    _, found = inspect(broken_room(albedo_R=lambda r: 2 * r))
+    assert codes(found, "error") == {"albedo-above-one"}
+    (plane,) = [plane for plane in found["planes"] if plane["role"] == "diffuse_albedo"]
+    assert plane["max"] > 1.3
+
+
+def test_nan_in_motion_is_seen_though_reading_mends_it(inspect, broken_room):
+    _, found = inspect(broken_room(motion_X=lambda x: np.where(np.arange(x.shape[1]) == 7, np.nan, x)))
+    assert codes(found, "warning") == {"not-finite"}
+    (plane,) = [plane for plane in found["planes"] if plane["role"] == "motion"]
+    assert plane["nan"] == 180 and plane["infinite"] == 0
+
+
+def test_a_broken_later_frame_is_a_finding(inspect, broken_room):
+    pattern = broken_room()
+    (pattern.parent / "noisy.0003.exr").write_bytes(b"v/1\x01nothing")
+    code, found = inspect(pattern)
+    assert code == 2 and codes(found, "error") == {"unreadable"} and found["examined"] == [2]
+
+
+def test_a_broken_first_frame_is_an_error_line_and_no_output(postfx, broken_room):
+    pattern = broken_room()
+    (pattern.parent / "noisy.0002.exr").write_bytes(b"v/1\x01nothing")
+    done = postfx("inspect", str(pattern), "--json")
+    assert done.code == 2 and done.out == "" and done.err.startswith("error: ") and done.err.count("\n") == 1
+
+
+def test_left_out_frames_are_not_neighbours(inspect):
+    assert inspect(ROOM, "--frames", "1-7x2")[1]["examined"] == [1]
+
+
+def test_pictures_of_every_plane(inspect, tmp_path):
+    code, found = inspect(ROOM, "--frames", "2", "--pictures", tmp_path / "look")
+    written = {Path(path).stem for path in found["pictures"]}
+    assert code == 0 and written == {plane["role"] for plane in found["planes"]}
+    picture = oiio.ImageBuf(str(tmp_path / "look" / "normal.png")).get_pixels(oiio.UINT8)
+    assert picture.shape == (180, 320, 3) and picture.std() > 20
+
+
+def test_pictures_that_cannot_be_written(postfx, tmp_path):
+    (tmp_path / "look").write_text("a file")
+    done = postfx("inspect", ROOM, "--frames", "2", "--pictures", "look")
+    assert done.code == 2 and done.err.startswith("error: look: pictures cannot be written")
+
+
+def test_text_has_the_worst_first_and_no_colour_in_a_pipe(postfx, broken_room):
+    done = postfx("inspect", str(broken_room(motion_Y=lambda y: -y, albedo_R=lambda r: r * 1.1)))
+    lines = done.out.splitlines()
+    assert "there are errors" in lines[0] and "\x1b" not in done.out
+    heads = [line.split()[0] for line in lines if line.startswith(("error ", "warning ", "info "))]
+    assert heads[0] == "error" and heads == sorted(heads, key=["error", "warning", "info"].index)
+    assert any(line.strip().startswith("mend:   in a profile") for line in lines)

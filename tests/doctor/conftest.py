@@ -1,0 +1,39 @@
+"""Frames of unbroken sequences, and what the doctor says of frames."""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from postfx.doctor.examine import examine
+from postfx.doctor.findings import Finding
+from postfx.doctor.material import Material
+from postfx.frame import Frame
+from postfx.io.sequence import read_sequence
+
+ROOM = Path(__file__).parent.parent.parent / "samples" / "room"
+FRAMES = "1-5"
+
+
+@cache
+def frames_of(folder: Path) -> tuple[Frame, ...]:
+    return tuple(read_sequence(folder / "noisy.####.exr", frames=FRAMES))
+
+
+@pytest.fixture(scope="session")
+def room() -> list[Frame]:
+    """Five frames of the sample."""
+    return list(frames_of(ROOM))
+
+
+@pytest.fixture
+def shared_frames(shared_dir: Path) -> Callable[[str], list[Frame]]:
+    """Five frames of a sequence that other software rendered, by name."""
+    return lambda name: list(frames_of(shared_dir / "sequences" / name))
+
+
+@pytest.fixture
+def diagnose() -> Callable[[list[Frame]], list[Finding]]:
+    """Findings of frames."""
+    return lambda frames: examine(Material(frames))

@@ -1,0 +1,96 @@
+"""Inputs that say nothing: no crash, and nothing is claimed that cannot be known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postfx.doctor.pictures import picture
+from postfx.frame import DEPTH_MISS, ROLES, Frame, Role
+
+SIZES = [(1, 1), (2, 3), (5, 400), (40, 48)]
+
+
+def filled(value: float, size: tuple[int, int], number: int = 1, **facts) -> Frame:
+    """A frame with all planes of one value."""
+    planes = {role: np.full((*size, info.channels), value, np.float32) for role, info in ROLES.items()}
+    return Frame(planes, number=number, fov_x=60.0, world_to_camera=np.eye(4), **facts)
+
+
+def random(size: tuple[int, int], number: int) -> Frame:
+    """A frame whose planes hold independent noise of plausible range."""
+    rng = np.random.default_rng(number)
+    planes = {role: rng.random((*size, info.channels), np.float32) for role, info in ROLES.items()}
+    planes[Role.NORMAL] = 2 * planes[Role.NORMAL] - 1
+    planes[Role.NORMAL] /= np.linalg.norm(planes[Role.NORMAL], axis=2, keepdims=True)
+    planes[Role.DEPTH] += 1
+    return Frame(planes, number=number, fov_x=60.0, world_to_camera=np.eye(4))
+
+
+def codes(findings, level="error"):
+    for finding in findings:
+        assert "nan" not in finding.evidence.lower().replace(" nan,", ""), finding
+    return {finding.code for finding in findings if finding.level == level}
+
+
+def test_one_frame_says_so_and_nothing_of_what_shows_over_frames(room, diagnose):
+    findings = diagnose(room[:1])
+    assert codes(findings) == codes(findings, "warning") == set()
+    assert "one-frame" in codes(findings, "info")
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
+def test_constant_planes(size, value, diagnose):
+    found = codes(diagnose([filled(value, size, number) for number in (1, 2, 3)]))
+    assert found <= {"normal-length"}  # the only claim that constants allow: (v, v, v) is not of unit length
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_nothing_but_misses(size, diagnose):
+    frames = [filled(0.0, size, number) for number in (1, 2, 3)]
+    for frame in frames:
+        frame.planes[Role.DEPTH][:] = DEPTH_MISS
+    assert codes(diagnose(frames)) == set()
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_nothing_finite(size, value, diagnose):
+    findings = diagnose([filled(value, size, number) for number in (1, 2, 3)])
+    assert codes(findings) <= {"not-finite", "negative", "depth-negative"} and "not-finite" in codes(findings)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_pure_noise(size, diagnose):
+    """Pictures of consecutive frames that have nothing in common: that may be said, and no variant be named."""
+    assert codes(diagnose([random(size, number) for number in range(1, 5)])) <= {"motion-no-fit"}
+
+
+def test_repeated_frame_without_motion(room, diagnose):
+    still = [replace(room[1], planes={**room[1].planes, Role.MOTION: np.zeros_like(room[1][Role.MOTION])}, number=n)
+             for n in (1, 2, 3)]
+    assert codes(diagnose(still)) == {"samples-correlated"}
+
+
+def test_a_clean_still_is_not_called_a_repeated_seed(room, diagnose):
+    """Flat colour that does not change has no noise to repeat."""
+    colour = np.full_like(room[1][Role.COLOUR], 0.3)
+    still = [replace(room[1], planes={Role.COLOUR: colour}, number=n) for n in (1, 2, 3)]
+    assert codes(diagnose(still)) == set()
+
+
+def test_frames_of_different_sizes(room, diagnose):
+    small = [replace(frame, planes={r: p[:90, :160] for r, p in frame.planes.items()}) for frame in room[2:4]]
+    assert codes(diagnose(room[:2] + small)) == set()
+
+
+def test_without_colour(diagnose):
+    assert "missing-colour" in codes(diagnose([Frame({Role.DEPTH: np.ones((20, 20, 1), np.float32)})]))
+
+
+@pytest.mark.parametrize("role", list(Role))
+@pytest.mark.parametrize("value", [0.0, 2.0, np.nan, np.inf, -1.0, DEPTH_MISS])
+def test_pictures_of_anything(role, value):
+    shown = picture(np.full((3, 4, ROLES[role].channels), value, np.float32), role)
+    assert shown.shape == (3, 4, 3) and shown.dtype == np.uint8

@@ -1,0 +1,51 @@
+"""No false alarm: sequences as their renderers wrote them, and files that other people's software wrote."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from postfx.cli.inspection import Inspection
+from postfx.doctor.checks.planes import COSTS
+from postfx.errors import ReadError
+from postfx.frame import Role
+
+REPOSITORY = Path(__file__).parent.parent.parent
+ROOM = REPOSITORY / "samples" / "room"
+
+
+def bad(source: Path, guides: Path | None = None) -> list[str]:
+    found = Inspection(str(source), None, None, guides and str(guides)).findings
+    return [f"{finding.code}: {finding.evidence}" for finding in found if finding.level == "error"]
+
+
+def test_the_sample_is_fine():
+    inspection = Inspection(str(ROOM / "noisy.####.exr"), None, None)
+    assert inspection.findings == [] and inspection.exit_code == 0
+
+
+@pytest.mark.parametrize("name", ["living_room", "staircase", "garage"])
+def test_sequences_have_no_error(shared_dir, name):
+    folder = shared_dir / "sequences" / name
+    assert bad(folder / "noisy.####.exr") == []
+    if list(folder.glob("guides.*.exr")):
+        assert bad(folder / "noisy.####.exr", folder / "guides.####.exr") == []
+
+
+def test_collected_files_have_no_error(shared_dir):
+    read = {}
+    for path in sorted([*shared_dir.glob("exr/*/*.exr"), *shared_dir.glob("hdr/*.exr")]):
+        try:
+            read[path.name] = bad(path)
+        except ReadError:
+            continue
+    assert len(read) > 10 and not any(read.values()), {name: found for name, found in read.items() if found}
+
+
+def test_costs_are_those_of_the_quality_page():
+    text = (REPOSITORY / "docs" / "quality.md").read_text(encoding="utf-8")
+    names = {Role.DIFFUSE_ALBEDO: "diffuse albedo", Role.SPECULAR_ALBEDO: "specular albedo"}
+    for role, cost in COSTS.items():
+        (row,) = re.findall(rf"^\| {names.get(role, str(role))} \| (.*dB, flicker.*)$", text, re.MULTILINE)
+        losses = [-float(loss) for loss in re.findall(r"([+-]?[\d.]+) dB", row)]
+        assert (min(losses), max(losses)) == pytest.approx(cost)
