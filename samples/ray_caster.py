@@ -19,7 +19,7 @@ FOV = 60.0
 LIGHT, LIGHT_RADIUS, LIGHT_RADIANCE = np.array([2.0, 4.0, 1.5]), 0.8, 60.0
 COPPER_BALL, COPPER_RADIUS, COPPER_ROUGHNESS = np.array([0.9, 0.5, 0.0]), 0.5, 0.35
 BALL_RADIUS = 0.45
-COPPER_COLOUR, GREY = np.array([0.95, 0.64, 0.54]), 0.04
+COPPER_COLOUR = np.array([0.95, 0.64, 0.54])
 MIRROR_AT, MIRROR_NORMAL = np.array([0.0, 0.0, -2.0]), np.array([0.0, 0.0, 1.0])
 
 

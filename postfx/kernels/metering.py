@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.numeric import compiled
+from postfx.kernels.numeric import compiled, inline
+
+
+@inline
+def luminance(colour, y, x):
+    """Luminance of a pixel of Rec.709."""
+    return 0.2126 * colour[y, x, 0] + 0.7152 * colour[y, x, 1] + 0.0722 * colour[y, x, 2]
 
 
 @compiled
@@ -19,7 +25,7 @@ def block_means(colour, block, means):
             total, brightest, count = 0.0, 0.0, 0
             for y in range(j * block, min((j + 1) * block, colour.shape[0])):
                 for x in range(i * block, min((i + 1) * block, colour.shape[1])):
-                    value = 0.2126 * colour[y, x, 0] + 0.7152 * colour[y, x, 1] + 0.0722 * colour[y, x, 2]
+                    value = luminance(colour, y, x)
                     if abs(value) < np.inf:  # false for NaN too
                         value = max(value, 0.0)
                         total += value
@@ -41,7 +47,7 @@ def half_means(colour, block, means):
                 total, brightest, count = 0.0, 0.0, 0
                 for y in range(j * block + half, (j + 1) * block, 2):
                     for x in range(i * block, (i + 1) * block):
-                        value = 0.2126 * colour[y, x, 0] + 0.7152 * colour[y, x, 1] + 0.0722 * colour[y, x, 2]
+                        value = luminance(colour, y, x)
                         if abs(value) < np.inf:  # false for NaN too
                             value = max(value, 0.0)
                             total += value

@@ -59,7 +59,8 @@ class CudaMemory:
         self._enter()
         self._stream = self._device.create_stream()
         self.stream = int(self._stream.handle)
-        self._graphs = CudaGraphs(self.stream) if graphs else None
+        self.replays = graphs
+        self._graphs = CudaGraphs(self.stream)
         self._lock = threading.RLock()
 
     def allocate(self, nbytes: int) -> CudaChunk:
@@ -85,16 +86,14 @@ class CudaMemory:
     def mark(self) -> Event:
         """This moment on the stream."""
         self._enter()
-        return Event(self.stream, self._graphs is not None and self._graphs.capturing)
+        return Event(self.stream, self._graphs.capturing)
 
     def milliseconds(self, begin: Event, end: Event) -> float:
         """From one moment to another that have both passed."""
         return begin.until(end)
 
     def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
-        """Launch commands as one CUDA graph where graphs are wanted, see `CudaGraphs.replay`."""
-        if self._graphs is None:
-            return None
+        """Launch commands as one CUDA graph, see `CudaGraphs.replay`."""
         with self._entered():
             return self._graphs.replay(key, kept, enqueue)
 

@@ -60,7 +60,7 @@ class Device:
         self,
         name: str = "auto",
         threads: int | None = None,
-        compiled_kernels: bool | None = None,
+        compiled_kernels: bool = True,
         kernels: Library | None = None,
         memory: str | int | None = None,
         graphs: bool = False,
@@ -74,7 +74,7 @@ class Device:
         if self.scratch:
             self.memory = _within(self.scratch, self.memory, name)
         self.name = name if name != "auto" else self.placement.memory
-        self._compiled = True if compiled_kernels is None else compiled_kernels
+        self._compiled = compiled_kernels
         self._kernels = kernels
         self._compute_states: dict[Kernel, State] = {}
         self._encoders = itertools.count()

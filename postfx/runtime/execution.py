@@ -62,8 +62,9 @@ class Execution:
     def _replay(self) -> list[Span] | None:
         """Run all as a whole; None where that cannot be, or something has to be seen to on the way."""
         dispatches, memory = self._dispatches, self._device.memory
-        lost = any(tensor.allocation.lost for dispatch in dispatches for tensor in (*dispatch.reads, *dispatch.writes))
-        if lost or self._recorder is not None:
+        if not memory.replays or self._recorder is not None:
+            return None
+        if any(tensor.allocation.lost for dispatch in dispatches for tensor in (*dispatch.reads, *dispatch.writes)):
             return None
         states = [dispatch.state for dispatch in dispatches]
         try:

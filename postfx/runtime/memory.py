@@ -28,9 +28,11 @@ class Chunk(Protocol):
 
 
 class Memory(Protocol):
-    """Where a device's tensors live. `host_visible` tells whether NumPy can look at it without a copy."""
+    """Where a device's tensors live. `host_visible` tells whether NumPy can look at it without a copy, `replays`
+    whether `replay` may do commands as a whole."""
 
     host_visible: bool
+    replays: bool
 
     def allocate(self, nbytes: int) -> Chunk:
         """A new chunk of at least `nbytes` bytes, aligned to `ALIGNMENT` on the host."""
@@ -70,7 +72,9 @@ class Memory(Protocol):
 
 
 class Immediate:
-    """Memory on which work is done when its call returns."""
+    """Memory on which work is done when its call returns, command by command."""
+
+    replays = False
 
     def relax(self) -> None:
         """All is kept."""
@@ -86,8 +90,9 @@ class Immediate:
         """From one moment to another."""
         return 1e3 * (end - begin)
 
-    def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> None:
+    def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
         """Nothing is done as a whole."""
+        return None
 
 
 class HostChunk:

@@ -64,26 +64,8 @@ class PipelineState:
         return _bind_session(self._session, self.bindings, tensors)
 
 
-class PortableComputeState:
-    """A kernel that runs by its portable ONNX definition. Made by `Device.compute_state`."""
-
-    stage = "compute"
-    model = None
-
-    def __init__(self, device: Device, kernel: Kernel, session: Session) -> None:
-        self.device = device
-        self.name = kernel.name
-        self.command = f"kernel '{kernel.name}'"
-        self.bindings = kernel_bindings(kernel)
-        self._session = session
-
-    def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
-        """A function that runs the portable definition on bound tensors."""
-        return _bind_session(self._session, self.bindings, tensors)
-
-
-class CompiledComputeState:
-    """A kernel that runs by its compiled rows, in bands over the device's threads. Made by `Device.compute_state`."""
+class ComputeState:
+    """A kernel made ready to run on a device. Made by `Device.compute_state`."""
 
     stage = "compute"
     model = None
@@ -93,15 +75,39 @@ class CompiledComputeState:
         self.name = kernel.name
         self.command = f"kernel '{kernel.name}'"
         self.bindings = kernel_bindings(kernel)
+        self._row_axis = kernel.row_axis
+
+    def _extent(self, tensors: Sequence[Tensor]) -> tuple[int, ...]:
+        """Rows of the kernel's work, and the axes after them."""
+        name, axis = self._row_axis
+        (written,) = (tensor for binding, tensor in zip(self.bindings, tensors, strict=True) if binding.name == name)
+        return written.shape[axis:]
+
+
+class PortableComputeState(ComputeState):
+    """A kernel that runs by its portable ONNX definition."""
+
+    def __init__(self, device: Device, kernel: Kernel, session: Session) -> None:
+        super().__init__(device, kernel)
+        self._session = session
+
+    def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
+        """A function that runs the portable definition on bound tensors."""
+        return _bind_session(self._session, self.bindings, tensors)
+
+
+class CompiledComputeState(ComputeState):
+    """A kernel that runs by its compiled rows, in bands over the device's threads."""
+
+    def __init__(self, device: Device, kernel: Kernel) -> None:
+        super().__init__(device, kernel)
         self._rows = kernel.rows
-        self._rows_of = [binding.name for binding in self.bindings].index(kernel.row_axis[0])
-        self._axis = kernel.row_axis[1]
         _compile_rows(kernel, self.bindings)
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that runs the rows on bound tensors."""
         arrays = [tensor.host_view() for tensor in tensors]
-        count, scratch = tensors[self._rows_of].shape[self._axis], self.device.scratch
+        count, scratch = self._extent(tensors)[0], self.device.scratch
         if scratch is None:
             return lambda: self._run(0, count, arrays)
         row_bytes = sum(tensor.nbytes for tensor in tensors) // max(1, count)
@@ -122,24 +128,16 @@ class CompiledComputeState:
                 raise failure
 
 
-class CudaComputeState:
-    """A kernel that runs by its CUDA source. Made by `Device.compute_state`."""
-
-    stage = "compute"
-    model = None
+class CudaComputeState(ComputeState):
+    """A kernel that runs by its CUDA source."""
 
     def __init__(self, device: Device, kernel: Kernel, memory: CudaMemory) -> None:
-        self.device = device
-        self.name = kernel.name
-        self.command = f"kernel '{kernel.name}'"
-        self.bindings = kernel_bindings(kernel)
+        super().__init__(device, kernel)
         self._memory = memory
-        self._rows_of = [binding.name for binding in self.bindings].index(kernel.row_axis[0])
-        self._axis = kernel.row_axis[1]
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that puts the kernel on the GPU's stream."""
-        rows, *columns = tensors[self._rows_of].shape[self._axis:]
+        rows, *columns = self._extent(tensors)
         return self._memory.launcher(self.name, columns[0] if columns else 0, rows, tensors)
 
 
