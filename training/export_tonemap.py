@@ -47,7 +47,11 @@ def card(checkpoint: dict[str, Any], tag: str, look: Look, quality: dict[str, An
         "inputs": {"lowres": {"shape": [1, 3, SIDE, SIDE], "meaning": "shaped colour, area average, 0..1"}},
         "outputs": {
             "grid": {"shape": [1, 16, 16, 8, 12], "meaning": "y, x, guide level, 3x4 affine matrix row-major"},
-            "guide": {"shape": [112], "meaning": "matrix 9, bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1"},
+            "guide": {
+                "shape": [112],
+                "meaning": "matrix 9, bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1",
+                "constant": True,
+            },
         },
         "shaper": {
             "formula": "clip(log2(1 + exposure * x / toe) * scale, 0, 1)",

@@ -53,7 +53,7 @@ class ToneMap(Pass):
         self._history = [new("smoothed grid", shapes["grid"]) for _ in range(2)]
         for grid in self._history:
             grid.fill(0)
-        guide = between("guide", shapes["guide"])
+        guide = device.wrap("guide", self._network.constants["guide"])
         self._output = between("display colour", (spec.height, spec.width, 3))
         self._tables = {
             "lowres": ArgumentTable(device.compute_state(LOWRES), {"params": self._params, "lowres": self._lowres}),
@@ -61,9 +61,7 @@ class ToneMap(Pass):
             "slice": ArgumentTable(
                 device.compute_state(SLICE_APPLY), {"params": self._params, "guide": guide, "output": self._output}
             ),
-            "network": ArgumentTable(
-                self._network, {"lowres": self._lowres, "grid": self._grid, "guide": guide}
-            ),
+            "network": ArgumentTable(self._network, {"lowres": self._lowres, "grid": self._grid}),
         }
         super().compile(device, spec)
 

@@ -135,7 +135,7 @@ class Device:
             if free:
                 given = ", ".join(f"{key}={size}" for key, size in fixed.items()) or "none"
                 raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' free: dims were {given}")
-        return PipelineState(self, name, session, fixed, library.path(name))
+        return PipelineState(self, name, session, fixed, library.path(name), library.constants(name))
 
     def compute_state(self, kernel: Kernel) -> State:
         """A kernel made ready, once per device: compiled rows on the CPU, its CUDA source or its

@@ -49,6 +49,10 @@ class Library:
             raise ModelError(f"card '{path}' is not a JSON object")
         return card
 
+    def constants(self, name: str) -> tuple[str, ...]:
+        """Outputs that the card marks as `"constant": true`: they depend on no input."""
+        return tuple(output for output, facts in self.card(name).get("outputs", {}).items() if facts.get("constant"))
+
     def load(self, name: str) -> bytes:
         """The model's content. Raises ModelError when it, or a file beside it that it has weights in, is not the one
         whose `sha256` the card gives."""

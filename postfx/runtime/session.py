@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -73,6 +73,11 @@ class Session:
         if self._placement.stream:  # the command buffer waits once, at its end
             options.add_run_config_entry("disable_synchronize_execution_providers", "1")
         return lambda: self._session.run_with_iobinding(binding, options)
+
+    def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
+        """Outputs that depend on no input, from one run on zeros."""
+        zeros = {value.name: np.zeros(value.shape, value.dtype) for value in self.inputs}
+        return dict(zip(names, self._session.run(list(names), zeros), strict=True)) if names else {}
 
     def copy_bytes(self, source: tuple[str, int, int], target: tuple[str, int, int], nbytes: int) -> None:
         """Run a copying model from one (memory, index, pointer) to another."""

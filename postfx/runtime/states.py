@@ -46,17 +46,25 @@ class State(Protocol):
 
 
 class PipelineState:
-    """A network with fixed dimensions. Made by `Device.pipeline_state`."""
+    """A network with fixed dimensions. Made by `Device.pipeline_state`.
+
+    Attributes:
+        bindings: of what a dispatch reads and writes.
+        constants: name -> array of outputs that no input changes. They are not bound: on a GPU, ONNX Runtime would copy
+            them beside the stream that all other work is on, early or late.
+    """
 
     stage = "machine-learning"
 
-    def __init__(self, device: Device, name: str, session: Session, dims: dict[str, int], model: Path) -> None:
+    def __init__(self, device: Device, name: str, session: Session, dims: dict[str, int], model: Path,
+                 constants: Sequence[str] = ()) -> None:
         self.device = device
         self.name = name
         self.dims = dims
         self.model = model
         self.command = f"network '{name}'"
-        self.bindings = _session_bindings(session)
+        self.bindings = tuple(binding for binding in _session_bindings(session) if binding.name not in constants)
+        self.constants = session.constants(constants)
         self._session = session
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:

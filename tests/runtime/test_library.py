@@ -4,11 +4,13 @@ import json
 import shutil
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 from onnx import TensorProto, helper
 
-from postfx.runtime import Binding, Library, ModelError
+from postfx.runtime import ArgumentTable, Binding, Library, ModelError
+from postfx.runtime.onnx_files import constant_nodes
 from tests import toys
 
 
@@ -100,3 +102,33 @@ def test_copy_model_is_one_identity_node():
     sent = np.arange(10, dtype=np.uint8)
     assert np.array_equal(session.run(None, {"source": sent})[0], sent)
     assert _COPY.stat().st_size < 1000
+
+
+def test_constants_are_computed_once_and_not_bound(tmp_path, device):
+    scale = {"scale": np.array([3.0], np.float32)}
+    nodes = [helper.make_node("Mul", ["x", "scale"], ["y"]), helper.make_node("Add", ["scale", "scale"], ["six"])]
+    shapes = [toys.value("x", (2,)), toys.value("y", (2,)), toys.value("six", (1,)), toys.value("scale", (1,))]
+    toys.save_model(tmp_path / "parts.onnx", nodes, shapes[:1], shapes[1:], scale)
+    card = {"outputs": {"y": {}, "six": {"constant": True}, "scale": {"constant": True}}}
+    (tmp_path / "parts.json").write_text(json.dumps(card))
+    state = device.pipeline_state(Library(tmp_path), "parts")
+    assert [binding.name for binding in state.bindings] == ["x", "y"]
+    assert {name: array.tolist() for name, array in state.constants.items()} == {"six": [6], "scale": [3]}
+    y = device.heap.tensor("y", (2,))
+    commands = device.command_buffer("test")
+    with commands.machine_learning_encoder("network") as encoder:
+        x = device.wrap("x", np.array([1, 2], np.float32))
+        encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": y}))
+    commands.commit()
+    commands.wait(30)
+    assert y.download().tolist() == [3, 6]
+
+
+@pytest.mark.parametrize("name", Library().names())
+def test_shipped_cards_mark_constants(name):
+    library = Library()
+    model = onnx.load(library.path(name), load_external_data=False)
+    constant = {item.name for item in model.graph.initializer}
+    constant |= {output for index in constant_nodes(model) for output in model.graph.node[index].output}
+    outputs = {item.name for item in model.graph.output}
+    assert set(library.constants(name)) == outputs & constant
