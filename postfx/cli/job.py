@@ -16,7 +16,7 @@ from postfx.cli.progress import FrameProgress
 from postfx.cli.summary import Report
 from postfx.errors import GuideError, WriteError
 from postfx.exposure import SMOOTH, SmoothExposure, colours_of
-from postfx.frame import Frame, FrameSpec
+from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import Sequence
@@ -27,6 +27,7 @@ from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
 from postfx.plan import Skipped
 from postfx.runtime import Device
+from postfx.strength.shares import Shares
 
 RESUME_PREROLL = 8
 DENOISE_OPTIONS = ("scale", "model", "strength", "budget")
@@ -49,7 +50,7 @@ class Job:
         device = Device(arguments.device, arguments.threads, memory=arguments.memory)
         self.sequence = Sequence(
             arguments.input, arguments.frames, arguments.profile, guides=arguments.guides, scratch=device.scratch,
-            depth=arguments.depth, cuts=known_cuts(arguments.cuts),
+            depth=arguments.depth, cuts=known_cuts(arguments.cuts), leave=arguments.leave,
         )
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
@@ -74,12 +75,16 @@ class Job:
         """The plan in plain types."""
         plan = self.plan.as_dict()
         plan["skipped"] += [dataclasses.asdict(item) for item in self.left_out]
+        if alone := self._first_alone():
+            plan["left_alone"] = alone.as_dict()
         return {**plan, "frames": len(self.sequence), "warnings": self.sequence.warnings}
 
     def plan_text(self) -> str:
         """The plan for people."""
         lines = [str(self.plan)]
         lines += [f"skips   {item.what}: {item.why}" for item in self.left_out]
+        if alone := self._first_alone():
+            lines.append(f"leaves  of frame {self.sequence.numbers[0]}: {alone}")
         return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
 
     def run(self) -> None:
@@ -118,6 +123,7 @@ class Job:
             outputs=self._written,
             guides=self._guides(),
             cuts=self._cuts,
+            left_alone=self.sequence.left_alone,
             capture=self._capture.page,
             error=str(failure) or "interrupted" if failure is not None else None,
         )
@@ -169,6 +175,11 @@ class Job:
         used = [str(role) for role in self.plan.guides]
         return {"width": guides.width, "height": guides.height, "used": used, "output_follows": follows}
 
+    def _first_alone(self) -> Shares | None:
+        """What the first frame leaves as it is, where that is asked for."""
+        asked = self.sequence.leave and Role.STRENGTH in self.plan.planes
+        return self.sequence.left_alone_of(self.sequence.numbers[0]) if asked else None
+
     def _schedule(self, target: OutputFiles, progress: FrameProgress) -> list[Work]:
         """Frames to process in order: those to write, and before each run of them those that fill the history."""
         output = self.plan.output
@@ -219,7 +230,7 @@ class Job:
         return None
 
     def _refuse_denoise_options(self, arguments: argparse.Namespace) -> None:
-        for name in DENOISE_OPTIONS:
+        for name in (*DENOISE_OPTIONS, "leave"):
             option, value = f"--{name}", getattr(arguments, name)
             if value is not None:
                 raise PassOptionError(f"{option} is for the denoiser, which --no-denoise leaves out: give one of them")

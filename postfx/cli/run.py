@@ -26,6 +26,7 @@ examples:
   postfx run shot/ -o out/ --skip-existing --scale 1.5
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
   postfx run poster.exr -o out/ --memory 4G
   postfx run shot/noisy.####.exr --explain
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-frame 5
@@ -104,6 +105,11 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--strength", type=float, metavar="S",
         help="of denoising, 0 (only resample) to 1 (fully), times the plane 'strength' if there is one (default: 1)",
+    )
+    group.add_argument(
+        "--leave", metavar="NAMES",
+        help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, and 'auto' for sky and "
+        "misses that are free of noise; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id",
     )
     tonemap = group.add_mutually_exclusive_group()
     tonemap.add_argument(

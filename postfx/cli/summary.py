@@ -7,6 +7,7 @@ from statistics import median
 from typing import Any
 
 from postfx.plan import Skipped
+from postfx.strength.shares import Shares
 
 SHOWN_FRAMES = 3
 SHOWN_CUTS = 12
@@ -30,6 +31,7 @@ class Report:
         guides: size of the planes at output size, roles that were used, and whether the output's size follows from
             them; None without guides.
         cuts: frames at which a cut was found in the pictures.
+        left_alone: how much of the frames --leave left as it is.
         capture: path of the capture's page, or None.
         error: why the run ended early, or None.
     """
@@ -45,6 +47,7 @@ class Report:
     chosen: dict[str, dict[str, int]] = field(default_factory=dict)
     guides: dict[str, Any] | None = None
     cuts: list[int] = field(default_factory=list)
+    left_alone: Shares = field(default_factory=Shares)
     capture: str | None = None
     error: str | None = None
 
@@ -62,6 +65,8 @@ class Report:
             "chosen": self.chosen,
             "cuts": self.cuts,
         }
+        if self.left_alone.frames:
+            result["left_alone"] = self.left_alone.as_dict()
         ends = {"capture": self.capture, "error": self.error}
         return {**result, **{name: text for name, text in ends.items() if text}}
 
@@ -72,6 +77,8 @@ class Report:
         lines += [f"chose    {name}: {_counted(counts)}" for name, counts in self.chosen.items()]
         lines += [f"guides   {self._guides_text()}"] if self.guides else []
         lines += [f"cuts     found at {_listed(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
+        if self.left_alone.frames:
+            lines.append(f"left     {self.left_alone}")
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
         lines += [f"warning  {warning}" for warning in self.warnings]
         lines += [f"capture  {self.capture}"] if self.capture else []

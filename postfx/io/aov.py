@@ -11,14 +11,16 @@ import numpy as np
 
 from postfx.errors import MissingPlaneError, ReadError
 from postfx.frame import ROLES, Frame, FrameSpec, Role
-from postfx.io.channels import Channel, ChannelIndex
+from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.convert import Camera, convert, fill_value
 from postfx.io.depth import DepthOption
 from postfx.io.exr import ImageFile, Part
 from postfx.io.guides import GuideLayout, larger_planes, planes_that_guide
 from postfx.io.layout import Header, Match, make_layout
+from postfx.io.left_alone import LeftAlone
 from postfx.io.profile import load_profile
 from postfx.scratch import Scratch
+from postfx.strength.entries import Entry
 
 
 class FrameFiles:
@@ -26,12 +28,15 @@ class FrameFiles:
 
     `paths` maps a plane's word ('' where one file holds all planes) to its file; `guides` likewise, where planes at
     output size have files of their own. Else the planes that are larger than the colour are guides. `depth` replaces
-    what the profile says about depth. Raises ProfileError when near, far or field of view of such a depth is missing,
-    MissingFrameError or ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide.
+    what the profile says about depth; `leave` and `strict` are for `LeftAlone`, which makes a strength or multiplies
+    that of the files. Raises ProfileError when near, far or field of view of such a depth is missing, MissingFrameError or
+    ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide, StrengthError when what to
+    leave is not there.
 
     Attributes:
         layout: planes of the frame's size.
         guides: planes at output size, or None.
+        alone: what is left as it is, or None.
     """
 
     def __init__(
@@ -40,6 +45,8 @@ class FrameFiles:
         profile: str | None = None,
         guides: Mapping[str, Path] | None = None,
         depth: DepthOption | None = None,
+        leave: Iterable[Entry] = (),
+        strict: bool = True,
     ) -> None:
         self._stack = ExitStack()
         try:
@@ -50,6 +57,7 @@ class FrameFiles:
             self.guides = larger_planes(self.layout)
             if guides:
                 self.guides = self._own_guides(guides, profile, depth)
+            self.alone = LeftAlone(leave, index, self.layout, self.path, strict) if leave else None
         except BaseException:
             self._stack.close()
             raise
@@ -64,7 +72,7 @@ class FrameFiles:
         """Size, planes and guides of the frame; MissingPlaneError when there is no colour."""
         width, height = self.match(Role.COLOUR).size
         guides = self.guides.spec() if self.guides else None
-        return FrameSpec(width, height, tuple(self.layout.planes), guides=guides)
+        return FrameSpec(width, height, (*self.layout.planes, *self._made()), guides=guides)
 
     def read(
         self,
@@ -81,7 +89,9 @@ class FrameFiles:
         wanted, guiding = self._wanted(roles, guides)
         if not wanted:
             raise self.missing(Role.COLOUR)
-        matches = {role: self.match(role) for role in wanted}
+        masked = self.alone is not None and Role.STRENGTH in wanted
+        stored = {*wanted, *self.alone.reads} - self._made() if masked else wanted
+        matches = {role: self.match(role) for role in Role if role in stored}
         guide_matches = {role: self.guide(role) for role in guiding}
         if scratch is None:
             pixels = _read_channels([*matches.values(), *guide_matches.values()])
@@ -90,6 +100,8 @@ class FrameFiles:
         else:
             planes = _read_in_pieces(matches, self.layout.camera, scratch)
             guides = _read_in_pieces(guide_matches, self.guides.camera, scratch) if guide_matches else {}
+        if masked:
+            planes = self._masked(planes, wanted, scratch)
         return self._frame(number, planes, guides, next(iter(matches.values())).channels[0].part)
 
     def guide(self, role: Role) -> Match:
@@ -117,6 +129,17 @@ class FrameFiles:
             f"{mend}, or name it in a profile (--profile FILE.toml)"
         )
 
+    def _made(self) -> set[Role]:
+        """What is not in the files and made all the same."""
+        return {Role.STRENGTH} - self.layout.planes.keys() if self.alone else set()
+
+    def _masked(
+        self, planes: dict[Role, np.ndarray], wanted: list[Role], scratch: Scratch | None
+    ) -> dict[Role, np.ndarray]:
+        """Planes that were wanted, the strength as what is left alone makes it."""
+        strength = self.alone.strength(planes, scratch)
+        return {role: strength if role is Role.STRENGTH else planes[role] for role in wanted}
+
     def _attributes(self) -> dict[str, Any]:
         """Header attributes of all parts; where several have one, that of the smallest, first part counts.
 
@@ -143,7 +166,7 @@ class FrameFiles:
     ) -> tuple[list[Role], list[Role]]:
         """Roles to read as planes and as guides."""
         held, offered = self.layout.planes, self.guides.planes if self.guides else {}
-        planes = list(held) if roles is None else [Role(role) for role in roles]
+        planes = [*held, *self._made()] if roles is None else [Role(role) for role in roles]
         if guides is not None:
             return planes, [Role(role) for role in guides]
         if roles is None:
@@ -189,17 +212,8 @@ def _read_in_pieces(matches: Mapping[Role, Match], camera: Camera, scratch: Scra
 def _read_channels(
     matches: Iterable[Match], rows: tuple[int, int] | None = None
 ) -> dict[Channel, np.ndarray]:
-    """Every needed channel once, or some of its rows, with one read of each part that holds any."""
-    wanted: dict[tuple[ImageFile, int], dict[Channel, float]] = {}
-    for match in matches:
-        for channel in match.channels:
-            wanted.setdefault((channel.file, channel.part.index), {})[channel] = fill_value(match.rule)
-    pixels: dict[Channel, np.ndarray] = {}
-    for (file, _), channels in wanted.items():
-        part = next(iter(channels)).part
-        read = file.read(part, {channel.name: fill for channel, fill in channels.items()}, rows)
-        pixels.update({channel: read[channel.name] for channel in channels})
-    return pixels
+    """Channels of some planes."""
+    return read_channels({channel: fill_value(match.rule) for match in matches for channel in match.channels}, rows)
 
 
 def _assemble(

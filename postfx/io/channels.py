@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
+import numpy as np
+
 from postfx.io.exr import ImageFile, Part
 from postfx.io.profile import load_profile
 
@@ -48,6 +50,14 @@ class ChannelIndex:
         found = [self._find_one(name.lower()) for name in names]
         return tuple(found) if all(found) else None
 
+    def matching(self, name: str) -> list[str]:
+        """Full names of a channel or of those of a layer, whatever layer it lies in; each channel once."""
+        for pattern in (name, f"{name}.*", f"*.{name}", f"*.{name}.*"):
+            keys = [key for key in self._channels if fnmatchcase(key, pattern.lower())]
+            if keys:
+                return list({self._channels[key]: key for key in keys}.values())
+        return []
+
     def ending_in(self, name: str) -> Iterator[Channel]:
         """Channels whose full name ends like this."""
         return (channel for key, channel in self._channels.items() if key.endswith(name.lower()))
@@ -63,6 +73,21 @@ class ChannelIndex:
             full += [f"{part.name}.{name}"] if part.name else []
             for key in full + ([f"{word}.{name}"] if word else []):
                 self._channels.setdefault(key.lower(), Channel(file, part, name))
+
+
+def read_channels(
+    fills: Mapping[Channel, float], rows: tuple[int, int] | None = None
+) -> dict[Channel, np.ndarray]:
+    """Every channel once, or some of its rows, with one read of each part that holds any; each with what it is filled
+    with where there is no data."""
+    wanted: dict[tuple[ImageFile, int], list[Channel]] = {}
+    for channel in fills:
+        wanted.setdefault((channel.file, channel.part.index), []).append(channel)
+    pixels: dict[Channel, np.ndarray] = {}
+    for (file, _), channels in wanted.items():
+        read = file.read(channels[0].part, {channel.name: fills[channel] for channel in channels}, rows)
+        pixels.update({channel: read[channel.name] for channel in channels})
+    return pixels
 
 
 def _plain(parts: list[Part]) -> list[Part]:

@@ -50,12 +50,13 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One part (sub-image) of a file."""
+    """One part (sub-image) of a file; `formats` are those of the channels: half, float or uint."""
 
     index: int
     name: str
     view: str
     channels: tuple[str, ...]
+    formats: tuple[str, ...]
     data: Window
     display: Window
     attributes: Mapping[str, Any]
@@ -106,17 +107,32 @@ class ImageFile:
         else:
             part = _some_rows(part, *rows)
             pixels = self._read_rows(part, first, last + 1)
-        if pixels is None:
-            reason = _first_line(self._input.geterror())
-            raise ReadError(f"{self.path}: broken file: {reason}; render or copy this frame again")
-        pixels = pixels.reshape(part.data.height, part.data.width, last + 1 - first)
+        pixels = self._decoded(pixels).reshape(part.data.height, part.data.width, last + 1 - first)
         fills = channels.values()
         return {
             name: to_display_window(pixels[:, :, index - first], part, fill)
             for name, index, fill in zip(channels, indices, fills, strict=True)
         }
 
-    def _read_rows(self, part: Part, first: int, last: int) -> np.ndarray | None:
+    def read_ids(self, part: Part, name: str, rows: tuple[int, int] | None = None) -> np.ndarray:
+        """One channel, likewise, with every bit of it: uint32 where it is stored so, else float32; 0 where there is no
+        data. As floats whole numbers would be scaled to 0..1."""
+        index = part.channels.index(name)
+        if part.formats[index] != "uint":
+            return self.read(part, {name: 0.0}, rows)[name]
+        part = part if rows is None else _some_rows(part, *rows)
+        pixels = self._read_rows(part, index, index + 1, oiio.UINT)
+        return to_display_window(self._decoded(pixels)[:, :, 0], part, 0)
+
+    def _decoded(self, pixels: np.ndarray | None) -> np.ndarray:
+        if pixels is None:
+            reason = _first_line(self._input.geterror())
+            raise ReadError(f"{self.path}: broken file: {reason}; render or copy this frame again")
+        return pixels
+
+    def _read_rows(
+        self, part: Part, first: int, last: int, kind: oiio.BASETYPE = oiio.FLOAT
+    ) -> np.ndarray | None:
         """The data window's rows of a part that has only some of them."""
         data = part.data
         if data.height <= 0:
@@ -124,11 +140,11 @@ class ImageFile:
         self._input.seek_subimage(part.index, 0)
         spec = self._input.spec()
         if not spec.tile_height:
-            return self._input.read_scanlines(part.index, 0, data.y0, data.y1 + 1, 0, first, last, oiio.FLOAT)
+            return self._input.read_scanlines(part.index, 0, data.y0, data.y1 + 1, 0, first, last, kind)
         top = spec.y + (data.y0 - spec.y) // spec.tile_height * spec.tile_height
         bottom = min(spec.y + spec.height, spec.y + -(-(data.y1 + 1 - spec.y) // spec.tile_height) * spec.tile_height)
         columns = (spec.x, spec.x + spec.width)
-        pixels = self._input.read_tiles(part.index, 0, *columns, top, bottom, 0, 1, first, last, oiio.FLOAT)
+        pixels = self._input.read_tiles(part.index, 0, *columns, top, bottom, 0, 1, first, last, kind)
         if pixels is None:
             return None
         pixels = pixels.reshape(bottom - top, data.width, last - first)
@@ -150,7 +166,7 @@ def to_display_window(pixels: np.ndarray, part: Part, fill: float) -> np.ndarray
     data, display = part.data, part.display
     if data == display:
         return np.ascontiguousarray(pixels)
-    result = np.full((display.height, display.width), fill, np.float32)
+    result = np.full((display.height, display.width), fill, pixels.dtype)
     x0, x1 = max(data.x0, display.x0), min(data.x1, display.x1) + 1
     y0, y1 = max(data.y0, display.y0), min(data.y1, display.y1) + 1
     if x0 < x1 and y0 < y1:
@@ -194,6 +210,7 @@ def _part(index: int, spec: oiio.ImageSpec) -> Part:
         name=str(attributes.get("oiio:subimagename", "")),
         view=str(attributes.get("view", "")),
         channels=tuple(spec.channelnames),
+        formats=tuple(str(spec.channelformat(channel)) for channel in range(spec.nchannels)),
         data=_window(spec.x, spec.y, spec.width, spec.height),
         display=_window(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
         attributes=attributes,

@@ -14,6 +14,8 @@ from postfx.io.depth import parse_depth
 from postfx.io.exr import READABLE
 from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, parse_pattern, pattern_of, patterns_in
 from postfx.scratch import Scratch
+from postfx.strength.entries import parse_leave
+from postfx.strength.shares import Shares
 
 
 class Sequence:
@@ -29,6 +31,8 @@ class Sequence:
         numbers: frame numbers, in order of processing. Holes in what is on the disk are kept as numbers: reading such
             a frame raises MissingFrameError.
         warnings: what was odd about the files read so far, each once.
+        leave: what is left as it is.
+        left_alone: how much of the frames read so far that is.
     """
 
     def __init__(
@@ -41,12 +45,16 @@ class Sequence:
         scratch: Scratch | None = None,
         depth: str | None = None,
         cuts: Iterable[int] | None = None,
+        leave: str | None = None,
     ) -> None:
         self._scratch = scratch
         self.pattern, named = _locate(str(source))
         self.profile = profile
         self.depth = None if depth is None else parse_depth(depth)
         self.cuts = None if cuts is None else frozenset(cuts)
+        self.leave = () if leave is None else parse_leave(leave)
+        self._named = False
+        self.left_alone = Shares()
         self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth)
         self.planes = None if planes is None else tuple(Role(role) for role in planes)
         self.warnings: list[str] = []
@@ -110,7 +118,9 @@ class Sequence:
 
     def open(self, number: int) -> FrameFiles:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
-        files = FrameFiles(self.files(number), self.profile, self.guide_files(number), self.depth)
+        guides, strict = self.guide_files(number), not self._named
+        files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict)
+        self._named = True  # a thing that was found need not be in every frame
         self.warnings += [warning for warning in files.layout.warnings if warning not in self.warnings]
         return files
 
@@ -123,9 +133,17 @@ class Sequence:
         """
         with self.open(number) as files:
             frame = files.read(number, self.planes if planes is None else planes, guides, self._scratch)
+            if files.alone:
+                self.left_alone.add(files.alone.shares)
         after_gap = self._is_after_gap(number)  # asked for every frame, as it keeps the number
         frame.reset = (frame.reset if self.cuts is None else number in self.cuts) or after_gap
         return frame
+
+    def left_alone_of(self, number: int) -> Shares:
+        """How much of a frame `leave`, which must be given, leaves as it is."""
+        with self.open(number) as files:
+            files.read(number, [Role.STRENGTH], [])
+            return files.alone.shares
 
     def _is_after_gap(self, number: int) -> bool:
         previous, self._last = self._last, number
@@ -150,6 +168,7 @@ def read_sequence(
     guides: str | PathLike[str] | None = None,
     depth: str | None = None,
     cuts: Iterable[int] | None = None,
+    leave: str | None = None,
 ) -> Sequence:
     """Frames of a sequence, read one at a time while iterating.
 
@@ -165,11 +184,13 @@ def read_sequence(
             'planar,miss=0', see `postfx.io.depth.parse_depth`.
         cuts: frame numbers at which a shot begins, in place of what the headers say; empty for nowhere. None: by the
             headers (postfx:reset). Frames after a gap are marked anyway.
+        leave: what is left as it is, which becomes the plane strength: names in a Cryptomatte, ids, 'auto' for sky and
+            misses, such as 'auto,logo,glass_*=0.5,7-9@id', see `postfx.strength.parse_leave`.
 
-    Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError or
-    ReadError.
+    Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError,
+    ReadError or StrengthError.
     """
-    return Sequence(pattern, frames, profile, planes, guides, depth=depth, cuts=cuts)
+    return Sequence(pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave)
 
 
 def _locate(source: str) -> tuple[Pattern, list[int] | None]:

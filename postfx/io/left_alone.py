@@ -1,0 +1,149 @@
+"""The strength of named things, sky and misses, for one frame: where its files say what they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from postfx.frame import Role
+from postfx.io.channels import Channel, ChannelIndex, read_channels
+from postfx.io.cryptomattes import CryptomattePlanes, cryptomattes
+from postfx.io.layout import Layout
+from postfx.scratch import Scratch
+from postfx.strength.cryptomatte import share_of, snapped
+from postfx.strength.entries import AUTO, Entry, StrengthError
+from postfx.strength.ids import range_of, within
+from postfx.strength.misses import READS, misses_of, strength_of_misses
+from postfx.strength.shares import Shares
+
+SHOWN = 8
+"""Names that an error lists at most."""
+
+
+class LeftAlone:
+    """Entries of `postfx.strength.parse_leave`, found in a frame's files.
+
+    Raises StrengthError when the files hold no Cryptomatte or plane for one, when that has another size than the
+    colour, when nothing tells misses, and, if `strict`, when no name fits; else the thing is only not in this frame.
+
+    Attributes:
+        reads: planes that are looked at, of those that the frame has: colour and its own strength at least.
+        shares: of the last frame that a strength was made for.
+    """
+
+    def __init__(
+        self, entries: Iterable[Entry], index: ChannelIndex, layout: Layout, path: Path, strict: bool = True
+    ) -> None:
+        self._entries, self._index, self._path = tuple(entries), index, path
+        self._cryptomattes = cryptomattes(index, layout.attributes, path) if self._is_looked_up() else []
+        self._size = layout.planes[Role.COLOUR].size if Role.COLOUR in layout.planes else None
+        self._named: dict[CryptomattePlanes, dict[int, Entry]] = {}
+        self._numbered: dict[Channel, list[Entry]] = {}
+        for entry in self._entries:
+            if not entry.is_auto:
+                self._find(entry, strict)
+        looked = READS if self._auto() else (Role.COLOUR,)
+        self.reads = tuple(role for role in layout.planes if role in (*looked, Role.STRENGTH))
+        if self._auto() and not {Role.DEPTH, Role.NORMAL, Role.ALPHA} & set(self.reads):
+            raise StrengthError(f"{path}: nothing for '{AUTO}' to look at: render depth, normals or alpha like the colour")
+        self.shares = Shares()
+
+    def strength(self, planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> np.ndarray:
+        """Strength (height, width, 1) of a frame whose planes hold `reads`, times its own; in an array of `scratch`."""
+        width, height = self._size
+        self.shares = Shares(1, 0.0, {str(entry): 0.0 for entry in self._entries})
+        found = scratch.empty((height, width, 1)) if scratch else np.empty((height, width, 1), np.float32)
+        for rows in scratch.pieces(height, self._row_bytes(width)) if scratch else [(0, height)]:
+            found[slice(*rows)] = self._of_ids(rows)
+        for entry in self._auto():
+            self._without_misses(found, entry, planes, scratch)
+        found *= planes.get(Role.STRENGTH, np.float32(1))
+        self.shares.alone = float((found == 0).mean())
+        return found
+
+    def _is_looked_up(self) -> bool:
+        return any(not entry.is_auto for entry in self._entries)
+
+    def _auto(self) -> list[Entry]:
+        return [entry for entry in self._entries if entry.is_auto][-1:]
+
+    def _find(self, entry: Entry, strict: bool) -> None:
+        """Note where an entry's ids are."""
+        layers = [one for one in self._cryptomattes if entry.plane is None or one.is_called(entry.plane)]
+        if not layers and entry.plane is not None:
+            self._numbered.setdefault(self._plane_of(entry), []).append(entry)
+            range_of(entry)
+        elif not layers:
+            raise StrengthError(f"{self._path}: no Cryptomatte to find '{entry.name}' in: render one, or give ids of a "
+                                f"plane, such as 7@id or 7-9@id")
+        found = [(layer, key) for layer in layers for key in layer.about.ids_of(entry)]
+        for layer, key in found:
+            self._check_size(layer.name, layer.channels[0])
+            self._named.setdefault(layer, {})[key] = entry
+        if layers and not found and strict:
+            raise self._unknown(entry, layers)
+
+    def _plane_of(self, entry: Entry) -> Channel:
+        names = self._index.matching(entry.plane)
+        if len(names) != 1:
+            known = ", ".join(one.name for one in self._cryptomattes) or "none"
+            what = f"has several channels ({', '.join(names[:SHOWN])}): name one" if names else \
+                f"is not there: name a channel of ids, or a Cryptomatte (here: {known})"
+            raise StrengthError(f"{self._path}: plane '{entry.plane}' of '{entry}' {what}")
+        channel, = self._index.find(names)
+        self._check_size(channel.name, channel)
+        return channel
+
+    def _unknown(self, entry: Entry, layers: list[CryptomattePlanes]) -> StrengthError:
+        near = [name for layer in layers for name in layer.about.nearest(entry)]
+        names = near or [name for layer in layers for name in layer.about.manifest or ()]
+        kind = "nearest" if near else "some of its names"
+        shown = ", ".join(f"'{name}'" for name in names[:SHOWN]) or "none, the manifest is empty"
+        return StrengthError(f"{self._path}: no '{entry.name}' in Cryptomatte {', '.join(one.name for one in layers)}: "
+                             f"{kind}: {shown}")
+
+    def _check_size(self, name: str, channel: Channel) -> None:
+        display = channel.part.display
+        if self._size is not None and (display.width, display.height) != self._size:
+            raise StrengthError(f"{self._path}: {name} is {display.width}x{display.height}, the colour is "
+                                f"{self._size[0]}x{self._size[1]}: render ids at the colour's size")
+
+    def _row_bytes(self, width: int) -> int:
+        """Bytes of a row of all planes of ids, as read and as worked on."""
+        return 8 * width * (2 + len(self._numbered) + sum(len(layer.channels) for layer in self._named))
+
+    def _of_ids(self, rows: tuple[int, int]) -> np.ndarray:
+        """Strength of some rows by ids alone; what it covers is counted."""
+        strength = np.ones((rows[1] - rows[0], self._size[0]), np.float32)
+        for layer, ids in self._named.items():
+            pixels = read_channels(dict.fromkeys(layer.channels, 0.0), rows)
+            ranks = [pixels[channel] for channel in layer.channels]
+            lost = np.zeros_like(strength)
+            for entry in dict.fromkeys(ids.values()):
+                share = share_of(ranks, {key: 1.0 for key, owner in ids.items() if owner == entry})
+                lost += (1 - entry.strength) * share
+                self._count(entry, share)
+            strength *= snapped(1 - lost)
+        for channel, entries in self._numbered.items():
+            ids, own = channel.file.read_ids(channel.part, channel.name, rows), np.ones_like(strength)
+            for entry in entries:
+                inside = within(ids, range_of(entry))
+                own[inside] = entry.strength
+                self._count(entry, inside)
+            strength *= own
+        return strength[:, :, None]
+
+    def _without_misses(
+        self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray], scratch: Scratch | None
+    ) -> None:
+        seen = {role: planes[role] for role in self.reads if role is not Role.STRENGTH}
+        strength = strength_of_misses(seen, scratch.relax if scratch else None)
+        self._count(entry, 1 - strength[:, :, 0])
+        self.shares.missed = float(misses_of(seen).mean())
+        found *= entry.strength + (1 - entry.strength) * strength
+
+    def _count(self, entry: Entry, share: np.ndarray) -> None:
+        width, height = self._size
+        self.shares.covered[str(entry)] += float(share.sum(dtype=np.float64)) / (width * height)

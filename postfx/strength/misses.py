@@ -1,0 +1,160 @@
+"""Strength of sky and misses: 0 where the environment is seen directly and is free of noise.
+
+A miss seen through the primary ray has the environment's own colour, which no light path makes noisy. But fog scatters
+light in front of it, objects in motion or out of focus cover a part of it, and some renderers sample it. So the noise
+of the colour is measured, and what is noisy, near something noisy, or too small to be measured keeps full strength.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+
+from postfx.doctor.statistics import local_mean, luminance
+from postfx.frame import DEPTH_MISS, Role
+from postfx.strength.cryptomatte import snapped
+
+READS = (Role.COLOUR, Role.ALPHA, Role.DEPTH, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+"""Planes that are looked at, as far as a frame has them."""
+
+BLOCK = 8
+"""Pixels on a side of the squares in which noise is measured."""
+FEWEST = 8
+"""Measured pixels that a square needs for its noise to be known."""
+SPANS = (1, 2)
+"""Distances in pixels at which neighbours are compared: a renderer's filter makes close ones alike."""
+NOISE = (0.008, 0.02)
+"""Standard deviation over mean, from invisible to visible: what the display curve sqrt(y / (1 + y)) shows of it is then
+at most 0.0015 to 0.004, as in `postfx.kernels.denoise_restore`."""
+CROWD = (0.1, 0.3)
+"""Share of noisy misses from which on none are left alone: noise that is sparse is missing between its spikes, too."""
+GROWN, SOFT = 2, 2
+"""Pixels by which everything else is grown, and radius by which it is grown once more and averaged."""
+BAND = 16 * BLOCK
+
+
+def strength_of_misses(planes: Mapping[Role, np.ndarray], relax: Callable[[], None] | None = None) -> np.ndarray:
+    """Strength (height, width, 1), 0..1: 0 for misses without noise, 1 for everything else, soft in between.
+
+    planes: those of a frame, (height, width, channels), of which `READS` are looked at; colour is needed. What counts
+    as a miss is in `misses_of`. Pixels that are covered in part keep strength 1, as do two around them; the seventh has
+    strength 0. Noise is the second difference of luminance along both axes, at two distances, squared and averaged over
+    the pixels of a square of 8 around which all are misses (after Immerkaer 1996, "Fast noise variance estimation"), its
+    root over their mean luminance. A square takes the largest noise of its neighbours. relax: called after each band of
+    rows.
+    """
+    height, width = planes[Role.COLOUR].shape[:2]
+    see_through = _is_transparent(planes)
+    noise = _noise_strength(planes, see_through, relax)
+    strength = np.empty((height, width, 1), np.float32)
+    reach = GROWN + 2 * SOFT
+    for first, last, top, bottom in _bands(height, reach):
+        kept = ~_misses({role: plane[top:bottom] for role, plane in planes.items()}, see_through)
+        rows = np.arange(top, bottom) // BLOCK
+        found = np.maximum(_spread(kept.astype(np.float32), GROWN), noise[rows][:, np.arange(width) // BLOCK])
+        soft = local_mean(_spread(found, SOFT)[:, :, None], SOFT)
+        strength[first:last] = snapped(soft[first - top:first - top + last - first])
+        if relax:
+            relax()
+    return strength
+
+
+def misses_of(planes: Mapping[Role, np.ndarray]) -> np.ndarray:
+    """Pixels whose primary ray hit nothing: (height, width) of bool.
+
+    planes: (height, width, channels) each. A miss has depth 1e10 and normal 0, as far as the two planes are there;
+    without depth normal and albedos 0; without depth and normal alpha 0. If alpha is below 1 anywhere, misses have
+    alpha 0, too: what has more is covered in part. Without these planes nothing is a miss.
+    """
+    return _misses(planes, _is_transparent(planes))
+
+
+def _is_transparent(planes: Mapping[Role, np.ndarray]) -> bool:
+    """Whether alpha tells coverage; where it is 1 all over, the environment is opaque."""
+    return Role.ALPHA in planes and any((planes[Role.ALPHA][top:top + BAND] < 1).any()
+                                        for top in range(0, planes[Role.ALPHA].shape[0], BAND))
+
+
+def _misses(planes: Mapping[Role, np.ndarray], see_through: bool) -> np.ndarray:
+    zero = [Role.NORMAL] if Role.NORMAL in planes else []
+    if zero and Role.DEPTH not in planes:
+        zero += [role for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
+    signs = [~planes[role].any(2) for role in zero]
+    signs += [planes[Role.DEPTH][:, :, 0] >= DEPTH_MISS] if Role.DEPTH in planes else []
+    signs += [planes[Role.ALPHA][:, :, 0] == 0] if see_through else []
+    return np.logical_and.reduce(signs) if signs else np.zeros(planes[Role.COLOUR].shape[:2], bool)
+
+
+def _bands(height: int, reach: int) -> Iterator[tuple[int, int, int, int]]:
+    """First and last row of bands, and the same with as many rows around them as are there."""
+    for first in range(0, height, BAND):
+        last = min(height, first + BAND)
+        yield first, last, max(0, first - reach), min(height, last + reach)
+
+
+def _noise_strength(
+    planes: Mapping[Role, np.ndarray], see_through: bool, relax: Callable[[], None] | None
+) -> np.ndarray:
+    """Strength that the noise of each square's misses asks for: (rows, columns) of squares, 1 where it is not known."""
+    sums = []
+    for first, last, top, bottom in _bands(planes[Role.COLOUR].shape[0], max(SPANS)):
+        band = {role: plane[top:bottom] for role, plane in planes.items() if role in READS}
+        sums.append(_band_sums(band, _misses(band, see_through), first - top, last - top))
+        if relax:
+            relax()
+    power, count, light, lit = np.concatenate(sums, axis=1)
+    broken = ~np.isfinite(power)
+    known = (count >= FEWEST) | broken
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(power > 0, np.sqrt(power / count) * lit / np.abs(light), 0)
+    noise = np.where(broken, np.inf, np.where(known, ratio, 0))
+    strength = np.clip((noise - NOISE[0]) / (NOISE[1] - NOISE[0]), 0, 1)
+    crowd = (strength * count).sum() / max(1.0, (count * known).sum())
+    least = np.clip((crowd - CROWD[0]) / (CROWD[1] - CROWD[0]), 0, 1)
+    near = _spread(known.astype(np.float32), 1) > 0
+    return np.where(near, np.maximum(_spread(strength, 1), least), 1).astype(np.float32)
+
+
+def _band_sums(band: Mapping[Role, np.ndarray], missed: np.ndarray, first: int, last: int) -> np.ndarray:
+    """Of each square: mean noise power and pixels that it was measured at, light of the misses and their count.
+
+    What is not finite is as noisy as can be.
+    """
+    light = luminance(band[Role.COLOUR])
+    broken = missed & ~np.isfinite(light)
+    light = np.where(missed & ~broken, light, np.float32(0))
+    power, count = np.where(broken, np.float32(np.inf), np.float32(0)), np.zeros(light.shape, np.float32)
+    for span in SPANS:
+        inside = (slice(span, -span), slice(span, -span))
+        if min(light.shape) <= 2 * span:
+            continue
+        whole = _crossed(missed.astype(np.float32), span, (1, 1, 1)) == 9
+        found = np.where(whole, _crossed(light, span, (1, -2, 1)) ** 2 / 36, np.float32(0))
+        power[inside] = np.maximum(power[inside], found)
+        count[inside] += whole & (span == SPANS[0])
+    planes = (power, count, light, (missed & ~broken).astype(np.float32))
+    return np.stack([_square_sums(plane[first:last]) for plane in planes])
+
+
+def _crossed(plane: np.ndarray, span: int, weights: tuple[int, int, int]) -> np.ndarray:
+    """Weighted sums along rows and columns, of pixels that are `span` apart; without a border of so many pixels."""
+    before, here, after = weights
+    rows = before * plane[:-2 * span] + here * plane[span:-span] + after * plane[2 * span:]
+    return before * rows[:, :-2 * span] + here * rows[:, span:-span] + after * rows[:, 2 * span:]
+
+
+def _square_sums(plane: np.ndarray) -> np.ndarray:
+    """Sums over squares of `BLOCK` pixels, those at the end being smaller: float64."""
+    missing = [(0, -side % BLOCK) for side in plane.shape]
+    padded = np.pad(plane.astype(np.float64), missing)
+    rows, columns = (side // BLOCK for side in padded.shape)
+    return padded.reshape(rows, BLOCK, columns, BLOCK).sum((1, 3))
+
+
+def _spread(plane: np.ndarray, radius: int) -> np.ndarray:
+    """Largest value within a square of (2 radius + 1)^2 pixels."""
+    height, width = plane.shape
+    padded, shifts = np.pad(plane, radius, mode="edge"), range(2 * radius + 1)
+    rows = np.maximum.reduce([padded[shift:shift + height] for shift in shifts])
+    return np.maximum.reduce([rows[:, shift:shift + width] for shift in shifts])
