@@ -29,8 +29,8 @@ class FrameFiles:
     `paths` maps a plane's word ('' where one file holds all planes) to its file; `guides` likewise, where planes at
     output size have files of their own. Else the planes that are larger than the colour are guides. `depth` replaces
     what the profile says about depth; `leave` and `strict` are for `LeftAlone`, which makes a strength or multiplies
-    that of the files. Raises ProfileError when near, far or field of view of such a depth is missing, MissingFrameError or
-    ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide, StrengthError when what to
+    that of the files. Raises ProfileError when near, far or field of view of such a depth is missing, MissingFrameError
+    or ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide, StrengthError when what to
     leave is not there.
 
     Attributes:

@@ -47,7 +47,7 @@ class LeftAlone:
         looked = READS if self._auto() else (Role.COLOUR,)
         self.reads = tuple(role for role in layout.planes if role in (*looked, Role.STRENGTH))
         if self._auto() and not {Role.DEPTH, Role.NORMAL, Role.ALPHA} & set(self.reads):
-            raise StrengthError(f"{path}: nothing for '{AUTO}' to look at: render depth, normals or alpha like the colour")
+            raise StrengthError(f"{path}: '{AUTO}' has nothing to look at: render depth, normals or alpha, too")
         self.shares = Shares()
 
     def strength(self, planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> np.ndarray:

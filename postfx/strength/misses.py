@@ -40,9 +40,9 @@ def strength_of_misses(planes: Mapping[Role, np.ndarray], relax: Callable[[], No
     planes: those of a frame, (height, width, channels), of which `READS` are looked at; colour is needed. What counts
     as a miss is in `misses_of`. Pixels that are covered in part keep strength 1, as do two around them; the seventh has
     strength 0. Noise is the second difference of luminance along both axes, at two distances, squared and averaged over
-    the pixels of a square of 8 around which all are misses (after Immerkaer 1996, "Fast noise variance estimation"), its
-    root over their mean luminance. A square takes the largest noise of its neighbours. relax: called after each band of
-    rows.
+    the pixels of a square of 8 around which all are misses (after Immerkaer 1996, "Fast noise variance estimation"),
+    its root over their mean luminance. A square takes the largest noise of its neighbours. relax: called after each
+    band of rows.
     """
     height, width = planes[Role.COLOUR].shape[:2]
     see_through = _is_transparent(planes)
