@@ -27,7 +27,7 @@ SPANS = (1, 2)
 NOISE = (0.008, 0.02)
 """Standard deviation over mean, from invisible to visible: what the display curve sqrt(y / (1 + y)) shows of it is then
 at most 0.0015 to 0.004, as in `postfx.kernels.denoise_restore`."""
-CROWD = (0.1, 0.3)
+CROWD = (0.15, 0.35)
 """Share of noisy misses from which on none are left alone: noise that is sparse is missing between its spikes, too."""
 GROWN, SOFT = 2, 2
 """Pixels by which everything else is grown, and radius by which it is grown once more and averaged."""
