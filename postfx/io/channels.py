@@ -50,12 +50,12 @@ class ChannelIndex:
         found = [self._find_one(name.lower()) for name in names]
         return tuple(found) if all(found) else None
 
-    def matching(self, name: str) -> list[str]:
-        """Full names of a channel or of those of a layer, whatever layer it lies in; each channel once."""
+    def matching(self, name: str) -> list[Channel]:
+        """A channel or those of a layer, by full name or the end of it, * matching anything; each once."""
         for pattern in (name, f"{name}.*", f"*.{name}", f"*.{name}.*"):
-            keys = [key for key in self._channels if fnmatchcase(key, pattern.lower())]
-            if keys:
-                return list({self._channels[key]: key for key in keys}.values())
+            found = [channel for key, channel in self._channels.items() if fnmatchcase(key, pattern.lower())]
+            if found:
+                return list(dict.fromkeys(found))
         return []
 
     def ending_in(self, name: str) -> Iterator[Channel]:

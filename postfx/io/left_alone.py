@@ -86,15 +86,15 @@ class LeftAlone:
             raise self._unknown(entry, layers)
 
     def _plane_of(self, entry: Entry) -> Channel:
-        names = self._index.matching(entry.plane)
-        if len(names) != 1:
+        found = self._index.matching(entry.plane)
+        if len(found) != 1:
             known = ", ".join(one.name for one in self._cryptomattes) or "none"
-            what = f"has several channels ({', '.join(names[:SHOWN])}): name one" if names else \
+            names = ", ".join(channel.name for channel in found[:SHOWN])
+            what = f"has several channels ({names}): name one" if found else \
                 f"is not there: name a channel of ids, or a Cryptomatte (here: {known})"
             raise StrengthError(f"{self._path}: plane '{entry.plane}' of '{entry}' {what}")
-        channel, = self._index.find(names)
-        self._check_size(channel.name, channel)
-        return channel
+        self._check_size(found[0].name, found[0])
+        return found[0]
 
     def _unknown(self, entry: Entry, layers: list[CryptomattePlanes]) -> StrengthError:
         near = [name for layer in layers for name in layer.about.nearest(entry)]
