@@ -1,4 +1,4 @@
-"""The examples in docs/passes.md, docs/runtime.md and docs/integration.md do what their text says."""
+"""The examples in docs/passes.md, docs/runtime.md, docs/integration.md and docs/masks.md do what their text says."""
 
 import importlib
 import re
@@ -75,6 +75,17 @@ def test_the_frame_of_the_integration_page_is_written(tmp_path, monkeypatch):
     focal = names["width"] / 2 / np.tan(np.radians(30))
     moved = np.float32([focal * 0.1 / 5, 0])
     np.testing.assert_allclose(frame["motion"], np.broadcast_to(moved, frame["motion"].shape), atol=1e-3)
+
+
+def test_the_masks_of_the_page_are_made(write_exr, tmp_path, monkeypatch):
+    """On a frame of misses and a Cryptomatte without a manifest, in which the logo is nowhere."""
+    monkeypatch.chdir(tmp_path)
+    names = ("R", "G", "B", *(f"CryptoObject00.{letter}" for letter in "RGBA"))
+    planes = {name: np.full((30, 40), 0.5) for name in names} | {"depth.Z": np.full((30, 40), 1e10)}
+    write_exr("shot/noisy.0001.exr", planes, **{"cryptomatte/0123456/name": "CryptoObject"})
+    names = {}
+    exec(blocks("masks.md", "python")[0], names)
+    assert names["frame"]["strength"].shape == (30, 40, 1) and not names["frame"]["strength"].any()
 
 
 def test_the_integration_page_names_every_helper():

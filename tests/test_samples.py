@@ -46,6 +46,14 @@ def test_the_time_of_masked_frames(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10000
 
 
+@pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="postfx[bench] is not installed")
+def test_misses_are_left_alone_as_long_as_that_is_better():
+    """At every noise within 0.5 dB of the better of denoising them and leaving them; without noise they are left."""
+    rows = [list(map(float, line.split()[:5])) for line in run("leave_alone.py", "2").splitlines()[1:]]
+    assert all(auto > max(denoised, left) - 0.5 for _, denoised, left, auto, _ in rows)
+    assert rows[0][4] > 1 and rows[0][3] > rows[0][1] + 3 and rows[-1][4] == 0
+
+
 def test_memory_is_measured_within_a_budget():
     printed = run("measure_memory.py", "--sizes", "256", "--memory", "none,1G", "--model", "s")
     assert printed.count("256x256 model s budget") == 2

@@ -15,7 +15,7 @@ from postfx.scratch import Scratch
 from postfx.strength.cryptomatte import share_of, snapped
 from postfx.strength.entries import AUTO, Entry, StrengthError
 from postfx.strength.ids import range_of, within
-from postfx.strength.misses import READS, misses_of, strength_of_misses
+from postfx.strength.misses import READS, strength_in_bands
 from postfx.strength.shares import Shares
 
 SHOWN = 8
@@ -60,7 +60,7 @@ class LeftAlone:
         for entry in self._auto():
             self._without_misses(found, entry, planes, scratch)
         found *= planes.get(Role.STRENGTH, np.float32(1))
-        self.shares.alone = float((found == 0).mean())
+        self.shares.alone = 1 - np.count_nonzero(found) / found.size
         return found
 
     def _is_looked_up(self) -> bool:
@@ -138,11 +138,12 @@ class LeftAlone:
     def _without_misses(
         self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray], scratch: Scratch | None
     ) -> None:
-        seen = {role: planes[role] for role in self.reads if role is not Role.STRENGTH}
-        strength = strength_of_misses(seen, scratch.relax if scratch else None)
-        self._count(entry, 1 - strength[:, :, 0])
-        self.shares.missed = float(misses_of(seen).mean())
-        found *= entry.strength + (1 - entry.strength) * strength
+        seen, missed = {role: planes[role] for role in self.reads if role is not Role.STRENGTH}, 0
+        for rows, strength, count in strength_in_bands(seen, scratch.relax if scratch else None):
+            found[rows] *= entry.strength + (1 - entry.strength) * strength
+            self._count(entry, 1 - strength)
+            missed += count
+        self.shares.missed = missed / found.size
 
     def _count(self, entry: Entry, share: np.ndarray) -> None:
         width, height = self._size

@@ -34,30 +34,36 @@ GROWN, SOFT = 2, 2
 BAND = 16 * BLOCK
 
 
-def strength_of_misses(planes: Mapping[Role, np.ndarray], relax: Callable[[], None] | None = None) -> np.ndarray:
+def strength_of_misses(planes: Mapping[Role, np.ndarray]) -> np.ndarray:
     """Strength (height, width, 1), 0..1: 0 for misses without noise, 1 for everything else, soft in between.
 
     planes: those of a frame, (height, width, channels), of which `READS` are looked at; colour is needed. What counts
     as a miss is in `misses_of`. Pixels that are covered in part keep strength 1, as do two around them; the seventh has
     strength 0. Noise is the second difference of luminance along both axes, at two distances, squared and averaged over
     the pixels of a square of 8 around which all are misses (after Immerkaer 1996, "Fast noise variance estimation"),
-    its root over their mean luminance. A square takes the largest noise of its neighbours. relax: called after each
-    band of rows.
+    its root over their mean luminance. A square takes the largest noise of its neighbours.
+    """
+    return np.concatenate([strength for _, strength, _ in strength_in_bands(planes)])
+
+
+def strength_in_bands(
+    planes: Mapping[Role, np.ndarray], relax: Callable[[], None] | None = None
+) -> Iterator[tuple[slice, np.ndarray, int]]:
+    """The same, some rows after the other: which ones, their strength (rows, width, 1), and how many misses they have.
+
+    relax: called after each band of rows that was looked at.
     """
     height, width = planes[Role.COLOUR].shape[:2]
     see_through = _is_transparent(planes)
     noise = _noise_strength(planes, see_through, relax)
-    strength = np.empty((height, width, 1), np.float32)
-    reach = GROWN + 2 * SOFT
-    for first, last, top, bottom in _bands(height, reach):
+    for first, last, top, bottom in _bands(height, GROWN + 2 * SOFT):
         kept = ~_misses({role: plane[top:bottom] for role, plane in planes.items()}, see_through)
-        rows = np.arange(top, bottom) // BLOCK
+        rows, inner = np.arange(top, bottom) // BLOCK, slice(first - top, last - top)
         found = np.maximum(_spread(kept.astype(np.float32), GROWN), noise[rows][:, np.arange(width) // BLOCK])
         soft = local_mean(_spread(found, SOFT)[:, :, None], SOFT)
-        strength[first:last] = snapped(soft[first - top:first - top + last - first])
+        yield slice(first, last), snapped(soft[inner]), kept[inner].size - int(kept[inner].sum())
         if relax:
             relax()
-    return strength
 
 
 def misses_of(planes: Mapping[Role, np.ndarray]) -> np.ndarray:

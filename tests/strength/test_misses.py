@@ -134,8 +134,10 @@ def test_bands_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     planes, calls = noisy_sky(0.008), []
     wanted = strength_of_misses(planes)
     monkeypatch.setattr(misses, "BAND", 16)
-    np.testing.assert_array_equal(strength_of_misses(planes, lambda: calls.append(1)), wanted)
-    assert 0 < wanted[:60].mean() < 1 and len(calls) == 20
+    bands = list(misses.strength_in_bands(planes, lambda: calls.append(1)))
+    np.testing.assert_array_equal(np.concatenate([strength for _, strength, _ in bands]), wanted)
+    assert [rows.start for rows, _, _ in bands] == list(range(0, 150, 16)) and len(calls) == 20
+    assert sum(count for _, _, count in bands) == misses_of(planes).sum() and 0 < wanted[:60].mean() < 1
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 40), (5, 5), (40, 2)])
