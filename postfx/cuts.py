@@ -17,6 +17,7 @@ import numpy as np
 from postfx.errors import PostfxError
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.kernels.metering import half_means
+from postfx.sampling import bilinear, is_inside
 
 RELATED = 0.65
 """Correlation from which two frames are of one shot; docs/integration.md shows it within shots and across cuts."""
@@ -153,15 +154,16 @@ def _compared(before: Picture, now: Picture, motion: np.ndarray) -> float | None
     rows, columns = motion.shape[:2]
     y = np.arange(rows)[:, None] + motion[..., 1]
     x = np.arange(columns)[None, :] + motion[..., 0]
-    inside = (x >= 0) & (x <= columns - 1) & (y >= 0) & (y <= rows - 1)
+    inside = is_inside(now.light, x, y)
     if inside.sum() < max(LEAST_COMPARED, LEAST_OVERLAP * inside.size):
         return 0.0
     x, y = x[inside], y[inside]
-    light = _true_correlation(_at(before.light, x, y)[..., None], now.light[inside][..., None], LEAST_SPREAD["light"])
+    lights = bilinear(before.light, x, y), now.light[inside]
+    light = _true_correlation(*(one[..., None] for one in lights), LEAST_SPREAD["light"])
     if light is not None and light >= RELATED:
         return light
     guides = [
-        _true_correlation(_at(_band(before.guides[role]), x, y), _band(plane)[inside], LEAST_SPREAD[role])
+        _true_correlation(bilinear(_band(before.guides[role]), x, y), _band(plane)[inside], LEAST_SPREAD[role])
         for role, plane in now.guides.items()
         if role in before.guides
     ]
@@ -192,14 +194,6 @@ def _correlation(a: np.ndarray, b: np.ndarray, least_spread: float) -> float | N
     if min(spread_a, spread_b) <= least_spread:
         return None
     return float(np.mean(a * b) / (spread_a * spread_b))
-
-
-def _at(planes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bilinear samples (cells, ...) of (rows, columns, ...) at places inside."""
-    i, j = np.minimum(x.astype(int), planes.shape[1] - 2), np.minimum(y.astype(int), planes.shape[0] - 2)
-    u, v = (value.reshape(-1, *[1] * (planes.ndim - 2)) for value in (x - i, y - j))
-    upper = planes[j, i] * (1 - u) + planes[j, i + 1] * u
-    return upper * (1 - v) + (planes[j + 1, i] * (1 - u) + planes[j + 1, i + 1] * u) * v
 
 
 def _shift(before: Picture, now: Picture) -> np.ndarray:

@@ -83,6 +83,20 @@ def ray_from_depth(
     return np.where(depth < DEPTH_MISS, depth / _cosines(depth.shape, fov_x, jitter, pixel_aspect), DEPTH_MISS)
 
 
+def ray_slopes(
+    columns: np.ndarray, rows: np.ndarray, size: tuple[int, int], fov_x: float,
+    jitter: Sequence[float] = (0.0, 0.0), pixel_aspect: float = 1.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far the rays of pixels go to the right and down, each as `columns` and `rows`, on 1 along the view axis.
+
+    size: width and height of the frame; the rest is as for `depth_from_ray`.
+    """
+    width, height = size
+    step = 2 * math.tan(math.radians(fov_x) / 2) / width
+    x = (columns + 0.5 + jitter[0] - width / 2) * step
+    return x, (rows + 0.5 + jitter[1] - height / 2) * step / pixel_aspect
+
+
 def depth_with_misses(depth: np.ndarray, miss: float) -> np.ndarray:
     """Depth, any shape, whose pixels of the value `miss`, and those that are not finite, become 1e10."""
     depth = np.asarray(depth, np.float64)
@@ -125,11 +139,10 @@ def _cosines(
     if not 0 < fov_x < 180:
         raise DepthError(f"field of view {fov_x:g}: give degrees between 0 and 180")
     rows, width = shape[:2]
-    height = rows if height is None else height
-    step = 2 * math.tan(math.radians(fov_x) / 2) / width
-    x = (np.arange(width) + 0.5 + jitter[0] - width / 2) * step
-    y = (np.arange(first, first + rows) + 0.5 + jitter[1] - height / 2) * step / pixel_aspect
-    return (1 / np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)).reshape(rows, width, *shape[2:])
+    size = (width, rows if height is None else height)
+    x, y = ray_slopes(np.arange(width)[None, :], np.arange(first, first + rows)[:, None], size, fov_x, jitter,
+                      pixel_aspect)
+    return (1 / np.sqrt(1 + x**2 + y**2)).reshape(rows, width, *shape[2:])
 
 
 def _inverse_planes(near: float, far: float) -> tuple[float, float]:

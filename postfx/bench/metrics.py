@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import flip_evaluator
 import numpy as np
-from scipy.ndimage import map_coordinates
 from skimage.metrics import structural_similarity
 
 from postfx.frame import Frame, Role
 from postfx.io.srgb import srgb_encode
+from postfx.sampling import bilinear, motion_at
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 KEY = 0.18
@@ -61,18 +61,8 @@ def relmse(colour: np.ndarray, reference: np.ndarray, exposure: float) -> float:
 
 def moved(image: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """`image` (H, W, C) sampled where `motion` (H, W, 2), x and y in pixels, points to; bilinear, edges repeated."""
-    height, width = image.shape[:2]
-    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
-    place = [y + motion[..., 1], x + motion[..., 0]]
-    return np.stack([map_coordinates(plane, place, order=1, mode="nearest") for plane in np.moveaxis(image, 2, 0)], -1)
-
-
-def enlarged_motion(motion: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Motion (h, w, 2) in its own pixels -> (height, width, 2) in output pixels, of the render pixel at each centre."""
-    h, w = motion.shape[:2]
-    rows = ((2 * np.arange(height) + 1) * h) // (2 * height)
-    columns = ((2 * np.arange(width) + 1) * w) // (2 * width)
-    return motion[rows[:, None], columns] * np.array([width / w, height / h], np.float32)
+    y, x = np.indices(image.shape[:2], np.float32)
+    return bilinear(image, (x + motion[..., 0]).ravel(), (y + motion[..., 1]).ravel()).reshape(image.shape)
 
 
 @dataclass(frozen=True)
@@ -136,7 +126,8 @@ class SequenceScore:
         if self._before is None or noisy.reset or Role.MOTION not in noisy:
             return None
         height, width = now.reference.shape[:2]
-        return flicker(self._before, now, enlarged_motion(noisy[Role.MOTION], height, width))
+        motion = motion_at(noisy[Role.MOTION], np.arange(height), np.arange(width), height, width)
+        return flicker(self._before, now, motion)
 
 
 def _mean(rows: list[dict], name: str) -> float | None:

@@ -5,14 +5,16 @@ Camera space here is that of the picture: x right, y down, z along the view axis
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from postfx.depth import ray_slopes
 from postfx.doctor.statistics import finite
 from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.integrate.camera import IntegrationError, perspective
+from postfx.integrate.motion import motion_from_depth
 
 PICTURE_AXES = np.diag([-1.0, -1.0, 1.0])
 """From the axes of worldToCamera (x left, y up, z forward) to those of the picture."""
@@ -50,10 +52,7 @@ def is_hit(depth: np.ndarray) -> np.ndarray:
 
 def rays(frame: Frame, fov_x: float, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """(..., 3) directions through the samples of pixels, with z = 1; fov_x in degrees."""
-    width, height = frame.spec.width, frame.spec.height
-    step = 2 * math.tan(math.radians(fov_x) / 2) / width
-    x = (columns + 0.5 + frame.jitter[0] - width / 2) * step
-    y = (rows + 0.5 + frame.jitter[1] - height / 2) * step
+    x, y = ray_slopes(columns, rows, (frame.spec.width, frame.spec.height), fov_x, frame.jitter)
     return np.stack([x, y, np.ones_like(x)], -1)
 
 
@@ -142,22 +141,23 @@ def fit_rotation(frame: Frame, views: Sequence[float] = ()) -> Fit | None:
 def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
     """Motion (count, 2) in pixels that the cameras alone give to up to 12000 surface points; None without them.
 
-    Points behind the earlier camera are left out.
+    Points behind the earlier camera have `postfx.integrate.motion.OUT_OF_SIGHT`.
     """
     if None in (now.fov_x, before.fov_x) or now.world_to_camera is None or before.world_to_camera is None:
         return None
     if Role.DEPTH not in now:
         return None
     points = smooth_points(now[Role.DEPTH])
-    z = now[Role.DEPTH][points.rows, points.columns].astype(np.float64)
-    place = rays(now, now.fov_x, points.rows, points.columns) * z @ PICTURE_AXES
-    world = np.concatenate([place, np.ones_like(z)], -1) @ np.linalg.pinv(now.world_to_camera)
-    then = (world @ before.world_to_camera)[:, :3] @ PICTURE_AXES
-    width, height = now.spec.width, now.spec.height
-    scale = width / 2 / math.tan(math.radians(before.fov_x) / 2)
-    ahead = then[:, 2] > 1e-6
-    at = np.stack([points.columns + 0.5 + now.jitter[0], points.rows + 0.5 + now.jitter[1]], -1)
-    return then[ahead, :2] / then[ahead, 2:] * scale + (width / 2, height / 2) - at[ahead]
+    try:
+        motion = motion_from_depth(now[Role.DEPTH], _world_to_clip(now), _world_to_clip(before), now.jitter)
+    except IntegrationError:  # a matrix of zeros, or an angle that no camera has
+        return None
+    return motion[points.rows, points.columns]
+
+
+def _world_to_clip(frame: Frame) -> np.ndarray:
+    size = frame.spec.width, frame.spec.height
+    return frame.world_to_camera @ perspective(frame.fov_x, *size, right="-x", up="+y", forward="+z")
 
 
 def _procrustes(seen: np.ndarray, stored: np.ndarray, fov_x: float) -> Fit:

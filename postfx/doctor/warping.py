@@ -15,6 +15,7 @@ import numpy as np
 from postfx.doctor.statistics import finite, local_mean, luminance
 from postfx.doctor.variants import VARIANTS, Variant
 from postfx.frame import Frame, Role
+from postfx.sampling import bilinear, is_inside
 
 POINTS = 3000
 CONTRASTY = 0.75
@@ -115,19 +116,6 @@ def prepared(frame: Frame, role: Role) -> np.ndarray:
     return finite(plane)
 
 
-def sample(plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bilinear values (count, C) at positions where pixel centres are whole, and which lie inside the picture."""
-    height, width = plane.shape[:2]
-    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    x, y = np.clip(x, 0, max(width - 1.001, 0)), np.clip(y, 0, max(height - 1.001, 0))
-    left, top = x.astype(np.int64), y.astype(np.int64)
-    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    u, v = (x - left)[:, None].astype(np.float32), (y - top)[:, None].astype(np.float32)
-    upper = plane[top, left] * (1 - u) + plane[top, right] * u
-    lower = plane[bottom, left] * (1 - u) + plane[bottom, right] * u
-    return upper * (1 - v) + lower * v, inside
-
-
 def score_offset(features: list[Feature], motion: np.ndarray, offset: np.ndarray) -> float:
     """Score of motion (height, width, 2) plus one offset for the whole picture, in pixels."""
     errors = {f.role: _error(f, motion[f.rows, f.columns] + np.float32(offset)) for f in features}
@@ -153,10 +141,10 @@ def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, rng
 
 def _error(feature: Feature, shift: np.ndarray) -> float:
     x, y = feature.columns + shift[:, 0], feature.rows + shift[:, 1]
-    values, inside = sample(feature.before, x, y)
+    inside = is_inside(feature.before, x, y)
     if inside.mean() < LEAST_INSIDE:
         return np.inf
-    errors = np.abs(values - feature.now[feature.rows, feature.columns]).max(1)[inside]
+    errors = np.abs(bilinear(feature.before, x, y) - feature.now[feature.rows, feature.columns]).max(1)[inside]
     return float(np.sort(errors)[: int((1 - OCCLUDED) * errors.size)].mean() / feature.contrast)
 
 

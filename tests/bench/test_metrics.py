@@ -39,12 +39,6 @@ def test_relmse_leaves_the_worst_pixels_out():
     assert metrics.relmse(result, reference, 1.0) == pytest.approx(0.01 / 1.01, rel=1e-4)
 
 
-def test_motion_is_enlarged_by_nearest_pixels():
-    motion = np.random.default_rng(1).random((3, 4, 2)).astype(np.float32)
-    assert np.array_equal(metrics.enlarged_motion(motion, 6, 8), 2 * motion.repeat(2, 0).repeat(2, 1))
-    assert metrics.enlarged_motion(motion, 5, 6).shape == (5, 6, 2)
-
-
 def test_what_moves_along_does_not_flicker():
     picture = np.random.default_rng(2).random((16, 24, 3)).astype(np.float32)
     motion = np.zeros((16, 24, 2), np.float32)
