@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 
+from postfx.cli.reading import add_depth
+
 HELP = "find what is wrong with a sequence's planes"
 DESCRIPTION = """\
 Find what is wrong with a sequence: reads up to eight consecutive frames from the first one (or the first of --frames),
 and checks albedos, normals, roughness, depth, motion, jitter, cuts, exposure and noise. Motion is tried in all common
 variants (signs, axes, units, with jitter) by warping, and the best one is named. Each finding says what was measured,
-the likely cause and the mend. After the findings: the renderer profile, sizes, every plane with its channels and
-values, what is missing, planes at output size, and the camera.
+the likely cause and the mend. What is said about depth (--depth) is taken as true and then checked like all else.
+After the findings: the renderer profile, sizes, every plane with its channels and values, what is missing, planes at
+output size, and the camera.
 """
 EXAMPLES = """\
 examples:
@@ -19,6 +22,7 @@ examples:
   postfx inspect shot/noisy.####.exr --pictures look/       # one PNG a plane
   postfx inspect shot/ --profile studio.toml --frames 12-20
   postfx inspect shot/noisy.####.exr --guides shot/guides.####.exr
+  postfx inspect shot/noisy.####.exr --depth reversed,near=0.1    # is that what the plane holds?
   postfx inspect shot/noisy.####.exr --json | python -m json.tool
 
 exit codes: 0 fine; 1 warnings only; 2 at least one error; also 2, with one line on standard error and nothing on
@@ -32,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--guides", metavar="GUIDES", help="files of planes at output size, as for 'postfx run'")
     parser.add_argument("--frames", metavar="RANGE", help="frames of interest, e.g. 12 or 1-100")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
+    add_depth(parser)
     parser.add_argument("--pictures", metavar="DIR", help="write a picture of every plane of the first frame there")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -41,7 +46,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.cli.inspection import Inspection  # loads NumPy and OpenImageIO, which --help must not wait for
     from postfx.cli.inspection_text import print_text
 
-    inspection = Inspection(arguments.input, arguments.frames, arguments.profile, arguments.guides)
+    inspection = Inspection(arguments.input, arguments.frames, arguments.profile, arguments.guides, arguments.depth)
     if arguments.pictures:
         inspection.write_pictures(arguments.pictures)
     facts = inspection.facts()

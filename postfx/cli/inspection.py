@@ -29,8 +29,10 @@ class Inspection:
         pictures: paths of the pictures that were written.
     """
 
-    def __init__(self, source: str, frames: str | None, profile: str | None, guides: str | None = None) -> None:
-        self.sequence = Sequence(source, frames, profile, guides=guides)
+    def __init__(
+        self, source: str, frames: str | None, profile: str | None, guides: str | None = None, depth: str | None = None
+    ) -> None:
+        self.sequence = Sequence(source, frames, profile, guides=guides, depth=depth)
         self._reading: Reading = read_material(self.sequence)
         self.findings: list[Finding] = examine(self._reading.material)
         self.exit_code = exit_code(self.findings)

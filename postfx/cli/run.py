@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 
+from postfx.cli.reading import add_depth
 from postfx.errors import PostfxError
 
 HELP = "denoise, upscale and tone-map a sequence"
@@ -129,11 +130,7 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--profile", metavar="NAME|FILE", help="how the renderer names its planes (default: found from the file)"
     )
-    group.add_argument(
-        "--depth", metavar="KIND[,NAME=NUMBER]", help="what the depth plane holds: planar, ray, device, reversed, "
-        "normalised or normalised-reversed, and near, far, fov, miss, scale; e.g. reversed,near=0.1 (default: by the "
-        "profile)",
-    )
+    add_depth(group)
     group.add_argument(
         "--cuts", default="auto", metavar="auto|none|FRAMES", help="where shots begin, so that the history is "
         "dropped: by headers and pictures, nowhere, or at these frames, e.g. 1,48,90 (default: auto)",

@@ -30,14 +30,17 @@ class DepthKind:
 KINDS = (
     DepthKind("", "depth along the view axis", "", "", lambda d, cosine: d),
     DepthKind("depth-ray", "distance from the eye", "ray distance was written instead of depth along the view axis",
-              "multiply by the cosine between ray and axis, or in a profile kind = \"ray\" and fov_x",
-              lambda d, cosine: d * cosine),
+              "multiply by the cosine between ray and axis, or give --depth ray,fov=DEGREES (in a profile "
+              "kind = \"ray\" and fov_x)", lambda d, cosine: d * cosine),
     DepthKind("depth-reversed", "1 / depth (near large, far 0)", "reversed depth buffer or disparity",
-              "write linear depth: near / value of a reversed buffer", lambda d, cosine: 1 / d),
+              "write linear depth: near / value of a reversed buffer, or give --depth reversed,near=DISTANCE",
+              lambda d, cosine: 1 / d),
     DepthKind("depth-hyperbolic", "a depth buffer 0..1", "the depth buffer was written as it is",
-              "write linear depth: near far / (far - value (far - near))", lambda d, cosine: 1 / (1 - d), True),
+              "write linear depth: near far / (far - value (far - near)), or give --depth device,near=...,far=...",
+              lambda d, cosine: 1 / (1 - d), True),
     DepthKind("depth-reversed", "1 - depth / far (near 1, far 0)", "depth scaled to 0..1 with near white",
-              "write depth in scene units: (1 - value) far", lambda d, cosine: 1 - d, True),
+              "write depth in scene units: (1 - value) far, or give --depth normalised-reversed,near=0,far=...",
+              lambda d, cosine: 1 - d, True),
 )
 
 

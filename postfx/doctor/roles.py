@@ -7,6 +7,7 @@ from typing import Any
 from postfx.doctor.reading import Reading
 from postfx.frame import Role
 from postfx.io.layout import Layout, Match
+from postfx.io.profile import PlaneRule
 
 SHOWN = 3
 
@@ -38,8 +39,15 @@ def _why(layout: Layout, match: Match, prefix: str) -> str:
     steps += [f"times {list(rule.scale)}"] if not any(rule.offset) and set(rule.scale) != {1} else []
     steps += [f"unit {rule.unit}"] if role is Role.MOTION else []
     steps += [f"{rule.space} space"] if role is Role.NORMAL else []
-    steps += ["ray distance" if rule.kind == "ray" else "along the view axis"] if role is Role.DEPTH else []
+    steps += _depth_steps(rule) if role is Role.DEPTH else []
     return prefix + preferred + (f"; read as: {', '.join(steps)}" if steps else "")
+
+
+def _depth_steps(rule: PlaneRule) -> list[str]:
+    known = {"planar": "along the view axis", "ray": "ray distance", "device": "a depth buffer"}
+    near = ["1 at the near plane"] if rule.reversed else []
+    miss = [] if rule.miss is None else [f"{rule.miss:g} where nothing was hit"]
+    return [known.get(rule.kind, rule.kind), *near, *miss]
 
 
 def _why_not(layout: Layout, role: Role) -> str:

@@ -127,3 +127,17 @@ def test_text_has_the_worst_first_and_no_colour_in_a_pipe(postfx, broken_room):
     heads = [line.split()[0] for line in lines if line.startswith(("error ", "warning ", "info "))]
     assert heads[0] == "error" and heads == sorted(heads, key=["error", "warning", "info"].index)
     assert any(line.strip().startswith("mend:   in a profile") for line in lines)
+
+
+def test_depth_is_checked_as_it_would_be_read(inspect, broken_room):
+    """A reversed buffer is found; what --depth says mends it, and what it says wrongly is found as well."""
+    reversed_buffer = broken_room(depth_Z=lambda z: np.where(z < 1e9, 0.1 / z, 0))
+    assert "depth-reversed" in codes(inspect(reversed_buffer)[1], "error")
+    code, found = inspect(reversed_buffer, "--depth", "reversed,near=0.1")
+    assert code == 0 and "a depth buffer, 1 at the near plane" in found["roles"]["depth"]["why"]
+    assert "depth-reversed" in codes(inspect(broken_room(), "--depth", "reversed,near=0.1")[1], "error")
+
+
+def test_depth_that_cannot_be_understood_is_an_error_line(postfx):
+    done = postfx("inspect", ROOM, "--depth", "z")
+    assert done.code == 2 and done.out == "" and done.err.startswith("error: depth 'z': begin with planar, ray, device")

@@ -32,7 +32,7 @@ def depth_misses(material: Material) -> Iterator[Finding]:
     share = percent(depth == 0)
     if share > 0.1:
         yield warning(Role.DEPTH, "depth-miss-zero", f"{share:.3g} % of the pixels exactly 0", "misses stored as 0",
-                    "store 1e10 where nothing was hit, or in a profile miss = 0.0")
+                    "store 1e10 where nothing was hit, or give --depth planar,miss=0 (in a profile miss = 0.0)")
     hit = depth[is_hit(depth[..., None])]
     if hit.size < 100:
         return

@@ -1,0 +1,14 @@
+"""Arguments on how files are read that several verbs have."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_depth(parser: argparse._ActionsContainer) -> None:
+    """Add --depth, the text for `postfx.io.depth.parse_depth`."""
+    parser.add_argument(
+        "--depth", metavar="KIND[,NAME=NUMBER]", help="what the depth plane holds: planar, ray, device, reversed, "
+        "normalised or normalised-reversed, and near, far, fov, miss, scale; e.g. reversed,near=0.1 (default: by the "
+        "profile)",
+    )
