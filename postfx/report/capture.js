@@ -1,23 +1,10 @@
-const data = JSON.parse(document.getElementById("data").textContent);
 const networks = new Map();  // command -> its network's drawing
 const busy = data.commands.reduce((sum, command) => sum + (command.ms || 0), 0);
-
-function element(name, parent, text, kind) {
-  const made = document.createElement(name);
-  if (text !== undefined) made.textContent = text;
-  if (kind) made.className = kind;
-  if (parent) parent.append(made);
-  return made;
-}
 
 function bytes(count) {
   if (count < 1000) return `${count} B`;
   const step = Math.min(3, Math.floor(Math.log10(count) / 3));
   return `${(count / 1000 ** step).toPrecision(3)} ${["B", "kB", "MB", "GB"][step]}`;
-}
-
-function figure(value) {
-  return typeof value === "number" ? Number(value.toPrecision(6)).toString() : value === null ? "none" : value;
 }
 
 function sum(tensors) {

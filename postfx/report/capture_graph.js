@@ -1,18 +1,5 @@
-"use strict";
 // The dependency graph: one row for each command or barrier, one column for each encoder.
 const BOX = { width: 190, height: 34, gap: 12, column: 280, top: 30, left: 16, barrier: 22 };
-
-function svg(name, attributes, parent, text) {
-  const element = document.createElementNS("http://www.w3.org/2000/svg", name);
-  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-  if (text !== undefined) element.textContent = text;
-  if (parent) parent.append(element);
-  return element;
-}
-
-function shortened(text, most) {
-  return text.length > most ? text.slice(0, most - 1) + "\u2026" : text;
-}
 
 // Rows from top to bottom: {y, command} or {y, barrier} or {y, buffer}; columns: encoder number -> x.
 function layout(data) {

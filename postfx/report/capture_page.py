@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 from postfx.errors import WriteError
 from postfx.report.capture_data import FILE, as_dict
 from postfx.report.networks import describe
+from postfx.report.page import page
 from postfx.report.pictures import picture, sheet
 from postfx.runtime.capture import Capture
 from postfx.runtime.captured import CapturedDispatch, CapturedValue
@@ -20,7 +20,6 @@ PAGE = "capture.html"
 SCRIPTS = ("capture_graph.js", "network_layout.js", "network_graph.js", "network_rows.js",
            "network_details.js", "capture.js")
 Draw = Callable[[Snapshot], list[dict[str, Any]]]
-_PARTS = Path(__file__).parent
 
 
 def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
@@ -39,7 +38,7 @@ def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
     return folder / PAGE
 
 
-def page(capture: Capture, title: str) -> str:
+def capture_page(capture: Capture, title: str) -> str:
     """The page: times, dependencies, tensors and networks of a capture, in one file without network access."""
     return _page(capture, as_dict(capture), title)
 
@@ -49,13 +48,8 @@ def _page(capture: Capture, data: dict[str, Any], title: str) -> str:
     pictures = _Pictures()
     pairs = zip(data["commands"], dispatches, strict=True)
     commands = [_with_pictures(command, dispatch, pictures) for command, dispatch in pairs]
-    parts = {
-        "title": html.escape(title),
-        "style": _part("capture.css"),
-        "script": "".join(_part(name) for name in SCRIPTS),
-        "data": _as_script({**data, "commands": commands, "pictures": pictures.sets, "networks": _networks(data)}),
-    }
-    return _filled(_part("capture.html"), parts)
+    facts = {**data, "commands": commands, "pictures": pictures.sets, "networks": _networks(data)}
+    return page(title, "capture", SCRIPTS, facts)
 
 
 class _Pictures:
@@ -114,19 +108,3 @@ def _networks(data: dict[str, Any]) -> list[dict[str, Any]]:
         if command["model"]:
             ran.setdefault((command["model"], tuple(command["dims"].items())), []).append(command["index"])
     return [{**describe(Path(model), dict(dims)), "commands": numbers} for (model, dims), numbers in ran.items()]
-
-
-def _as_script(data: dict[str, Any]) -> str:
-    """JSON that cannot end the element it stands in."""
-    text = json.dumps(data, allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _filled(template: str, parts: dict[str, str]) -> str:
-    """The template with `{{name}}` replaced; what is put in is not looked at again."""
-    pieces = template.split("{{")
-    return pieces[0] + "".join(parts[name] + rest for name, _, rest in (piece.partition("}}") for piece in pieces[1:]))
-
-
-def _part(name: str) -> str:
-    return (_PARTS / name).read_text(encoding="utf-8")

@@ -9,7 +9,7 @@ import pytest
 
 from postfx.errors import ReadError, WriteError
 from postfx.report.capture_data import as_dict, read
-from postfx.report.capture_page import page, write_capture
+from postfx.report.capture_page import capture_page, write_capture
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.onnx_files import MISSING
 from tests import toys
@@ -54,7 +54,7 @@ def test_what_is_not_finite_is_text_in_json(make_capture):
 
 
 def test_the_page_needs_nothing_beside_it(make_capture):
-    text = page(make_capture(), "toy")
+    text = capture_page(make_capture(), "toy")
     assert set(re.findall(r"https?://[^\s\"'<>]+", text)) == {SVG}
     assert not re.search(r"<(link|iframe|img|object|embed)\b|<script[^>]+src|@import|url\(", text)
     assert "default-src 'none'" in text
@@ -62,7 +62,7 @@ def test_the_page_needs_nothing_beside_it(make_capture):
 
 
 def test_pictures_and_nodes_are_in_the_page(make_capture):
-    data = embedded(page(make_capture(), "toy"))
+    data = embedded(capture_page(make_capture(), "toy"))
     (total,) = data["commands"][0]["writes"]
     ((picture,),) = [data["pictures"][total["pictures"]]]
     assert picture["src"].startswith("data:image/png;base64,iVBORw0KGgo")
@@ -77,7 +77,7 @@ def test_pictures_and_nodes_are_in_the_page(make_capture):
 def test_without_onnx_the_page_says_so(make_capture, monkeypatch):
     capture = make_capture()
     monkeypatch.setitem(sys.modules, "onnx", None)
-    (network,) = embedded(page(capture, "toy"))["networks"]
+    (network,) = embedded(capture_page(capture, "toy"))["networks"]
     assert network["note"] == MISSING and network["nodes"] == []
 
 
@@ -91,7 +91,7 @@ def test_all_has_a_picture_for_each_channel_and_each_input_once(tmp_path):
     with device.capture("all", tmp_path) as capture:
         commands.commit()
         commands.wait(10)
-    data = embedded(page(capture, "toy"))
+    data = embedded(capture_page(capture, "toy"))
     (command,) = data["commands"]
     labels = [picture["label"] for picture in data["pictures"][command["writes"][0]["pictures"]]]
     assert labels == ["channels 0 to 2 as colour", *(f"channel {number}" for number in range(5))]
