@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter
 
 from postfx.bench.material import Material
-from postfx.bench.metrics import grey_exposure, psnr, shown
+from postfx.bench.metrics import grey_exposure, psnr
+from postfx.exposure.views import shown
 from postfx.frame import Role
 
 COUNT, SIDE = 3, 96

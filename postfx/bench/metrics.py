@@ -12,8 +12,8 @@ import flip_evaluator
 import numpy as np
 from skimage.metrics import structural_similarity
 
+from postfx.exposure.views import shown
 from postfx.frame import Frame, Role
-from postfx.io.srgb import srgb_encode
 from postfx.sampling import bilinear, motion_at
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -22,12 +22,6 @@ TRIMMED = 0.999
 FOLLOWED = 0.1
 FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
 """Names of the figures. More is better for psnr (dB) and ssim (up to 1), less for flip (0..1), relmse and flicker."""
-
-
-def shown(colour: np.ndarray, exposure: float) -> np.ndarray:
-    """What the eye compares: sRGB code values 0..1 of x / (1 + x), x = colour * exposure; not finite counts as 0."""
-    exposed = np.maximum(np.nan_to_num(colour * exposure), 0)
-    return srgb_encode(exposed / (1 + exposed))
 
 
 def grey_exposure(colour: np.ndarray) -> float:
@@ -48,7 +42,13 @@ def ssim(picture: np.ndarray, reference: np.ndarray) -> float:
 
 def flip(picture: np.ndarray, reference: np.ndarray) -> float:
     """Mean LDR-FLIP error (Andersson 2020), 0..1, at 67 pixels a degree."""
-    return float(flip_evaluator.evaluate(reference, picture, "LDR")[1])
+    return flip_map(picture, reference)[0]
+
+
+def flip_map(picture: np.ndarray, reference: np.ndarray) -> tuple[float, np.ndarray]:
+    """The same, and the error of each pixel as a colour (height, width, 3) 0..1: black none, through red to white."""
+    colours, mean, _ = flip_evaluator.evaluate(reference, picture, "LDR")
+    return float(mean), colours
 
 
 def relmse(colour: np.ndarray, reference: np.ndarray, exposure: float) -> float:

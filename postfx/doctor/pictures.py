@@ -11,6 +11,7 @@ from postfx.doctor.geometry import is_hit
 from postfx.doctor.statistics import finite
 from postfx.errors import WriteError
 from postfx.exposure import measure
+from postfx.exposure.views import shown
 from postfx.frame import Frame, Role
 from postfx.io.srgb import srgb_encode
 from postfx.report.pictures import png
@@ -61,8 +62,7 @@ def _write(path: Path, pixels: np.ndarray) -> Path:
 
 def _light(plane: np.ndarray) -> np.ndarray:
     colour = np.ascontiguousarray(np.maximum(plane[..., :3], 0), np.float32)
-    exposed = colour * np.float32(2.0 ** (measure(colour) or 0.0))
-    return srgb_encode(exposed / (1 + exposed))
+    return shown(colour, 2.0 ** (measure(colour) or 0.0))
 
 
 def _near(plane: np.ndarray) -> np.ndarray:

@@ -1,10 +1,12 @@
-"""Pictures that a camera operator judges exposure by: false colour and zebra."""
+"""Ways to show light: as the eye compares it, and as a camera operator judges its exposure, false colour and zebra."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+
+from postfx.io.srgb import srgb_encode
 
 LUMA = np.array((0.2126, 0.7152, 0.0722), np.float32)
 
@@ -35,6 +37,12 @@ STRIPE = 6  # pixels, of a stripe and of the gap after it
 def luma(rgb: np.ndarray) -> np.ndarray:
     """(height, width, 3) -> (height, width), Rec.709 weights."""
     return rgb @ LUMA
+
+
+def shown(colour: np.ndarray, exposure: float) -> np.ndarray:
+    """What the eye compares: sRGB code values 0..1 of x / (1 + x), x = colour * exposure; not finite counts as 0."""
+    exposed = np.maximum(np.nan_to_num(colour * exposure), 0)
+    return srgb_encode(exposed / (1 + exposed))
 
 
 def log_c(linear: np.ndarray) -> np.ndarray:
