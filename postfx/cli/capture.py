@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from postfx.errors import SequenceError, WriteError
+from postfx.io.output import check_folder
 from postfx.report.capture_page import write_capture
 from postfx.runtime import Capture, CommandError, Device
 
@@ -36,7 +36,7 @@ class FrameCapture:
         if self._folder is not None:
             self._made()  # what it cannot do must not be found out after the first frames
         if self._folder is not None and not arguments.explain:
-            _check_folder(self._folder)
+            check_folder(self._folder, "capture")
 
     def choose(self, numbers: Sequence[int]) -> None:
         """Choose among the frames that will be processed, in their order. Raises SequenceError when it is none of them.
@@ -71,15 +71,3 @@ class FrameCapture:
 
     def _write(self, capture: Capture, number: int) -> None:
         self.page = str(write_capture(capture, self._folder, f"postfx capture: frame {number}"))
-
-
-def _check_folder(folder: Path) -> None:
-    """A run takes long: that its capture cannot be written must not be found out at the end."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise WriteError(
-            f"capture folder '{folder}' cannot be written ({error.strerror}): give --capture another folder"
-        ) from error

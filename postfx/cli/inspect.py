@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from postfx.cli.reading import add_depth
+from postfx.cli.arguments import add_depth, add_report
 
 HELP = "find what is wrong with a sequence's planes"
 DESCRIPTION = """\
@@ -20,6 +20,7 @@ EXAMPLES = """\
 examples:
   postfx inspect shot/noisy.####.exr
   postfx inspect shot/noisy.####.exr --pictures look/       # one PNG a plane
+  postfx inspect shot/noisy.####.exr --report shot.html     # everything on one page
   postfx inspect shot/ --profile studio.toml --frames 12-20
   postfx inspect shot/noisy.####.exr --guides shot/guides.####.exr
   postfx inspect shot/noisy.####.exr --depth reversed,near=0.1    # is that what the plane holds?
@@ -38,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
     add_depth(parser)
     parser.add_argument("--pictures", metavar="DIR", help="write a picture of every plane of the first frame there")
+    add_report(parser, "frames with an exposure slider, curves")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -45,10 +47,13 @@ def execute(arguments: argparse.Namespace) -> int:
     """Inspect a sequence; returns the exit code."""
     from postfx.cli.inspection import Inspection  # loads NumPy and OpenImageIO, which --help must not wait for
     from postfx.cli.inspection_text import print_text
+    from postfx.cli.report import write_inspection
 
     inspection = Inspection(arguments.input, arguments.frames, arguments.profile, arguments.guides, arguments.depth)
     if arguments.pictures:
         inspection.write_pictures(arguments.pictures)
+    if arguments.report:
+        write_inspection(inspection, arguments.report)
     facts = inspection.facts()
     if arguments.json:
         print(json.dumps(facts))

@@ -38,6 +38,11 @@ class Inspection:
         self.exit_code = exit_code(self.findings)
         self.pictures: list[str] = []
 
+    @property
+    def frames(self) -> list[Frame]:
+        """The frames that were looked at, in order, neither clamped nor mended."""
+        return list(self._reading.material.frames)
+
     def write_pictures(self, folder: str) -> None:
         """Write a picture of every plane and guide of the first frame; WriteError when the folder cannot be written."""
         self.pictures = [str(path) for path in write_pictures(self._reading.material.first, folder)]

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
 from postfx.cli.progress import FrameProgress
+from postfx.cli.report import RunReport
 from postfx.cli.summary import Report
 from postfx.errors import GuideError, WriteError
 from postfx.exposure import SMOOTH, SmoothExposure, colours_of
@@ -64,6 +65,7 @@ class Job:
         self.plan = self.pipeline.explain(self._first_spec())
         self._preroll, self._scale = arguments.preroll, arguments.scale
         self._capture = FrameCapture(arguments, device)
+        self._page = RunReport(arguments, self.sequence, self.pipeline, self.plan)
         self._seconds = 0.0
         self._frame_ms: list[float] = []
         self._pass_ms: dict[str, list[float]] = {}
@@ -101,17 +103,19 @@ class Job:
                     progress.note("metering all frames first, for --exposure smooth")
                 works = self._schedule(self.outputs, progress)
                 self._capture.choose([work.number for work in works])
+                self._page.choose([work.number for work in works if work.write])
                 for work, frame in read_ahead(works, self._read):
                     with self._capture.around(work.number):
                         result = self._process(work, frame)
                     if work.write:
+                        self._page.add(frame, result)
                         behind.put(partial(self._write, self.outputs.path(work.number), result, progress))
         finally:
             self._seconds = time.perf_counter() - begin
 
     def report(self, failure: BaseException | None = None) -> Report:
-        """What happened so far."""
-        return Report(
+        """What happened so far; writes the page that --report asks for, unless the run was interrupted."""
+        report = Report(
             frames=len(self._written),
             wanted=len(self.sequence),
             seconds=self._seconds,
@@ -127,6 +131,7 @@ class Job:
             capture=self._capture.page,
             error=str(failure) or "interrupted" if failure is not None else None,
         )
+        return report if isinstance(failure, KeyboardInterrupt) else self._page.written(report, self.plan_text())
 
     def _read(self, work: Work) -> Frame:
         frame = self.sequence.read(work.number, self.plan.planes, self.plan.guides)

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from postfx.cli.reading import add_depth
+from postfx.cli.arguments import add_depth, add_report
 from postfx.errors import PostfxError
 
 HELP = "denoise, upscale and tone-map a sequence"
@@ -33,6 +33,8 @@ examples:
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-frame 5
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-network
   postfx run shot/noisy.####.exr -o out/picture.####.png --exposure smooth
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --report out/report.html
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --report out/report.html --reference shot/clean.####.exr
   POSTFX_EXPOSURE_TOOL=1 postfx run shot/noisy.####.exr -o out/grey.####.exr
 
 POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx exposure --help'.
@@ -64,6 +66,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     reports = parser.add_argument_group("reports")
     reports.add_argument("--explain", action="store_true", help="show what would run and what is skipped, then stop")
     reports.add_argument("--json", action="store_true", help="print one JSON object on standard output at the end")
+    add_report(reports, "before and after with an exposure slider, curves over the frames, times, what was skipped")
+    reports.add_argument(
+        "--reference", metavar="FRAMES", help="noise-free frames at output size, numbered like INPUT: the report "
+        "compares with them, by PSNR and FLIP (needs the extra 'bench')",
+    )
     _add_capture(parser.add_argument_group("capture"))
 
 

@@ -33,6 +33,7 @@ class Report:
         cuts: frames at which a cut was found in the pictures.
         left_alone: how much of the frames --leave left as it is.
         capture: path of the capture's page, or None.
+        page: path of the page that --report asks for, or None.
         error: why the run ended early, or None.
     """
 
@@ -49,6 +50,7 @@ class Report:
     cuts: list[int] = field(default_factory=list)
     left_alone: Shares = field(default_factory=Shares)
     capture: str | None = None
+    page: str | None = None
     error: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -67,7 +69,7 @@ class Report:
         }
         if self.left_alone.frames:
             result["left_alone"] = self.left_alone.as_dict()
-        ends = {"capture": self.capture, "error": self.error}
+        ends = {"capture": self.capture, "report": self.page, "error": self.error}
         return {**result, **{name: text for name, text in ends.items() if text}}
 
     def summary(self) -> str:
@@ -82,6 +84,7 @@ class Report:
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
         lines += [f"warning  {warning}" for warning in self.warnings]
         lines += [f"capture  {self.capture}"] if self.capture else []
+        lines += [f"report   {self.page}"] if self.page else []
         if self.outputs:
             more = f" ... {self.outputs[-1]}" if self.frames > 1 else ""
             lines.append(f"wrote    {self.outputs[0]}{more}")

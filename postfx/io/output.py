@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from enum import StrEnum
 from pathlib import Path
 
@@ -56,6 +57,18 @@ class OutputFiles:
         for path in map(self.path, sequence.numbers):
             if path.resolve() in inputs:
                 raise WriteError(f"{path}: is an input: write to another folder or name")
+
+
+def check_folder(folder: Path, option: str) -> None:
+    """Make a folder and raise WriteError where it cannot be written: that must not be found out at the end of a run."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise WriteError(
+            f"{option} folder '{folder}' cannot be written ({error.strerror}): give --{option} another folder"
+        ) from error
 
 
 def _output_pattern(target: str, source: Pattern) -> Pattern:

@@ -136,6 +136,15 @@ def positions(size: int, out_size: int, shift: float = 0.0) -> np.ndarray:
     return ((np.arange(out_size) + 0.5) * (size / out_size) - 0.5 - shift).astype(np.float32)
 
 
+def resampled(image: np.ndarray, height: int, width: int, jitter: tuple[float, float]) -> np.ndarray:
+    """Cubic interpolation of (h, w, C), whose samples are `jitter` (x, y) pixels off their centres, in this thread."""
+    output = np.empty((height, width, image.shape[2]), np.float32)
+    h, w = image.shape[:2]
+    resample_rows(0, height, np.ascontiguousarray(image, np.float32), positions(h, height, jitter[1]),
+                  positions(w, width, jitter[0]), output)
+    return output
+
+
 RESAMPLE = Kernel("resample", ("image", "rows", "columns"), ("output",), resample_rows, ("output", 0),
                   {"image": ("h", "w", "channels"), "rows": ("height",), "columns": ("width",),
                    "output": ("height", "width", "channels")})

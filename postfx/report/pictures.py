@@ -1,4 +1,4 @@
-"""Slices of tensors as PNG data URIs."""
+"""Pixels as PNG data URIs, and slices of tensors as pictures."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import zlib
 from typing import Any
 
 import numpy as np
+import OpenImageIO as oiio
 
 LOW, HIGH = 1, 99
 """Percentiles of the finite values that become black and white."""
@@ -26,7 +27,7 @@ def picture(slices: list[np.ndarray]) -> dict[str, str]:
     shown, text = _shown(stack)
     pixels = _as_rgb(shown)
     pixels[~np.isfinite(stack).all(axis=-1)] = _NOT_FINITE
-    return {"src": _uri(pixels), "range": text}
+    return {"src": png_uri(pixels), "range": text}
 
 
 def sheet(slices: list[np.ndarray]) -> dict[str, Any]:
@@ -42,7 +43,7 @@ def sheet(slices: list[np.ndarray]) -> dict[str, Any]:
     padded[: len(tiles)] = tiles
     height, width = tiles.shape[1:3]
     grid = padded.reshape(rows, columns, height, width, 3).swapaxes(1, 2).reshape(rows * height, columns * width, 3)
-    return {"src": _uri(grid), "range": text, "tiles": [columns, rows], "liveliest": _liveliest(stack, shown)}
+    return {"src": png_uri(grid), "range": text, "tiles": [columns, rows], "liveliest": _liveliest(stack, shown)}
 
 
 def png(pixels: np.ndarray) -> bytes:
@@ -55,13 +56,25 @@ def png(pixels: np.ndarray) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
+def png_uri(pixels: np.ndarray) -> str:
+    """The same as a data URI."""
+    return "data:image/png;base64," + base64.b64encode(png(pixels)).decode("ascii")
+
+
+def reduced(pixels: np.ndarray, most: int) -> np.ndarray:
+    """float32 (height, width, C) whose longer side is at most `most` pixels: means over areas."""
+    height, width, channels = pixels.shape
+    share = most / max(height, width)
+    if share >= 1:
+        return pixels
+    size = oiio.ROI(0, max(round(width * share), 1), 0, max(round(height * share), 1), 0, 1, 0, channels)
+    source = oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
+    return oiio.ImageBufAlgo.resize(source, filtername="box", roi=size).get_pixels(oiio.FLOAT)
+
+
 def _liveliest(stack: np.ndarray, shown: np.ndarray) -> int:
     wrong = ~np.isfinite(stack).all(axis=(1, 2))
     return int((shown.std(axis=(1, 2)) + 256 * wrong).argmax())
-
-
-def _uri(pixels: np.ndarray) -> str:
-    return "data:image/png;base64," + base64.b64encode(png(pixels)).decode("ascii")
 
 
 def _shown(stack: np.ndarray) -> tuple[np.ndarray, str]:

@@ -1,4 +1,4 @@
-"""Arguments on how files are read that several verbs have."""
+"""Arguments that several verbs have."""
 
 from __future__ import annotations
 
@@ -11,4 +11,12 @@ def add_depth(parser: argparse._ActionsContainer) -> None:
         "--depth", metavar="KIND[,NAME=NUMBER]", help="what the depth plane holds: planar, ray, device, reversed, "
         "normalised or normalised-reversed, and near, far, fov, miss, scale; e.g. reversed,near=0.1 (default: by the "
         "profile)",
+    )
+
+
+def add_report(parser: argparse._ActionsContainer, what: str) -> None:
+    """Add --report, the path of a page; `what` it shows besides findings and planes."""
+    parser.add_argument(
+        "--report", metavar="HTML", help=f"write a page that opens from the disk and needs no network: {what}, "
+        "findings and a picture of every plane",
     )

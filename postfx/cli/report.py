@@ -1,0 +1,138 @@
+"""`--report`: one page on a run or an inspection."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postfx.cli.inspection import Inspection
+from postfx.cli.summary import Report
+from postfx.exposure import ExposureMeter, measure
+from postfx.frame import Frame, Role
+from postfx.io.output import check_folder
+from postfx.io.srgb import srgb_decode
+from postfx.kernels.resample import resampled
+from postfx.pipeline import Pipeline
+from postfx.report.frame_log import FrameLog, Look
+from postfx.report.reference import Comparison, References, ReportError, compared
+from postfx.report.report_page import write_report
+
+if TYPE_CHECKING:
+    from postfx.io.sequence import Sequence
+    from postfx.plan import Plan
+
+
+class RunReport:
+    """What --report asks for: it looks at every frame that is written, and writes the page at the end.
+
+    Raises ReportError where options or references do not fit, WriteError when the page's folder cannot be written.
+    """
+
+    def __init__(
+        self, arguments: argparse.Namespace, sequence: Sequence, pipeline: Pipeline, plan: Plan
+    ) -> None:
+        self._arguments, self._sequence, self._pipeline, self._plan = arguments, sequence, pipeline, plan
+        self._path = Path(arguments.report) if arguments.report else None
+        if arguments.reference and not self._path:
+            raise ReportError("--reference is for --report FILE.html: give both")
+        if self._path and arguments.memory:
+            raise ReportError("--report keeps whole frames in memory: leave --memory out")
+        output = plan.output
+        size = output.width, output.height
+        self._references = References(arguments.reference, size) if arguments.reference else None
+        self._look = Look(output.encoding != "scene-linear")
+        self._views: dict[str, Pipeline] = {}
+        self._log = FrameLog([], self._look, "after")
+        if self._path and not arguments.explain:
+            _check(self._path)
+
+    def choose(self, numbers: list[int]) -> None:
+        """Say which frames will be written, in order."""
+        self._log = FrameLog(numbers, self._look, "after")
+
+    def add(self, frame: Frame, result: Frame) -> None:
+        """Look at a frame as it was read, and at what the pipeline just made of it."""
+        if self._path is None:
+            return
+        cut = self._pipeline.cut or frame.reset or not self._follows(frame.number)
+        metered = measure(frame[Role.COLOUR])
+        exposure = self._pipeline.exposure or 2.0 ** (metered or 0.0)
+        pictures = self._pictures(frame, result, exposure, cut)
+        readings = {"exposure used": float(np.log2(exposure)), "exposure metered": metered}
+        found = self._compared(pictures, exposure)
+        self._log.add(frame.number, pictures, exposure, frame.planes.get(Role.MOTION), cut,
+                      readings | (found.figures if found else {}), {"FLIP": found.flip} if found else {})
+
+    def written(self, report: Report, plan: str) -> Report:
+        """Write the page of what was seen; the run's report with its path."""
+        if self._path is None or not self._log.rows:
+            return report
+        for row, milliseconds in zip(self._log.rows, report.frame_ms, strict=False):
+            row.readings["ms frame"] = milliseconds
+        given = self._arguments
+        inspection = Inspection(given.input, given.frames, given.profile, given.guides, given.depth)
+        report = dataclasses.replace(report, page=str(self._path))
+        name = Path(str(inspection.sequence.pattern)).name
+        write_report(self._path, f"postfx report: {name}", self._log, inspection.facts(), inspection.frames[0],
+                     {**report.as_dict(), "plan": plan})
+        return report
+
+    def _follows(self, number: int) -> bool:
+        """Whether the frame looked at last is the one before, and not one before frames that were left out."""
+        return bool(self._log.rows) and self._sequence.before(number, 1) == [self._log.rows[-1].number]
+
+    def _pictures(self, frame: Frame, result: Frame, exposure: float, cut: bool) -> dict[str, np.ndarray]:
+        """Light of one size that is shown alike: before, after and, if there is one, the reference."""
+        after = result[Role.COLOUR]
+        before = resampled(frame[Role.COLOUR], *after.shape[:2], frame.jitter)
+        scene = {"before": before}
+        reference = self._references.colour(frame.number) if self._references else None
+        scene |= {} if reference is None else {"reference": reference}
+        shown = {name: self._viewed(name, light, frame, exposure, cut) for name, light in scene.items()}
+        return {"before": shown.pop("before"), "after": _light_of(result), **shown}
+
+    def _viewed(self, name: str, light: np.ndarray, frame: Frame, exposure: float, cut: bool) -> np.ndarray:
+        """Scene-linear light through the passes that made the output a display's, each picture with its own history."""
+        if not self._look.display:
+            return light
+        if name not in self._views:
+            shown = [step for step in self._plan.steps if step.reflection.output.encoding != step.input.encoding]
+            passes = [type(step.instance)(**step.instance.options) for step in shown]
+            self._views[name] = Pipeline(passes, self._pipeline.device, "metadata", cuts="none")
+        one = Frame({Role.COLOUR: light}, frame.number, exposure=exposure, reset=cut, metadata=frame.metadata)
+        return _light_of(self._views[name](one))
+
+    def _compared(self, pictures: dict[str, np.ndarray], exposure: float) -> Comparison | None:
+        if "reference" not in pictures:
+            return None
+        return compared({name: self._look.codes(light, exposure) for name, light in pictures.items()})
+
+
+def write_inspection(inspection: Inspection, path: str) -> None:
+    """Write the page of an inspection: the input's own frames, as many as the doctor looked at. Raises WriteError."""
+    frames = inspection.frames
+    log, meter = FrameLog([frame.number for frame in frames], Look(False), "input"), ExposureMeter("auto")
+    for frame in frames:
+        if Role.COLOUR in frame:
+            size = frame.spec.height, frame.spec.width
+            light = resampled(np.maximum(frame[Role.COLOUR], 0), *size, frame.jitter)
+            readings = {"exposure metered": measure(frame[Role.COLOUR])}
+            log.add(frame.number, {"input": light}, meter(frame), frame.planes.get(Role.MOTION), frame.reset, readings)
+    _check(Path(path))
+    name = Path(str(inspection.sequence.pattern)).name
+    write_report(Path(path), f"postfx inspect: {name}", log, inspection.facts(), inspection.frames[0])
+
+
+def _check(path: Path) -> None:
+    if path.is_dir():
+        raise ReportError(f"--report {path}: is a folder: give a file, e.g. {path / 'report.html'}")
+    check_folder(path.parent, "report")
+
+
+def _light_of(frame: Frame) -> np.ndarray:
+    colour = frame[Role.COLOUR]
+    return srgb_decode(colour) if frame.encoding == "srgb" else colour
