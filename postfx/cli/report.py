@@ -71,8 +71,8 @@ class RunReport:
         """Write the page of what was seen; the run's report with its path."""
         if self._path is None or not self._log.rows:
             return report
-        for row, milliseconds in zip(self._log.rows, report.frame_ms, strict=False):
-            row.readings["ms frame"] = milliseconds
+        for row, milliseconds in zip(self._log.rows[1:], report.frame_ms[1:], strict=False):
+            row.readings["ms passes"] = milliseconds
         given = self._arguments
         inspection = Inspection(given.input, given.frames, given.profile, given.guides, given.depth)
         report = dataclasses.replace(report, page=str(self._path))
@@ -116,12 +116,12 @@ def write_inspection(inspection: Inspection, path: str) -> None:
     """Write the page of an inspection: the input's own frames, as many as the doctor looked at. Raises WriteError."""
     frames = inspection.frames
     log, meter = FrameLog([frame.number for frame in frames], Look(False), "input"), ExposureMeter("auto")
-    for frame in frames:
-        if Role.COLOUR in frame:
-            size = frame.spec.height, frame.spec.width
-            light = resampled(np.maximum(frame[Role.COLOUR], 0), *size, frame.jitter)
-            readings = {"exposure metered": measure(frame[Role.COLOUR])}
-            log.add(frame.number, {"input": light}, meter(frame), frame.planes.get(Role.MOTION), frame.reset, readings)
+    for before, frame in zip([frames[0], *frames], frames, strict=False):
+        motion = frame.planes.get(Role.MOTION)
+        if motion is not None:  # leads from sample to sample here, not from centre to centre
+            motion = motion + (np.float32(frame.jitter) - np.float32(before.jitter))
+        readings = {"exposure metered": measure(frame[Role.COLOUR])}
+        log.add(frame.number, {"input": frame[Role.COLOUR]}, meter(frame), motion, frame.reset, readings)
     _check(Path(path))
     name = Path(str(inspection.sequence.pattern)).name
     write_report(Path(path), f"postfx inspect: {name}", log, inspection.facts(), inspection.frames[0])

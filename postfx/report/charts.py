@@ -9,33 +9,36 @@ from postfx.report.frame_log import Row
 
 
 class Chart(NamedTuple):
-    """A chart: `prefix` of the readings that it shows; what follows the prefix is the curve's name."""
+    """A chart: `prefix` of the readings that it shows, what follows it is the curve's name; `span`: least height."""
 
     prefix: str
     title: str
+    span: float
     note: str
 
 
 CHARTS = (
-    Chart("change ", "Change along the motion", "1000 times the mean difference to the frame before, followed by the "
-          "motion, in code values as shown, of the calmest 80 % of the pixels: flicker, and what light really does."),
-    Chart("exposure ", "Exposure, EV", "What the run exposed by, and what the meter says of each input frame alone."),
-    Chart("psnr ", "PSNR against the reference, dB", "Of code values as shown, at full size; up is better."),
-    Chart("flip ", "FLIP against the reference", "Mean error as the eye sees it at 67 pixels a degree, 0 to 1; down is "
-          "better."),
-    Chart("ms ", "Milliseconds a frame", "In the passes, without reading and writing. The first frame includes the "
-          "compilation."),
+    Chart("change ", "Change along the motion", 10, "1000 times the mean difference to the frame before, followed by "
+          "the motion, in code values as shown, of the calmest 80 % of the pixels: flicker, and what light does."),
+    Chart("exposure ", "Exposure, EV", 1, "Used: what the run exposed by. Metered: what the meter says of each input "
+          "frame alone."),
+    Chart("psnr ", "PSNR against the reference, dB", 2, "Of code values as shown, at full size; up is better."),
+    Chart("flip ", "FLIP against the reference", 0.02, "Mean error as the eye sees it at 67 pixels a degree, 0 to 1; "
+          "down is better."),
+    Chart("ms ", "Milliseconds a frame", 10, "In the passes, without reading and writing; the first frame, which "
+          "compiles, is left out."),
 )
 
 
 def charts(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Charts that have a curve of at least two values: 'title', 'note', 'curves': name -> values, None for none."""
+    """Charts that have a curve of at least two values: 'title', 'note', least 'span', and 'curves': name -> values."""
     names = dict.fromkeys(name for row in rows for name in row.readings)
     curves = {name: [row.readings.get(name) for row in rows] for name in names}
     drawn = {name: values for name, values in curves.items() if sum(value is not None for value in values) > 1}
-    found = [(chart, _of(chart, drawn)) for chart in CHARTS]
-    return [{"title": chart.title, "note": chart.note, "curves": own} for chart, own in found if own]
+    found = [_drawn(chart, drawn) for chart in CHARTS]
+    return [chart for chart in found if chart["curves"]]
 
 
-def _of(chart: Chart, curves: Mapping[str, list[float | None]]) -> dict[str, list[float | None]]:
-    return {name.removeprefix(chart.prefix): values for name, values in curves.items() if name.startswith(chart.prefix)}
+def _drawn(chart: Chart, curves: Mapping[str, list[float | None]]) -> dict[str, Any]:
+    own = {name.removeprefix(chart.prefix): curve for name, curve in curves.items() if name.startswith(chart.prefix)}
+    return {"title": chart.title, "note": chart.note, "span": chart.span, "curves": own}

@@ -14,9 +14,12 @@ from postfx.report.flicker import change
 from postfx.report.light import coded, packed
 from postfx.report.pictures import png_uri, reduced
 
-LONGEST = 960
+LONGEST = 800
 """Pixels of a picture's longer side; larger ones are reduced."""
 WHITE_STOPS = 6
+
+
+Pixels = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -75,8 +78,8 @@ class FrameLog:
         self.rows: list[Row] = []
 
     def add(
-        self, number: int, pictures: Mapping[str, np.ndarray], exposure: float, motion: np.ndarray | None = None,
-        cut: bool = False, readings: Mapping[str, float | None] | None = None, maps: Mapping[str, np.ndarray] | None = None,
+        self, number: int, pictures: Pixels, exposure: float, motion: np.ndarray | None = None, cut: bool = False,
+        readings: Mapping[str, float | None] | None = None, maps: Pixels | None = None,
     ) -> None:
         """Look at a frame: `pictures` by name, light (height, width, 3) of one size, and `motion`, (h, w, 2) in its own
         pixels, which is not followed at a `cut`; `maps` by name are colours (height, width, 3) 0..1.
@@ -104,7 +107,7 @@ class FrameLog:
             return None
         return change(self._before[name], light, motion, lambda part: self.look.codes(part, exposure))
 
-    def _sight(self, pictures: Mapping[str, np.ndarray], exposure: float, maps: Mapping[str, np.ndarray]) -> Sight:
+    def _sight(self, pictures: Pixels, exposure: float, maps: Pixels) -> Sight:
         def codes(light: np.ndarray) -> np.ndarray:
             return coded(reduced(self.look.exposed(light, exposure), LONGEST), self.look.highest)
 

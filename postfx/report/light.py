@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
-LARGEST = 1023
+LARGEST = 511
 TOE = 2.0**-8
 """Light below which steps are even; above, they are even in stops."""
 NOT_FINITE = (LARGEST, 0, LARGEST)
 
 
 def coded(light: np.ndarray, highest: float) -> np.ndarray:
-    """Light (height, width, 3) as codes 0..1023, uint16: 1023 log(1 + light / TOE) / log(1 + highest / TOE).
+    """Light (height, width, 3) as codes 0..511, uint16: 511 log(1 + light / TOE) / log(1 + highest / TOE).
 
-    What is above `highest` or negative is clipped; a pixel that is not finite becomes magenta. Up to 64, a stop has 73
-    codes, which is more than twice as fine as the 8 bits of a screen.
+    What is above `highest` or negative is clipped; a pixel that is not finite becomes magenta. Up to 64, a stop has 36
+    codes; of the 255 steps of a screen, x / (1 + x) in sRGB has at most 32 in a stop.
     """
-    steps = np.log1p(np.maximum(np.nan_to_num(light), 0) / np.float32(TOE)) / np.log1p(highest / TOE)
-    codes = np.rint(LARGEST * np.minimum(steps, 1)).astype(np.uint16)
+    steps = np.log1p(np.clip(np.nan_to_num(light), 0, highest) / np.float32(TOE)) / np.log1p(highest / TOE)
+    codes = np.rint(LARGEST * steps).astype(np.uint16)
     codes[~np.isfinite(light).all(2)] = NOT_FINITE
     return codes
 

@@ -8,26 +8,33 @@ function ticks(low, high) {
   return Array.from({ length: count }, (_, i) => Number(((first + i) * step).toPrecision(12)));
 }
 
+// Of the axis: from 0 where that is near, and not so little that nothing looks like much.
+function spanOf(values, least) {
+  const low = Math.min(...values), high = Math.max(...values);
+  if (low >= 0 && low < Math.max(high - low, least)) return { low: 0, high: Math.max(1.08 * high, least) };
+  const half = Math.max(1.16 * (high - low), least) / 2, middle = (low + high) / 2;
+  return { low: middle - half, high: middle + half };
+}
+
 function drawChart(chart, place) {
   const box = element("div", place, undefined, "chart");
   element("h3", box, chart.title);
   const values = Object.values(chart.curves).flat().filter(value => value !== null);
-  const low = Math.min(...values), high = Math.max(...values), room = (high - low || Math.abs(high) || 1) * 0.08;
-  const span = { low: low >= 0 && low < (high - low) ? 0 : low - room, high: high + room };
+  const span = spanOf(values, chart.span);
   const count = data.numbers.length;
   const x = index => CHART.left + (count > 1 ? index / (count - 1) : 0.5) * (CHART.right - CHART.left);
   const y = value => CHART.bottom - (value - span.low) / (span.high - span.low) * (CHART.bottom - CHART.top);
   const root = svg("svg", { viewBox: `0 0 ${CHART.width} ${CHART.height}`, role: "img", "aria-label": chart.title }, box);
   drawAxes(root, span, x, y);
   for (const [name, curve] of Object.entries(chart.curves)) drawCurve(root, name, curve, x, y);
-  const legend = element("p", box, undefined, "figures"), here = svg("line", { class: "here", y1: CHART.top, y2: CHART.bottom }, root);
+  const legend = element("p", box, undefined, "figures"), here = svg("line", { class: "here" }, root);
   const tell = index => drawLegend(legend, chart, index);
   tell(null);
   root.addEventListener("pointermove", event => {
     const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(root.getScreenCTM().inverse()).x;
     const share = (at - CHART.left) / (CHART.right - CHART.left);
     const index = Math.max(0, Math.min(count - 1, Math.round(share * (count - 1))));
-    for (const end of ["x1", "x2"]) here.setAttribute(end, x(index));
+    for (const [end, at] of [["x1", x(index)], ["x2", x(index)], ["y1", CHART.top], ["y2", CHART.bottom]]) here.setAttribute(end, at);
     tell(index);
   });
   element("p", box, chart.note, "note");

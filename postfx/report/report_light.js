@@ -1,5 +1,5 @@
 // Light as postfx/report/light.py packs it: codes that any exposure can be made of.
-const LARGEST = 1023;
+const LARGEST = 511;
 
 // Red, green and blue codes of each pixel in turn.
 async function unpack(picture) {

@@ -11,7 +11,9 @@ class Viewer {
     document.getElementById("ev-reset").addEventListener("click", () => { this.ev.value = 0; this.draw(); });
     this.wipe.addEventListener("pointermove", event => this.read(event));
     this.drawChoices();
-    this.show(0);
+    const widest = Math.max(...data.frames.flatMap(({ pictures }) => Object.values(pictures).map(({ width }) => width)));
+    this.zoom.value = 2 * widest <= document.getElementById("port").clientWidth ? 2 : 1;
+    this.show(data.frames.length - 1);
   }
 
   get frame() { return data.frames[this.chosen]; }
@@ -35,7 +37,7 @@ class Viewer {
       this[side].replaceChildren(...names.map(name => new Option(name)));
       this[side].value = names.includes(before) ? before : otherwise;
     }
-    document.getElementById("stage").classList.toggle("single", names.length === 1);
+    document.getElementById("frames").classList.toggle("single", names.length === 1);
     this.describe();
     return this.draw();
   }

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -132,16 +134,17 @@ class Tab:
 @contextmanager
 def chromium(folder: Path) -> Iterator[Tab]:
     """A tab of a browser whose own files are in `folder`. Skips where there is no Chromium."""
+    browser, options = program(), [*OPTIONS, f"--user-data-dir={folder / 'browser'}", "--remote-debugging-pipe"]
     (command_end, commands), (answers, answer_end) = os.pipe(), os.pipe()
-    options = [*OPTIONS, f"--user-data-dir={folder / 'browser'}", "--remote-debugging-pipe"]
-    shell = ["sh", "-c", f'exec "$@" 3<&{command_end} 4>&{answer_end}', "sh", program(), *options]  # it wants 3 and 4
-    process = subprocess.Popen(shell, pass_fds=(command_end, answer_end), stdout=subprocess.DEVNULL,
-                               stderr=subprocess.DEVNULL, env=os.environ | ENVIRONMENT)
-    os.close(command_end)
-    os.close(answer_end)
+    ends = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 10) for end in (command_end, answer_end)]
+    actions = [(os.POSIX_SPAWN_OPEN, quiet, os.devnull, os.O_WRONLY, 0) for quiet in (1, 2)]
+    actions += [(os.POSIX_SPAWN_DUP2, end, wanted) for end, wanted in zip(ends, (3, 4), strict=True)]
+    process = os.posix_spawn(browser, [browser, *options], os.environ | ENVIRONMENT, file_actions=actions)
+    for end in (command_end, answer_end, *ends):
+        os.close(end)
     try:
         with os.fdopen(commands, "wb") as into, os.fdopen(answers, "rb") as out:
             yield Tab(into, out)
     finally:
-        process.terminate()
-        process.wait(20)
+        os.kill(process, signal.SIGTERM)
+        os.waitpid(process, 0)
