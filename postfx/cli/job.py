@@ -90,10 +90,7 @@ class Job:
         return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
 
     def run(self) -> None:
-        """Process all frames: the next is read and the last written meanwhile. Frames that were written stay when a
-        later one fails."""
-        if self.outputs is None:
-            raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr")
+        """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
         begin = time.perf_counter()
         try:
             with FrameProgress(len(self.sequence)) as progress, WriteBehind() as behind:
@@ -114,8 +111,8 @@ class Job:
             self._seconds = time.perf_counter() - begin
 
     def report(self, failure: BaseException | None = None) -> Report:
-        """What happened so far; writes the page that --report asks for, unless the run was interrupted."""
-        report = Report(
+        """What happened so far; writes the page that --report asks for."""
+        return self._page.written(Report(
             frames=len(self._written),
             wanted=len(self.sequence),
             seconds=self._seconds,
@@ -130,8 +127,7 @@ class Job:
             left_alone=self.sequence.left_alone,
             capture=self._capture.page,
             error=str(failure) or "interrupted" if failure is not None else None,
-        )
-        return report if isinstance(failure, KeyboardInterrupt) else self._page.written(report, self.plan_text())
+        ), self.plan_text)
 
     def _read(self, work: Work) -> Frame:
         frame = self.sequence.read(work.number, self.plan.planes, self.plan.guides)

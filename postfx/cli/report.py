@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -67,8 +68,8 @@ class RunReport:
         self._log.add(frame.number, pictures, exposure, frame.planes.get(Role.MOTION), cut,
                       readings | (found.figures if found else {}), {"FLIP": found.flip} if found else {})
 
-    def written(self, report: Report, plan: str) -> Report:
-        """Write the page of what was seen; the run's report with its path."""
+    def written(self, report: Report, plan: Callable[[], str]) -> Report:
+        """Write the page of what was seen, with the text of the `plan`; the run's report with its path."""
         if self._path is None or not self._log.rows:
             return report
         for row, milliseconds in zip(self._log.rows[1:], report.frame_ms[1:], strict=False):
@@ -78,7 +79,7 @@ class RunReport:
         report = dataclasses.replace(report, page=str(self._path))
         name = Path(str(inspection.sequence.pattern)).name
         write_report(self._path, f"postfx report: {name}", self._log, inspection.facts(), inspection.frames[0],
-                     {**report.as_dict(), "plan": plan})
+                     {**report.as_dict(), "plan": plan()})
         return report
 
     def _follows(self, number: int) -> bool:
