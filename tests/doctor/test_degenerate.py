@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from postfx.doctor.geometry import motion_of_camera, smooth_points
 from postfx.doctor.pictures import picture
 from postfx.frame import DEPTH_MISS, ROLES, Frame, Role
 
@@ -94,3 +95,12 @@ def test_without_colour(diagnose):
 def test_pictures_of_anything(role, value):
     shown = picture(np.full((3, 4, ROLES[role].channels), value, np.float32), role)
     assert shown.shape == (3, 4, 3) and shown.dtype == np.uint8
+
+
+def test_motion_of_the_camera_is_the_stored_motion_and_none_without_a_camera(room):
+    before, now = room[1:3]
+    points = smooth_points(now[Role.DEPTH])
+    stored = now[Role.MOTION][points.rows, points.columns]
+    assert np.quantile(np.abs(motion_of_camera(before, now) - stored).max(1), 0.75) < 0.02
+    for no_camera in ({"world_to_camera": np.zeros((4, 4))}, {"fov_x": 200.0}, {"fov_x": None}):
+        assert motion_of_camera(before, replace(now, **no_camera)) is None
