@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from postfx.colour.displays import KINDS, DisplayError, parse_display
-from postfx.errors import FrameError, GuideError
+from postfx.colour.displays import KINDS, parse_display
+from postfx.errors import ColourError, FrameError, GuideError
 
 DEPTH_MISS = 1e10
 """Depth of a pixel whose ray hit nothing."""
@@ -138,7 +138,7 @@ def _known_encoding(encoding: str) -> str:
         return encoding
     try:
         return str(parse_display(encoding))
-    except DisplayError as error:
+    except ColourError as error:
         raise FrameError(f"unknown colour encoding '{encoding}': use {', '.join(LINEAR)}; {error}") from error
 
 

@@ -1,1 +1,1 @@
-"""Colour: primaries, transfer functions, displays and views, as plain NumPy. Kernels are held to what is written here."""
+"""Colour: primaries, transfer functions, displays and views, as plain NumPy that kernels are held to."""

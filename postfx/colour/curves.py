@@ -1,4 +1,4 @@
-"""Transfer functions of displays: light to code values 0..1 and back, on float64 arrays of any shape."""
+"""Transfer functions of displays: light to code values 0..1 and back, on arrays of any shape."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+
+from postfx.io.srgb import srgb_decode, srgb_encode
 
 PQ_NITS = 10000.0
 """Light of the PQ code value 1, cd/m2."""
@@ -23,41 +25,32 @@ class Curve(NamedTuple):
 
 
 def _unit(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.nan_to_num(np.asarray(values, np.float64)), 0, 1)
-
-
-def _srgb_encode(light: np.ndarray) -> np.ndarray:
-    light = _unit(light)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
-def _srgb_decode(codes: np.ndarray) -> np.ndarray:
-    codes = _unit(codes)
-    return np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+    return np.clip(np.nan_to_num(values), 0, 1)
 
 
 def _pq_encode(light: np.ndarray) -> np.ndarray:
-    power = _unit(light) ** _M1
-    return np.where(_unit(light) > 0, ((_C1 + _C2 * power) / (1 + _C3 * power)) ** _M2, 0.0)
+    light = _unit(light).astype(np.float64)
+    power = light**_M1
+    return np.where(light > 0, ((_C1 + _C2 * power) / (1 + _C3 * power)) ** _M2, 0.0)
 
 
 def _pq_decode(codes: np.ndarray) -> np.ndarray:
-    power = _unit(codes) ** (1 / _M2)
+    power = _unit(codes).astype(np.float64) ** (1 / _M2)
     return (np.maximum(power - _C1, 0) / (_C2 - _C3 * power)) ** (1 / _M1)
 
 
 def _hlg_encode(light: np.ndarray) -> np.ndarray:
-    light = _unit(light)
+    light = _unit(light).astype(np.float64)
     return np.where(light <= 1 / 12, np.sqrt(3 * light), _A * np.log(np.maximum(12 * light - _B, 1e-9)) + _C)
 
 
 def _hlg_decode(codes: np.ndarray) -> np.ndarray:
-    codes = _unit(codes)
+    codes = _unit(codes).astype(np.float64)
     return np.where(codes <= 0.5, codes**2 / 3, (np.exp((codes - _C) / _A) + _B) / 12)
 
 
-SRGB = Curve(_srgb_encode, _srgb_decode)
-"""IEC 61966-2-1:1999, 5.2."""
+SRGB = Curve(lambda light: srgb_encode(_unit(light)), lambda codes: srgb_decode(_unit(codes)))
+"""IEC 61966-2-1:1999, 5.2; float32."""
 BT1886 = Curve(lambda light: _unit(light) ** (1 / 2.4), lambda codes: _unit(codes) ** 2.4)
 """ITU-R BT.1886, annex 1, on a display whose black emits no light."""
 PQ = Curve(_pq_encode, _pq_decode)

@@ -11,7 +11,7 @@ import numpy as np
 
 from postfx.colour.curves import BT1886, HLG, PQ, PQ_NITS, SRGB, Curve
 from postfx.colour.primaries import LUMA_REC2020, P3_D65, REC709, REC2020, Chromaticities
-from postfx.errors import PostfxError
+from postfx.errors import ColourError
 
 WHITE = 203.0
 """Light of diffuse white on an HDR display, cd/m2 (ITU-R BT.2408-7, table 1)."""
@@ -20,34 +20,29 @@ _HLG_PEAKS = (400.0, 2000.0)  # outside, BT.2100's formula for the system gamma 
 _DARK = 1e-9
 
 
-class DisplayError(PostfxError):
-    """A display is unknown, or cannot be had as asked for."""
-
-
 class Kind(NamedTuple):
     """What displays of one name have in common.
 
     Attributes:
         title: name for people.
         primaries, curve: as in `postfx.colour`.
-        interop: identifier of the encoding by the Color Interop Forum.
-        cicp: code points of ITU-T H.273: primaries, transfer, matrix (0: RGB), full range.
+        cicp: code points of ITU-T H.273: primaries, transfer, matrix (0: RGB), full range. None where its code for
+            the transfer function means a camera's, which viewers then undo, and not BT.1886.
     """
 
     title: str
     primaries: Chromaticities
     curve: Curve
-    interop: str
-    cicp: tuple[int, int, int, int]
+    cicp: tuple[int, int, int, int] | None
 
 
 KINDS = {
-    "srgb": Kind("sRGB", REC709, SRGB, "srgb_rec709_display", (1, 13, 0, 1)),
-    "p3": Kind("Display P3", P3_D65, SRGB, "srgb_p3d65_display", (12, 13, 0, 1)),
-    "rec709": Kind("Rec.709, BT.1886", REC709, BT1886, "g24_rec709_display", (1, 1, 0, 1)),
-    "rec2020": Kind("Rec.2020, BT.1886", REC2020, BT1886, "g24_rec2020_display", (9, 14, 0, 1)),
-    "pq": Kind("Rec.2100 PQ", REC2020, PQ, "pq_rec2020_display", (9, 16, 0, 1)),
-    "hlg": Kind("Rec.2100 HLG", REC2020, HLG, "hlg_rec2020_display", (9, 18, 0, 1)),
+    "srgb": Kind("sRGB", REC709, SRGB, (1, 13, 0, 1)),
+    "p3": Kind("Display P3", P3_D65, SRGB, (12, 13, 0, 1)),
+    "rec709": Kind("Rec.709, BT.1886", REC709, BT1886, None),
+    "rec2020": Kind("Rec.2020, BT.1886", REC2020, BT1886, None),
+    "pq": Kind("Rec.2100 PQ", REC2020, PQ, (9, 16, 0, 1)),
+    "hlg": Kind("Rec.2100 HLG", REC2020, HLG, (9, 18, 0, 1)),
 }
 HDR = ("pq", "hlg")
 
@@ -95,12 +90,12 @@ class Display:
         return f"{self.name},peak={self.peak:g},white={self.white:g}" if self.hdr else self.name
 
     def encode(self, light: np.ndarray) -> np.ndarray:
-        """Light (..., 3) to code values in [0, 1], float64; what the display cannot show is cut, channel by channel."""
-        light = np.clip(np.nan_to_num(np.asarray(light, np.float64), posinf=self.most), 0, self.most) / self.unit
+        """Light (..., 3) to code values in [0, 1]; what the display cannot show is cut, channel by channel."""
+        light = np.clip(np.nan_to_num(light, posinf=self.most), 0, self.most) / self.unit
         return self.kind.curve.encode(light * self._gain(light, 1 / self.system_gamma - 1))
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
-        """Code values (..., 3) to light, float64."""
+        """Code values (..., 3) to light."""
         light = self.kind.curve.decode(codes)
         return light * self._gain(light, self.system_gamma - 1) * self.unit
 
@@ -111,14 +106,14 @@ class Display:
 
 @cache
 def parse_display(text: str) -> Display:
-    """A display from 'p3' or 'pq,peak=1000,white=203'. Raises DisplayError, which says what there is."""
+    """A display from 'p3' or 'pq,peak=1000,white=203'. Raises ColourError, which says what there is."""
     name, *settings = text.split(",")
     if name not in KINDS:
-        raise DisplayError(f"unknown display '{name}': use {', '.join(KINDS)}, e.g. pq,peak=1000")
+        raise ColourError(f"unknown display '{name}': use {', '.join(KINDS)}, e.g. pq,peak=1000")
     values = dict(_setting(text, item) for item in settings)
     if name not in HDR:
         if values:
-            raise DisplayError(f"display '{text}': peak and white are for {' and '.join(HDR)}")
+            raise ColourError(f"display '{text}': peak and white are for {' and '.join(HDR)}")
         return Display(name)
     return _checked(Display(name, values.get("peak", PEAK), values.get("white", WHITE)))
 
@@ -130,13 +125,13 @@ def _setting(text: str, item: str) -> tuple[str, float]:
     except ValueError:
         number = math.nan
     if key not in ("peak", "white") or not math.isfinite(number):
-        raise DisplayError(f"display '{text}': '{item}' is neither peak=NITS nor white=NITS")
+        raise ColourError(f"display '{text}': '{item}' is neither peak=NITS nor white=NITS")
     return key, number
 
 
 def _checked(display: Display) -> Display:
     if not 0 < display.white <= display.peak <= PQ_NITS:
-        raise DisplayError(f"display '{display}': 0 < white <= peak <= {PQ_NITS:g} nits must hold")
+        raise ColourError(f"display '{display}': 0 < white <= peak <= {PQ_NITS:g} nits must hold")
     if display.name == "hlg" and not _HLG_PEAKS[0] <= display.peak <= _HLG_PEAKS[1]:
-        raise DisplayError(f"display '{display}': HLG is defined for peaks of 400 to 2000 nits")
+        raise ColourError(f"display '{display}': HLG is defined for peaks of 400 to 2000 nits")
     return display
