@@ -98,8 +98,8 @@ def test_exr_of_a_display_picture_is_light_with_its_primaries(tmp_path: Path) ->
     display = parse_display("pq,peak=2000")
     codes = np.ascontiguousarray(display.encode(light), np.float32)
     made = Frame({Role.COLOUR: codes}, encoding=str(display), metadata={"colorInteropID": "lin_ap1_scene"})
-    with openexr.File(str(write_frame(tmp_path / "a.exr", made, half=False))) as file:
-        header, pixels = file.header(), file.channels()["RGB"].pixels
+    file = openexr.File(str(write_frame(tmp_path / "a.exr", made, half=False)))
+    header, pixels = file.header(), file.channels()["RGB"].pixels
     np.testing.assert_allclose(header["chromaticities"], REC2020, atol=1e-6)
     assert header["whiteLuminance"] == 203
     assert "colorInteropID" not in header
