@@ -50,7 +50,7 @@ def _hlg_decode(codes: np.ndarray) -> np.ndarray:
 
 
 SRGB = Curve(lambda light: srgb_encode(_unit(light)), lambda codes: srgb_decode(_unit(codes)))
-"""IEC 61966-2-1:1999, 5.2; float32."""
+"""IEC 61966-2-1:1999, 5.2."""
 BT1886 = Curve(lambda light: _unit(light) ** (1 / 2.4), lambda codes: _unit(codes) ** 2.4)
 """ITU-R BT.1886, annex 1, on a display whose black emits no light."""
 PQ = Curve(_pq_encode, _pq_decode)
