@@ -29,8 +29,8 @@ def add_arguments(group: argparse._ArgumentGroup) -> None:
         "--display",
         metavar="NAME",
         help="make the picture for srgb (default), p3, rec709, rec2020, or in HDR for pq or hlg, like "
-        "pq,peak=1000,white=203 (nits of the brightest light and of diffuse white). Networks know SDR only: there their "
-        "white is shown as diffuse white",
+        "pq,peak=1000,white=203 (nits of the brightest light and of diffuse white). Networks know SDR only: what they "
+        "make white becomes diffuse white",
     )
     group.add_argument(
         "--dither", default="moving", choices=DITHERS, help="of 8 bits: another pattern each frame (default), one, none"
