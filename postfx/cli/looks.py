@@ -13,7 +13,15 @@ DITHERS = ("moving", "static", "none")
 
 
 def add_arguments(group: argparse._ArgumentGroup) -> None:
-    """Add the arguments."""
+    """Add all arguments."""
+    add_look(group)
+    group.add_argument(
+        "--dither", default="moving", choices=DITHERS, help="of 8 bits: another pattern each frame (default), one, none"
+    )
+
+
+def add_look(group: argparse._ActionsContainer) -> None:
+    """Add those that say what pictures look like."""
     tonemap = group.add_mutually_exclusive_group()
     tonemap.add_argument(
         "--tonemap",
@@ -31,9 +39,6 @@ def add_arguments(group: argparse._ArgumentGroup) -> None:
         help="make the picture for srgb (default), p3, rec709, rec2020, or in HDR for pq or hlg, like "
         "pq,peak=1000,white=203 (nits of the brightest light and of diffuse white). Networks know SDR only: what they "
         "make white becomes diffuse white",
-    )
-    group.add_argument(
-        "--dither", default="moving", choices=DITHERS, help="of 8 bits: another pattern each frame (default), one, none"
     )
 
 
