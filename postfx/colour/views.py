@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -98,7 +97,6 @@ def axis(size: int = SIZE) -> np.ndarray:
     return TOE * (np.exp2(np.linspace(0, 1, size) / SCALE) - 1)
 
 
-@cache
 def bake(text: str, display: Display) -> tuple[View, np.ndarray]:
     """A view and its cube, (SIZE, SIZE, SIZE, 3) float32: red, green, blue, channel."""
     view, light = find_view(text, display), axis()
