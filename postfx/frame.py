@@ -134,10 +134,8 @@ class FrameSpec:
 
 def _known_encoding(encoding: str) -> str:
     """An encoding with everything that it leaves out."""
-    if encoding in LINEAR:
-        return encoding
     try:
-        return str(parse_display(encoding))
+        return encoding if encoding in LINEAR else str(parse_display(encoding))
     except ColourError as error:
         raise FrameError(f"unknown colour encoding '{encoding}': use {', '.join(LINEAR)}; {error}") from error
 
