@@ -33,6 +33,10 @@ class ProfileError(PostfxError):
     """A renderer profile is unknown, malformed or does not fit the file."""
 
 
+class ColourError(PostfxError):
+    """A display, view, look-up table or colour space is unknown or cannot be had as asked for."""
+
+
 class WriteError(PostfxError):
     """An output file cannot be written."""
 

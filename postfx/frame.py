@@ -9,13 +9,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from postfx.errors import FrameError, GuideError
+from postfx.colour.displays import KINDS, parse_display
+from postfx.errors import ColourError, FrameError, GuideError
 
 DEPTH_MISS = 1e10
 """Depth of a pixel whose ray hit nothing."""
 
-ENCODINGS = ("scene-linear", "display-linear", "srgb")
-"""Meanings of the colour plane: light in the scene, light of a display 0..1, and the same through the sRGB curve."""
+LINEAR = ("scene-linear", "display-linear")
+ENCODINGS = (*LINEAR, *KINDS)
+"""Meanings of the colour plane: light in the scene, light of a display (1 is white), both in Rec.709; and code values
+0..1 for displays by name, with peak and white where they are HDR ('pq,peak=1000,white=203')."""
 
 
 class Role(StrEnum):
@@ -104,8 +107,7 @@ class FrameSpec:
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise FrameError(f"frame size {self.width}x{self.height}: both sides must be at least 1 pixel")
-        if self.encoding not in ENCODINGS:
-            raise FrameError(f"unknown colour encoding '{self.encoding}': use one of {', '.join(ENCODINGS)}")
+        object.__setattr__(self, "encoding", _known_encoding(self.encoding))
         object.__setattr__(self, "planes", _ordered_planes(self.planes))
 
     @property
@@ -128,6 +130,14 @@ class FrameSpec:
             if held == role:
                 return channels
         raise FrameError(f"the frame has no plane '{role}': it has {', '.join(self.roles)}")
+
+
+def _known_encoding(encoding: str) -> str:
+    """An encoding with everything that it leaves out."""
+    try:
+        return encoding if encoding in LINEAR else str(parse_display(encoding))
+    except ColourError as error:
+        raise FrameError(f"unknown colour encoding '{encoding}': use {', '.join(LINEAR)}; {error}") from error
 
 
 def _ordered_planes(planes: Mapping[Role, int] | Iterable[Any]) -> tuple[tuple[Role, int], ...]:
@@ -160,7 +170,7 @@ class Frame:
         metadata: header attributes to keep on writing, by EXR name; windows are kept under 'displayWindow' and
             'dataWindow' as (x0, y0, x1, y1), bounds included.
         source: file that the frame was read from, or None.
-        encoding: meaning of the colour plane, one of `ENCODINGS`.
+        encoding: meaning of the colour plane, see `ENCODINGS`.
         guides: role -> array like those of `planes`, at output size; roles are among `GUIDE_ROLES`.
         guide_size: width and height of the guides; given only for a frame whose guides were not read.
         guide_jitter: like `jitter`, of the guides' samples, in pixels of the guides.

@@ -94,3 +94,11 @@ def test_the_integration_page_names_every_helper():
              "view_rays", "depth_to_device", "ray_from_depth", "normals_to_camera", "fresnel_dielectric",
              "fresnel_schlick", "roughness_from_exponent", "roughness_from_smoothness"}
     assert [name for name in integrate.__all__ if name not in page and name not in apart] == []
+
+
+def test_the_display_example_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "samples").symlink_to(DOCS.parent / "samples")
+    (code,) = blocks("display.md", "python")
+    exec(code, {})
+    assert len(list((tmp_path / "out").glob("hdr.*.png"))) == 2

@@ -54,8 +54,13 @@ def test_refused_planes(planes, message):
 
 
 def test_unknown_encoding():
-    with pytest.raises(FrameError, match="unknown colour encoding 'rec2020': use one of scene-linear"):
-        FrameSpec(1, 1, ["colour"], "rec2020")
+    with pytest.raises(FrameError, match="unknown colour encoding 'crt': use scene-linear, display-linear;"):
+        FrameSpec(1, 1, ["colour"], "crt")
+
+
+def test_encodings_compare_by_meaning():
+    assert FrameSpec(1, 1, ["colour"], "pq").encoding == "pq,peak=1000,white=203"
+    assert FrameSpec(1, 1, ["colour"], "pq") == FrameSpec(1, 1, ["colour"], "pq,white=203,peak=1e3")
 
 
 def test_asking_for_what_is_not_there():

@@ -11,11 +11,13 @@ from typing import Any
 
 import torch
 
+from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD
+from postfx.kernels.encode_display import ENCODE_DISPLAY
 from training.export import export, export_kernel, parser, read_quality, write_card
 from training.looks import Look, find_look
 from training.networks.hdrnet import SHAPER, SIDE, TOE, WHITE, HDRNet, default_params
-from training.networks.tonemap_kernels import Checkerboard, EncodeSrgb, Lowres, SliceApply, Smooth
+from training.networks.tonemap_kernels import ApplyCube, Checkerboard, EncodeDisplay, Lowres, SliceApply, Smooth
 
 IMAGE = {0: torch.export.Dim("height", min=1), 1: torch.export.Dim("width", min=1)}
 
@@ -31,8 +33,8 @@ def export_kernels(folder: Path) -> None:
     reads = ["previous", "current", "keep"]
     # Two tensors, not one twice: the exporter would take equal arguments for one and the same.
     export(Smooth(), (grid, grid.clone(), torch.ones(1)), reads, ["result"], folder / "smooth.onnx")
-    reads, exposure = ["colour", "exposure"], torch.ones(1)
-    export(EncodeSrgb(), (colour, exposure), reads, ["output"], folder / "encode_srgb.onnx", [IMAGE, None])
+    export_kernel(ENCODE_DISPLAY, EncodeDisplay(), {"height": 9, "width": 16}, folder)
+    export_kernel(APPLY_CUBE, ApplyCube(), {"height": 9, "width": 16, "size": 5}, folder)
     export_kernel(CHECKERBOARD, Checkerboard(), {"height": 9, "width": 16}, folder)
 
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
+from postfx.cli.looks import display_passes
 from postfx.cli.progress import FrameProgress
 from postfx.cli.report import RunReport
 from postfx.cli.summary import Report
@@ -52,6 +53,7 @@ class Job:
         self.sequence = Sequence(
             arguments.input, arguments.frames, arguments.profile, guides=arguments.guides, scratch=device.scratch,
             depth=arguments.depth, cuts=known_cuts(arguments.cuts), leave=arguments.leave,
+            colourspace=arguments.colourspace,
         )
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
@@ -63,7 +65,7 @@ class Job:
         cuts = "auto" if arguments.cuts == "auto" else "none"
         self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts)
         self.plan = self.pipeline.explain(self._first_spec())
-        self._preroll, self._scale = arguments.preroll, arguments.scale
+        self._preroll, self._scale, self._dither = arguments.preroll, arguments.scale, arguments.dither
         self._capture = FrameCapture(arguments, device)
         self._page = RunReport(arguments, self.sequence, self.pipeline, self.plan)
         self._seconds = 0.0
@@ -153,7 +155,7 @@ class Job:
                 self._chosen.setdefault(step.name, Counter())[choice] += 1
 
     def _write(self, path: Path, result: Frame, progress: FrameProgress) -> None:
-        written = str(write_frame(path, result, relax=self._relax))
+        written = str(write_frame(path, result, relax=self._relax, dither=self._dither))
         self._written.append(written)
         progress.advance(written)
 
@@ -214,21 +216,10 @@ class Job:
         else:
             options = {name: getattr(arguments, name) for name in DENOISE_OPTIONS}
             passes.append(create("denoise_upscale", **_given(options)))
-        reason = self._no_tonemap(arguments)
-        if reason:
-            self.left_out.append(Skipped("tonemap", reason))
-        else:
-            passes.append(create("tonemap", **_given({"tag": arguments.tonemap or None})))
-        if reason and self.outputs and self.outputs.display:
-            passes.append(create("display"))
-        return passes
-
-    def _no_tonemap(self, arguments: argparse.Namespace) -> str | None:
-        if arguments.no_tonemap:
-            return "--no-tonemap"
-        if arguments.tonemap is None and not (self.outputs and self.outputs.display):
-            return "EXR output stays scene-linear; --tonemap changes that"
-        return None
+        shown, left_out = display_passes(arguments, self.outputs is not None and self.outputs.display)
+        self.left_out += left_out
+        self.sequence.colours = dataclasses.replace(self.sequence.colours, native=not shown)
+        return passes + shown
 
     def _refuse_denoise_options(self, arguments: argparse.Namespace) -> None:
         for name in (*DENOISE_OPTIONS, "leave"):

@@ -7,10 +7,10 @@ import sys
 from collections.abc import Sequence
 
 from postfx import __version__
-from postfx.cli import bench, capture_compare, exposure, inspect, models, run
+from postfx.cli import bench, capture_compare, exposure, inspect, lut, models, run
 from postfx.errors import PostfxError
 
-VERBS = (run, inspect, exposure, bench, models, capture_compare)
+VERBS = (run, inspect, exposure, bench, models, lut, capture_compare)
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 

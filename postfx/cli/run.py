@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 
+from postfx.cli import looks
 from postfx.cli.arguments import add_depth, add_report
 from postfx.errors import PostfxError
 
@@ -13,7 +14,8 @@ HELP = "denoise, upscale and tone-map a sequence"
 DESCRIPTION = """\
 Denoise, upscale and tone-map a rendered sequence.
 
-EXR output stays scene-linear unless --tonemap is given. PNG, JPEG and TIFF output is tone-mapped and display-encoded.
+EXR output stays scene-linear unless --tonemap or --display is given. PNG, JPEG and TIFF output is tone-mapped and
+encoded for a display, sRGB if not told otherwise.
 INPUT is a file name with ####, %04d, @@@@ or $F4 for the frame number, a folder that holds one sequence, or a single
 file. Where every plane has a file of its own, put {plane} where their names differ: shot_{plane}.####.exr
 
@@ -35,6 +37,9 @@ examples:
   postfx run shot/noisy.####.exr -o out/picture.####.png --exposure smooth
   postfx run shot/noisy.####.exr -o out/clean.####.exr --report out/report.html
   postfx run shot/noisy.####.exr -o out/clean.####.exr --report out/report.html --reference shot/clean.####.exr
+  postfx run shot/noisy.####.exr -o out/hdr.####.png --tonemap ocio: --display pq,peak=1000
+  postfx run shot/noisy.####.exr -o out/p3.####.tif --tonemap neutral --display p3 --colourspace acescg
+  postfx run shot/noisy.####.exr -o out/film.####.png --tonemap film.cube,input=ACEScct
   POSTFX_EXPOSURE_TOOL=1 postfx run shot/noisy.####.exr -o out/grey.####.exr
 
 POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx exposure --help'.
@@ -119,11 +124,7 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
         help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, and 'auto' for sky and "
         "misses that are free of noise; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id",
     )
-    tonemap = group.add_mutually_exclusive_group()
-    tonemap.add_argument(
-        "--tonemap", nargs="?", const="", metavar="TAG", help="tone-map, with this look or the default one"
-    )
-    tonemap.add_argument("--no-tonemap", action="store_true", help="PNG, JPEG, TIFF: only expose, clip and encode")
+    looks.add_arguments(group)
     group.add_argument(
         "--exposure",
         default="auto",
@@ -138,6 +139,10 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
         "--profile", metavar="NAME|FILE", help="how the renderer names its planes (default: found from the file)"
     )
     add_depth(group)
+    group.add_argument(
+        "--colourspace", metavar="NAME", help="linear primaries of the colours: rec709, p3, rec2020, acescg or "
+        "aces2065-1 (default: by the headers chromaticities or colorInteropID, else rec709)",
+    )
     group.add_argument(
         "--cuts", default="auto", metavar="auto|none|FRAMES", help="where shots begin, so that the history is "
         "dropped: by headers and pictures, nowhere, or at these frames, e.g. 1,48,90 (default: auto)",

@@ -15,9 +15,6 @@ from postfx.io.convert import Camera
 from postfx.io.depth import DepthOption, missing_error, missing_number
 from postfx.io.profile import PlaneRule, Profile, load_profile, profile_names
 
-REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-"""Chromaticities of red, green, blue and white (ITU-R BT.709-6, table 1)."""
-
 
 class Match(NamedTuple):
     """A plane that was found: the rule that fits and its channels."""
@@ -112,9 +109,6 @@ def _colour_warnings(layout: Layout) -> list[str]:
     match, warnings = layout.planes.get(Role.COLOUR), []
     if match and match.channels[0].part.overscan:
         warnings.append("overscan outside the display window is cut off")
-    primaries = layout.attributes.get("chromaticities", REC709)
-    if np.size(primaries) == 8 and not np.allclose(primaries, REC709, atol=2e-3):
-        warnings.append("colours have other primaries than Rec.709 (chromaticities header): processed as they are")
     return warnings
 
 

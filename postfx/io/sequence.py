@@ -10,6 +10,7 @@ from postfx.errors import MissingFrameError, SequenceError
 from postfx.frame import Frame, Role
 from postfx.io.aov import FrameFiles
 from postfx.io.channels import COLOUR_FILES, is_plane_word
+from postfx.io.colourspace import parse_colourspace
 from postfx.io.depth import parse_depth
 from postfx.io.exr import READABLE
 from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, parse_pattern, pattern_of, patterns_in
@@ -30,6 +31,7 @@ class Sequence:
         guides: sequence of the files of the planes at output size, None where they are in the same files or absent.
         numbers: frame numbers, in order of processing. Holes in what is on the disk are kept as numbers: reading such
             a frame raises MissingFrameError.
+        colours: in which primaries the files hold colours, and whether they are turned to Rec.709; may be replaced.
         warnings: what was odd about the files read so far, each once.
         leave: what is left as it is.
         left_alone: how much of the frames read so far that is.
@@ -46,6 +48,7 @@ class Sequence:
         depth: str | None = None,
         cuts: Iterable[int] | None = None,
         leave: str | None = None,
+        colourspace: str | None = None,
     ) -> None:
         self._scratch = scratch
         self.pattern, named = _locate(str(source))
@@ -55,6 +58,7 @@ class Sequence:
         self.leave = () if leave is None else parse_leave(leave)
         self._named = False
         self.left_alone = Shares()
+        self.colours = parse_colourspace(colourspace)
         self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth)
         self.planes = None if planes is None else tuple(Role(role) for role in planes)
         self.warnings: list[str] = []
@@ -121,7 +125,8 @@ class Sequence:
         guides, strict = self.guide_files(number), not self._named
         files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict)
         self._named = True  # a thing that was found need not be in every frame
-        self.warnings += [warning for warning in files.layout.warnings if warning not in self.warnings]
+        found = files.layout.warnings + self.colours.warnings(files.layout.attributes)
+        self.warnings += [warning for warning in found if warning not in self.warnings]
         return files
 
     def read(
@@ -135,6 +140,7 @@ class Sequence:
             frame = files.read(number, self.planes if planes is None else planes, guides, self._scratch)
             if files.alone:
                 self.left_alone.add(files.alone.shares)
+        self.colours.apply(frame)
         after_gap = self._is_after_gap(number)  # asked for every frame, as it keeps the number
         frame.reset = (frame.reset if self.cuts is None else number in self.cuts) or after_gap
         return frame
@@ -169,6 +175,7 @@ def read_sequence(
     depth: str | None = None,
     cuts: Iterable[int] | None = None,
     leave: str | None = None,
+    colourspace: str | None = None,
 ) -> Sequence:
     """Frames of a sequence, read one at a time while iterating.
 
@@ -186,11 +193,16 @@ def read_sequence(
             headers (postfx:reset). Frames after a gap are marked anyway.
         leave: what is left as it is, which becomes the plane strength: names in a Cryptomatte, ids, 'auto' for sky and
             misses, such as 'auto,logo,glass_*=0.5,7-9@id', see `postfx.strength.parse_leave`.
+        colourspace: linear primaries of colours and reflectances, guides included: rec709, p3, rec2020, acescg or
+            aces2065-1, in place of what headers say (chromaticities, colorInteropID; Rec.709 without any). They are
+            turned to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.
 
     Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError,
     ReadError or StrengthError.
     """
-    return Sequence(pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave)
+    return Sequence(
+        pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave, colourspace=colourspace
+    )
 
 
 def _locate(source: str) -> tuple[Pattern, list[int] | None]:

@@ -11,16 +11,18 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
+from postfx.colour.curves import SRGB
+from postfx.colour.displays import Display, parse_display
 from postfx.errors import WriteError
-from postfx.frame import Frame, Role
+from postfx.frame import LINEAR, Frame, Role
+from postfx.io.dither import Dither, quantise
 from postfx.io.metadata import kept_attributes, scaled_window, set_attributes
-from postfx.io.srgb import srgb_decode, srgb_encode
+from postfx.io.tags import JPEG, tag_codes, tag_light
 
 LINEAR_FORMATS = (".exr",)
-JPEG = (".jpg", ".jpeg")
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG)
 WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
-_BITS = {".tif": 16, ".tiff": 16}
+_DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays only
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
 _HALF_MAX = 65504.0
 _PIECE = 16 << 20  # bytes in float32 that are converted and written at once
@@ -36,21 +38,27 @@ def is_display_format(path: str | PathLike[str]) -> bool:
 
 
 def write_frame(
-    path: str | PathLike[str], frame: Frame, half: bool = True, relax: Callable[[], None] | None = None
+    path: str | PathLike[str],
+    frame: Frame,
+    half: bool = True,
+    relax: Callable[[], None] | None = None,
+    dither: Dither | str = Dither.MOVING,
 ) -> Path:
     """Write colour and alpha of a frame; returns the path.
 
-    EXR holds linear light (a display-encoded frame is decoded), half floats unless `half` is False, ZIP compression,
-    the input's display window scaled to the frame's size and its useful header attributes. PNG and JPEG hold 8 bits,
-    TIFF 16 bits of sRGB code values; a scene-linear frame is clipped to 0..1 there, so tone-map it first. The file
-    appears under its name only when it is complete; folders are made. `relax` is called again and again meanwhile.
+    EXR holds linear light (a display-encoded frame is decoded, in its display's primaries, 1 is white), half floats
+    unless `half` is False, ZIP compression, the input's display window scaled to the frame's size and its useful header
+    attributes. Other files hold code values: JPEG and PNG 8 bits, dithered (`dither`: moving, static or none), TIFF and
+    PNG for HDR displays 16 bits. They are tagged with the display that they are for, see `postfx.io.tags`. Linear
+    frames are clipped to 0..1 there and encoded as sRGB, so tone-map them first. The file appears under its name only
+    when it is complete; folders are made. `relax` is called again and again meanwhile.
 
-    Raises FrameError when the frame has no colour, WriteError when the file cannot be written.
+    Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot
+    hold an HDR picture.
     """
     path = Path(path)
-    display = is_display_format(path)
-    convert = _display_pixels(frame, path) if display else _linear_pixels(frame, half)
-    spec = _spec(frame, convert(slice(0, 1)), path, display)
+    convert = _code_pixels(frame, path, Dither(dither)) if is_display_format(path) else _linear_pixels(frame, half)
+    spec = _spec(frame, convert(slice(0, 1)), path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -88,26 +96,35 @@ def _is_ended(path: Path) -> bool:
         return file.read() == b"\xff\xd9"
 
 
+def _display_of(frame: Frame) -> Display | None:
+    """Display that a frame's code values are for, None where its colour is light."""
+    return None if frame.encoding in LINEAR else parse_display(frame.encoding)
+
+
 def _linear_pixels(frame: Frame, half: bool) -> Pixels:
+    display = _display_of(frame)
+
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
-        colour = srgb_decode(colour) if frame.encoding == "srgb" else colour
+        colour = display.decode(colour).astype(np.float32) if display else colour
         pixels = _with_alpha(colour, frame, rows)
         return np.clip(pixels, -_HALF_MAX, _HALF_MAX).astype(np.float16) if half else pixels
 
     return convert
 
 
-def _display_pixels(frame: Frame, path: Path) -> Pixels:
-    opaque = Role.ALPHA not in frame or path.suffix.lower() in JPEG or frame[Role.ALPHA].min() >= 1
-    bits = _BITS.get(path.suffix.lower(), 8)
+def _code_pixels(frame: Frame, path: Path, dither: Dither) -> Pixels:
+    suffix, display = path.suffix.lower(), _display_of(frame)
+    if display and display.hdr and suffix in JPEG:
+        raise WriteError(f"{path}: JPEG has too few bits for {display.kind.title}: write PNG or TIFF")
+    opaque = Role.ALPHA not in frame or suffix in JPEG or frame[Role.ALPHA].min() >= 1
+    bits = 16 if suffix in _DEEP or (display and display.hdr) else 8
 
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
-        encoded = colour if frame.encoding == "srgb" else srgb_encode(colour)
-        pixels = encoded if opaque else _with_alpha(encoded, frame, rows)
-        scaled = np.nan_to_num(np.clip(pixels, 0, 1)) * (2**bits - 1)
-        return np.rint(scaled).astype(np.uint16 if bits == 16 else np.uint8)
+        codes = colour if display else SRGB.encode(colour)
+        pixels = codes if opaque else _with_alpha(codes, frame, rows)
+        return quantise(pixels, bits, dither, frame.number, rows.start)
 
     return convert
 
@@ -116,17 +133,20 @@ def _with_alpha(colour: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
     return np.concatenate([colour, frame[Role.ALPHA][rows]], axis=2) if Role.ALPHA in frame else colour
 
 
-def _spec(frame: Frame, pixels: np.ndarray, path: Path, display: bool) -> oiio.ImageSpec:
+def _spec(frame: Frame, pixels: np.ndarray, path: Path) -> oiio.ImageSpec:
     height, width, channels = len(frame[Role.COLOUR]), *pixels.shape[1:]
     spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
     spec.channelnames = ("R", "G", "B", "A")[:channels]
-    if display:
-        spec.attribute("oiio:ColorSpace", "sRGB")
+    display = _display_of(frame)
+    if is_display_format(path):
+        tag_codes(spec, display or parse_display("srgb"), path)
         spec.attribute("CompressionQuality", 95)
         return spec
     window = scaled_window(frame, width, height)
     spec.x, spec.y = spec.full_x, spec.full_y = window.x0, window.y0
     set_attributes(spec, kept_attributes(frame))
+    if display:
+        tag_light(spec, display.kind.primaries, display.white)
     spec.attribute("compression", "zip")
     return spec
 

@@ -1,42 +1,102 @@
-"""Plain display encoding: exposure, clip and the sRGB curve; for pictures without a tone mapper."""
+"""Display: colour as light, or code values of one SDR display, to code values of another display."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
 
-from postfx.frame import FrameSpec, Role
-from postfx.kernels.encode_srgb import ENCODE_SRGB
-from postfx.passes.base import Pass, Reflection, ResidentFrame
+from postfx.colour.displays import Display as Target
+from postfx.colour.displays import parse_display
+from postfx.colour.primaries import REC709, matrix_between
+from postfx.frame import LINEAR, FrameSpec, Role
+from postfx.kernels.encode_display import ENCODE_DISPLAY, ROOT, STEPS
+from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 
 
 class Display(Pass):
-    """Linear colour to sRGB-encoded [0, 1]. Scene-linear colour is exposed first; what is brighter than 1 is cut."""
+    """Colour to code values of a display, in its primaries. What the display cannot show is cut, channel by channel.
+
+    Scene-linear colour is exposed first; its 1 becomes diffuse white. Pictures made for an SDR display keep their
+    colours: white stays white, on an HDR display at the light that it gives to diffuse white, and nothing is brighter.
+
+    Options:
+        display: 'srgb', 'p3', 'rec709', 'rec2020', 'pq' or 'hlg', the last two with ',peak=NITS' (1000) and
+            ',white=NITS' (203, diffuse white), see `postfx.colour.displays`.
+    """
 
     name: ClassVar[str] = "display"
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"display": "srgb"})
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._target = parse_display(self.options["display"])
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        output = FrameSpec(spec.width, spec.height, {Role.COLOUR: 3, **dict(spec.planes)}, "srgb")
+        _source(spec, self._target)
+        output = FrameSpec(spec.width, spec.height, {Role.COLOUR: 3, **dict(spec.planes)}, str(self._target))
         return Reflection(reads=(Role.COLOUR,), writes=(Role.COLOUR,), output=output)
 
     def skip(self, spec: FrameSpec) -> str | None:
-        return "colour is srgb already" if spec.encoding == "srgb" else None
+        return f"colour is {spec.encoding} already" if spec.encoding == str(self._target) else None
+
+    def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
+        if _source(spec, self._target) is None or not self._target.hdr:
+            return ()
+        return (f"the picture was made for {spec.encoding}: its white is shown at {self._target.white:g} nits, nothing "
+                "is brighter",)
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        self._exposure = device.heap.tensor("display exposure", (1,))
+        source = _source(spec, self._target)
+        self._params = device.heap.tensor("display params", (12,))
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
-        tensors = {"exposure": self._exposure, "output": self._output}
-        self._table = ArgumentTable(device.compute_state(ENCODE_SRGB), tensors)
-        self._exposed = spec.encoding == "scene-linear"
+        tensors = {"params": self._params, "output": self._output}
+        for name, values in (("decode", decoding(source)), ("encode", encoding(self._target))):
+            tensors[name] = device.heap.tensor(f"display {name}", values.shape)
+            tensors[name].upload(values)
+        self._table = ArgumentTable(device.compute_state(ENCODE_DISPLAY), tensors)
+        self._exposed, self._source = spec.encoding == "scene-linear", source
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._exposure.upload(np.array([frame.exposure if self._exposed else 1.0], np.float32))
+        self._params.upload(parameters(self._source, self._target, frame.exposure if self._exposed else 1.0))
         self._table["colour"] = frame[Role.COLOUR]
         with commands.compute_encoder("encode") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
         frame.set(Role.COLOUR, self._output)
+
+
+def parameters(source: Target | None, target: Target, exposure: float = 1.0) -> np.ndarray:
+    """Parameters of the kernel `encode_display`, from code values of a display, or from light in Rec.709 (None)."""
+    matrix = matrix_between(source.kind.primaries if source else REC709, target.kind.primaries)
+    exponent = 1 / target.system_gamma - 1
+    values = [*(matrix * exposure / target.unit).ravel(), source is not None, target.most / target.unit, exponent]
+    return np.array(values, np.float32)
+
+
+def decoding(source: Target | None) -> np.ndarray:
+    """Table `decode` of the kernel; zeros where colour is light."""
+    light = source.kind.curve.decode(np.linspace(0, 1, STEPS + 1)) if source else np.zeros(STEPS + 1)
+    return _table(light)
+
+
+def encoding(target: Target) -> np.ndarray:
+    """Table `encode` of the kernel. Between the entries it errs by less than 2e-6 (PQ: 5e-6) of the code range."""
+    return _table(target.kind.curve.encode(np.linspace(0, 1, STEPS + 1) ** ROOT))
+
+
+def _table(values: np.ndarray) -> np.ndarray:
+    return np.append(values, values[-1]).astype(np.float32)
+
+
+def _source(spec: FrameSpec, target: Target) -> Target | None:
+    """Display that colour is made for, None where it is light. Raises PassOptionError for pictures made for HDR."""
+    source = None if spec.encoding in LINEAR else parse_display(spec.encoding)
+    if source and source.hdr and str(source) != str(target):
+        raise PassOptionError(f"pass 'display' cannot turn {source} into {target}: tone-map for that display instead")
+    return source

@@ -6,8 +6,9 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD
-from postfx.kernels.encode_srgb import ENCODE_SRGB
+from postfx.kernels.encode_display import ENCODE_DISPLAY
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
@@ -25,7 +26,8 @@ DEFINITIONS = {
     SLICE_APPLY: tonemap_kernels.SliceApply,
     LOWRES: tonemap_kernels.Lowres,
     SMOOTH: tonemap_kernels.Smooth,
-    ENCODE_SRGB: tonemap_kernels.EncodeSrgb,
+    ENCODE_DISPLAY: tonemap_kernels.EncodeDisplay,
+    APPLY_CUBE: tonemap_kernels.ApplyCube,
     CHECKERBOARD: tonemap_kernels.Checkerboard,
 }
 CASES = [
@@ -90,10 +92,3 @@ def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
     result = np.empty_like(current)
     SMOOTH.rows(0, 16, np.full_like(current, np.nan), current, np.zeros(1, np.float32), result)
     np.testing.assert_array_equal(result, current)
-
-
-def test_srgb_curve_at_known_points() -> None:
-    colour = np.repeat(np.float32([0.0, 0.0031308, 0.18, 0.5, 1.0, 7.0])[None, :, None], 3, 2)
-    output = np.empty_like(colour)
-    ENCODE_SRGB.rows(0, 1, colour, np.ones(1, np.float32), output)
-    np.testing.assert_allclose(output[0, :, 0], [0.0, 0.040450, 0.461356, 0.735357, 1.0, 1.0], atol=2e-6)

@@ -6,14 +6,19 @@ import math
 
 import numpy as np
 
+from postfx.colour.displays import parse_display
+from postfx.colour.primaries import REC709, REC2020, matrix_between
+from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD, turns
-from postfx.kernels.encode_srgb import ENCODE_SRGB
+from postfx.kernels.encode_display import ENCODE_DISPLAY
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import KNOTS, SLICE_APPLY
 from postfx.kernels.smooth import GRID, SMOOTH
+from postfx.passes.display import decoding, encoding, parameters
 
-KERNELS = (SLICE_APPLY, LOWRES, SMOOTH, ENCODE_SRGB, CHECKERBOARD)
+KERNELS = (SLICE_APPLY, LOWRES, SMOOTH, ENCODE_DISPLAY, APPLY_CUBE, CHECKERBOARD)
+HLG = parse_display("hlg")
 SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
 SHAPER = (2.0**-8, 1.0 / math.log2(1.0 + 2.0**16))  # toe, and the scale by which 2^8 becomes 1
 
@@ -44,8 +49,11 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
     guide = plain_guide()
     values = {
         "colour": hdr(height, width),
-        "params": np.array([1.7, *SHAPER]),
-        "exposure": np.array([0.6]),
+        "params": parameters(None, HLG, 1.7) if kernel is ENCODE_DISPLAY else np.array([1.7, *SHAPER]),
+        "decode": decoding(parse_display("srgb")),
+        "encode": encoding(HLG),
+        "matrix": matrix_between(REC709, REC2020).ravel(),
+        "cube": random.random((17, 17, 17, 3)),
         "guide": guide + random.normal(0, 0.05, guide.size),
         "grid": random.normal(0, 0.4, GRID),
         "previous": random.normal(0, 1, GRID),

@@ -5,12 +5,27 @@ from __future__ import annotations
 import torch
 from torch import nn
 
+from postfx.colour.primaries import LUMA_REC2020
+from postfx.kernels.encode_display import DARK, LARGEST, STEPS
 from training.networks import hdrnet
 
 
 def to_image(colour: torch.Tensor) -> torch.Tensor:
     """(H,W,3) -> (1,3,H,W)."""
     return colour.permute(2, 0, 1)[None]
+
+
+def known(colour: torch.Tensor) -> torch.Tensor:
+    """NaN becomes 0, infinities finite."""
+    return torch.where(colour == colour, colour, torch.zeros_like(colour)).clamp(-LARGEST, LARGEST)
+
+
+def looked_up(table: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
+    """A table between its entries, at a share of it in [0, 1]."""
+    place = share * STEPS
+    index = place.long()
+    low = table[index]
+    return low + (place - index) * (table[index + 1] - low)
 
 
 class SliceApply(nn.Module):
@@ -36,14 +51,41 @@ class Smooth(nn.Module):
         return hdrnet.smooth(previous, current, keep)
 
 
-class EncodeSrgb(nn.Module):
-    """colour (H,W,3) linear, exposure (1,) -> output (H,W,3): clip to [0, 1], then the curve of IEC 61966-2-1."""
+class EncodeDisplay(nn.Module):
+    """colour (H,W,3), params (12,), decode (4098,), encode (4098,) -> output (H,W,3), code values of a display."""
 
-    def forward(self, colour: torch.Tensor, exposure: torch.Tensor) -> torch.Tensor:
-        x = colour * exposure
-        x = torch.where(x > 0, x, torch.zeros_like(x)).clamp_max(1.0)  # NaN compares false
-        bright = 1.055 * x.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
-        return torch.where(x <= 0.0031308, 12.92 * x, bright)
+    def forward(
+        self, colour: torch.Tensor, params: torch.Tensor, decode: torch.Tensor, encode: torch.Tensor
+    ) -> torch.Tensor:
+        x = known(colour)
+        x = torch.where(params[9] > 0, looked_up(decode, x.clamp(0, 1)), x)
+        light = (x @ params[:9].reshape(3, 3).T).clamp_min(0).minimum(params[10])
+        luminance = (light * light.new_tensor(LUMA_REC2020)).sum(-1, keepdim=True)
+        light = (light * luminance.clamp_min(DARK) ** params[11]).clamp_max(1)
+        return looked_up(encode, light.sqrt().sqrt().sqrt())
+
+
+class ApplyCube(nn.Module):
+    """colour (H,W,3), params (3,), matrix (9,), cube (S,S,S,3) -> output (H,W,3), tetrahedral between the corners."""
+
+    def forward(
+        self, colour: torch.Tensor, params: torch.Tensor, matrix: torch.Tensor, cube: torch.Tensor
+    ) -> torch.Tensor:
+        size = cube.shape[0]
+        shaped = hdrnet.shape(to_image(known(colour) @ matrix.reshape(3, 3).T), params)[0].permute(1, 2, 0)
+        place = shaped * (size - 1)
+        corner = place.floor().clamp_max(size - 2)
+        (r, g, b), steps = (place - corner).unbind(-1), (size * size, size, 1)
+        ranks = ((r < g).long() + (r < b), (r >= g).long() + (g < b), (r >= b).long() + (g >= b))
+        least, most = r.minimum(g).minimum(b), r.maximum(g).maximum(b)
+        middle = r.maximum(g).minimum(r.minimum(g).maximum(b))
+        index = sum(along * step for along, step in zip(corner.long().unbind(-1), steps, strict=True))
+        flat, shares = cube.reshape(-1, 3), (1 - most, most - middle, middle - least, least)
+        total = shares[0][..., None] * flat[index]
+        for order in range(3):  # along the axis of the largest share first
+            index = index + sum((rank == order).long() * step for rank, step in zip(ranks, steps, strict=True))
+            total = total + shares[order + 1][..., None] * flat[index]
+        return total
 
 
 class Checkerboard(nn.Module):

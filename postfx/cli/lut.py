@@ -1,0 +1,77 @@
+"""`postfx lut`: a look as a .cube file for other software."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from postfx.cli import looks
+
+HELP = "write a look as a .cube look-up table"
+DESCRIPTION = """\
+Write the global part of a look as a 3-D look-up table (.cube) that OpenColorIO, DaVinci Resolve, Nuke and others read.
+It takes ACEScct and gives code values of --display. Apply the exposure before it.
+
+A look that decides by the whole picture, as networks do, gives another table for other pictures: this is the mean over
+INPUT, of every other frame. What that costs is measured on the other frames (on the same one where there is only one),
+printed and written in the file.
+"""
+EXAMPLES = """\
+examples:
+  postfx lut shot/clean.####.exr -o aces2.cube
+  postfx lut still.exr -o neutral_p3.cube --tonemap neutral --display p3 --size 65
+  postfx run shot/noisy.####.exr -o out/picture.####.png --tonemap aces2.cube
+"""
+_SIZES = (17, 33, 65)
+_MOST_FRAMES = 16
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this verb's arguments."""
+    parser.add_argument("input", metavar="INPUT", help="frames that the look is for, as for 'postfx run'")
+    parser.add_argument("-o", "--output", required=True, metavar="FILE.cube", help="file to write")
+    looks.add_look(parser)
+    parser.add_argument("--size", type=int, default=33, choices=_SIZES, help="colours along each side (default: 33)")
+    parser.add_argument("--frames", metavar="RANGE", help=f"frames to use (default: {_MOST_FRAMES} of them)")
+    parser.add_argument(
+        "--exposure", default="auto", metavar="auto|metadata|EV", help="as for 'postfx run' (default: auto)"
+    )
+    parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
+    parser.add_argument("--colourspace", metavar="NAME", help="linear primaries of the colours, as for 'postfx run'")
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Make, measure and write a table; returns the exit code."""
+    from postfx.errors import WriteError
+    from postfx.exposure import ExposureMeter
+    from postfx.frame import Role
+    from postfx.io.sequence import Sequence
+    from postfx.lut import LookTable, exposed
+    from postfx.runtime import Device
+
+    path = Path(arguments.output)
+    if path.suffix.lower() != ".cube":
+        raise WriteError(f"{path}: is no .cube file: name it {path.with_suffix('.cube')}")
+    passes, _ = looks.display_passes(arguments, picture=True)
+    sequence = Sequence(
+        arguments.input, arguments.frames, arguments.profile, [Role.COLOUR], colourspace=arguments.colourspace
+    )
+    numbers = sequence.numbers if arguments.frames else sequence.numbers[:: -(-len(sequence) // _MOST_FRAMES)]
+    meter = ExposureMeter(arguments.exposure)
+    frames = [exposed(frame, meter(frame)) for frame in map(sequence.read, numbers)]
+    others = frames[1::2] or frames
+    table = LookTable(passes, frames[::2], Device(arguments.device), arguments.size)
+    look = arguments.tonemap or ("no tone mapping" if arguments.no_tonemap else "the default network")
+    made = f"Look '{look}' on {len(frames[::2])} of the frames {arguments.input}, made by postfx"
+    table.write(path, [made])
+    found = table.measure(path, others)
+    table.write(path, [made, f"Against the look itself, on {len(others)} frames: {found}"])
+    facts = {"output": str(path), "size": arguments.size, "display": table.output, "frames": len(frames[::2]),
+             "measured_on": len(others), "psnr": found.psnr, "delta_e_itp": found.mean, "delta_e_itp_99": found.most}
+    lines = [f"wrote    {path}: {arguments.size}x{arguments.size}x{arguments.size}, ACEScct to {table.output}",
+             f"error    against the look itself, on {len(others)} frames: {found}"]
+    print(json.dumps(facts) if arguments.json else "\n".join(lines))
+    return 0

@@ -1,0 +1,137 @@
+"""Displays that pictures are made for: primaries, transfer function, and how bright white is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from postfx.colour.curves import BT1886, HLG, PQ, PQ_NITS, SRGB, Curve
+from postfx.colour.primaries import LUMA_REC2020, P3_D65, REC709, REC2020, Chromaticities
+from postfx.errors import ColourError
+
+WHITE = 203.0
+"""Light of diffuse white on an HDR display, cd/m2 (ITU-R BT.2408-7, table 1)."""
+PEAK = 1000.0
+_HLG_PEAKS = (400.0, 2000.0)  # outside, BT.2100's formula for the system gamma does not hold
+_DARK = 1e-9
+
+
+class Kind(NamedTuple):
+    """What displays of one name have in common.
+
+    Attributes:
+        title: name for people.
+        primaries, curve: as in `postfx.colour`.
+        cicp: code points of ITU-T H.273: primaries, transfer, matrix (0: RGB), full range. None where its code for
+            the transfer function means a camera's, which viewers then undo, and not BT.1886.
+    """
+
+    title: str
+    primaries: Chromaticities
+    curve: Curve
+    cicp: tuple[int, int, int, int] | None
+
+
+KINDS = {
+    "srgb": Kind("sRGB", REC709, SRGB, (1, 13, 0, 1)),
+    "p3": Kind("Display P3", P3_D65, SRGB, (12, 13, 0, 1)),
+    "rec709": Kind("Rec.709, BT.1886", REC709, BT1886, None),
+    "rec2020": Kind("Rec.2020, BT.1886", REC2020, BT1886, None),
+    "pq": Kind("Rec.2100 PQ", REC2020, PQ, (9, 16, 0, 1)),
+    "hlg": Kind("Rec.2100 HLG", REC2020, HLG, (9, 18, 0, 1)),
+}
+HDR = ("pq", "hlg")
+
+
+@dataclass(frozen=True)
+class Display:
+    """A display. Light is linear RGB of its primaries; 1 is white: all it can give in SDR, diffuse white in HDR.
+
+    Attributes:
+        name: one of `KINDS`.
+        peak: most light of an HDR display, cd/m2; for HLG its nominal peak. None in SDR.
+        white: light of 1 on an HDR display, cd/m2. None in SDR, where it is as bright as the viewer likes.
+    """
+
+    name: str
+    peak: float | None = None
+    white: float | None = None
+
+    @property
+    def kind(self) -> Kind:
+        """What it has in common with other displays of its name."""
+        return KINDS[self.name]
+
+    @property
+    def hdr(self) -> bool:
+        """Whether it shows light beyond diffuse white."""
+        return self.name in HDR
+
+    @property
+    def most(self) -> float:
+        """Most light that it shows, 1 being white."""
+        return self.peak / self.white if self.hdr else 1.0
+
+    @property
+    def unit(self) -> float:
+        """Light by which the curve's 1 is meant, white being 1; for HLG before the system gamma is undone."""
+        return {"pq": PQ_NITS / (self.white or 1), "hlg": self.most}.get(self.name, 1.0)
+
+    @property
+    def system_gamma(self) -> float:
+        """Exponent of the HLG display's OOTF (ITU-R BT.2100-2, note 5f); 1 for all others."""
+        return 1.2 + 0.42 * math.log10(self.peak / 1000) if self.name == "hlg" else 1.0
+
+    def __str__(self) -> str:
+        return f"{self.name},peak={self.peak:g},white={self.white:g}" if self.hdr else self.name
+
+    def encode(self, light: np.ndarray) -> np.ndarray:
+        """Light (..., 3) to code values in [0, 1]; what the display cannot show is cut, channel by channel."""
+        light = np.clip(np.nan_to_num(light, posinf=self.most), 0, self.most) / self.unit
+        return self.kind.curve.encode(light * self._gain(light, 1 / self.system_gamma - 1))
+
+    def decode(self, codes: np.ndarray) -> np.ndarray:
+        """Code values (..., 3) to light."""
+        light = self.kind.curve.decode(codes)
+        return light * self._gain(light, self.system_gamma - 1) * self.unit
+
+    def _gain(self, light: np.ndarray, exponent: float) -> np.ndarray | float:
+        """Power of the luminance, kept off zero."""
+        return np.maximum(light @ np.array(LUMA_REC2020), _DARK)[..., None] ** exponent if exponent else 1.0
+
+
+@cache
+def parse_display(text: str) -> Display:
+    """A display from 'p3' or 'pq,peak=1000,white=203'. Raises ColourError, which says what there is."""
+    name, *settings = text.split(",")
+    if name not in KINDS:
+        raise ColourError(f"unknown display '{name}': use {', '.join(KINDS)}, e.g. pq,peak=1000")
+    values = dict(_setting(text, item) for item in settings)
+    if name not in HDR:
+        if values:
+            raise ColourError(f"display '{text}': peak and white are for {' and '.join(HDR)}")
+        return Display(name)
+    return _checked(Display(name, values.get("peak", PEAK), values.get("white", WHITE)))
+
+
+def _setting(text: str, item: str) -> tuple[str, float]:
+    key, _, value = item.partition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if key not in ("peak", "white") or not math.isfinite(number):
+        raise ColourError(f"display '{text}': '{item}' is neither peak=NITS nor white=NITS")
+    return key, number
+
+
+def _checked(display: Display) -> Display:
+    if not 0 < display.white <= display.peak <= PQ_NITS:
+        raise ColourError(f"display '{display}': 0 < white <= peak <= {PQ_NITS:g} nits must hold")
+    if display.name == "hlg" and not _HLG_PEAKS[0] <= display.peak <= _HLG_PEAKS[1]:
+        raise ColourError(f"display '{display}': HLG is defined for peaks of 400 to 2000 nits")
+    return display

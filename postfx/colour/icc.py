@@ -1,0 +1,87 @@
+"""ICC profiles of displays, small and always the same bytes: three primaries and a curve (ICC.1:2022, version 4.4)."""
+
+from __future__ import annotations
+
+import struct
+from functools import cache
+
+import numpy as np
+
+from postfx.colour.curves import SRGB
+from postfx.colour.displays import Display
+from postfx.colour.primaries import D50_XYZ, adapted, to_xyz
+
+_VERSION = 0x04400000
+_MADE = (2025, 1, 1, 0, 0, 0)
+_SAMPLES = 1024
+_HEADER, _ENTRY = 128, 12
+
+
+@cache
+def profile(display: Display) -> bytes:
+    """Profile of a display's code values.
+
+    PQ and HLG cannot be said by a curve up to their peak: it ends at diffuse white, so that software without HDR shows
+    the picture with lights cut there, and the tag `cicp` tells the others what it is.
+    """
+    primaries = display.kind.primaries
+    colorants = adapted(primaries, D50_XYZ)
+    curve = _curve(display)
+    tags = {
+        b"desc": _text(f"{display.kind.title} (postfx)"),
+        b"cprt": _text("No copyright: CC0 1.0"),
+        b"wtpt": _numbers(b"XYZ ", D50_XYZ),
+        b"chad": _numbers(b"sf32", (colorants @ np.linalg.inv(to_xyz(primaries))).ravel()),
+        b"rXYZ": _numbers(b"XYZ ", colorants[:, 0]),
+        b"gXYZ": _numbers(b"XYZ ", colorants[:, 1]),
+        b"bXYZ": _numbers(b"XYZ ", colorants[:, 2]),
+        b"rTRC": curve,
+        b"gTRC": curve,
+        b"bTRC": curve,
+    }
+    if display.kind.cicp:
+        tags[b"cicp"] = b"cicp" + bytes(4) + bytes(display.kind.cicp)
+    return _assembled(tags)
+
+
+def _assembled(tags: dict[bytes, bytes]) -> bytes:
+    start = _HEADER + 4 + _ENTRY * len(tags)
+    table, data, places = struct.pack(">I", len(tags)), b"", {}
+    for name, content in tags.items():
+        if content not in places:  # the three curves are one
+            places[content] = start + len(data)
+            data += content + bytes(-len(content) % 4)
+        table += struct.pack(">4sII", name, places[content], len(content))
+    return _header(start + len(data)) + table + data
+
+
+def _header(size: int) -> bytes:
+    kinds = struct.pack(">4s4s4s6H4s", b"mntr", b"RGB ", b"XYZ ", *_MADE, b"acsp")
+    white = b"".join(map(_fixed, D50_XYZ))
+    return (struct.pack(">I4sI", size, b"", _VERSION) + kinds + bytes(28) + white).ljust(_HEADER, b"\0")
+
+
+def _curve(display: Display) -> bytes:
+    if display.kind.curve is SRGB:
+        return b"para" + struct.pack(">IHH", 0, 3, 0) + b"".join(map(_fixed, (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92,
+                                                                           0.04045)))
+    if not display.hdr:
+        return b"para" + struct.pack(">IHH", 0, 0, 0) + _fixed(2.4)
+    codes = np.linspace(0, 1, _SAMPLES)
+    light = np.minimum(display.decode(np.repeat(codes[:, None], 3, 1))[:, 0], 1)
+    return b"curv" + struct.pack(">II", 0, _SAMPLES) + np.rint(light * 65535).astype(">u2").tobytes()
+
+
+def _text(text: str) -> bytes:
+    """multiLocalizedUnicodeType with one language."""
+    encoded = text.encode("utf-16-be")
+    return b"mluc" + struct.pack(">III4sII", 0, 1, 12, b"enUS", len(encoded), 28) + encoded
+
+
+def _numbers(kind: bytes, values: np.ndarray | tuple[float, ...]) -> bytes:
+    return kind + bytes(4) + b"".join(map(_fixed, values))
+
+
+def _fixed(value: float) -> bytes:
+    """s15Fixed16Number."""
+    return struct.pack(">i", round(float(value) * 65536))

@@ -1,0 +1,151 @@
+"""Views and look-up tables through OpenColorIO, which OpenImageIO carries."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import OpenImageIO as oiio
+
+from postfx.colour.displays import Display, parse_display
+from postfx.colour.primaries import ACES2065_1, ACESCG, matrix_between
+from postfx.errors import ColourError
+
+PREFIX = "ocio:"
+BUILT_IN = "ocio://studio-config-v4.0.0_aces-v2.0_ocio-v2.5"
+INTERCHANGE = "aces_interchange"
+"""The role that every config which is to be used here must have; its space is ACES2065-1."""
+LUTS = (".cube", ".clf", ".ctf", ".3dl", ".spi3d", ".csp")
+DISPLAYS = {
+    "srgb": ("sRGB - Display", "sRGB"),
+    "p3": ("Display P3 - Display", "Display P3"),
+    "rec709": ("Rec.1886 Rec.709 - Display", "Rec.1886 / Rec.709 Video - Display", "Rec.1886", "Rec.709"),
+    "rec2020": ("Rec.1886 Rec.2020 - Display", "Rec.1886 / Rec.2020 Video - Display", "Rec.2020"),
+    "pq": ("Rec.2100-PQ - Display", "Rec.2100-PQ"),
+    "hlg": ("Rec.2100-HLG - Display", "Rec.2100-HLG"),
+}
+"""Names that configs give to our displays: of the ACES configs, and of older ones."""
+_NOTE = re.compile(r"^#\s*postfx: input=(.+), output=(\S+)$", re.MULTILINE)
+_HEAD = 4096
+
+
+class Transform(NamedTuple):
+    """Linear ACEScg (..., 3) -> code values, the display that they are for, and a title."""
+
+    apply: Callable[[np.ndarray], np.ndarray]
+    display: Display
+    title: str
+
+
+def config_name() -> str:
+    """The config that is used: $OCIO, or the ACES 2 studio config that is built into OpenColorIO."""
+    return os.environ.get("OCIO") or BUILT_IN
+
+
+def view_transform(text: str, display: Display) -> Transform:
+    """'VIEW' or 'VIEW@DISPLAY' of the config. VIEW may be part of a view's name; without one, it is the display's
+    default or, on an HDR display, the first for its peak. Raises ColourError, which says what there is."""
+    name, config = config_name(), _config(config_name())
+    wanted, _, named = text.partition("@")
+    shown = _display_name(config, name, named or display.name, (named,) if named else DISPLAYS[display.name])
+    own = next((parse_display(key) for key, names in DISPLAYS.items() if shown in names), display)
+    own = display if own.name == display.name else own
+    view = _view_name(config, shown, wanted, own)
+    nits = re.search(r"(\d+) nits", view)
+    if own.name == "pq" and nits:
+        own = replace(own, peak=max(float(nits[1]), own.white))
+    apply = partial(oiio.ImageBufAlgo.ociodisplay, display=shown, view=view, fromspace=INTERCHANGE, colorconfig=name)
+    return Transform(lambda x: _run(apply, x, f"{PREFIX}{text}"), own, f"{view}, {shown}")
+
+
+def file_transform(text: str) -> Transform:
+    """A look-up table in a file, 'FILE,input=SPACE,output=DISPLAY': what it takes, by OpenColorIO's name of the colour
+    space, and for which display the result is (default: srgb). Tables that postfx wrote say both themselves.
+
+    Raises ColourError when the file cannot be read or does not say what it takes.
+    """
+    path, *settings = text.split(",")
+    given = dict(item.partition("=")[::2] for item in settings)
+    unknown = given.keys() - {"input", "output"}
+    if unknown:
+        raise ColourError(f"{text}: '{unknown.pop()}' is neither input nor output: {path},input=ACEScct,output=srgb")
+    if not Path(path).is_file():
+        raise ColourError(f"{path}: no such look-up table: check the path")
+    note = _NOTE.search(Path(path).read_bytes()[:_HEAD].decode("utf-8", "replace"))
+    space, output = note.groups() if note else (None, "srgb")
+    space, output = given.get("input", space), given.get("output", output)
+    if space is None:
+        raise ColourError(f"{path}: does not say which colours it takes: give e.g. {path},input=ACEScct")
+    name, config = config_name(), _config(config_name())
+    if config.resolve(space) not in config.getColorSpaceNames():
+        raise ColourError(f"{path}: {name} has no colour space '{space}': use ACEScct, 'Linear Rec.709 (sRGB)' or such")
+    convert = partial(oiio.ImageBufAlgo.colorconvert, fromspace=INTERCHANGE, tospace=space, colorconfig=name)
+    look_up = partial(oiio.ImageBufAlgo.ociofiletransform, name=str(Path(path).resolve()), colorconfig=name)
+    both = lambda image, **how: look_up(convert(image, **how), **how)  # noqa: E731
+    return Transform(lambda x: _run(both, x, path), parse_display(output), f"{Path(path).name}, takes {space}")
+
+
+def convert(light: np.ndarray, source: str, target: str) -> np.ndarray:
+    """Colours (..., 3) from one colour space of the built-in config to another, float64."""
+    apply = partial(oiio.ImageBufAlgo.colorconvert, fromspace=source, tospace=target, colorconfig=BUILT_IN)
+    return _applied(apply, light, f"{source} to {target}")
+
+
+def is_lut(text: str) -> bool:
+    """Whether a look's name is that of a file with a look-up table."""
+    return Path(text.partition(",")[0]).suffix.lower() in LUTS
+
+
+@cache
+def _config(name: str) -> oiio.ColorConfig:
+    config = oiio.ColorConfig(name)
+    problem = config.geterror()
+    if problem or not config.getDisplayNames():
+        raise ColourError(f"{name}: no OpenColorIO config that can be read: {problem or 'it has no displays'}")
+    if INTERCHANGE not in config.getRoles():
+        raise ColourError(f"{name}: has no role {INTERCHANGE}, so nothing tells what its colours are: add the role")
+    return config
+
+
+def _display_name(config: oiio.ColorConfig, name: str, wanted: str, candidates: tuple[str, ...]) -> str:
+    there = config.getDisplayNames()
+    found = next((display for display in candidates if display in there), None)
+    if found is None:
+        raise ColourError(f"{name}: no display for '{wanted}': name one by ocio:VIEW@DISPLAY: {', '.join(there)}")
+    return found
+
+
+def _view_name(config: oiio.ColorConfig, shown: str, wanted: str, display: Display) -> str:
+    there = list(config.getViewNames(shown))
+    words = wanted.lower().split()
+    matching = [view for view in there if view.lower() == wanted.lower()]
+    matching = matching or [view for view in there if all(word in view.lower() for word in words)]
+    if display.hdr:
+        bright = [view for view in matching if f" {display.peak:g} nits" in view]
+        matching = bright or (matching if words else [])
+    elif not words:
+        matching = [config.getDefaultViewName(shown)]
+    if not matching or (words and len(matching) > 1):
+        what = f"several views are '{wanted}'" if matching else f"no view '{wanted}'"
+        what += f" for {display.peak:g} nits" if display.hdr and not words else ""
+        raise ColourError(f"display '{shown}': {what}: use one of: {'; '.join(matching or there)}")
+    return matching[0]
+
+
+def _run(apply: Callable[..., oiio.ImageBuf], light: np.ndarray, what: str) -> np.ndarray:
+    """A transform of linear ACEScg (..., 3), cut to [0, 1]."""
+    return np.clip(_applied(apply, light @ matrix_between(ACESCG, ACES2065_1).T, what), 0, 1)
+
+
+def _applied(apply: Callable[..., oiio.ImageBuf], colours: np.ndarray, what: str) -> np.ndarray:
+    image = oiio.ImageBuf(np.ascontiguousarray(colours.reshape(-1, 1, 3), np.float32))
+    result = apply(image, unpremult=False)
+    if result.has_error:
+        raise ColourError(f"{what}: {result.geterror().splitlines()[0]}")
+    return result.get_pixels("float").reshape(colours.shape).astype(np.float64)

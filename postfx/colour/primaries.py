@@ -1,0 +1,70 @@
+"""RGB primaries: their chromaticities, and the matrices between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from types import MappingProxyType
+
+import numpy as np
+
+Chromaticities = tuple[float, ...]
+"""x and y of red, green, blue and white."""
+
+D65 = (0.3127, 0.3290)
+D50_XYZ = (0.9642, 1.0, 0.8249)
+"""White of the ICC's profile connection space (ICC.1:2022, 7.2.16)."""
+REC709: Chromaticities = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, *D65)
+"""ITU-R BT.709-6, table 1; the primaries of sRGB too."""
+P3_D65: Chromaticities = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *D65)
+"""SMPTE EG 432-1; the primaries of Display P3."""
+REC2020: Chromaticities = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *D65)
+"""ITU-R BT.2020-2, table 2; those of BT.2100 too."""
+ACESCG: Chromaticities = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+"""AP1, S-2014-004."""
+ACES2065_1: Chromaticities = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.0770, 0.32168, 0.33767)
+"""AP0, SMPTE ST 2065-1."""
+
+LINEAR_SPACES: Mapping[str, Chromaticities] = MappingProxyType(
+    {"rec709": REC709, "p3": P3_D65, "rec2020": REC2020, "acescg": ACESCG, "aces2065-1": ACES2065_1}
+)
+"""Linear colour spaces by the names that options use."""
+
+LUMA_REC2020 = (0.2627, 0.6780, 0.0593)
+"""Weights of luminance, ITU-R BT.2100-2, table 5."""
+_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+"""XYZ to sharpened cone responses; Lam 1985, as in ICC.1:2022, annex E."""
+_SAME = 2e-3
+
+
+def are_same(a: Chromaticities, b: Chromaticities) -> bool:
+    """Whether chromaticities differ by no more than what headers round off."""
+    return len(a) == len(b) and bool(np.allclose(a, b, atol=_SAME))
+
+
+def name_of(primaries: Chromaticities) -> str | None:
+    """Name in `LINEAR_SPACES`, None for other primaries."""
+    return next((name for name, known in LINEAR_SPACES.items() if are_same(known, primaries)), None)
+
+
+@cache
+def to_xyz(primaries: Chromaticities) -> np.ndarray:
+    """3x3 matrix, linear RGB -> CIE XYZ with white at Y = 1, by SMPTE RP 177; column vectors."""
+    x, y = np.reshape(primaries, (4, 2)).T
+    columns = np.stack([x / y, np.ones(4), (1 - x - y) / y])
+    scale = np.linalg.solve(columns[:, :3], columns[:, 3])
+    return columns[:, :3] * scale
+
+
+def adapted(primaries: Chromaticities, white: tuple[float, float, float]) -> np.ndarray:
+    """3x3 matrix, linear RGB -> CIE XYZ as seen under another white, by the Bradford transform."""
+    own = _BRADFORD @ to_xyz(primaries).sum(1)
+    return np.linalg.inv(_BRADFORD) @ np.diag(_BRADFORD @ white / own) @ _BRADFORD @ to_xyz(primaries)
+
+
+@cache
+def matrix_between(source: Chromaticities, target: Chromaticities) -> np.ndarray:
+    """3x3 matrix, linear RGB -> linear RGB of other primaries; white stays white (Bradford); column vectors."""
+    if source == target:
+        return np.eye(3)
+    return np.linalg.inv(to_xyz(target)) @ adapted(source, tuple(to_xyz(target).sum(1)))

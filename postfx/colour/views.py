@@ -1,0 +1,106 @@
+"""Views: what turns exposed scene-linear light into code values of a display, and their cubes.
+
+A view is a function of one colour. It is evaluated at the corners of a cube on logarithmic axes once, and the kernel
+`apply_cube` reads every pixel between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from postfx.colour import ocio
+from postfx.colour.displays import Display, parse_display
+from postfx.colour.primaries import ACESCG, REC709, Chromaticities, matrix_between, to_xyz
+
+SIZE = 65
+TOE, WHITEST = 2.0**-10, 2.0**8
+"""The axes: log2(1 + x / TOE) * SCALE is 0..1 for light of 0..WHITEST, where mid grey is 0.18."""
+SCALE = float(1 / np.log2(1 + WHITEST / TOE))
+_START, _DESATURATION, _OFFSET = 0.8, 0.15, 0.04
+
+
+@dataclass(frozen=True)
+class View:
+    """A view and what it is between.
+
+    Attributes:
+        apply: light (..., 3), at least 0 -> code values (..., 3) in [0, 1].
+        primaries: those of the light.
+        display: the display that the code values are for.
+        title: what it is, for people.
+    """
+
+    apply: Callable[[np.ndarray], np.ndarray]
+    primaries: Chromaticities
+    display: Display
+    title: str
+
+    def from_rec709(self, light: np.ndarray) -> np.ndarray:
+        """Code values of exposed scene-linear Rec.709 (..., 3), computed by the view itself."""
+        turned = light @ matrix_between(REC709, self.primaries).T
+        return self.apply(np.maximum(np.nan_to_num(turned, posinf=WHITEST), 0))
+
+
+def reinhard(light: np.ndarray, primaries: Chromaticities = REC709, most: float = 1.0) -> np.ndarray:
+    """Luminance L to L / (1 + L / most), colours in proportion: Reinhard et al. 2002, equation 3, where most is 1.
+
+    light (..., 3) scene-linear, at least 0; the result is display light, below `most` in luminance only.
+    """
+    luminance = light @ to_xyz(primaries)[1]
+    return light / (1 + luminance / most)[..., None]
+
+
+def neutral(light: np.ndarray) -> np.ndarray:
+    """Khronos PBR Neutral: light (..., 3) scene-linear Rec.709, at least 0 -> display light in [0, 1].
+
+    Source: Khronos PBR Neutral Tone Mapper, specification 1.0.
+    """
+    least = light.min(-1, keepdims=True)
+    colour = light - np.where(least < 2 * _OFFSET, least - 6.25 * least**2, _OFFSET)
+    peak = colour.max(-1, keepdims=True)
+    start = _START - _OFFSET
+    room = 1 - start
+    squeezed = 1 - room**2 / np.maximum(peak + room - start, room)
+    scaled = colour * squeezed / np.maximum(peak, start)
+    grey = 1 - 1 / (_DESATURATION * (peak - squeezed) + 1)
+    return np.where(peak < start, colour, scaled + grey * (squeezed - scaled))
+
+
+def find_view(text: str, display: Display) -> View:
+    """A view by name: 'reinhard', 'neutral', 'ocio:VIEW' or 'FILE.cube,input=SPACE', best made for a display.
+
+    The view's own display tells what came of it. Raises ColourError when there is no such view.
+    """
+    if text == "reinhard":
+        own = display.kind.primaries
+        return View(lambda x: display.encode(reinhard(x, own, display.most)), own, display, "Reinhard 2002")
+    if text == "neutral":
+        srgb = parse_display("srgb")
+        return View(lambda x: srgb.encode(neutral(x)), REC709, srgb, "Khronos PBR Neutral")
+    if text.startswith(ocio.PREFIX):
+        transform = ocio.view_transform(text.removeprefix(ocio.PREFIX), display)
+    else:
+        transform = ocio.file_transform(text)
+    return View(transform.apply, ACESCG, transform.display, transform.title)
+
+
+def is_view(text: str) -> bool:
+    """Whether a look's name means a view, not a network."""
+    return text in ("reinhard", "neutral") or text.startswith(ocio.PREFIX) or ocio.is_lut(text)
+
+
+def axis(size: int = SIZE) -> np.ndarray:
+    """Light at the corners along an axis of a cube, (size,)."""
+    return TOE * (np.exp2(np.linspace(0, 1, size) / SCALE) - 1)
+
+
+def bake(text: str, display: Display) -> tuple[View, np.ndarray]:
+    """A view and its cube, (SIZE, SIZE, SIZE, 3) float32: red, green, blue, channel."""
+    view, light = find_view(text, display), axis()
+    corners = np.stack(np.meshgrid(light, light, light, indexing="ij"), -1)
+    cube = np.clip(view.apply(corners), 0, 1).astype(np.float32)
+    cube.setflags(write=False)
+    return view, cube

@@ -1,0 +1,90 @@
+"""Quantising code values: plain, or dithered by blue noise, so that 8 bits show no bands."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from functools import cache
+
+import numpy as np
+
+SIDE = 64
+_SIGMA = 1.5
+_STEP = np.array([0.7548776662466927, 0.5698402909980532])  # a shift that comes back late: Roberts 2018, R2
+
+
+class Dither(StrEnum):
+    """Pattern of the dither: another one each frame, the same for all frames, or no dither."""
+
+    MOVING = "moving"
+    STATIC = "static"
+    NONE = "none"
+
+
+def quantise(codes: np.ndarray, bits: int, dither: Dither, number: int = 1, first_row: int = 0) -> np.ndarray:
+    """Code values (height, width, channels) to whole numbers of 8 or 16 bits; cut to 0..1, NaN becomes 0.
+
+    Dithered, a value between two whole numbers becomes one of them, the larger the more often the nearer it is: the
+    error stays below 1, and over each 64x64 pixels of a flat area the mean is kept to 1/8192. The pattern depends on
+    the pixel, the channel and, if it moves, on the frame's number; `first_row` is the place of the first row. 16 bits
+    are not dithered.
+    """
+    top = np.float32(2**bits - 1)
+    scaled = np.clip(np.nan_to_num(codes), 0, 1) * top
+    if bits != 8 or dither is Dither.NONE:
+        return np.rint(scaled).astype(np.uint8 if bits == 8 else np.uint16)
+    for channel in range(scaled.shape[2]):
+        turn = channel + (3 * number if dither is Dither.MOVING else 0)
+        scaled[:, :, channel] += _thresholds(scaled.shape[:2], first_row, turn)
+    return scaled.astype(np.uint8)
+
+
+@cache
+def blue_noise(side: int = SIDE) -> np.ndarray:
+    """Thresholds (side, side) float32, each of (0.5 .. side^2 - 0.5) / side^2 once, repeating without a seam.
+
+    Source: Ulichney, "The void-and-cluster method for dither array generation", 1993.
+    """
+    weight, taken = _neighbourhood(side), np.zeros((side, side), bool)
+    energy = np.random.default_rng(0).uniform(0, 1e-6, (side, side))  # breaks ties
+    first = _scattered(taken, energy, weight)
+    ranks = np.empty((side, side))
+    started = taken.copy(), energy.copy()
+    for rank in reversed(range(first)):
+        ranks[_put(np.argmax(np.where(taken, energy, -np.inf)), taken, energy, weight)] = rank
+    taken, energy = started
+    for rank in range(first, side * side):
+        ranks[_put(np.argmin(np.where(taken, np.inf, energy)), taken, energy, weight)] = rank
+    return ((ranks + 0.5) / side**2).astype(np.float32)
+
+
+def _scattered(taken: np.ndarray, energy: np.ndarray, weight: np.ndarray) -> int:
+    """Take a tenth of the places, as far from each other as they go; returns how many."""
+    count = taken.size // 10
+    for _ in range(count):
+        _put(np.argmin(np.where(taken, np.inf, energy)), taken, energy, weight)
+    while True:
+        removed = _put(np.argmax(np.where(taken, energy, -np.inf)), taken, energy, weight)
+        if removed == _put(np.argmin(np.where(taken, np.inf, energy)), taken, energy, weight):
+            return count
+
+
+def _put(at: np.intp, taken: np.ndarray, energy: np.ndarray, weight: np.ndarray) -> tuple[int, int]:
+    """Take a free place, or give a taken one back; returns its row and column."""
+    side = len(taken)
+    y, x = divmod(int(at), side)
+    energy += (-1 if taken[y, x] else 1) * weight[side - y : 2 * side - y, side - x : 2 * side - x]
+    taken[y, x] = not taken[y, x]
+    return y, x
+
+
+def _neighbourhood(side: int) -> np.ndarray:
+    """How near places are to the one at (side, side), on a torus; (2 * side, 2 * side)."""
+    distance = np.minimum(np.arange(2 * side) % side, -np.arange(2 * side) % side)
+    near = np.exp(-(distance**2) / (2 * _SIGMA**2))
+    return near[:, None] * near
+
+
+def _thresholds(size: tuple[int, int], first_row: int, turn: int) -> np.ndarray:
+    down, right = (turn * _STEP % 1 * SIDE).astype(int)
+    rows, columns = (np.arange(first_row, first_row + size[0]) + down) % SIDE, (np.arange(size[1]) + right) % SIDE
+    return blue_noise()[rows][:, columns]

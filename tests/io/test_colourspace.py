@@ -1,0 +1,106 @@
+"""Colours of files in other primaries than Rec.709."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from postfx.colour.primaries import ACESCG, REC709
+from postfx.errors import ColourError
+from postfx.frame import Frame, Role
+from postfx.io.sequence import read_sequence
+from postfx.io.writer import write_frame
+
+colour = pytest.importorskip("colour")
+
+NAMES = ("R", "G", "B", "albedo.R", "albedo.G", "albedo.B", "depth.Z")
+
+
+@pytest.fixture
+def stored() -> np.ndarray:
+    """Light of all colours of AP1, reflectances and depth."""
+    pixels = np.random.default_rng(1).random((6, 8, 7), np.float32)
+    pixels[..., :3] *= 8
+    pixels[0, 0, :3], pixels[0, 1, :3] = (1, 0, 0), np.inf
+    return pixels
+
+
+@pytest.fixture
+def write(stored: np.ndarray, tmp_path: Path):
+    def with_header(**header) -> Path:
+        spec = oiio.ImageSpec(8, 6, 7, "float")
+        spec.channelnames = NAMES
+        for name, value in header.items():
+            kind = oiio.TypeDesc("float[8]") if name == "chromaticities" else oiio.TypeDesc("string")
+            spec.attribute(name, kind, value)
+        output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+        assert output.open(str(tmp_path / "a.exr"), spec) and output.write_image(stored)
+        output.close()
+        return tmp_path / "a.exr"
+
+    return with_header
+
+
+def in_rec709(light: np.ndarray) -> np.ndarray:
+    return light @ colour.matrix_RGB_to_RGB("ACEScg", "sRGB", "Bradford").T
+
+
+def assert_turned(frame: Frame, stored: np.ndarray) -> None:
+    finite = np.isfinite(stored[..., 0])
+    np.testing.assert_allclose(frame[Role.COLOUR][finite], in_rec709(stored[finite][:, :3]), atol=5e-3)
+    np.testing.assert_allclose(frame[Role.DIFFUSE_ALBEDO], np.maximum(in_rec709(stored[..., 3:6]), 0), atol=1e-3)
+    np.testing.assert_array_equal(frame[Role.DEPTH][..., 0], stored[..., 6])
+    assert frame.metadata["chromaticities"] == REC709
+
+
+def test_chromaticities_say_it(write, stored) -> None:
+    sequence = read_sequence(write(chromaticities=ACESCG))
+    frame = next(iter(sequence))
+    assert_turned(frame, stored)
+    assert sequence.warnings == ["colours are acescg: turned to linear Rec.709"]
+    assert frame[Role.COLOUR][0, 0, 1] < -0.1  # red of AP1 is outside Rec.709
+    assert (frame[Role.COLOUR][0, 1] > 1e29).all()
+
+
+def test_the_color_interop_id_says_it(write, stored) -> None:
+    frame = next(iter(read_sequence(write(colorInteropID="lin_ap1_scene"))))
+    assert_turned(frame, stored)
+    assert "colorInteropID" not in frame.metadata
+
+
+def test_the_user_says_it(write, stored) -> None:
+    assert_turned(next(iter(read_sequence(write(), colourspace="acescg"))), stored)
+    wrong = next(iter(read_sequence(write(chromaticities=ACESCG), colourspace="rec709")))
+    np.testing.assert_array_equal(wrong[Role.COLOUR], stored[..., :3])
+
+
+def test_other_primaries_without_a_name(write) -> None:
+    odd = (0.66, 0.32, 0.28, 0.65, 0.15, 0.05, 0.3127, 0.329)
+    sequence = read_sequence(write(chromaticities=odd))
+    frame = next(iter(sequence))
+    assert sequence.warnings == ["colours are of primaries without a name: turned to linear Rec.709"]
+    own = colour.RGB_Colourspace("odd", np.reshape(odd[:6], (3, 2)), odd[6:])
+    wanted = colour.matrix_RGB_to_RGB(own, colour.RGB_COLOURSPACES["sRGB"], "Bradford")[:, 0]
+    np.testing.assert_allclose(frame[Role.COLOUR][0, 0], wanted, atol=1e-3)
+
+
+@pytest.mark.parametrize("header", [{}, {"chromaticities": REC709}, {"colorInteropID": "lin_rec709_scene"}])
+def test_rec709_is_left_alone(write, stored, header) -> None:
+    sequence = read_sequence(write(**header))
+    np.testing.assert_array_equal(next(iter(sequence))[Role.COLOUR], stored[..., :3])
+    assert sequence.warnings == []
+
+
+def test_native_colours_are_written_as_they_came_with_their_primaries(write, stored, tmp_path) -> None:
+    frame = next(iter(read_sequence(write(chromaticities=ACESCG), colourspace="native")))
+    again = oiio.ImageBuf(str(write_frame(tmp_path / "b.exr", frame, half=False)))
+    np.testing.assert_array_equal(again.get_pixels("float")[1:, :, :3], stored[1:, :, :3])
+    np.testing.assert_allclose(again.spec().getattribute("chromaticities"), ACESCG, atol=1e-6)
+
+
+def test_unknown_names(write) -> None:
+    with pytest.raises(ColourError, match="unknown colour space 'xyz': use one of rec709, p3"):
+        read_sequence(write(), colourspace="xyz")
