@@ -49,7 +49,7 @@ class CudaMemory:
 
     host_visible = False
 
-    def __init__(self, index: int, graphs: bool = False) -> None:
+    def __init__(self, index: int, graphs: bool = True) -> None:
         try:
             from cuda.core import Device
         except ImportError:

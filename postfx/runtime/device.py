@@ -46,8 +46,7 @@ class Device:
             files, and passes go over frames in tiles. The CPU only, which 'auto' then is.
         kernels: library of the portable definitions; default: the `kernels` folder of the models that come with
             postfx.
-        graphs: launch commands that ran before as one CUDA graph. Off, since a frame with a mask was wrong when it was
-            launched so; see docs/runtime.md.
+        graphs: launch commands that ran before with the same tensors as one CUDA graph.
 
     Attributes:
         results_lock: to hold from commit until the host has read transient results, where several threads commit.
@@ -63,7 +62,7 @@ class Device:
         compiled_kernels: bool = True,
         kernels: Library | None = None,
         memory: str | int | None = None,
-        graphs: bool = False,
+        graphs: bool = True,
     ) -> None:
         if threads is not None and threads < 1:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")

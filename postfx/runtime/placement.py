@@ -17,7 +17,7 @@ from postfx.runtime.session import Placement, first_line
 _NAME = re.compile(r"(auto|cpu|cuda)(?::(\d+))?")
 
 
-def choose(name: str, threads: int, graphs: bool = False) -> tuple[Placement, Memory]:
+def choose(name: str, threads: int, graphs: bool = True) -> tuple[Placement, Memory]:
     """Placement and memory of 'cpu', 'cuda', 'cuda:1' or 'auto'. Raises DeviceError when it is not available."""
     match = _NAME.fullmatch(name)
     if match is None or (match[2] and match[1] != "cuda"):
