@@ -11,7 +11,7 @@ from postfx.errors import MissingPlaneError
 from postfx.frame import FrameSpec, Role
 from postfx.passes.base import Pass, PassContractError, Reflection
 
-KEPT = (Role.COLOUR, Role.ALPHA)
+KEPT = (Role.COLOUR, Role.ALPHA, Role.OVERLAY)
 """Planes that are wanted in the output even when no pass touches them."""
 
 

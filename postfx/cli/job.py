@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
+from postfx.cli.overlay import refuse_layer
 from postfx.cli.progress import FrameProgress
 from postfx.cli.summary import Report
 from postfx.errors import GuideError, WriteError
@@ -51,9 +52,12 @@ class Job:
         self.sequence = Sequence(
             arguments.input, arguments.frames, arguments.profile, guides=arguments.guides, scratch=device.scratch,
             depth=arguments.depth, cuts=known_cuts(arguments.cuts), leave=arguments.leave,
+            without=(Role.OVERLAY,) if arguments.overlay == "ignore" else (),
         )
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
+        if arguments.overlay == "separate":
+            refuse_layer(arguments.tonemap is not None, self.outputs)
         if self.outputs and not arguments.explain:
             self.outputs.check(self.sequence.numbers)
         self.left_out: list[Skipped] = []
@@ -213,6 +217,10 @@ class Job:
         else:
             options = {name: getattr(arguments, name) for name in DENOISE_OPTIONS}
             passes.append(create("denoise_upscale", **_given(options)))
+        if arguments.overlay == "composite":
+            passes.append(create("overlay"))
+        else:
+            self.left_out.append(Skipped("overlay", f"--overlay {arguments.overlay}"))
         reason = self._no_tonemap(arguments)
         if reason:
             self.left_out.append(Skipped("tonemap", reason))

@@ -117,6 +117,11 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
     )
     tonemap.add_argument("--no-tonemap", action="store_true", help="PNG, JPEG, TIFF: only expose, clip and encode")
     group.add_argument(
+        "--overlay", default="composite", choices=("composite", "separate", "ignore"), help="transparency overlay: "
+        "over the denoised picture and its alpha, as an EXR layer of the same size beside the picture without it, or "
+        "unread (default: composite)",
+    )
+    group.add_argument(
         "--exposure",
         default="auto",
         metavar="auto|smooth|metadata|EV",

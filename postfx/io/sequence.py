@@ -46,6 +46,7 @@ class Sequence:
         depth: str | None = None,
         cuts: Iterable[int] | None = None,
         leave: str | None = None,
+        without: Iterable[Role] = (),
     ) -> None:
         self._scratch = scratch
         self.pattern, named = _locate(str(source))
@@ -55,6 +56,7 @@ class Sequence:
         self.leave = () if leave is None else parse_leave(leave)
         self._named = False
         self.left_alone = Shares()
+        self.without = frozenset(map(Role, without))
         self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth)
         self.planes = None if planes is None else tuple(Role(role) for role in planes)
         self.warnings: list[str] = []
@@ -119,7 +121,7 @@ class Sequence:
     def open(self, number: int) -> FrameFiles:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
         guides, strict = self.guide_files(number), not self._named
-        files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict)
+        files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self.without)
         self._named = True  # a thing that was found need not be in every frame
         self.warnings += [warning for warning in files.layout.warnings if warning not in self.warnings]
         return files
@@ -169,6 +171,7 @@ def read_sequence(
     depth: str | None = None,
     cuts: Iterable[int] | None = None,
     leave: str | None = None,
+    without: Iterable[Role] = (),
 ) -> Sequence:
     """Frames of a sequence, read one at a time while iterating.
 
@@ -186,11 +189,14 @@ def read_sequence(
             headers (postfx:reset). Frames after a gap are marked anyway.
         leave: what is left as it is, which becomes the plane strength: names in a Cryptomatte, ids, 'auto' for sky and
             misses, such as 'auto,logo,glass_*=0.5,7-9@id', see `postfx.strength.parse_leave`.
+        without: roles of planes to take as absent, such as `Role.OVERLAY`.
 
     Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError,
     ReadError or StrengthError.
     """
-    return Sequence(pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave)
+    return Sequence(
+        pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave, without=without,
+    )
 
 
 def _locate(source: str) -> tuple[Pattern, list[int] | None]:

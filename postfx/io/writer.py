@@ -23,6 +23,7 @@ WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
 _BITS = {".tif": 16, ".tiff": 16}
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
 _HALF_MAX = 65504.0
+OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 _PIECE = 16 << 20  # bytes in float32 that are converted and written at once
 Pixels = Callable[[slice], np.ndarray]  # rows -> pixels as they are stored
 
@@ -41,9 +42,10 @@ def write_frame(
     """Write colour and alpha of a frame; returns the path.
 
     EXR holds linear light (a display-encoded frame is decoded), half floats unless `half` is False, ZIP compression,
-    the input's display window scaled to the frame's size and its useful header attributes. PNG and JPEG hold 8 bits,
-    TIFF 16 bits of sRGB code values; a scene-linear frame is clipped to 0..1 there, so tone-map it first. The file
-    appears under its name only when it is complete; folders are made. `relax` is called again and again meanwhile.
+    the input's display window scaled to the frame's size and its useful header attributes; beside scene-linear colour
+    also an overlay that was not composited, as a layer of that name. PNG and JPEG hold 8 bits, TIFF 16 bits of sRGB
+    code values; a scene-linear frame is clipped to 0..1 there, so tone-map it first. The file appears under its name
+    only when it is complete; folders are made. `relax` is called again and again meanwhile.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written.
     """
@@ -92,7 +94,7 @@ def _linear_pixels(frame: Frame, half: bool) -> Pixels:
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
         colour = srgb_decode(colour) if frame.encoding == "srgb" else colour
-        pixels = _with_alpha(colour, frame, rows)
+        pixels = _with_layer(_with_alpha(colour, frame, rows), frame, rows)
         return np.clip(pixels, -_HALF_MAX, _HALF_MAX).astype(np.float16) if half else pixels
 
     return convert
@@ -116,10 +118,20 @@ def _with_alpha(colour: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
     return np.concatenate([colour, frame[Role.ALPHA][rows]], axis=2) if Role.ALPHA in frame else colour
 
 
+def _with_layer(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
+    return np.concatenate([pixels, frame[Role.OVERLAY][rows]], axis=2) if _has_layer(frame) else pixels
+
+
+def _has_layer(frame: Frame) -> bool:
+    """Whether the overlay is written: it cannot be composited with light of a display."""
+    return Role.OVERLAY in frame and frame.encoding == "scene-linear"
+
+
 def _spec(frame: Frame, pixels: np.ndarray, path: Path, display: bool) -> oiio.ImageSpec:
     height, width, channels = len(frame[Role.COLOUR]), *pixels.shape[1:]
     spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
-    spec.channelnames = ("R", "G", "B", "A")[:channels]
+    layer = OVERLAY_LAYER if _has_layer(frame) and not display else ()
+    spec.channelnames = ("R", "G", "B", "A")[: channels - len(layer)] + layer
     if display:
         spec.attribute("oiio:ColorSpace", "sRGB")
         spec.attribute("CompressionQuality", 95)

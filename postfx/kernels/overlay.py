@@ -25,10 +25,11 @@ def straight(light, alpha, empty):
 def straight_row(upper, lower, least, most):
     """Least and largest straight colour (w, 3) of two rows (w, 4), pixel by pixel."""
     for x in range(least.shape[0]):
+        above, below = upper[x, 3], lower[x, 3]
         for c in range(3):
-            least[x, c] = min(straight(upper[x, c], upper[x, 3], INFINITE), straight(lower[x, c], lower[x, 3], INFINITE))
-            most[x, c] = max(straight(upper[x, c], upper[x, 3], -INFINITE),
-                             straight(lower[x, c], lower[x, 3], -INFINITE))
+            first, second = upper[x, c], lower[x, c]
+            least[x, c] = min(straight(first, above, INFINITE), straight(second, below, INFINITE))
+            most[x, c] = max(straight(first, above, -INFINITE), straight(second, below, -INFINITE))
 
 
 @compiled
