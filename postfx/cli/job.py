@@ -207,7 +207,10 @@ class Job:
 
     def _first_spec(self) -> FrameSpec:
         with self.sequence.open(self.sequence.numbers[0]) as files:
-            return files.spec()
+            spec, colour = files.spec(), files.match(Role.COLOUR)
+        if colour.rule.role is Role.OPAQUE_COLOUR:
+            self.left_out.append(Skipped("colour with transparents", f"{colour.names} is denoised under the overlay"))
+        return spec
 
     def _passes(self, arguments: argparse.Namespace) -> list[Pass]:
         passes = []
