@@ -32,8 +32,8 @@ class Role(StrEnum):
     SPECULAR_HIT_DISTANCE = "specular_hit_distance"
     STRENGTH = "strength"
     REACTIVE = "reactive"
-    OVERLAY = "overlay"
     OPAQUE_COLOUR = "opaque_colour"
+    OVERLAY = "overlay"
 
 
 class RoleInfo(NamedTuple):
@@ -60,8 +60,8 @@ ROLES: Mapping[Role, RoleInfo] = {
     Role.SPECULAR_HIT_DISTANCE: RoleInfo(1, "scene units", "world", "0..inf", "primary surface to the reflected hit"),
     Role.STRENGTH: RoleInfo(1, "none", "none", "0..1", "0 leave as it is, 1 denoise fully"),
     Role.REACTIVE: RoleInfo(1, "none", "none", "0..1", "0 use the history, 1 ignore it"),
+    Role.OPAQUE_COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "colour before transparency"),
     Role.OVERLAY: RoleInfo(4, "radiance and coverage", "scene-linear Rec.709", "0..inf", "RGBA, premultiplied"),
-    Role.OPAQUE_COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "colour before transparents"),
 }
 
 

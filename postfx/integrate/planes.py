@@ -27,8 +27,8 @@ CHANNELS = {
     Role.SPECULAR_HIT_DISTANCE: ("specular_hit_distance.Y",),
     Role.STRENGTH: ("strength.Y",),
     Role.REACTIVE: ("reactive.Y",),
+    Role.OPAQUE_COLOUR: ("opaque_colour.R", "opaque_colour.G", "opaque_colour.B"),
     Role.OVERLAY: OVERLAY_LAYER,
-    Role.OPAQUE_COLOUR: ("opaque.R", "opaque.G", "opaque.B"),
 }
 """Channel names of each plane."""
 

@@ -126,12 +126,12 @@ def test_colour_before_transparents_is_what_is_denoised(postfx, shot, tmp_path):
     shot(opaque_colour=lambda frame: frame[Role.COLOUR].copy(), colour=together)
     assert postfx(*RUN, "--overwrite").code == 0
     np.testing.assert_array_equal(picture(tmp_path / "out" / "shot.0002.exr", *"RGB"), wanted)
-    assert "colour with transparents: opaque.R,G,B is denoised under the overlay" in postfx(*RUN, "--explain").out
+    assert "colour with transparents: opaque_colour.R,G,B is denoised under the overlay" in postfx(*RUN, "--explain").out
     assert postfx(*RUN, "--overwrite", "--overlay", "ignore").code == 0
     ignored = picture(tmp_path / "out" / "shot.0002.exr", *"RGB")
     assert np.abs(ignored - wanted).mean() < 0.1 and not np.array_equal(ignored, wanted)
     roles = postfx("inspect", "in/shot.####.exr", "--json").json["roles"]
-    assert roles["colour"]["planes"] == ["opaque.R", "opaque.G", "opaque.B"]
+    assert roles["colour"]["planes"] == [f"opaque_colour.{c}" for c in "RGB"]
     assert "before transparents" in roles["colour"]["why"]
 
 
