@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
-from postfx.cli.overlay import refuse_layer
+from postfx.cli.overlay import left_out_for, refuse_layer, unread
 from postfx.cli.progress import FrameProgress
 from postfx.cli.summary import Report
 from postfx.errors import GuideError, WriteError
 from postfx.exposure import SMOOTH, SmoothExposure, colours_of
-from postfx.frame import Frame, FrameSpec, Role
+from postfx.frame import Frame, Role
 from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import Sequence
@@ -51,13 +51,11 @@ class Job:
         device = Device(arguments.device, arguments.threads, memory=arguments.memory)
         self.sequence = Sequence(
             arguments.input, arguments.frames, arguments.profile, guides=arguments.guides, scratch=device.scratch,
-            depth=arguments.depth, cuts=known_cuts(arguments.cuts), leave=arguments.leave,
-            without=(Role.OVERLAY,) if arguments.overlay == "ignore" else (),
+            depth=arguments.depth, cuts=known_cuts(arguments.cuts), leave=arguments.leave, without=unread(arguments),
         )
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
-        if arguments.overlay == "separate":
-            refuse_layer(arguments.tonemap is not None, self.outputs)
+        refuse_layer(arguments, self.outputs)
         if self.outputs and not arguments.explain:
             self.outputs.check(self.sequence.numbers)
         self.left_out: list[Skipped] = []
@@ -65,7 +63,9 @@ class Job:
         exposure = SmoothExposure(colours_of(self.sequence)) if self._smooth else arguments.exposure
         cuts = "auto" if arguments.cuts == "auto" else "none"
         self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts)
-        self.plan = self.pipeline.explain(self._first_spec())
+        with self.sequence.open(self.sequence.numbers[0]) as files:
+            self.left_out += left_out_for(arguments, files)
+            self.plan = self.pipeline.explain(files.spec())
         self._preroll, self._scale = arguments.preroll, arguments.scale
         self._capture = FrameCapture(arguments, device)
         self._seconds = 0.0
@@ -205,13 +205,6 @@ class Job:
             return self._preroll
         return RESUME_PREROLL if target.existing is Existing.SKIP and self.plan.steps else 0
 
-    def _first_spec(self) -> FrameSpec:
-        with self.sequence.open(self.sequence.numbers[0]) as files:
-            spec, colour = files.spec(), files.match(Role.COLOUR)
-        if colour.rule.role is Role.OPAQUE_COLOUR:
-            self.left_out.append(Skipped("colour with transparents", f"{colour.names} is denoised under the overlay"))
-        return spec
-
     def _passes(self, arguments: argparse.Namespace) -> list[Pass]:
         passes = []
         if arguments.no_denoise:
@@ -220,10 +213,7 @@ class Job:
         else:
             options = {name: getattr(arguments, name) for name in DENOISE_OPTIONS}
             passes.append(create("denoise_upscale", **_given(options)))
-        if arguments.overlay == "composite":
-            passes.append(create("overlay"))
-        else:
-            self.left_out.append(Skipped("overlay", f"--overlay {arguments.overlay}"))
+        passes += [create("overlay")] if arguments.overlay == "composite" else []
         reason = self._no_tonemap(arguments)
         if reason:
             self.left_out.append(Skipped("tonemap", reason))

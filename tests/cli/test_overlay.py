@@ -77,7 +77,7 @@ def test_the_layer_is_written_beside_the_picture_without_it(postfx, shot, tmp_pa
     held = channels(tmp_path / "out" / "shot.0002.exr")
     assert list(held) == ["R", "G", "B", "overlay.R", "overlay.G", "overlay.B", "overlay.A"]
     layer = np.stack([held[f"overlay.{c}"] for c in "RGBA"], -1)
-    np.testing.assert_allclose(layer[INSIDE], smoke(2, (0, 0), 2)[INSIDE], atol=5e-4)
+    np.testing.assert_allclose(layer[INSIDE], smoke(2, (0, 0), 2)[INSIDE], atol=6e-4)  # half floats in and out
     again = postfx("run", "out/shot.####.exr", "-o", "again/shot.####.exr", "--no-denoise")
     assert again.code == 0  # what was written apart is found and composited
     assert postfx(*RUN, "--overwrite").code == 0
@@ -126,7 +126,8 @@ def test_colour_before_transparents_is_what_is_denoised(postfx, shot, tmp_path):
     shot(opaque_colour=lambda frame: frame[Role.COLOUR].copy(), colour=together)
     assert postfx(*RUN, "--overwrite").code == 0
     np.testing.assert_array_equal(picture(tmp_path / "out" / "shot.0002.exr", *"RGB"), wanted)
-    assert "colour with transparents: opaque_colour.R,G,B is denoised under the overlay" in postfx(*RUN, "--explain").out
+    explained = postfx(*RUN, "--explain").out
+    assert "skips   colour with transparents: opaque_colour.R,G,B is denoised under the overlay" in explained
     assert postfx(*RUN, "--overwrite", "--overlay", "ignore").code == 0
     ignored = picture(tmp_path / "out" / "shot.0002.exr", *"RGB")
     assert np.abs(ignored - wanted).mean() < 0.1 and not np.array_equal(ignored, wanted)
@@ -158,7 +159,7 @@ def test_an_overlay_at_output_size(postfx, shot, write_exr, tmp_path):
     done = postfx(*RUN, "--guides", "in/fine.####.exr", "--overlay", "separate", "--json")
     assert done.code == 0 and done.json["guides"]["used"] == ["overlay"]
     layer = picture(tmp_path / "out" / "shot.0003.exr", *(f"overlay.{c}" for c in "RGBA"))
-    np.testing.assert_allclose(layer, smoke(3, (0, 0), 2), atol=5e-4)
+    np.testing.assert_allclose(layer, smoke(3, (0, 0), 2), atol=6e-4)
 
 
 def test_within_a_memory_budget(postfx, shot, tmp_path):
