@@ -33,12 +33,10 @@ def straight_row(upper, lower, least, most):
 
 
 @compiled
-def hold_row(least, most, columns, row):
+def hold_row(least, most, near, row):
     """Alpha within [0, 1], and colours within what the nearest straight colours make of that alpha."""
-    w = least.shape[0]
     for x in range(row.shape[0]):
-        at = int(math.floor(columns[x]))
-        left, right = min(max(at, 0), w - 1), min(max(at + 1, 0), w - 1)
+        left, right = near[0, x], near[1, x]
         alpha = clamp(row[x, 3], ZERO, ONE)
         row[x, 3] = alpha
         for c in range(3):
@@ -47,24 +45,36 @@ def hold_row(least, most, columns, row):
             row[x, c] = max(held, low * alpha) if abs(low) < INFINITE else held
 
 
+@inline
+def nearest(position, size):
+    """The two samples around a position."""
+    first = int(math.floor(position))
+    return min(max(first, 0), size - 1), min(max(first + 1, 0), size - 1)
+
+
 @compiled
 def enlarge_rows(y0, y1, image, rows, columns, output):
     """Cubic like `resample_rows`, and colours are no brighter and no darker than the nearest four pixels' own colours
     at the coverage that comes out: so edges have no halo, whatever they are composited over."""
     resample_rows(y0, y1, image, rows, columns, output)
     h, w = image.shape[:2]
+    near = np.empty((2, columns.size), np.int64)
+    for x in range(columns.size):
+        near[0, x], near[1, x] = nearest(columns[x], w)
     least, most = np.empty((w, 3), np.float32), np.empty((w, 3), np.float32)
+    held = -1, -1
     for y in range(y0, y1):
-        at = int(math.floor(rows[y]))
-        straight_row(image[min(max(at, 0), h - 1)], image[min(max(at + 1, 0), h - 1)], least, most)
-        hold_row(least, most, columns, output[y])
+        lines = nearest(rows[y], h)
+        if lines != held:
+            straight_row(image[lines[0]], image[lines[1]], least, most)
+        held = lines
+        hold_row(least, most, near, output[y])
 
 
 @inline
 def over(front, alpha, behind):
-    """Porter and Duff 1984, premultiplied; exactly what is behind where nothing is in front."""
-    front, alpha, behind = known(front), clamp(alpha, ZERO, ONE), known(behind)
-    return behind if alpha == ZERO and front == ZERO else front + (ONE - alpha) * behind
+    """Porter and Duff 1984, premultiplied."""
+    return known(front) + (ONE - clamp(alpha, ZERO, ONE)) * known(behind)
 
 
 @compiled

@@ -42,7 +42,7 @@ def straight(image: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Over(nn.Module):
-    """overlay (H, W, 4), colour (H, W, 3) -> output (H, W, 3): what is behind nothing stays as it is."""
+    """overlay (H, W, 4), colour (H, W, 3) -> output (H, W, 3)."""
 
     def forward(self, overlay: Tensor, colour: Tensor) -> Tensor:
         return over(known(overlay[..., :3]), ops.sanitise(overlay[..., 3:], 0, 1), known(colour))
@@ -58,4 +58,4 @@ class OverAlpha(nn.Module):
 
 def over(front: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
     """Porter and Duff 1984, premultiplied."""
-    return torch.where((front == 0) & (alpha == 0), behind, front + (1 - alpha) * behind)
+    return front + (1 - alpha) * behind

@@ -287,8 +287,7 @@ __device__ inline void resampled(const View& image, int channels, const Cubic& d
     }
 }
 
-// Light in front, premultiplied by its coverage, over what is behind; exactly that where nothing is in front.
+// Light in front, premultiplied by its coverage, over what is behind.
 __device__ inline float over(float front, float alpha, float behind) {
-    const float light = known(front), rest = known(behind);
-    return alpha == 0.0f && light == 0.0f ? rest : light + (1.0f - alpha) * rest;
+    return known(front) + (1.0f - alpha) * known(behind);
 }
