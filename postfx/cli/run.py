@@ -28,6 +28,7 @@ examples:
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
   postfx run poster.exr -o out/ --memory 4G
+  postfx run shot/noisy.####.exr -o out/layers.####.exr --overlay separate
   postfx run shot/noisy.####.exr --explain
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-frame 5
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-network
