@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from postfx.io.sequence import Sequence, read_sequence
     from postfx.io.writer import write_frame
     from postfx.passes.denoise_upscale import DenoiseUpscale
+    from postfx.passes.overlay import Overlay
     from postfx.passes.tonemap import ToneMap
     from postfx.paths import models_dir
     from postfx.pipeline import Pipeline
@@ -31,6 +32,7 @@ _HOMES = {
     "Frame": "postfx.frame",
     "FrameSpec": "postfx.frame",
     "Library": "postfx.runtime",
+    "Overlay": "postfx.passes.overlay",
     "Pipeline": "postfx.pipeline",
     "PostfxError": "postfx.errors",
     "ROLES": "postfx.frame",

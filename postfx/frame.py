@@ -35,6 +35,7 @@ class Role(StrEnum):
     SPECULAR_HIT_DISTANCE = "specular_hit_distance"
     STRENGTH = "strength"
     REACTIVE = "reactive"
+    OPAQUE_COLOUR = "opaque_colour"
     OVERLAY = "overlay"
 
 
@@ -62,20 +63,24 @@ ROLES: Mapping[Role, RoleInfo] = {
     Role.SPECULAR_HIT_DISTANCE: RoleInfo(1, "scene units", "world", "0..inf", "primary surface to the reflected hit"),
     Role.STRENGTH: RoleInfo(1, "none", "none", "0..1", "0 leave as it is, 1 denoise fully"),
     Role.REACTIVE: RoleInfo(1, "none", "none", "0..1", "0 use the history, 1 ignore it"),
+    Role.OPAQUE_COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "colour before transparency"),
     Role.OVERLAY: RoleInfo(4, "radiance and coverage", "scene-linear Rec.709", "0..inf", "RGBA, premultiplied"),
 }
 
 
 GUIDE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH)
-"""Planes that may come at output size as well: guides."""
+"""Planes at output size that make edges exact."""
+
+OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY)
+"""Planes that may come at output size: guides, in the widest sense."""
 
 
 @dataclass(frozen=True)
 class GuideSpec:
     """Size and roles of a frame's guides, which are planes at output size.
 
-    `roles` may be any of `GUIDE_ROLES`, kept in the order of `Role`; none when no pass reads the guides. `source` is
-    the file they come from, for messages: it does not count when specs are compared.
+    `roles` may be any of `OUTPUT_SIZE_ROLES`, kept in the order of `Role`; none when no pass reads the guides. `source`
+    is the file they come from, for messages: it does not count when specs are compared.
     """
 
     width: int
@@ -85,8 +90,8 @@ class GuideSpec:
 
     def __post_init__(self) -> None:
         wanted = {Role(role) for role in self.roles}
-        for role in wanted - set(GUIDE_ROLES):
-            raise GuideError(f"plane '{role}' cannot be a guide: those are {', '.join(GUIDE_ROLES)}")
+        for role in wanted - set(OUTPUT_SIZE_ROLES):
+            raise GuideError(f"plane '{role}' cannot be a guide: those are {', '.join(OUTPUT_SIZE_ROLES)}")
         object.__setattr__(self, "roles", tuple(role for role in Role if role in wanted))
 
 
@@ -171,7 +176,7 @@ class Frame:
             'dataWindow' as (x0, y0, x1, y1), bounds included.
         source: file that the frame was read from, or None.
         encoding: meaning of the colour plane, see `ENCODINGS`.
-        guides: role -> array like those of `planes`, at output size; roles are among `GUIDE_ROLES`.
+        guides: role -> array like those of `planes`, at output size; roles are among `OUTPUT_SIZE_ROLES`.
         guide_size: width and height of the guides; given only for a frame whose guides were not read.
         guide_jitter: like `jitter`, of the guides' samples, in pixels of the guides.
         guide_source: file that the guides were read from, or None.
@@ -231,8 +236,9 @@ class Frame:
         return checked
 
     def _checked(self, role: Role, plane: np.ndarray, kind: str) -> np.ndarray:
-        if kind == "guide" and role not in GUIDE_ROLES:
-            raise GuideError(f"plane '{role}' of frame {self._name()} cannot be a guide: use {', '.join(GUIDE_ROLES)}")
+        if kind == "guide" and role not in OUTPUT_SIZE_ROLES:
+            usable = ", ".join(OUTPUT_SIZE_ROLES)
+            raise GuideError(f"plane '{role}' of frame {self._name()} cannot be a guide: use {usable}")
         if not isinstance(plane, np.ndarray) or not np.issubdtype(plane.dtype, np.floating):
             found = getattr(plane, "dtype", type(plane).__name__)
             raise FrameError(f"{kind} '{role}' of frame {self._name()} is {found}: give a NumPy array of floats")

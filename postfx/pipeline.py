@@ -174,6 +174,7 @@ def _resident(
         fov_x=frame.fov_x,
         metadata=frame.metadata,
         given={role: frame[role] for role in tensors},
+        given_guides={role: frame.guides[role] for role in guides},
     )
 
 

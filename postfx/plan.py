@@ -11,7 +11,7 @@ from postfx.errors import MissingPlaneError
 from postfx.frame import FrameSpec, Role
 from postfx.passes.base import Pass, PassContractError, Reflection
 
-KEPT = (Role.COLOUR, Role.ALPHA)
+KEPT = (Role.COLOUR, Role.ALPHA, Role.OVERLAY)
 """Planes that are wanted in the output even when no pass touches them."""
 
 
@@ -137,8 +137,10 @@ def _narrowed(plan: Plan) -> Plan:
     for step in plan.steps:
         steps.append(Step(step.name, step.instance, current, step.instance.reflect(current)))
         current = steps[-1].reflection.output
-    remarks = tuple(f"{step.name}: {remark}" for step in steps for remark in step.instance.remarks(step.input))
-    return replace(plan, steps=tuple(steps), output=current, remarks=remarks)
+    remarks = [f"{step.name}: {remark}" for step in steps for remark in step.instance.remarks(step.input)]
+    if current.has(Role.OVERLAY) and current.encoding != "scene-linear":
+        remarks.append("the overlay is not composited: put the pass overlay before the one that tone-maps")
+    return replace(plan, steps=tuple(steps), output=current, remarks=tuple(remarks))
 
 
 def _needed(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:

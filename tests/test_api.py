@@ -13,6 +13,7 @@ PUBLIC = [
     "Frame",
     "FrameSpec",
     "Library",
+    "Overlay",
     "Pipeline",
     "PostfxError",
     "ROLES",

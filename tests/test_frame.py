@@ -5,7 +5,7 @@ import pytest
 
 from postfx import Frame, FrameSpec, Role
 from postfx.errors import FrameError, GuideError
-from postfx.frame import GUIDE_ROLES, ROLES, GuideSpec
+from postfx.frame import OUTPUT_SIZE_ROLES, ROLES, GuideSpec
 
 
 def plane(role: Role, height: int = 4, width: int = 5) -> np.ndarray:
@@ -95,7 +95,7 @@ def test_scalar_guides_may_come_without_channel_axis():
     assert frame.guides[Role.DEPTH].shape == (8, 10, 1) and frame.guides[Role.DEPTH].dtype == np.float32
 
 
-@pytest.mark.parametrize("role", [role for role in Role if role not in GUIDE_ROLES])
+@pytest.mark.parametrize("role", [role for role in Role if role not in OUTPUT_SIZE_ROLES])
 def test_other_planes_cannot_be_guides(role):
     with pytest.raises(GuideError, match=f"plane '{role}'.* cannot be a guide: "):
         guided(role)

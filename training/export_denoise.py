@@ -24,9 +24,11 @@ from postfx.kernels import (
     denoise_strength,
     denoise_upsample,
 )
+from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
 from postfx.kernels.resample import RESAMPLE
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.networks import denoise_kernels as definitions
+from training.networks import overlay_kernels as overlay
 from training.networks import restore_kernels as restore
 from training.networks.trunk import (
     BLEND,
@@ -77,6 +79,9 @@ KERNELS = {
     denoise_strength.STRENGTH: definitions.Strength,
     denoise_assemble.ASSEMBLE: definitions.Assemble,
     RESAMPLE: definitions.Resample,
+    ENLARGE: overlay.Enlarge,
+    OVER: overlay.Over,
+    OVER_ALPHA: overlay.OverAlpha,
     denoise_half.PACK: definitions.Pack,
     denoise_half.OPEN: definitions.Open,
     denoise_half.OPEN_FINE: definitions.OpenFine,

@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
 from postfx.cli.looks import display_passes
+from postfx.cli.overlay import left_out_for, refuse_layer, unread
 from postfx.cli.progress import FrameProgress
 from postfx.cli.report import RunReport
 from postfx.cli.summary import Report
 from postfx.errors import GuideError, WriteError
 from postfx.exposure import SMOOTH, SmoothExposure, colours_of
-from postfx.frame import Frame, FrameSpec, Role
+from postfx.frame import Frame, Role
 from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import Sequence
@@ -53,10 +54,11 @@ class Job:
         self.sequence = Sequence(
             arguments.input, arguments.frames, arguments.profile, guides=arguments.guides, scratch=device.scratch,
             depth=arguments.depth, cuts=known_cuts(arguments.cuts), leave=arguments.leave,
-            colourspace=arguments.colourspace,
+            colourspace=arguments.colourspace, without=unread(arguments),
         )
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
+        refuse_layer(arguments, self.outputs)
         if self.outputs and not arguments.explain:
             self.outputs.check(self.sequence.numbers)
         self.left_out: list[Skipped] = []
@@ -64,7 +66,9 @@ class Job:
         exposure = SmoothExposure(colours_of(self.sequence)) if self._smooth else arguments.exposure
         cuts = "auto" if arguments.cuts == "auto" else "none"
         self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts)
-        self.plan = self.pipeline.explain(self._first_spec())
+        with self.sequence.open(self.sequence.numbers[0]) as files:
+            self.left_out += left_out_for(arguments, files)
+            self.plan = self.pipeline.explain(files.spec())
         self._preroll, self._scale, self._dither = arguments.preroll, arguments.scale, arguments.dither
         self._capture = FrameCapture(arguments, device)
         self._page = RunReport(arguments, self.sequence, self.pipeline, self.plan)
@@ -204,10 +208,6 @@ class Job:
             return self._preroll
         return RESUME_PREROLL if target.existing is Existing.SKIP and self.plan.steps else 0
 
-    def _first_spec(self) -> FrameSpec:
-        with self.sequence.open(self.sequence.numbers[0]) as files:
-            return files.spec()
-
     def _passes(self, arguments: argparse.Namespace) -> list[Pass]:
         passes = []
         if arguments.no_denoise:
@@ -216,6 +216,7 @@ class Job:
         else:
             options = {name: getattr(arguments, name) for name in DENOISE_OPTIONS}
             passes.append(create("denoise_upscale", **_given(options)))
+        passes += [create("overlay")] if arguments.overlay == "composite" else []
         shown, left_out = display_passes(arguments, self.outputs is not None and self.outputs.display)
         self.left_out += left_out
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=not shown)

@@ -31,6 +31,7 @@ examples:
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
   postfx run poster.exr -o out/ --memory 4G
+  postfx run shot/noisy.####.exr -o out/layers.####.exr --overlay separate
   postfx run shot/noisy.####.exr --explain
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-frame 5
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-network
@@ -125,6 +126,11 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
         "misses that are free of noise; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id",
     )
     looks.add_arguments(group)
+    group.add_argument(
+        "--overlay", default="composite", choices=("composite", "separate", "ignore"), help="transparency overlay: "
+        "over the denoised picture and its alpha, as an EXR layer of the same size beside the picture without it, or "
+        "unread (default: composite)",
+    )
     group.add_argument(
         "--exposure",
         default="auto",

@@ -23,8 +23,14 @@ def _explain(reading: Reading, role: Role) -> dict[str, Any]:
     guide = guides.planes.get(role) if guides else None
     if match is None and guide is None:
         return {"planes": [], "why": _why_not(layout, role)}
-    found = {"planes": _names(match or guide), "why": _why(layout, match or guide, "" if match else "guide: ")}
+    found = {"planes": _names(match or guide), "why": _why(layout, match or guide, _prefix(match, role))}
     return {**found, "guides": _names(guide)} if match and guide else found
+
+
+def _prefix(match: Match | None, role: Role) -> str:
+    if match is None:
+        return "guide: "
+    return "colour before transparents, as there is an overlay to composite; " if match.rule.role is not role else ""
 
 
 def _names(match: Match) -> list[str]:
@@ -52,6 +58,9 @@ def _depth_steps(rule: PlaneRule) -> list[str]:
 
 def _why_not(layout: Layout, role: Role) -> str:
     rules = layout.profile.rules(role)
+    colour = layout.planes.get(Role.COLOUR)
+    if colour and colour.rule.role is role:
+        return "it is the frame's colour, as there is an overlay to composite"
     if not rules:
         return f"profile {layout.profile.name} has no name for it"
     names = [",".join(names) for rule in rules for names in rule.candidates(layout.layer)]

@@ -13,6 +13,7 @@ import OpenImageIO as oiio
 
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
+from postfx.io.writer import OVERLAY_LAYER
 
 CHANNELS = {
     Role.COLOUR: ("R", "G", "B"),
@@ -26,7 +27,8 @@ CHANNELS = {
     Role.SPECULAR_HIT_DISTANCE: ("specular_hit_distance.Y",),
     Role.STRENGTH: ("strength.Y",),
     Role.REACTIVE: ("reactive.Y",),
-    Role.OVERLAY: ("overlay.R", "overlay.G", "overlay.B", "overlay.A"),
+    Role.OPAQUE_COLOUR: ("opaque_colour.R", "opaque_colour.G", "opaque_colour.B"),
+    Role.OVERLAY: OVERLAY_LAYER,
 }
 """Channel names of each plane."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from postfx.io.guides import GuideLayout, larger_planes, planes_that_guide
 from postfx.io.layout import Header, Match, make_layout
 from postfx.io.left_alone import LeftAlone
 from postfx.io.profile import load_profile
+from postfx.io.transparents import take_opaque_colour
 from postfx.scratch import Scratch
 from postfx.strength.entries import Entry
 
@@ -29,9 +30,10 @@ class FrameFiles:
     `paths` maps a plane's word ('' where one file holds all planes) to its file; `guides` likewise, where planes at
     output size have files of their own. Else the planes that are larger than the colour are guides. `depth` replaces
     what the profile says about depth; `leave` and `strict` are for `LeftAlone`, which makes a strength or multiplies
-    that of the files. Raises ProfileError when near, far or field of view of such a depth is missing, MissingFrameError
-    or ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide, StrengthError when what to
-    leave is not there.
+    that of the files; planes of the roles `without` are taken as absent. Where there is an overlay, the colour is that
+    before transparents, if it is there. Raises ProfileError when near, far or field of view of such a depth is missing,
+    MissingFrameError or ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide,
+    StrengthError when what to leave is not there.
 
     Attributes:
         layout: planes of the frame's size.
@@ -47,16 +49,20 @@ class FrameFiles:
         depth: DepthOption | None = None,
         leave: Iterable[Entry] = (),
         strict: bool = True,
+        without: Collection[Role] = (),
     ) -> None:
-        self._stack = ExitStack()
+        self._stack, self._without = ExitStack(), without
         try:
             self._files = {word: self._stack.enter_context(ImageFile(path)) for word, path in paths.items()}
             self.path = next(iter(self._files.values())).path
             index = ChannelIndex(self._files)
-            self.layout = make_layout(index, self._attributes(), load_profile(profile) if profile else None, depth)
+            chosen = load_profile(profile) if profile else None
+            self.layout = make_layout(index, self._attributes(), chosen, depth, without)
             self.guides = larger_planes(self.layout)
             if guides:
                 self.guides = self._own_guides(guides, profile, depth)
+            if Role.OVERLAY in self.layout.planes or (self.guides and Role.OVERLAY in self.guides.planes):
+                take_opaque_colour(self.layout, index)
             self.alone = LeftAlone(leave, index, self.layout, self.path, strict) if leave else None
         except BaseException:
             self._stack.close()
@@ -154,7 +160,7 @@ class FrameFiles:
     def _own_guides(
         self, paths: Mapping[str, Path], profile: str | None, depth: DepthOption | None
     ) -> GuideLayout:
-        files = self._stack.enter_context(FrameFiles(paths, profile, depth=depth))
+        files = self._stack.enter_context(FrameFiles(paths, profile, depth=depth, without=self._without))
         if self.guides:
             names = ", ".join(self.guides.planes)
             self.layout.warnings.append(f"planes {names} are larger than the colour: not read beside the guides given")

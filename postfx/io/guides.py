@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from postfx.errors import GuideError, MissingPlaneError
-from postfx.frame import GUIDE_ROLES, GuideSpec, Role
+from postfx.frame import OUTPUT_SIZE_ROLES, GuideSpec, Role
 from postfx.io.convert import Camera
 from postfx.io.layout import Header, Layout, Match
 
@@ -42,7 +42,7 @@ def larger_planes(layout: Layout) -> GuideLayout | None:
     if Role.COLOUR not in layout.planes:
         return None
     size = layout.planes[Role.COLOUR].size
-    found = {role: layout.planes[role] for role in GUIDE_ROLES if _is_larger(layout.planes.get(role), size)}
+    found = {role: layout.planes[role] for role in OUTPUT_SIZE_ROLES if _is_larger(layout.planes.get(role), size)}
     if not found:
         return None
     for role in found:
@@ -54,11 +54,11 @@ def larger_planes(layout: Layout) -> GuideLayout | None:
 
 def planes_that_guide(layout: Layout, path: Path) -> GuideLayout:
     """Guides out of files of their own. Raises MissingPlaneError when they hold none."""
-    found = {role: layout.planes[role] for role in GUIDE_ROLES if role in layout.planes}
+    found = {role: layout.planes[role] for role in OUTPUT_SIZE_ROLES if role in layout.planes}
     if not found:
         raise MissingPlaneError(
-            f"{path}: holds none of the planes that guide ({', '.join(GUIDE_ROLES)}) by profile {layout.profile.name}: "
-            f"render one of them, or name it in a profile (--profile FILE.toml)"
+            f"{path}: holds none of the planes that guide ({', '.join(OUTPUT_SIZE_ROLES)}) by profile "
+            f"{layout.profile.name}: render one of them, or name it in a profile (--profile FILE.toml)"
         )
     return GuideLayout(path, found, layout.camera)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -87,9 +87,15 @@ class Header:
 
 
 def make_layout(
-    index: ChannelIndex, attributes: Mapping[str, Any], profile: Profile | None = None, depth: DepthOption | None = None
+    index: ChannelIndex,
+    attributes: Mapping[str, Any],
+    profile: Profile | None = None,
+    depth: DepthOption | None = None,
+    without: Collection[Role] = (),
 ) -> Layout:
     """Where the planes are, by a profile or, without one, by the first that fits; `depth` replaces what it says of it.
+
+    Planes of the roles `without` are taken as absent.
 
     Raises ProfileError when the depth plane needs numbers of the camera that are not known.
     """
@@ -98,7 +104,7 @@ def make_layout(
     camera = Header(layout).camera()
     layout.camera = depth.camera(camera) if depth else camera
     for rule in profile.planes:
-        if rule.role not in layout.planes:
+        if rule.role not in layout.planes and rule.role not in without:
             given = depth is not None and rule.role is Role.DEPTH
             _match_rule(index, layout, depth.rule(rule) if given else rule, given)
     layout.warnings += _colour_warnings(layout)

@@ -49,6 +49,7 @@ class Sequence:
         cuts: Iterable[int] | None = None,
         leave: str | None = None,
         colourspace: str | None = None,
+        without: Iterable[Role] = (),
     ) -> None:
         self._scratch = scratch
         self.pattern, named = _locate(str(source))
@@ -59,6 +60,7 @@ class Sequence:
         self._named = False
         self.left_alone = Shares()
         self.colours = parse_colourspace(colourspace)
+        self.without = frozenset(map(Role, without))
         self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth)
         self.planes = None if planes is None else tuple(Role(role) for role in planes)
         self.warnings: list[str] = []
@@ -123,7 +125,7 @@ class Sequence:
     def open(self, number: int) -> FrameFiles:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
         guides, strict = self.guide_files(number), not self._named
-        files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict)
+        files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self.without)
         self._named = True  # a thing that was found need not be in every frame
         found = files.layout.warnings + self.colours.warnings(files.layout.attributes)
         self.warnings += [warning for warning in found if warning not in self.warnings]
@@ -176,6 +178,7 @@ def read_sequence(
     cuts: Iterable[int] | None = None,
     leave: str | None = None,
     colourspace: str | None = None,
+    without: Iterable[Role] = (),
 ) -> Sequence:
     """Frames of a sequence, read one at a time while iterating.
 
@@ -196,12 +199,14 @@ def read_sequence(
         colourspace: linear primaries of colours and reflectances, guides included: rec709, p3, rec2020, acescg or
             aces2065-1, in place of what headers say (chromaticities, colorInteropID; Rec.709 without any). They are
             turned to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.
+        without: roles of planes to take as absent, such as `Role.OVERLAY`.
 
     Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError,
     ReadError or StrengthError.
     """
     return Sequence(
-        pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave, colourspace=colourspace
+        pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave, colourspace=colourspace,
+        without=without,
     )
 
 

@@ -25,6 +25,7 @@ WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
 _DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays only
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
 _HALF_MAX = 65504.0
+OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 _PIECE = 16 << 20  # bytes in float32 that are converted and written at once
 Pixels = Callable[[slice], np.ndarray]  # rows -> pixels as they are stored
 
@@ -48,10 +49,11 @@ def write_frame(
 
     EXR holds linear light (a display-encoded frame is decoded, in its display's primaries, 1 is white), half floats
     unless `half` is False, ZIP compression, the input's display window scaled to the frame's size and its useful header
-    attributes. Other files hold code values: JPEG and PNG 8 bits, dithered (`dither`: moving, static or none), TIFF and
-    PNG for HDR displays 16 bits. They are tagged with the display that they are for, see `postfx.io.tags`. Linear
-    frames are clipped to 0..1 there and encoded as sRGB, so tone-map them first. The file appears under its name only
-    when it is complete; folders are made. `relax` is called again and again meanwhile.
+    attributes; beside scene-linear colour also an overlay that was not composited, as a layer of that name. Other files
+    hold code values: JPEG and PNG 8 bits, dithered (`dither`: moving, static or none), TIFF and PNG for HDR displays 16
+    bits. They are tagged with the display that they are for, see `postfx.io.tags`. Linear frames are clipped to 0..1
+    there and encoded as sRGB, so tone-map them first. The file appears under its name only when it is complete; folders
+    are made. `relax` is called again and again meanwhile.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot
     hold an HDR picture.
@@ -107,7 +109,7 @@ def _linear_pixels(frame: Frame, half: bool) -> Pixels:
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
         colour = display.decode(colour).astype(np.float32) if display else colour
-        pixels = _with_alpha(colour, frame, rows)
+        pixels = _with_layer(_with_alpha(colour, frame, rows), frame, rows)
         return np.clip(pixels, -_HALF_MAX, _HALF_MAX).astype(np.float16) if half else pixels
 
     return convert
@@ -133,10 +135,20 @@ def _with_alpha(colour: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
     return np.concatenate([colour, frame[Role.ALPHA][rows]], axis=2) if Role.ALPHA in frame else colour
 
 
+def _with_layer(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
+    return np.concatenate([pixels, frame[Role.OVERLAY][rows]], axis=2) if _has_layer(frame) else pixels
+
+
+def _has_layer(frame: Frame) -> bool:
+    """Whether the overlay is written: it cannot be composited with light of a display."""
+    return Role.OVERLAY in frame and frame.encoding == "scene-linear"
+
+
 def _spec(frame: Frame, pixels: np.ndarray, path: Path) -> oiio.ImageSpec:
     height, width, channels = len(frame[Role.COLOUR]), *pixels.shape[1:]
     spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
-    spec.channelnames = ("R", "G", "B", "A")[:channels]
+    layer = OVERLAY_LAYER if _has_layer(frame) and not is_display_format(path) else ()
+    spec.channelnames = ("R", "G", "B", "A")[: channels - len(layer)] + layer
     display = _display_of(frame)
     if is_display_format(path):
         tag_codes(spec, display or parse_display("srgb"), path)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
+from postfx.kernels.overlay import ENLARGE
 from postfx.kernels.resample import RESAMPLE, positions
 from postfx.passes.base import ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
@@ -26,6 +27,7 @@ class Size(NamedTuple):
 
 class Resampler:
     """Brings a plane to another size, every frame anew: cubic, but depth by the nearest sample, for misses do not mix.
+    Colours of overlays are held to their coverage, for edges without halos.
 
     The result is sampled at pixel centres plus `jitter`, in pixels of the result.
     """
@@ -36,7 +38,7 @@ class Resampler:
         self._rows, self._columns = new(f"{name} rows", out_size[:1]), new(f"{name} columns", out_size[1:])
         self.output = device.heap.transient(name, (*out_size, ROLES[role].channels))
         tensors = {"rows": self._rows, "columns": self._columns, "output": self.output}
-        self._table = ArgumentTable(device.compute_state(RESAMPLE), tensors)
+        self._table = ArgumentTable(device.compute_state(ENLARGE if role is Role.OVERLAY else RESAMPLE), tensors)
 
     def encode(
         self, encoder: ComputeEncoder, image: Tensor, jitter: tuple[float, float], out_jitter: tuple[float, float]
@@ -60,7 +62,7 @@ class Planes:
     def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool) -> None:
         render = Size(spec.height, spec.width)
         self._held = [role for role in ABSENT if spec.has(role)]
-        self._guides = [role for role in spec.guide_roles if guided]
+        self._guides = [role for role in GUIDE_ROLES if guided and role in spec.guide_roles]
         self._constants: dict[str, Tensor] = {}
         self._reduced: dict[Role, Resampler] = {}
         self._enlarged: dict[Role, Resampler] = {}

@@ -64,6 +64,8 @@ class ResidentFrame:
         samples, world_to_camera, fov_x, metadata, guide_jitter: as in `postfx.frame.Frame`.
         guides: role -> tensor like those of `tensors`, at output size; those that passes read.
         given: role -> plane on the host, of planes that no pass replaced so far: to decide what to record.
+        given_guides: likewise, of the guides.
+        blank: roles of planes that a pass replaced and that are 0 everywhere.
     """
 
     spec: FrameSpec
@@ -79,6 +81,8 @@ class ResidentFrame:
     guides: dict[Role, Tensor] = field(default_factory=dict)
     guide_jitter: tuple[float, float] = (0.0, 0.0)
     given: dict[Role, np.ndarray] = field(default_factory=dict)
+    given_guides: dict[Role, np.ndarray] = field(default_factory=dict)
+    blank: set[Role] = field(default_factory=set)
 
     def __getitem__(self, role: Role) -> Tensor:
         """Tensor of a plane; FrameError when the frame does not hold it."""
@@ -96,13 +100,19 @@ class ResidentFrame:
         """Tensor of a plane, or None when the frame does not hold it."""
         return self.tensors.get(role)
 
-    def set(self, role: Role, tensor: Tensor) -> None:
-        """Replace or add a plane: a float32 tensor (height, width, channels) that a recorded command writes."""
+    def is_blank(self, role: Role) -> bool:
+        """Whether a plane is known to be 0 everywhere."""
+        return role in self.blank or (role in self.given and not self.given[role].any())
+
+    def set(self, role: Role, tensor: Tensor, blank: bool = False) -> None:
+        """Replace or add a plane: a float32 tensor (height, width, channels) that a recorded command writes, or, if it
+        is `blank`, of zeros."""
         if tensor.dtype != "float32" or len(tensor.shape) != 3 or tensor.shape[2] != ROLES[role].channels:
             expected = f"(height, width, {ROLES[role].channels}) float32"
             raise FrameError(f"tensor '{tensor.name}' is {tensor.shape} {tensor.dtype}: plane '{role}' is {expected}")
         self.tensors[role] = tensor
         self.given.pop(role, None)
+        (self.blank.add if blank else self.blank.discard)(role)
 
 
 class Pass:

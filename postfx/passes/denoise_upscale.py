@@ -11,11 +11,12 @@ import numpy as np
 from postfx.errors import GuideError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_budget import Ladder, cost, family
+from postfx.passes._denoise_carried import Carried, carried_roles
 from postfx.passes._denoise_frame import Frames
 from postfx.passes._denoise_graph import has_model
 from postfx.passes._denoise_layout import active_cells
 from postfx.passes._denoise_models import GUIDED, model_of
-from postfx.passes._denoise_planes import ABSENT, Planes, Resampler, Size
+from postfx.passes._denoise_planes import ABSENT, Planes, Size
 from postfx.passes._denoise_restore import Restore
 from postfx.passes._denoise_spared import Spared
 from postfx.passes._denoise_strength import Plain, Strength
@@ -38,6 +39,8 @@ class DenoiseUpscale(Pass):
             its precision ('s' below 'm', 's' and 'm' below 'l'), take turns with it; the history goes on.
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength`
             says the same pixel by pixel, and both are multiplied; where it is 0, no network runs.
+
+    Alpha and a transparency overlay are only resampled; the pass `overlay` composites.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. Without a
     motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, a strength outside 0 to 1,
@@ -67,14 +70,16 @@ class DenoiseUpscale(Pass):
             raise PassOptionError(f"model '{plain}{GUIDED}' runs when a frame has guides: give the model '{plain}'")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        alpha = tuple(role for role in (Role.ALPHA,) if spec.has(role))
+        carried = carried_roles(spec)
         size = self._output_size(spec)
-        output = FrameSpec(size.width, size.height, (Role.COLOUR, *alpha))
+        output = FrameSpec(size.width, size.height, (Role.COLOUR, *carried))
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
         guides = GUIDE_ROLES if self._reads_guides(spec) else lost
         planes = (*PLANES, Role.STRENGTH) if self.strength else ()
-        return Reflection(reads=(Role.COLOUR,), may_read=(*planes, Role.ALPHA), writes=(Role.COLOUR, *alpha),
-                          output=output, may_read_guides=guides if self.strength else ())
+        kept = [role for role in carried if role not in spec.guide_roles]
+        guides = (*(guides if self.strength else ()), *(role for role in carried if role in spec.guide_roles))
+        return Reflection(reads=(Role.COLOUR,), may_read=(*planes, *kept), writes=(Role.COLOUR, *carried),
+                          output=output, may_read_guides=guides)
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
@@ -92,8 +97,7 @@ class DenoiseUpscale(Pass):
             self._compile_network(device, spec, size)
         else:
             self._plain = Plain(device, spec, size)
-        if spec.has(Role.ALPHA):
-            self._alpha = Resampler(device, "alpha", Role.ALPHA, Size(spec.height, spec.width), size)
+        self._carried = Carried(device, spec, size)
         super().compile(device, spec)
 
     def _compile_network(self, device: Device, spec: FrameSpec, size: Size) -> None:
@@ -135,8 +139,7 @@ class DenoiseUpscale(Pass):
         encode = self._encode_network if self.strength else self._plain.encode
         colour = encode(commands, frame)
         frame.set(Role.COLOUR, colour)
-        if Role.ALPHA in frame:
-            frame.set(Role.ALPHA, self._encode_alpha(commands, frame))
+        self._carried.encode(commands, frame)
         for role in (*PLANES, Role.STRENGTH):
             frame.tensors.pop(role, None)
         frame.guides.clear()
@@ -172,12 +175,6 @@ class DenoiseUpscale(Pass):
     def _is_still(self, frame: ResidentFrame) -> bool:
         return Role.MOTION in frame.given and not frame.given[Role.MOTION].any()
 
-    def _encode_alpha(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
-        with commands.compute_encoder("alpha") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            self._alpha.encode(encoder, frame[Role.ALPHA], frame.jitter, (0.0, 0.0))
-        return self._alpha.output
-
     def _output_size(self, spec: FrameSpec) -> Size:
         """The guides' size, if the scale leads there, rounded or cut; without guides the scaled size, rounded."""
         guides, scale = spec.guides, self.scale or USUAL
@@ -203,7 +200,7 @@ class DenoiseUpscale(Pass):
         return self._has_guided_model() and not self._is_render_size(spec)
 
     def _is_guided(self, spec: FrameSpec) -> bool:
-        return bool(spec.guide_roles) and self._reads_guides(spec)
+        return bool(set(spec.guide_roles) & set(GUIDE_ROLES)) and self._reads_guides(spec)
 
     def _has_guided_model(self) -> bool:
         return has_model(model_of(self.options["model"], guided=True))
@@ -212,7 +209,7 @@ class DenoiseUpscale(Pass):
         return self._output_size(spec) == (spec.height, spec.width)
 
     def _guide_remarks(self, spec: FrameSpec) -> list[str]:
-        if spec.guides is None:
+        if spec.guides is None or spec.guide_roles == (Role.OVERLAY,):
             return []
         if not self._has_guided_model():
             return [f"model '{self.options['model']}' does not read guides: they only stand in for missing planes"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -27,7 +28,7 @@ class ExposureTool(Pass):
     """Covers the frame with a checkerboard of two greys around 0.18, divided by the exposure.
 
     Whatever exposes the frame afterwards turns it into a steady mid grey; too dark, too bright or changing, it exposes
-    otherwise than the frame's exposure says. Alpha becomes 1.
+    otherwise than the frame's exposure says. Alpha becomes 1, and there is no overlay.
 
     Options:
         reference: frame number -> multiplier to divide by; None: each frame's own exposure.
@@ -38,7 +39,9 @@ class ExposureTool(Pass):
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         alpha = tuple(role for role in (Role.ALPHA,) if spec.has(role))
-        return Reflection(reads=(Role.COLOUR,), may_read=alpha, writes=(Role.COLOUR, *alpha), output=spec)
+        kept = tuple(role for role in spec.roles if role is not Role.OVERLAY)
+        return Reflection(reads=(Role.COLOUR,), may_read=alpha, writes=(Role.COLOUR, *alpha),
+                          output=replace(spec, planes=kept))
 
     def skip(self, spec: FrameSpec) -> str | None:
         return None if spec.encoding == "scene-linear" else f"colour is {spec.encoding}, exposed already"

@@ -10,6 +10,7 @@ import numpy as np
 from postfx.doctor.geometry import fit_rotation, rays
 from postfx.doctor.statistics import local_mean
 from postfx.frame import DEPTH_MISS, Frame, Role
+from tests.doctor import covers
 
 Frames = list[Frame]
 Change = Callable[[np.ndarray, Frame], np.ndarray]
@@ -219,5 +220,11 @@ BREAKAGES = [
     Breakage("negative colour", "negative", Role.COLOUR, plane(Role.COLOUR, lambda c, f: c - np.float32(0.05))),
     Breakage("colour clipped at 1", "colour-clipped", Role.COLOUR, plane(Role.COLOUR, lambda c, f: np.clip(c, 0, 1))),
     Breakage("worldToCamera for column vectors", "matrix-transposed", "sequence", transposed),
+    Breakage("overlay of straight colour", "overlay-straight", Role.OVERLAY, covers.over(covers.straight)),
+    Breakage("overlay with alpha in percent", "overlay-alpha", Role.OVERLAY, covers.over(covers.in_percent)),
+    Breakage("overlay with its background", "overlay-opaque", Role.OVERLAY, covers.over(covers.opaque)),
+    Breakage("overlay in the colour already", "overlay-twice", Role.OVERLAY, covers.composited,
+             ("samples-correlated",)),
+    Breakage("colour with and without transparents, no overlay", "overlay-missing", Role.OVERLAY, covers.two_colours),
     Breakage("half the field of view", "fov-mismatch", "sequence", other_fov),
 ]

@@ -9,6 +9,7 @@ from postfx.cli.inspection import Inspection
 from postfx.doctor.checks.planes import COSTS
 from postfx.errors import ReadError
 from postfx.frame import Role
+from tests.doctor import covers
 
 REPOSITORY = Path(__file__).parent.parent.parent
 ROOM = REPOSITORY / "samples" / "room"
@@ -22,6 +23,12 @@ def bad(source: Path, guides: Path | None = None) -> list[str]:
 def test_the_sample_is_fine():
     inspection = Inspection(str(ROOM / "noisy.####.exr"), None, None)
     assert inspection.findings == [] and inspection.exit_code == 0
+
+
+def test_a_right_overlay_is_fine(room, diagnose):
+    assert diagnose(covers.over(covers.right)(room)) == diagnose(room)
+    glow = covers.over(lambda overlay: overlay * (1, 1, 1, 0))
+    assert diagnose(glow(room)) == diagnose(room)
 
 
 @pytest.mark.parametrize("name", ["living_room", "staircase", "garage"])

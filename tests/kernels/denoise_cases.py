@@ -21,6 +21,7 @@ from postfx.kernels import (
     denoise_upsample,
 )
 from postfx.kernels.kernel import Kernel
+from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
 from postfx.kernels.resample import RESAMPLE, positions
 from postfx.passes._denoise_window import Sizes, Window
 from postfx.runtime import ArgumentTable, Device
@@ -31,7 +32,7 @@ KERNELS = (
     denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
     denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
     denoise_restore.JUDGE, denoise_restore.DETAIL, denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE,
-    denoise_assemble.ASSEMBLE,
+    ENLARGE, OVER, OVER_ALPHA, denoise_assemble.ASSEMBLE,
     denoise_half.PACK, denoise_half.OPEN, denoise_half.OPEN_FINE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)

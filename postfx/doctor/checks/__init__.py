@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from postfx.doctor.checks import depth, exposure, motion, normals, planes, reflectance, shots, values
+from postfx.doctor.checks import (
+    depth,
+    exposure,
+    motion,
+    normals,
+    overlays,
+    planes,
+    reflectance,
+    shots,
+    values,
+)
 from postfx.doctor.findings import Finding
 from postfx.doctor.material import Material
 
@@ -24,6 +34,8 @@ PLANE_CHECKS: tuple[Check, ...] = (
     reflectance.bright_metal,
     reflectance.roughness_range,
     reflectance.roughness_kind,
+    overlays.overlay_alpha,
+    overlays.overlay_straight,
 )
 """Those that look at planes of one frame: they look at guides, too."""
 
@@ -40,5 +52,7 @@ CHECKS: tuple[Check, ...] = (
     shots.samples_repeat,
     exposure.exposure_mismatch,
     planes.missing,
+    overlays.overlay_twice,
+    overlays.overlay_missing,
 )
 """All, in the order of their findings where those are of one level."""

@@ -243,3 +243,51 @@ __device__ inline void blend_history(float current, float kept, size_t at, float
     history.at[at] = blended;
     output.at[at] = expm1f(blended) * darken;
 }
+
+[[maybe_unused]] const float LARGEST = 3.402823466e38f;
+
+// What is not finite counts as 0.
+__device__ inline float known(float value) {
+    return fabsf(value) <= LARGEST ? value : 0.0f;
+}
+
+struct Cubic {
+    float weight[4];
+    int index[4];
+};
+
+// The four taps around a position and their weights (Keys 1981, a = -0.5); only their constant indices are used.
+__device__ inline Cubic cubic(float position, int size) {
+    const float first = floorf(position), t = position - first;
+    const int before = int(first) - 1;
+    return {{((-0.5f * t + 1.0f) * t - 0.5f) * t, (1.5f * t - 2.5f) * t * t + 1.0f,
+             ((-1.5f * t + 2.0f) * t + 0.5f) * t, (0.5f * t - 0.5f) * t * t},
+            {within(before, size), within(before + 1, size), within(before + 2, size), within(before + 3, size)}};
+}
+
+// One pixel of an image (h, w, channels) by cubic interpolation, held within the four nearest samples.
+__device__ inline void resampled(const View& image, int channels, const Cubic& down, const Cubic& across,
+                                 float* result) {
+    const float* row[4];
+#pragma unroll
+    for (int j = 0; j < 4; j++) row[j] = image.at + size_t(down.index[j]) * image.size[1] * channels;
+    for (int k = 0; k < channels; k++) {
+        float sum = 0.0f, least = LARGEST, most = -LARGEST;
+#pragma unroll
+        for (int i = 0; i < 4; i++) {
+            const int at = across.index[i] * channels + k;
+            const float before = known(row[0][at]), upper = known(row[1][at]), lower = known(row[2][at]);
+            sum += across.weight[i] * (down.weight[0] * before + down.weight[1] * upper + down.weight[2] * lower
+                                       + down.weight[3] * known(row[3][at]));
+            if (i == 0 || i == 3) continue;
+            least = fminf(least, fminf(upper, lower));
+            most = fmaxf(most, fmaxf(upper, lower));
+        }
+        result[k] = fminf(fmaxf(sum, least), most);  // edges do not ring and nothing turns negative
+    }
+}
+
+// Light in front, premultiplied by its coverage, over what is behind.
+__device__ inline float over(float front, float alpha, float behind) {
+    return known(front) + (1.0f - alpha) * known(behind);
+}

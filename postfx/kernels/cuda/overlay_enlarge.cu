@@ -1,0 +1,26 @@
+// Enlarges a premultiplied overlay: image (h, w, 4), rows (height,), columns (width,) -> output (height, width, 4).
+// Colours stay within what the four nearest pixels' own colours make of the coverage that comes out.
+extern "C" __global__ void overlay_enlarge(View image, View rows, View columns, View output) {
+    const int width = output.size[1];
+    PIXEL(width, output.size[0]);
+    const Cubic down = cubic(rows.at[y], image.size[0]), across = cubic(columns.at[x], image.size[1]);
+    float* const result = output.at + 4 * (size_t(y) * width + x);
+    resampled(image, 4, down, across, result);
+    const float alpha = clamped(result[3], 0.0f, 1.0f);
+    result[3] = alpha;
+    for (int c = 0; c < 3; c++) {
+        float low = INFINITY, high = -INFINITY;
+#pragma unroll
+        for (int i = 0; i < 4; i++) {
+            const int row = i < 2 ? down.index[1] : down.index[2], column = i % 2 ? across.index[2] : across.index[1];
+            const float* const pixel = image.at + 4 * (size_t(row) * image.size[1] + column);
+            const float light = known(pixel[c]), covered = known(pixel[3]);
+            if (covered <= 0.0f && light == 0.0f) continue;  // nothing there
+            const float own = covered > 0.0f ? light / covered : light > 0.0f ? INFINITY : -INFINITY;
+            low = fminf(low, own);
+            high = fmaxf(high, own);
+        }
+        if (fabsf(high) <= LARGEST) result[c] = fminf(result[c], high * alpha);
+        if (fabsf(low) <= LARGEST) result[c] = fmaxf(result[c], low * alpha);
+    }
+}

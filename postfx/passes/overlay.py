@@ -1,0 +1,74 @@
+"""Transparency overlay: what covers the picture, composited after denoising and before tone mapping."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from statistics import median
+from typing import ClassVar
+
+from postfx.frame import FrameSpec, Role
+from postfx.kernels.overlay import OVER, OVER_ALPHA
+from postfx.passes.base import Pass, Reflection, ResidentFrame
+from postfx.runtime import ArgumentTable, CommandBuffer, Device
+
+LATEST = 64
+"""Frames whose time counts."""
+
+
+class Overlay(Pass):
+    """Composites the plane `overlay`, premultiplied linear RGBA, over colour and alpha, in scene-linear light.
+
+    colour = overlay + (1 - coverage) * colour, and so alpha, where the frame has one (Porter and Duff 1984). The
+    overlay is gone then. Without this pass the frame keeps it, at the colour's size, as a layer of its own. It has no
+    options. Frames whose overlay is 0 everywhere are left as they are, to the bit.
+    """
+
+    name: ClassVar[str] = "overlay"
+
+    def reflect(self, spec: FrameSpec) -> Reflection:
+        kept = tuple(role for role in spec.roles if role is not Role.OVERLAY)
+        covered = tuple(role for role in (Role.COLOUR, Role.ALPHA) if spec.has(role))
+        return Reflection(reads=(Role.COLOUR, Role.OVERLAY), may_read=(Role.ALPHA,), writes=covered,
+                          output=replace(spec, planes=kept))
+
+    def skip(self, spec: FrameSpec) -> str | None:
+        if spec.encoding != "scene-linear":
+            return f"colour is {spec.encoding}, and overlays are composited in scene-linear light"
+        if spec.has(Role.OVERLAY):
+            return None
+        larger = Role.OVERLAY in spec.guide_roles
+        return "the overlay has the output's size, and nothing enlarges the colour" if larger else "there is no overlay"
+
+    def compile(self, device: Device, spec: FrameSpec) -> None:
+        self._tables = {Role.COLOUR: self._table(device, spec, Role.COLOUR)}
+        if spec.has(Role.ALPHA):
+            self._tables[Role.ALPHA] = self._table(device, spec, Role.ALPHA)
+        self._blank, self._recorded, self._times = 0, False, []
+        super().compile(device, spec)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        super().encode(commands, frame)
+        self._recorded = not frame.is_blank(Role.OVERLAY)
+        self._blank += not self._recorded
+        if not self._recorded:
+            return
+        with commands.compute_encoder("over") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            for role, table in self._tables.items():
+                table["overlay"], table[str(role)] = frame[Role.OVERLAY], frame[role]
+                encoder.dispatch(table.state, table)
+                frame.set(role, table["output"])
+
+    def ran(self, milliseconds: float) -> None:
+        if self._recorded:
+            self._times = [*self._times[1 - LATEST:], milliseconds]
+
+    def left_out(self) -> tuple[tuple[str, str], ...]:
+        if not self._blank:
+            return ()
+        saved = f"which takes {median(self._times):.1f} ms a frame" if self._times else "time not measured yet"
+        return ((f"compositing for {self._blank} frame{'s' * (self._blank > 1)}", f"the overlay is 0 there; {saved}"),)
+
+    def _table(self, device: Device, spec: FrameSpec, role: Role) -> ArgumentTable:
+        output = device.heap.transient(f"{role} under the overlay", (spec.height, spec.width, spec.channels(role)))
+        return ArgumentTable(device.compute_state(OVER if role is Role.COLOUR else OVER_ALPHA), {"output": output})
