@@ -32,6 +32,7 @@ class Role(StrEnum):
     SPECULAR_HIT_DISTANCE = "specular_hit_distance"
     STRENGTH = "strength"
     REACTIVE = "reactive"
+    OPAQUE_COLOUR = "opaque_colour"
     OVERLAY = "overlay"
 
 
@@ -59,6 +60,7 @@ ROLES: Mapping[Role, RoleInfo] = {
     Role.SPECULAR_HIT_DISTANCE: RoleInfo(1, "scene units", "world", "0..inf", "primary surface to the reflected hit"),
     Role.STRENGTH: RoleInfo(1, "none", "none", "0..1", "0 leave as it is, 1 denoise fully"),
     Role.REACTIVE: RoleInfo(1, "none", "none", "0..1", "0 use the history, 1 ignore it"),
+    Role.OPAQUE_COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "colour before transparency"),
     Role.OVERLAY: RoleInfo(4, "radiance and coverage", "scene-linear Rec.709", "0..inf", "RGBA, premultiplied"),
 }
 

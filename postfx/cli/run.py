@@ -111,6 +111,12 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
         help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, and 'auto' for sky and "
         "misses that are free of noise; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id",
     )
+    group.add_argument(
+        "--reactive", metavar="KIND[,NAME=NUMBER]",
+        help="where the history is not used, for particles and the like: plane (the plane 'reactive'), difference "
+        "(colour against the plane 'opaque_colour'), auto (the first of these that is there, default) or none; with "
+        "scale= and threshold= of the difference, e.g. auto,scale=8",
+    )
     tonemap = group.add_mutually_exclusive_group()
     tonemap.add_argument(
         "--tonemap", nargs="?", const="", metavar="TAG", help="tone-map, with this look or the default one"

@@ -91,6 +91,7 @@ def _distance(plane: np.ndarray) -> np.ndarray:
 _MAPPINGS: Mapping = {
     Role.COLOUR: _light,
     Role.OVERLAY: _light,
+    Role.OPAQUE_COLOUR: _light,
     Role.DIFFUSE_ALBEDO: srgb_encode,
     Role.SPECULAR_ALBEDO: srgb_encode,
     Role.NORMAL: lambda plane: plane / 2 + 0.5,

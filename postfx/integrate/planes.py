@@ -26,6 +26,7 @@ CHANNELS = {
     Role.SPECULAR_HIT_DISTANCE: ("specular_hit_distance.Y",),
     Role.STRENGTH: ("strength.Y",),
     Role.REACTIVE: ("reactive.Y",),
+    Role.OPAQUE_COLOUR: ("opaque_colour.R", "opaque_colour.G", "opaque_colour.B"),
     Role.OVERLAY: ("overlay.R", "overlay.G", "overlay.B", "overlay.A"),
 }
 """Channel names of each plane."""

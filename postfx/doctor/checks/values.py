@@ -13,7 +13,7 @@ from postfx.frame import Role
 
 MANY = 50.0  # percent
 NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS,
-                  Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE)
+                  Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR)
 IN_UNIT_RANGE = (Role.ALPHA, Role.STRENGTH, Role.REACTIVE)
 
 
