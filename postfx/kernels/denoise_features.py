@@ -92,9 +92,8 @@ def recall_row(y, columns, moved, state, last_depth, keep, memory, before, valid
             i = at + np.uint64(c)
             top = flat[i] + (flat[i + to_right] - flat[i]) * tx
             bottom = flat[i + to_below] + (flat[i + across] - flat[i + to_below]) * tx
-            memory[c, x] = top + (bottom - top) * ty
-        for c in range(3, MEMORY):
-            memory[c, x] *= keep[x]
+            value = top + (bottom - top) * ty
+            memory[c, x] = value if c < 3 else value * keep[x]
 
 
 @fused
