@@ -65,7 +65,7 @@ def recall_row(y, columns, moved, state, last_depth, keep, memory, before, valid
     """The state of the frame before along a row: bilinear (12, w), edge repeated, and the nearest pixel's depth.
 
     ``y`` and ``columns`` are places in the frame, ``moved`` (w, 2) is the motion there, ``keep`` (w,) how much of the
-    history is used: count, hidden state and validity are less by it, the mean colour is what it is.
+    history is used: validity, count and hidden state are less by it; the mean colour, which counts less, is the same.
     """
     h, w = state.shape[:2]
     flat = state.reshape(h * w * MEMORY)
@@ -129,7 +129,7 @@ def colour_planes(row, colour, factor, exposure, memory, gain, mean, valid, feat
         for x in range(count):
             now[x] = log1p(min(clamp(now[x], ZERO, MAX_FLOAT) * exposure / factor[c, x], most))
         for x in range(count):
-            kept[x] = log_encode(memory[c, x] * gain)
+            kept[x] = log_encode(memory[c, x] * gain * valid[x])
         for x in range(count):
             last[x] = log_encode(expm1(mean[c, x]) * valid[x] / factor[c, x])
 

@@ -141,7 +141,7 @@ def features_of(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor
     history = torch.expm1(mean) * past.valid
     return torch.cat((
         torch.log1p(demodulate(inputs.colour, factor)),
-        ops.log_encode(past.accumulated), ops.log_encode(history / factor),
+        ops.log_encode(past.accumulated * past.valid), ops.log_encode(history / factor),
         ops.sanitise(inputs.diffuse_albedo, 0, 2), ops.sanitise(inputs.specular_albedo, 0, 2),
         ops.sanitise(inputs.normal, -1, 1), ops.sanitise(inputs.roughness, 0, 1),
         scale / (scale + ops.sanitise(inputs.depth, 0, MAX_DEPTH)),

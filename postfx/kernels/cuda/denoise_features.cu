@@ -130,7 +130,8 @@ extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, Vi
     float* to = features.at + size_t(y) * width + x;
     put(to, plane, {encoded_now(now.r, exposure, share.r), encoded_now(now.g, exposure, share.g),
                     encoded_now(now.b, exposure, share.b)});
-    put(to + 3 * plane, plane, {log_encode(kept.r), log_encode(kept.g), log_encode(kept.b)});
+    put(to + 3 * plane, plane, {log_encode(kept.r * memory.valid), log_encode(kept.g * memory.valid),
+                                log_encode(kept.b * memory.valid)});
     put(to + 6 * plane, plane, {log_encode(expm1f(mean.r) * memory.valid * share.r),
                                 log_encode(expm1f(mean.g) * memory.valid * share.g),
                                 log_encode(expm1f(mean.b) * memory.valid * share.b)});
