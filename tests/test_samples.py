@@ -79,5 +79,5 @@ def test_what_the_ray_caster_writes_is_right(tmp_path):
 
 def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py",
-             "measure_memory.py", "ghosts.py", "ray_caster.py", "integration_mistakes.py"}
+             "measure_memory.py", "leave_alone.py", "ghosts.py", "ray_caster.py", "integration_mistakes.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from postfx.doctor.checks import depth, exposure, motion, normals, planes, reflectance, shots, values
+from postfx.doctor.checks import depth, exposure, motion, normals, planes, reactive, reflectance, shots, values
 from postfx.doctor.findings import Finding
 from postfx.doctor.material import Material
 
@@ -38,6 +38,8 @@ CHECKS: tuple[Check, ...] = (
     shots.reset_always,
     shots.jitter_missing,
     shots.samples_repeat,
+    reactive.reactive_everywhere,
+    reactive.opaque_samples,
     exposure.exposure_mismatch,
     planes.missing,
 )
