@@ -88,6 +88,16 @@ def test_the_masks_of_the_page_are_made(write_exr, tmp_path, monkeypatch):
     assert names["frame"]["strength"].shape == (30, 40, 1) and not names["frame"]["strength"].any()
 
 
+def test_the_reactive_mask_of_the_page_is_used(write_exr, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    planes = {name: np.full((30, 40), 0.5) for name in ("R", "G", "B", "motion.X", "motion.Y")}
+    for number in (1, 2):
+        write_exr(f"shot/noisy.{number:04d}.exr", planes)
+    names = {}
+    exec(blocks("masks.md", "python")[1], names)
+    assert names["clean"]["colour"].shape == (60, 80, 3)
+
+
 def test_the_integration_page_names_every_helper():
     page = (DOCS / "integration.md").read_text(encoding="utf-8")
     apart = {"IntegrationError", "frame_header", "halton", "pixel_positions", "positions_from_depth", "project",

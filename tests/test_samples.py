@@ -65,6 +65,13 @@ def test_edges_of_overlays_neither_ring_nor_shine(tmp_path):
     assert (tmp_path / "room.png").stat().st_size > 100000
 
 
+def test_sparks_leave_a_third_of_their_ghosts_at_most_with_a_mask(tmp_path):
+    printed = run("ghosts.py", "--models", "s", "-o", str(tmp_path / "a.png")).splitlines()
+    ghosts = {line[5:17].strip(): float(line[17:].split()[0]) for line in printed}
+    assert max(ghosts["coverage"], ghosts["difference"]) < ghosts["no mask"] / 3
+    assert (tmp_path / "a.png").stat().st_size > 100000
+
+
 def test_memory_is_measured_within_a_budget():
     printed = run("measure_memory.py", "--sizes", "256", "--memory", "none,1G", "--model", "s")
     assert printed.count("256x256 model s budget") == 2
@@ -83,6 +90,5 @@ def test_what_the_ray_caster_writes_is_right(tmp_path):
 
 def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
-             "overlay_edges.py",
-             "measure_memory.py", "ray_caster.py", "integration_mistakes.py"}
+             "overlay_edges.py", "ghosts.py", "measure_memory.py", "ray_caster.py", "integration_mistakes.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

@@ -20,6 +20,7 @@ from postfx.kernels import (
     denoise_half,
     denoise_history,
     denoise_prepare,
+    denoise_reactive,
     denoise_restore,
     denoise_strength,
     denoise_upsample,
@@ -29,6 +30,7 @@ from postfx.kernels.resample import RESAMPLE
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.networks import denoise_kernels as definitions
 from training.networks import overlay_kernels as overlay
+from training.networks import reactive_kernels as reactive
 from training.networks import restore_kernels as restore
 from training.networks.trunk import (
     BLEND,
@@ -59,7 +61,8 @@ MEANING = {
 # enlarged to 29x51 of 35x70.
 SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35, "width": 70, "out_th": 29,
          "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3,
-         "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19}
+         "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
+         "keep_h": 15, "keep_w": 27}
 KERNELS = {
     denoise_prepare.SCALE: definitions.Scale,
     denoise_prepare.DILATE: definitions.Dilate,
@@ -77,6 +80,9 @@ KERNELS = {
     denoise_restore.DETAIL: restore.Detail,
     denoise_restore.RESTORE: restore.Restore,
     denoise_strength.STRENGTH: definitions.Strength,
+    denoise_reactive.REACTIVE: reactive.Reactive,
+    denoise_reactive.SPREAD_MASK: reactive.Spread,
+    denoise_reactive.KEEP: reactive.Keep,
     denoise_assemble.ASSEMBLE: definitions.Assemble,
     RESAMPLE: definitions.Resample,
     ENLARGE: overlay.Enlarge,

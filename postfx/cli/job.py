@@ -33,7 +33,7 @@ from postfx.runtime import Device
 from postfx.strength.shares import Shares
 
 RESUME_PREROLL = 8
-DENOISE_OPTIONS = ("scale", "model", "strength", "budget")
+DENOISE_OPTIONS = ("scale", "model", "strength", "budget", "reactive")
 
 
 class Work(NamedTuple):

@@ -132,6 +132,12 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
         "unread (default: composite)",
     )
     group.add_argument(
+        "--reactive", metavar="KIND[,NAME=NUMBER]",
+        help="where the history is not used, for particles and the like: plane (the plane 'reactive'), difference "
+        "(colour against the plane 'opaque_colour'), auto (the first of these that is there, default) or none; with "
+        "scale= and threshold= of the difference, e.g. auto,scale=8",
+    )
+    group.add_argument(
         "--exposure",
         default="auto",
         metavar="auto|smooth|metadata|EV",

@@ -10,7 +10,6 @@ import numpy as np
 from postfx.kernels.denoise_layout import (
     EXPOSURE,
     FEATURES,
-    FRESH,
     GAIN,
     HEIGHT,
     HIDDEN,
@@ -30,6 +29,7 @@ from postfx.kernels.denoise_layout import (
     WIDTH,
     kernel,
 )
+from postfx.kernels.denoise_reactive import kept_row
 from postfx.kernels.numeric import (
     MAX_COLOUR,
     clamp,
@@ -61,17 +61,18 @@ def is_unknown(a, b, c, d, tx, ty):
 
 
 @fused
-def recall_row(y, columns, moved, state, last_depth, fresh, memory, before, valid):
+def recall_row(y, columns, moved, state, last_depth, keep, memory, before, valid):
     """The state of the frame before along a row: bilinear (12, w), edge repeated, and the nearest pixel's depth.
 
-    ``y`` and ``columns`` are places in the frame, ``moved`` (w, 2) is the motion there.
+    ``y`` and ``columns`` are places in the frame, ``moved`` (w, 2) is the motion there, ``keep`` (w,) how much of the
+    history is used: validity, count and hidden state are less by it; the mean colour, which counts less, is the same.
     """
     h, w = state.shape[:2]
     flat = state.reshape(h * w * MEMORY)
     for x in range(columns.size):
         px, py = np.float32(columns[x]) + moved[x, 0], np.float32(y) + moved[x, 1]
         held = -0.5 <= px <= w - 0.5 and -0.5 <= py <= h - 0.5
-        valid[x] = fresh if held else ZERO
+        valid[x] = keep[x] if held else ZERO
         if valid[x] == ZERO:
             memory[:, x] = ZERO
             continue
@@ -91,7 +92,8 @@ def recall_row(y, columns, moved, state, last_depth, fresh, memory, before, vali
             i = at + np.uint64(c)
             top = flat[i] + (flat[i + to_right] - flat[i]) * tx
             bottom = flat[i + to_below] + (flat[i + across] - flat[i + to_below]) * tx
-            memory[c, x] = top + (bottom - top) * ty
+            value = top + (bottom - top) * ty
+            memory[c, x] = value if c < 3 else value * keep[x]
 
 
 @fused
@@ -127,7 +129,7 @@ def colour_planes(row, colour, factor, exposure, memory, gain, mean, valid, feat
         for x in range(count):
             now[x] = log1p(min(clamp(now[x], ZERO, MAX_FLOAT) * exposure / factor[c, x], most))
         for x in range(count):
-            kept[x] = log_encode(memory[c, x] * gain)
+            kept[x] = log_encode(memory[c, x] * gain * valid[x])
         for x in range(count):
             last[x] = log_encode(expm1(mean[c, x]) * valid[x] / factor[c, x])
 
@@ -177,7 +179,7 @@ def memory_planes(row, valid, memory, features):
 
 @compiled
 def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
-                 warped, depth_scale, params, window, past, features):
+                 warped, depth_scale, params, window, keep, past, features):
     """The network's input, mirrored beyond the frame and up to its size, and the reprojected accumulation."""
     h, w, height, width = int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]), int(window[OUT_WIDTH])
     top, first, above, before_left = int(window[TOP]), int(window[LEFT]), int(window[OUT_TOP]), int(window[OUT_LEFT])
@@ -187,13 +189,15 @@ def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughn
     right = np.array([-(-(x + 1) * width // w) - before_left for x in columns])
     memory, mean = np.empty((MEMORY, count), np.float32), np.empty((3, count), np.float32)
     factor, before = np.empty((3, count), np.float32), np.ones(count, np.float32)
-    valid, total = np.empty(count, np.float32), np.empty(3 * warped.shape[1], np.float32)
+    valid, share = np.empty(count, np.float32), np.empty(count, np.float32)
+    total = np.empty(3 * warped.shape[1], np.float32)
     for row in range(y0, y1):
         here = mirrored(row, lines)
         y = top + here
         for x in range(count):
             factor[0, x], factor[1, x], factor[2, x] = demodulation(diffuse_albedo, specular_albedo, y, first + x)
-        recall_row(y, columns, moved[here], state, last_depth, params[FRESH], memory, before, valid)
+        kept_row(keep, here, share)
+        recall_row(y, columns, moved[here], state, last_depth, share, memory, before, valid)
         mean_row(y * height // h - above, -(-(y + 1) * height // h) - above, warped, left, right, total, mean)
         colour_planes(row, colour[y, first:], factor, params[EXPOSURE], memory, params[GAIN], mean, valid, features)
         bounded_planes(row, 9, diffuse_albedo[y, first:], count, ZERO, two, features)
@@ -218,5 +222,5 @@ def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughn
 
 
 FEATURE = kernel("features", ("colour", *REFLECTANCE, "normal", "roughness", "depth", "moved", "state", "last_depth",
-                              "warped", "depth_scale", "params", "window"), ("past", "features"), feature_rows,
-                 ("features", 2))
+                              "warped", "depth_scale", "params", "window", "keep"), ("past", "features"),
+                 feature_rows, ("features", 2))

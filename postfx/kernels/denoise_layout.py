@@ -1,7 +1,8 @@
 """What the upscaler's kernels share: the layout of their tensors and a way to name them.
 
-``params`` is float32 (5,): exposure, jitter x, jitter y, fresh (0 drops the history) and the exposure's gain since
-the previous frame. ``state`` (h, w, 12) holds accumulated demodulated colour (3), effective sample count (0 where it
+``params`` is float32 (4,): exposure, jitter x, jitter y and the exposure's gain since the previous frame. ``keep`` is
+how much of the history each render pixel of the part uses, 0 nothing to 1 all: (th, tw, 1), or one number for all
+pixels, (1, 1, 1). ``state`` (h, w, 12) holds accumulated demodulated colour (3), effective sample count (0 where it
 holds nothing) and hidden channels (8), colour already exposed; ``history`` (height, width, 3) is log(1 + exposed
 output). ``fine`` is the network's head at render size: 5x5 kernel 25, 3x3 weights at four phases 36, history blend and
 sharpening at four phases 4 each, mix, distrust, importance, hidden state 8. Pictures are (h, w, channels), pyramid
@@ -26,7 +27,7 @@ FEATURES = 27 + HIDDEN
 KERNEL, PHASES, BLEND, SHARPEN, MIX, DISTRUST, IMPORTANCE, MEMORY = 25, 25, 61, 65, 69, 70, 71, 72
 FINE = MEMORY + HIDDEN
 GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
-EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN = range(5)
+EXPOSURE, JITTER_X, JITTER_Y, GAIN = range(4)
 TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
 UNKNOWN = 1e-3  # share of a reprojected pixel that the history may lack
 MAX_COUNT = 32.0
@@ -45,9 +46,10 @@ GUIDE_PLANES = {
 }
 SHAPES = PLANES | GUIDE_PLANES | {
     "depth_scale": (1,), "moved": ("th", "tw", 2), "history": ("height", "width", 3), "warped": ("out_th", "out_tw", 3),
-    "params": (5,), "window": (8,), "part_rows": ("th",), "part_columns": ("tw",),
+    "params": (4,), "window": (8,), "part_rows": ("th",), "part_columns": ("tw",),
     "out_rows": ("out_th",), "out_columns": ("out_tw",), "state": ("h", "w", 4 + HIDDEN), "last_depth": ("h", "w", 1),
-    "past": ("th", "tw", 4), "features": (1, FEATURES, "hp", "wp"), "fine": (1, FINE, "hp", "wp"),
+    "past": ("th", "tw", 4), "keep": ("keep_h", "keep_w", 1), "features": (1, FEATURES, "hp", "wp"),
+    "fine": (1, FINE, "hp", "wp"),
     "next_state": ("th", "tw", 4 + HIDDEN), "next_depth": ("th", "tw", 1), "level": (4, "hp", "wp"),
     "finer": (4, "2*hp", "2*wp"),
     "heads": (1, "heads", "hp", "wp"), "coarse": (3, "half_hp", "half_wp"), "area": (2,), "filtered": (3, "hp", "wp"),

@@ -8,7 +8,6 @@ import numpy as np
 from postfx.kernels.denoise_layout import (
     BLEND,
     EXPOSURE,
-    FRESH,
     GUIDE_REFLECTANCE,
     HEIGHT,
     JITTER_X,
@@ -38,6 +37,7 @@ from postfx.kernels.denoise_phases import (
     weighted_picked,
     wide_gauss,
 )
+from postfx.kernels.denoise_reactive import kept_row
 from postfx.kernels.numeric import (
     add,
     add_product,
@@ -79,20 +79,20 @@ def remodulate_row(factor, current):
 
 
 @compiled
-def trust_side(first, y, size, moved, past, scale, fresh, trust):
+def trust_side(first, y, size, moved, past, scale, share, trust):
     """At scale 2, how much of the history each output pixel on one side of the render pixels keeps, from ``first`` on.
 
-    ``trust`` holds the predicted blend at first; nothing is kept where the pixel lay beyond the border, or where the
-    history does not hold it.
+    ``share`` is how much each render pixel may keep, ``trust`` the predicted blend at first; nothing is kept where the
+    pixel lay beyond the border, or where the history does not hold it.
     """
     for x in range(trust.size):
         px, py = np.float32(2 * x + first) + moved[x, 0] * scale[0], y + moved[x, 1] * scale[1]
         kept = held(px, py, size[0], size[1]) and past[x, 3] >= ZERO
-        trust[x] = fresh * (ONE - trust[x]) if kept else ZERO
+        trust[x] = share[x] * (ONE - trust[x]) if kept else ZERO
 
 
 @compiled
-def double_row(y, left, iy, lower, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, fresh,
+def double_row(y, left, iy, lower, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, share,
                rows, soft, current, trust):
     """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps."""
     w = rows.shape[1]
@@ -111,7 +111,7 @@ def double_row(y, left, iy, lower, radiance, column, fine, moved, past, gauss_x,
             encode_sharp(rows[c], rows[4], soft, fine[0, SHARPEN + corner, iy])
             place(rows[c], 3 * side + c, 6, current)
         rows[3] = fine[0, BLEND + corner, iy, :w]
-        trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, fresh, rows[3])
+        trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, rows[3])
         for c in range(3):
             place(rows[3], 3 * side + c, 6, trust)
 
@@ -125,7 +125,7 @@ def control_row(first, iy, ty, fine, index, leans, corners, out):
 
 
 @compiled
-def any_row(y, left, iy, ty, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, fresh, index,
+def any_row(y, left, iy, ty, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, share, index,
             leans, corners, rows, soft, current, trust):
     """A row at any scale."""
     w = corners.shape[1]
@@ -146,12 +146,12 @@ def any_row(y, left, iy, ty, radiance, column, fine, moved, past, gauss_x, gauss
         at = index[x]
         px, py = np.float32(left + x) + moved[iy, at, 0] * scale[0], np.float32(y) + moved[iy, at, 1] * scale[1]
         inside = held(px, py, size[0], size[1]) and past[iy, at, 3] >= ZERO
-        trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = fresh * (ONE - rows[3, x]) if inside else ZERO
+        trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = share[at] * (ONE - rows[3, x]) if inside else ZERO
 
 
 @compiled
 def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, guided, params, window,
-                 output, history):
+                 keep, output, history):
     """Output pixels from 3x3 samples by predicted weight and distance, blended with the reprojected history.
 
     The albedos have the frame's output size and are looked at only if ``guided``.
@@ -177,11 +177,13 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
     corners, rows = np.empty((2, w), np.float32), np.empty((5, w if double else width), np.float32)
     column, soft = np.empty((3, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
     current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
+    share = np.empty(w, np.float32)
     factor = np.empty(3 * width if guided else 0, np.float32)
     for row in range(y0, y1):
         y = min(int(window[OUT_TOP]) + row, frame_height - 1)
         iy, offset = centre(y, frame_h, frame_height)
         iy = min(max(iy - int(window[TOP]), 0), h - 1)
+        kept_row(keep, iy, share)
         upper, middle, lower = wide_gauss(params[JITTER_Y] - offset)
         for j in range(3):
             gauss_y[j] = gauss(j - 1 + params[JITTER_Y] - offset)
@@ -189,10 +191,10 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
             weighted(radiance[c, iy], radiance[c, iy + 1], radiance[c, iy + 2], upper, middle, lower, column[c])
         if double:
             double_row(y, left, iy, y % 2, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale,
-                       params[FRESH], rows, soft, current, trust)
+                       share, rows, soft, current, trust)
         else:
             any_row(y, left, iy, lean(offset), radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size,
-                    scale, params[FRESH], index, leans, corners, rows, soft, current, trust)
+                    scale, share, index, leans, corners, rows, soft, current, trust)
         if guided:
             factor_row(y, left, diffuse_albedo, specular_albedo, factor)
             remodulate_row(factor, current)
@@ -201,21 +203,22 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
 
 
 @compiled
-def upsample_rows(y0, y1, radiance, fine, moved, past, warped, params, window, output, history):
+def upsample_rows(y0, y1, radiance, fine, moved, past, warped, params, window, keep, output, history):
     """Radiance that already holds the reflectance."""
-    resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, False, params, window, output, history)
+    resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, False, params, window, keep, output,
+                 history)
 
 
 @compiled
-def guided_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, params, window, output,
-                history):
+def guided_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, params, window, keep,
+                output, history):
     """Radiance without reflectance, which is put back at output size."""
     resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, True, params, window,
-                 output, history)
+                 keep, output, history)
 
 
 WRITES = ("output", "next_history")
 READS = ("radiance", "fine", "moved", "past", "warped")
-UPSAMPLE = kernel("upsample", (*READS, "params", "window"), WRITES, upsample_rows, ("output", 0))
-UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "params", "window"), WRITES, guided_rows,
-                         ("output", 0))
+UPSAMPLE = kernel("upsample", (*READS, "params", "window", "keep"), WRITES, upsample_rows, ("output", 0))
+UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "params", "window", "keep"), WRITES,
+                         guided_rows, ("output", 0))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from postfx.kernels import denoise_prepare
+from postfx.kernels import denoise_prepare, denoise_reactive
 from postfx.passes._denoise_assembly import Assembly
 from postfx.passes._denoise_graph import Graph
 from postfx.passes._denoise_history import History
@@ -27,20 +27,24 @@ STEPS = 8
 class Frames:
     """The networks and the history of frames of one size.
 
-    Of several models the first is in use until `use` takes another. Guided models read guides.
+    Of several models the first is in use until `use` takes another. Guided models read guides. Reactive frames have a
+    mask of where the history is not used.
     """
 
-    def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], guided: bool = False) -> None:
-        self._device, self._sizes, self._models, self._guided = device, sizes, tuple(models), guided
+    def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], guided: bool = False,
+                 reactive: bool = False) -> None:
+        self._device, self._sizes, self._models = device, sizes, tuple(models)
+        self._guided, self._reactive = guided, reactive
         self._halo = halo_of(models)
         self._graphs: OrderedDict[Shape, Graph] = OrderedDict()
         self._bands = bands_within(device.scratch, sizes, models)
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
         if self._bands:
             self._make(self._band_shape)
-        self._history = History(device, sizes)
+        self._history = History(device, sizes, reactive)
         new, between = device.heap.tensor, device.heap.transient
-        self._common = {"params": new("params", (5,)), "depth_scale": between("depth scale", (1,))}
+        self._common = {"params": new("params", (4,)), "keep": new("keep", (1, 1, 1)),
+                        "depth_scale": between("depth scale", (1,))}
         if guided:
             black = new("no reflectance", (sizes.h, sizes.w, 3))  # makes a factor of one
             black.fill(0)
@@ -49,6 +53,7 @@ class Frames:
         self._assembly = Assembly(device, sizes)
         self._scale = ArgumentTable(device.compute_state(denoise_prepare.SCALE),
                                     {"depth_scale": self._common["depth_scale"]})
+        self._spread = ArgumentTable(device.compute_state(denoise_reactive.SPREAD_MASK)) if reactive else None
         self.model = models[0]
 
     def use(self, model: str) -> None:
@@ -85,16 +90,23 @@ class Frames:
         """
         self._history.turn()
         self._common["params"].upload(params)
+        self._common["keep"].fill(keep)
         self._scale["depth"] = planes["depth"]
         with commands.compute_encoder("scale") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._scale.state, self._scale)
+            if self._spread:
+                self._spread["reactive"] = planes["reactive"]
+                self._spread["next_reactive"] = self._history.next["next_reactive"]
+                encoder.dispatch(self._spread.state, self._spread)
         seen = {**planes, **self._common, **self._history.last}
         targets = {"output": self._output, **self._history.next}
+        masked = keep and self._reactive
         if band is None and self._whole:
-            self._whole.encode(commands, Window.whole(self._sizes), self.model, seen | targets, keep and not still)
+            self._whole.encode(commands, Window.whole(self._sizes), self.model, seen | targets, keep and not still,
+                               masked)
         for some in [band] if band else self._bands:
-            self._encode_tiles(commands, some, seen, targets)
+            self._encode_tiles(commands, some, seen, targets, masked)
         return self._output
 
     @property
@@ -103,11 +115,11 @@ class Frames:
         return window.rows, window.columns
 
     def _encode_tiles(self, commands: CommandBuffer, band: Band, seen: Mapping[str, Tensor],
-                      targets: dict[str, Tensor]) -> None:
+                      targets: dict[str, Tensor], masked: bool) -> None:
         window = band.tiles[0].window
         graph = self._graphs[window.rows, window.columns]
         for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles), strict=True):
-            graph.encode(commands, tile.window, self.model, {**seen, **slot}, True)
+            graph.encode(commands, tile.window, self.model, {**seen, **slot}, True, masked)
         self._assembly.encode(commands, band, targets)
 
     def _make(self, shape: Shape) -> Shape:
@@ -123,4 +135,4 @@ class Frames:
         return shape
 
     def _graph_of(self, shape: Shape) -> Graph:
-        return Graph(self._device, Window(self._sizes, 0, 0, *shape), self._models, self._guided)
+        return Graph(self._device, Window(self._sizes, 0, 0, *shape), self._models, self._guided, self._reactive)

@@ -12,6 +12,7 @@ from postfx.kernels import (
     denoise_history,
     denoise_layout,
     denoise_prepare,
+    denoise_reactive,
     denoise_upsample,
 )
 from postfx.kernels.kernel import Kernel
@@ -32,11 +33,13 @@ def has_model(model: str) -> bool:
 class Graph:
     """Pipeline states, tensors and argument tables for windows of one size.
 
-    A guided graph's models read guides beside the features, and colour has no reflectance until output size.
+    A guided graph's models read guides beside the features, and colour has no reflectance until output size. A reactive
+    one may work with masks of where the history is not used.
     """
 
-    def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False) -> None:
-        self._device, self._window, self._guided = device, window, guided
+    def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
+                 reactive: bool = False) -> None:
+        self._device, self._window, self._guided, self._reactive = device, window, guided, reactive
         dims = dict(zip(("height", "width"), window.padded, strict=True))
         networks = {model: device.pipeline_state(Library(), model, dims) for model in models}
         self._tables: dict[str, ArgumentTable] = {}
@@ -47,7 +50,7 @@ class Graph:
         self._networks = {model: Network(state, self._seen, self._heads, between) for model, state in networks.items()}
 
     def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Mapping[str, Tensor],
-               moves: bool) -> None:
+               moves: bool, masked: bool) -> None:
         """Record the work on a window of this graph's size.
 
         Args:
@@ -55,13 +58,16 @@ class Graph:
                 kernels' names.
             moves: whether the last output has to be brought to this frame; else it is read as it is, in a window of the
                 whole frame: it is where it should be, or of no account.
+            masked: whether the reactive masks of this frame and the last say how much of the history each pixel keeps;
+                else one number does.
         """
         warped = self._made["warped"] if moves else tensors["history"]
-        self._bind({**tensors, **self._place(window), "warped": warped})
+        keep = self._made["keep"] if masked else tensors["keep"]
+        self._bind({**tensors, **self._place(window), "warped": warped, "keep": keep})
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             self._run(encoder, "dilate")
-            for names in (("history",) * moves, self._looks):
+            for names in (("history",) * moves + ("keep",) * masked, self._looks):
                 encoder.barrier()
                 self._run(encoder, *names)
         self._networks[model].encode(commands)
@@ -86,6 +92,8 @@ class Graph:
         self._made = {"moved": self._new("moved", (rows, columns, 2)), "past": self._new("past", (rows, columns, 4)),
                       "warped": self._new("warped", (out.rows, out.columns, 3)),
                       "radiance": self._new("radiance", (3, rows + 2, columns + 2))}
+        if self._reactive:
+            self._made["keep"] = self._new("keep", (rows, columns, 1))
         self._heads = {name: self._new(name, shape) for name, shape in heads_of(network).items()}
         self._seen = {name: self._new(name, shape) for name, shape in seen_by(network).items()}
 
@@ -100,6 +108,8 @@ class Graph:
                              ("features", denoise_features.FEATURE), ("accumulate", denoise_prepare.ACCUMULATE),
                              ("remodulate", denoise_filter.REMODULATE), ("upsample", upsample)):
             self._table(name, kernel, **made)
+        if self._reactive:
+            self._table("keep", denoise_reactive.KEEP, **made)
         if self._guided:
             self._table("guides", denoise_guides.GUIDE, **made)
         self._filter_order = ["accumulate", *(f"pool {i}" for i in range(1, LEVELS + 1))]

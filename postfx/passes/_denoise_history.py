@@ -6,16 +6,18 @@ from postfx.kernels import denoise_layout
 from postfx.passes._denoise_window import Sizes
 from postfx.runtime import Device, Tensor
 
-NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth"}
+NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth", "last_reactive": "next_reactive"}
 """What kernels read of the frame before -> what they write for the next one."""
 
 
 class History:
-    """The last output, what was accumulated and the depth, in two sets used in turn."""
+    """The last output, what was accumulated, the depth, and the mask of reactive frames, in two sets used in turn."""
 
-    def __init__(self, device: Device, sizes: Sizes) -> None:
+    def __init__(self, device: Device, sizes: Sizes, reactive: bool) -> None:
         shapes = {"history": (sizes.height, sizes.width, 3), "last_depth": (sizes.h, sizes.w, 1),
                   "state": (sizes.h, sizes.w, 4 + denoise_layout.HIDDEN)}
+        if reactive:
+            shapes["last_reactive"] = (sizes.h, sizes.w, 1)
         self._sets = [{name: device.heap.tensor(name, shape) for name, shape in shapes.items()} for _ in range(2)]
         # Before the first frame the history holds nothing, and nothing of it is used: it only has to be defined.
         for tensor in (tensor for one in self._sets for tensor in one.values()):

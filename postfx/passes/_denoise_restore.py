@@ -19,7 +19,7 @@ class Restore:
     def __init__(self, device: Device, size: Size) -> None:
         new, between = device.heap.tensor, device.heap.transient
         tiles = -(-size.height // TILE), -(-size.width // TILE)
-        self._params, self._evidence = new("restore params", (5,)), new("evidence", (1,))
+        self._params, self._evidence = new("restore params", (4,)), new("evidence", (1,))
         self._output = between("restored", (*size, 3))
         self._tensors = {"params": self._params, "evidence": self._evidence, "sums": between("sums", (*tiles, SUMS)),
                          "detail": between("detail", (*tiles, 1)), "output": self._output}
@@ -33,7 +33,7 @@ class Restore:
         """Record the work on the frame's own colour and the denoised one; returns the colour."""
         if not self.acts_on(frame):
             return denoised
-        self._params.upload([frame.exposure, 0.0, 0.0, 0.0, 0.0])
+        self._params.upload([frame.exposure, 0.0, 0.0, 0.0])
         self._evidence.upload([min(frame.samples or MANY, MOST) / MANY])
         planes = {"colour": frame[Role.COLOUR], "denoised": denoised}
         with commands.compute_encoder("restore") as encoder:

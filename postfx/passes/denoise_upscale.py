@@ -17,6 +17,7 @@ from postfx.passes._denoise_graph import has_model
 from postfx.passes._denoise_layout import active_cells
 from postfx.passes._denoise_models import GUIDED, model_of
 from postfx.passes._denoise_planes import ABSENT, Planes, Size
+from postfx.passes._denoise_reactive import Reactive, parse_reactive
 from postfx.passes._denoise_restore import Restore
 from postfx.passes._denoise_spared import Spared
 from postfx.passes._denoise_strength import Plain, Strength
@@ -39,6 +40,9 @@ class DenoiseUpscale(Pass):
             its precision ('s' below 'm', 's' and 'm' below 'l'), take turns with it; the history goes on.
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength`
             says the same pixel by pixel, and both are multiplied; where it is 0, no network runs.
+        reactive: where the history is not used, for what moves without motion vectors, such as particles: 'plane', the
+            plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto', the first of
+            the two that the frame has; 'none'. Then perhaps scale= and threshold=, as in 'auto,scale=4,threshold=0.05'.
 
     Alpha and a transparency overlay are only resampled; the pass `overlay` composites.
 
@@ -50,7 +54,7 @@ class DenoiseUpscale(Pass):
 
     name: ClassVar[str] = "denoise_upscale"
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"scale": None, "model": "m", "strength": 1.0,
-                                                            "budget": None})
+                                                            "budget": None, "reactive": "auto"})
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -64,6 +68,7 @@ class DenoiseUpscale(Pass):
         self.budget = None if self.options["budget"] is None else float(self.options["budget"])
         if self.budget is not None and not self.budget > 0:
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a budget above 0")
+        self._mask = parse_reactive(str(self.options["reactive"]))
         self._used: str | None = None
         plain = str(self.options["model"]).removesuffix(GUIDED)
         if plain != self.options["model"]:
@@ -75,10 +80,11 @@ class DenoiseUpscale(Pass):
         output = FrameSpec(size.width, size.height, (Role.COLOUR, *carried))
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
         guides = GUIDE_ROLES if self._reads_guides(spec) else lost
-        planes = (*PLANES, Role.STRENGTH) if self.strength else ()
+        planes = (*PLANES, Role.STRENGTH, *self._reactive_planes(spec)) if self.strength else ()
+        demanded = self._mask.demanded() if self.strength else ()
         kept = [role for role in carried if role not in spec.guide_roles]
         guides = (*(guides if self.strength else ()), *(role for role in carried if role in spec.guide_roles))
-        return Reflection(reads=(Role.COLOUR,), may_read=(*planes, *kept), writes=(Role.COLOUR, *carried),
+        return Reflection(reads=(Role.COLOUR, *demanded), may_read=(*planes, *kept), writes=(Role.COLOUR, *carried),
                           output=output, may_read_guides=guides)
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
@@ -88,7 +94,7 @@ class DenoiseUpscale(Pass):
         lost = [str(role) for role in GUIDE_ROLES if role not in seen]
         found = [] if spec.has(Role.MOTION) else ["no motion plane, so every frame is denoised alone and may flicker"]
         found += [f"blurs more without the planes {', '.join(lost)}"] if lost else []
-        return (*found, *self._guide_remarks(spec))
+        return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         self._output = self.reflect(spec).output
@@ -106,7 +112,9 @@ class DenoiseUpscale(Pass):
         tags = self._tags(guided)
         self._models = {tag: model_of(tag, guided, device) for tag in tags}
         self._ladder = Ladder(list(map(cost, self._models.values())), self.budget) if self.budget else None
-        self._frames = Frames(device, Sizes(spec.height, spec.width, *size), list(self._models.values()), guided)
+        self._frames = Frames(device, Sizes(spec.height, spec.width, *size), list(self._models.values()), guided,
+                              reactive=self._mask.role(spec) is not None)
+        self._reactive = Reactive(device, spec, self._mask)
         self._restore = Restore(device, size) if size == (spec.height, spec.width) else None
         self._spared = Spared()
         full = self.strength == 1 and not spec.has(Role.STRENGTH)
@@ -140,7 +148,7 @@ class DenoiseUpscale(Pass):
         colour = encode(commands, frame)
         frame.set(Role.COLOUR, colour)
         self._carried.encode(commands, frame)
-        for role in (*PLANES, Role.STRENGTH):
+        for role in (*PLANES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR):
             frame.tensors.pop(role, None)
         frame.guides.clear()
         frame.spec, frame.jitter = self._output, (0.0, 0.0)
@@ -155,12 +163,13 @@ class DenoiseUpscale(Pass):
         band = None if cells is None else self._frames.layout(cells)
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
-        params = np.array([frame.exposure, *frame.jitter, keep, gain], np.float32)
+        params = np.array([frame.exposure, *frame.jitter, gain], np.float32)
         self._used = list(self._models)[self._ladder.rung if self._ladder else 0]
         self._frames.use(self._models[self._used])
         still = keep and gain == 1 and self._is_still(frame)
         self._spared.begin(1.0 if band is None else band.share, keep, still)
-        colour = self._frames.encode(commands, self._planes.encode(commands, frame), params, keep, still, band)
+        planes = {**self._planes.encode(commands, frame), **self._reactive.encode(commands, frame)}
+        colour = self._frames.encode(commands, planes, params, keep, still, band)
         self._fresh, self._exposure = True, frame.exposure
         colour = self._restore.encode(commands, frame, colour) if self._restore else colour
         return self._strength.encode(commands, frame, colour) if self._strength else colour
@@ -194,6 +203,10 @@ class DenoiseUpscale(Pass):
             found = f"guides are {guides.width}x{guides.height}, the colour is {spec.width}x{spec.height}"
             raise GuideError(f"{guides.source or 'frame'}: {found}: {mend}")
         return Size(guides.height, guides.width)
+
+    def _reactive_planes(self, spec: FrameSpec) -> tuple[Role, ...]:
+        role = self._mask.role(spec)
+        return (role,) if role else ()
 
     def _reads_guides(self, spec: FrameSpec) -> bool:
         """Whether a network does; at render size it is better with the planes, which have the samples of the colour."""

@@ -165,6 +165,23 @@ def reset_everywhere(frames: Frames) -> Frames:
     return [replace(frame, reset=True) for frame in frames]
 
 
+def added(role: Role, make: Callable[[Frame], np.ndarray]) -> Callable[[Frames], Frames]:
+    """A plane that no sequence has."""
+    return lambda frames: [replace(f, planes={**f.planes, role: make(f).astype(np.float32)}) for f in frames]
+
+
+def inverted_mask(frame: Frame) -> np.ndarray:
+    mask = np.ones_like(frame[Role.COLOUR][..., :1])
+    mask[10:20, 10:20] = 0
+    return mask
+
+
+def other_samples(frame: Frame) -> np.ndarray:
+    """Colour before transparency with as much noise of its own as a few samples leave."""
+    colour = frame[Role.COLOUR]
+    return colour * np.random.default_rng(frame.number).gamma(0.5, 2.0, colour.shape)
+
+
 def holes(pixels: np.ndarray, frame: Frame) -> np.ndarray:
     broken = pixels.copy()
     broken[::7, ::5] = np.nan
@@ -219,6 +236,9 @@ BREAKAGES = [
     Breakage("NaN in colour", "not-finite", Role.COLOUR, plane(Role.COLOUR, holes)),
     Breakage("negative colour", "negative", Role.COLOUR, plane(Role.COLOUR, lambda c, f: c - np.float32(0.05))),
     Breakage("colour clipped at 1", "colour-clipped", Role.COLOUR, plane(Role.COLOUR, lambda c, f: np.clip(c, 0, 1))),
+    Breakage("mask of particles inverted", "reactive-everywhere", Role.REACTIVE, added(Role.REACTIVE, inverted_mask)),
+    Breakage("opaque colour of other samples", "opaque-samples", Role.OPAQUE_COLOUR,
+             added(Role.OPAQUE_COLOUR, other_samples)),
     Breakage("worldToCamera for column vectors", "matrix-transposed", "sequence", transposed),
     Breakage("overlay of straight colour", "overlay-straight", Role.OVERLAY, covers.over(covers.straight)),
     Breakage("overlay with alpha in percent", "overlay-alpha", Role.OVERLAY, covers.over(covers.in_percent)),

@@ -16,6 +16,7 @@ from postfx.kernels import (
     denoise_history,
     denoise_layout,
     denoise_prepare,
+    denoise_reactive,
     denoise_restore,
     denoise_strength,
     denoise_upsample,
@@ -32,12 +33,13 @@ KERNELS = (
     denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
     denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
     denoise_restore.JUDGE, denoise_restore.DETAIL, denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE,
+    denoise_reactive.REACTIVE, denoise_reactive.SPREAD_MASK, denoise_reactive.KEEP,
     ENLARGE, OVER, OVER_ALPHA, denoise_assemble.ASSEMBLE,
     denoise_half.PACK, denoise_half.OPEN, denoise_half.OPEN_FINE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image",
-         "strength", *denoise_layout.GUIDE_PLANES)
+         "strength", "reactive", "opaque_colour", *denoise_layout.GUIDE_PLANES)
 
 
 class Case(NamedTuple):
@@ -63,7 +65,11 @@ class Case(NamedTuple):
                 "th": window.rows, "tw": window.columns, "out_th": window.out.rows, "out_tw": window.out.columns,
                 "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
                 "tiles": 3, "tile_h": window.rows, "tile_w": window.columns, "rows": self.h, "columns": self.w,
-                "tiles_high": -(-self.h // 16), "tiles_wide": -(-self.w // 16)}
+                "tiles_high": -(-self.h // 16), "tiles_wide": -(-self.w // 16), **self._keep(window)}
+
+    def _keep(self, window: Window) -> dict[str, int]:
+        """One number for all pixels in half of the cases."""
+        return {"keep_h": 1, "keep_w": 1} if self.h % 2 else {"keep_h": window.rows, "keep_w": window.columns}
 
     def __str__(self) -> str:
         return "-".join(map(str, (f"{self.h}x{self.w}", f"{self.height}x{self.width}", self.heads, *(self.part or ()))))
@@ -104,7 +110,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         wide = np.exp(4 * unit - 2)
         return np.where(gates < denoise_layout.BLEND, wide, np.where(gates < denoise_layout.MEMORY, unit, 2 * unit - 1))
     if name == "params":
-        return np.array([1.7, random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 1.0, 0.8])
+        return np.array([1.7, random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 0.8])
     if name in ("raw", "raw_fine"):
         return random.normal(0, 4, size)
     if name == "area":
@@ -132,7 +138,11 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return 5 * unit**3
     if name == "sums":
         return np.concatenate((256 + 0 * unit[..., :1], 4 * unit[..., 1:2] ** 4, unit[..., 2:]), -1)
-    if name in ("colour", "denoised"):
+    if name == "difference":
+        return np.array([1.7, 3.0, 0.1])
+    if name in ("reactive", "last_reactive", "keep"):  # whole numbers, too
+        return np.clip(2 * unit - 0.5, 0, 1)
+    if name in ("colour", "opaque_colour", "denoised"):
         return 40 * unit**4
     if name in ("past", "state"):  # with holes, where the history does not know a pixel
         unit[..., 3][random.random(size[:2]) < 0.05] = -1 / 30 if name == "past" else 0

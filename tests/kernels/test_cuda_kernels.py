@@ -68,7 +68,7 @@ def test_detail_is_told_from_noise_tile_by_tile(evidence: float) -> None:
     denoised = np.full((h, w, 3), 0.5, np.float32)
     removed = (1 - share) * random.normal(0, 0.1, (h, w)) + share * 0.1 * pattern
     inputs = {"colour": (denoised + removed[..., None]).astype(np.float32), "denoised": denoised,
-              "params": np.float32([1, 0, 0, 1, 1])}
+              "params": np.float32([1, 0, 0, 1])}
     tiles = -(-h // TILE), -(-w // TILE)
     sums = np.empty((*tiles, JUDGE.shapes["sums"][2]), np.float32)
     JUDGE.rows(0, tiles[0], *inputs.values(), sums)

@@ -1,8 +1,8 @@
 """The upscaler's compute kernels as torch modules with the kernels' own bindings: what is exported to ONNX.
 
-Pictures are (H, W, C) as in ``postfx.kernels``, pyramid levels (C, H, W); ``params`` is (5,): exposure, jitter x,
-jitter y, fresh, gain; ``window`` is (8,): the part of the frame to work on, see ``postfx.kernels.denoise_layout``.
-Every size is read off a binding, so that one file serves all sizes.
+Pictures are (H, W, C) as in ``postfx.kernels``, pyramid levels (C, H, W); ``params`` is (4,): exposure, jitter x,
+jitter y, gain; ``window`` is (8,): the part of the frame to work on; ``keep`` is how much of the history is used, (th,
+tw, 1) or (1, 1, 1): see ``postfx.kernels.denoise_layout``. Every size is read off a binding: one file serves all sizes.
 """
 import torch
 import torch.nn.functional as F
@@ -14,7 +14,7 @@ from training.networks import denoise_upscale as step
 from training.networks import ops
 from training.networks.denoise_upscale import Guides, Inputs, State
 from training.networks.trunk import DISTRUST, FINE, IMPORTANCE, KERNEL, MEMORY, MIX, activated, weights_from
-from training.networks.window import Window, part, to_image, to_picture
+from training.networks.window import Window, part, shares, to_image, to_picture
 
 
 def expose(colour: Tensor, params: Tensor) -> Tensor:
@@ -46,7 +46,7 @@ class History(nn.Module):
         frame, place = Window.of(window), (rows.long(), columns.long())
         motion = frame.enlarged_motion(moved, frame.centres(place, moved))
         warped = ops.warp(to_image(history), motion, "bicubic", place).clamp(min=0)
-        return to_picture(torch.log1p(torch.expm1(warped) * params[4]))
+        return to_picture(torch.log1p(torch.expm1(warped) * params[3]))
 
 
 class Features(nn.Module):
@@ -54,17 +54,17 @@ class Features(nn.Module):
 
     def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, normal: Tensor,
                 roughness: Tensor, depth: Tensor, moved: Tensor, state: Tensor, last_depth: Tensor, warped: Tensor,
-                depth_scale: Tensor, params: Tensor, window: Tensor) -> tuple[Tensor, Tensor]:
+                depth_scale: Tensor, params: Tensor, window: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
         frame = Window.of(window)
         here = frame.mirrored(moved)
         place = here[0] + frame.top, here[1] + frame.left
         exposed = ops.pick(expose(colour, params), *place)
         planes = (part(plane, *place) for plane in (diffuse_albedo, specular_albedo, normal, roughness, depth))
-        inputs = Inputs(exposed, *planes, part(moved, *here), params[None, 1:3], params[4])
-        old, fresh = to_image(state), params[3].reshape(1, 1, 1, 1)
+        inputs = Inputs(exposed, *planes, part(moved, *here), params[None, 1:3], params[3])
+        old, kept = to_image(state), shares(keep, *here)
         lacking = ops.warp((old[:, 3:4] <= 0).to(old.dtype), inputs.motion, place=place) > UNKNOWN
-        unknown = lacking * ops.inside(inputs.motion, place, state.shape[:2]) * fresh
-        before = State(inputs.motion, old[:, :3], old[:, 3:4], old[:, 4:], to_image(last_depth), fresh * (1 - unknown))
+        unknown = lacking * ops.inside(inputs.motion, place, state.shape[:2]) * (kept > 0)
+        before = State(inputs.motion, old[:, :3], old[:, 3:4], old[:, 4:], to_image(last_depth), kept * (1 - unknown))
         past = step.recall(inputs, before, inputs.motion, inputs.motion, place)
         factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
         features = step.features_of(inputs, past, factor, depth_scale.reshape(1, 1, 1, 1),
@@ -184,11 +184,11 @@ class OpenFine(nn.Module):
 
 class Upsample(nn.Module):
     """radiance (3, th + 2, tw + 2), fine, moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3), params,
-    window -> output, next_history (out_th, out_tw, 3)."""
+    window, keep -> output, next_history (out_th, out_tw, 3)."""
 
     def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor, params: Tensor,
-                window: Tensor) -> tuple[Tensor, Tensor]:
-        return resolve(radiance, fine, moved, past, warped, None, params, Window.of(window))
+                window: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
+        return resolve(radiance, fine, moved, past, warped, None, params, Window.of(window), keep)
 
 
 class UpsampleGuided(nn.Module):
@@ -196,22 +196,23 @@ class UpsampleGuided(nn.Module):
 
     def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor,
                 diffuse_albedo: Tensor, specular_albedo: Tensor, params: Tensor,
-                window: Tensor) -> tuple[Tensor, Tensor]:
+                window: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
         frame = Window.of(window)
         at = frame.outputs(warped)
         factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
-        return resolve(radiance, fine, moved, past, warped, factor, params, frame)
+        return resolve(radiance, fine, moved, past, warped, factor, params, frame, keep)
 
 
 def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor, factor: Tensor | None,
-            params: Tensor, frame: Window) -> tuple[Tensor, Tensor]:
+            params: Tensor, frame: Window, keep: Tensor) -> tuple[Tensor, Tensor]:
     h, w = moved.shape[:2]
     here, place = fine[:, :, :h, :w], frame.outputs(warped)
     at = frame.centres(place, moved)
     held = ops.inside(frame.enlarged_motion(moved, at), place, (frame.height, frame.width))
     known = ops.pick((to_image(past)[:, 3:] >= 0).to(moved.dtype), at.rows, at.columns)
+    kept = shares(keep, at.rows, at.columns)
     filtered = radiance[None, :, 1:1 + h, 1:1 + w]
-    encoded = step.resolve(filtered, here, params[None, 1:3], to_image(warped), held * known * params[3], factor, at)
+    encoded = step.resolve(filtered, here, params[None, 1:3], to_image(warped), held * known * kept, factor, at)
     return to_picture(torch.expm1(encoded) / params[0]), to_picture(encoded)
 
 

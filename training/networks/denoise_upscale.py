@@ -114,12 +114,13 @@ def recall(inputs: Inputs, state: State, motion: Tensor, output: Tensor, place: 
     what lies at a ``place`` in it."""
     valid = ops.inside(motion, place, state.depth.shape[-2:]) * state.fresh
     inside = ops.inside(ops.enlarge_motion(motion, *output.shape[-2:])) * state.fresh
-    rest = ops.warp(torch.cat((state.accumulated, state.count, state.hidden), 1), motion, place=place) * valid
-    accumulated = rest[:, :3] if inputs.gain is None else rest[:, :3] * inputs.gain
+    rest = ops.warp(torch.cat((state.accumulated, state.count, state.hidden), 1), motion, place=place)
+    accumulated, rest = rest[:, :3] * (valid > 0), rest[:, 3:] * valid  # a mean that counts less is still that mean
+    accumulated = accumulated if inputs.gain is None else accumulated * inputs.gain
     depth = ops.warp_nearest(state.depth, motion, place)
     before, now = (ops.sanitise(z, 1e-6, MAX_DEPTH) for z in (depth, inputs.depth))
     change = (4 * torch.log(before / now)).clamp(-1, 1) * valid
-    return Reprojected(motion, output, inside, accumulated, rest[:, 3:4], rest[:, 4:], change, valid)
+    return Reprojected(motion, output, inside, accumulated, rest[:, :1], rest[:, 1:], change, valid)
 
 
 def demodulate(colour: Tensor, factor: Tensor) -> Tensor:
@@ -140,7 +141,7 @@ def features_of(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor
     history = torch.expm1(mean) * past.valid
     return torch.cat((
         torch.log1p(demodulate(inputs.colour, factor)),
-        ops.log_encode(past.accumulated), ops.log_encode(history / factor),
+        ops.log_encode(past.accumulated * past.valid), ops.log_encode(history / factor),
         ops.sanitise(inputs.diffuse_albedo, 0, 2), ops.sanitise(inputs.specular_albedo, 0, 2),
         ops.sanitise(inputs.normal, -1, 1), ops.sanitise(inputs.roughness, 0, 1),
         scale / (scale + ops.sanitise(inputs.depth, 0, MAX_DEPTH)),

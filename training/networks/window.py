@@ -75,3 +75,8 @@ def counted(picture: Tensor) -> ops.Place:
 def part(picture: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
     """Rows and columns of a picture, as (1, C, h, w)."""
     return ops.pick(to_image(picture), rows, columns)
+
+
+def shares(keep: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+    """Rows and columns of ``keep``, as (1, 1, h, w); (1, 1, 1) holds for all of them."""
+    return part(keep, rows.clamp(max=keep.shape[0] - 1), columns.clamp(max=keep.shape[1] - 1))

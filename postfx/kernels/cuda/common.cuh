@@ -16,7 +16,7 @@ struct View {
 // Channels of the fine head, of a filter kernel and of the parameters: postfx/kernels/denoise_layout.py.
 enum { HIDDEN = 8, KERNEL = 25, PHASES = 25, BLEND = 61, SHARPEN = 65 };
 enum { MIX = 69, DISTRUST, IMPORTANCE, MEMORY, FINE = MEMORY + HIDDEN };
-enum { EXPOSURE, JITTER_X, JITTER_Y, FRESH, GAIN };
+enum { EXPOSURE, JITTER_X, JITTER_Y, GAIN };
 enum { TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH };
 
 struct Colour {
@@ -35,6 +35,11 @@ __device__ inline int within(int index, int size) {
 // A row that goes on beyond its end as in a mirror, and stops at its start.
 __device__ inline int mirrored(int index, int size) {
     return max(size - 1 - abs(index - (size - 1)), 0);
+}
+
+// How much of the history a render pixel of the part uses; `keep` has one number for all of them, or one for each.
+__device__ inline float share_of(const View& keep, int row, int column) {
+    return keep.at[within(row, keep.size[0]) * keep.size[1] + within(column, keep.size[1])];
 }
 
 // Which part of the frame the kernels work on: first row and column at render size, the frame's size, and both at
@@ -179,7 +184,7 @@ __device__ inline float at_corner(const float* first, size_t plane, int corner, 
 // An output pixel from 3x3 samples by predicted weight and distance; DOUBLED where both sides are twice the render's.
 template <bool DOUBLED>
 __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
-                                    const View& moved, const View& past, const View& params) {
+                                    const View& moved, const View& past, const View& params, const View& keep) {
     const int w = part.w, h = part.h, width = part.width, height = part.height;
     float u = x % 2 ? 0.25f : -0.25f, v = y % 2 ? 0.25f : -0.25f;
     const int frame_column = DOUBLED ? x / 2 : centre(x, w, width, u);
@@ -225,15 +230,15 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
     return {{fmaxf(sharp.r + sharpen * (sharp.r - log_encode(soft.r)), 0.0f),
              fmaxf(sharp.g + sharpen * (sharp.g - log_encode(soft.g)), 0.0f),
              fmaxf(sharp.b + sharpen * (sharp.b - log_encode(soft.b)), 0.0f)},
-            held ? params.at[FRESH] * (1.0f - blend) : 0.0f};
+            held ? share_of(keep, row, column) * (1.0f - blend) : 0.0f};
 }
 
 // The same at any scale; x and y count the frame's output pixels.
 __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
-                                    const View& moved, const View& past, const View& params) {
+                                    const View& moved, const View& past, const View& params, const View& keep) {
     if (part.width == 2 * part.w && part.height == 2 * part.h)
-        return enlarged<true>(x, y, part, radiance, fine, moved, past, params);
-    return enlarged<false>(x, y, part, radiance, fine, moved, past, params);
+        return enlarged<true>(x, y, part, radiance, fine, moved, past, params, keep);
+    return enlarged<false>(x, y, part, radiance, fine, moved, past, params, keep);
 }
 
 // Blends one channel with the reprojected history and decodes it; `at` counts floats.

@@ -1,5 +1,5 @@
 // Running mean of demodulated colour: colour, diffuse_albedo and specular_albedo (h, w, 3), depth (h, w, 1),
-// past (th, tw, 4), fine (1, 80, hp, wp), params (5,), window (8,) -> next_state (th, tw, 12), next_depth (th, tw, 1),
+// past (th, tw, 4), fine (1, 80, hp, wp), params (4,), window (8,) -> next_state (th, tw, 12), next_depth (th, tw, 1),
 // level (4, hp, wp), which is the mean with its importance. All are zero beyond the frame.
 extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo, View depth,
                                               View past, View fine, View params, View window, View next_state,

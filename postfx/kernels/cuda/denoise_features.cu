@@ -1,7 +1,7 @@
 // The network's input, mirrored up to its size, and the reprojected accumulation: colour, diffuse_albedo,
 // specular_albedo and normal (h, w, 3), roughness and depth (h, w, 1), moved (th, tw, 2), state (h, w, 12),
-// last_depth (h, w, 1), warped (out_th, out_tw, 3), depth_scale (1,), params (5,), window (8,) -> past (th, tw, 4), whose
-// count is -1 where the history lacks a pixel of the frame, and
+// last_depth (h, w, 1), warped (out_th, out_tw, 3), depth_scale (1,), params (4,), window (8,), keep -> past (th, tw, 4),
+// whose count is -1 where the history lacks a pixel of the frame, and
 // features (1, 35, hp, wp): colour 0, accumulated colour 3, last output 6, diffuse albedo 9, specular albedo 12,
 // normal 15, roughness 18, depth 19, its change 20, valid history 21, sample count 22, jitter 23, length of motion 25,
 // inverse scale 26, hidden state 27.
@@ -24,16 +24,20 @@ __device__ inline Four recalled_four(const View& state, size_t a, size_t b, size
             between(p.z, q.z, r.z, s.z, tx, ty), between(p.w, q.w, r.w, s.w, tx, ty)};
 }
 
+__device__ inline Four scaled(const Four& value, float by) {
+    return {value.x * by, value.y * by, value.z * by, value.w * by};
+}
+
 // Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their weights.
 __device__ inline bool is_unknown(float a, float b, float c, float d, float tx, float ty) {
     const float lacking = between(a <= 0.0f, b <= 0.0f, c <= 0.0f, d <= 0.0f, tx, ty);
     return lacking > 1e-3f;
 }
 
-__device__ inline Recalled recall(const View& state, const View& last_depth, float px, float py, float fresh) {
+__device__ inline Recalled recall(const View& state, const View& last_depth, float px, float py, float share) {
     const int h = last_depth.size[0], w = last_depth.size[1];
     const bool held = px >= -0.5f && px <= float(w) - 0.5f && py >= -0.5f && py <= float(h) - 0.5f;
-    if (!held || fresh == 0.0f) return {{}, {}, {}, 1.0f, 0.0f};
+    if (!held || share == 0.0f) return {{}, {}, {}, 1.0f, 0.0f};
     const float depth = last_depth.at[within(int(rintf(py)), h) * w + within(int(rintf(px)), w)];
     px = fminf(fmaxf(px, 0.0f), float(w - 1));
     py = fminf(fmaxf(py, 0.0f), float(h - 1));
@@ -43,8 +47,10 @@ __device__ inline Recalled recall(const View& state, const View& last_depth, flo
     const size_t a = 3 * (upper + x0), b = 3 * (upper + x1), c = 3 * (lower + x0), d = 3 * (lower + x1);
     if (is_unknown(four(state, a).w, four(state, b).w, four(state, c).w, four(state, d).w, tx, ty))
         return {{0.0f, 0.0f, 0.0f, -1.0f}, {}, {}, 1.0f, 0.0f};
-    return {recalled_four(state, a, b, c, d, tx, ty), recalled_four(state, a + 1, b + 1, c + 1, d + 1, tx, ty),
-            recalled_four(state, a + 2, b + 2, c + 2, d + 2, tx, ty), depth, fresh};
+    Four mean = recalled_four(state, a, b, c, d, tx, ty);
+    mean.w *= share;  // the mean colour is what it is, but counts less
+    return {mean, scaled(recalled_four(state, a + 1, b + 1, c + 1, d + 1, tx, ty), share),
+            scaled(recalled_four(state, a + 2, b + 2, c + 2, d + 2, tx, ty), share), depth, share};
 }
 
 // Mean of the output pixels that render pixel (y, x) of the frame touches.
@@ -99,8 +105,8 @@ __device__ inline float depth_change(float before, float depth) {
 
 extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, View specular_albedo, View normal,
                                             View roughness, View depth, View moved, View state, View last_depth,
-                                            View warped, View depth_scale, View params, View window, View past,
-                                            View features) {
+                                            View warped, View depth_scale, View params, View window, View keep,
+                                            View past, View features) {
     const int height = features.size[2], width = features.size[3];
     PIXEL(width, height);
     const Window part = window_of(window);
@@ -109,13 +115,13 @@ extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, Vi
     const int w = part.w, v = part.top + row, u = part.left + column;
     const size_t pixel = size_t(v) * w + u, plane = size_t(height) * width;
     // Everything is read before the first write, so that the reads wait together.
-    const float exposure = params.at[EXPOSURE], gain = params.at[GAIN], fresh = params.at[FRESH];
+    const float exposure = params.at[EXPOSURE], gain = params.at[GAIN], used = share_of(keep, row, column);
     const float jitter_x = params.at[JITTER_X], jitter_y = params.at[JITTER_Y], scale = depth_scale.at[0];
     const Colour now = three(colour, pixel), direction = three(normal, pixel);
     const Colour diffuse = three(diffuse_albedo, pixel), specular = three(specular_albedo, pixel);
     const float rough = roughness.at[pixel], z = clamped(depth.at[pixel], 0.0f, MAX_DEPTH);
     const Pair motion = pair(moved, size_t(row) * moved.size[1] + column);
-    const Recalled memory = recall(state, last_depth, float(u) + motion.x, float(v) + motion.y, fresh);
+    const Recalled memory = recall(state, last_depth, float(u) + motion.x, float(v) + motion.y, used);
     const Colour mean = touched_mean(warped, v, u, part);
     const Colour factor = demodulation(diffuse_albedo, specular_albedo, v, u);
     const Colour share = {1.0f / factor.r, 1.0f / factor.g, 1.0f / factor.b};
@@ -124,7 +130,8 @@ extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, Vi
     float* to = features.at + size_t(y) * width + x;
     put(to, plane, {encoded_now(now.r, exposure, share.r), encoded_now(now.g, exposure, share.g),
                     encoded_now(now.b, exposure, share.b)});
-    put(to + 3 * plane, plane, {log_encode(kept.r), log_encode(kept.g), log_encode(kept.b)});
+    put(to + 3 * plane, plane, {log_encode(kept.r * memory.valid), log_encode(kept.g * memory.valid),
+                                log_encode(kept.b * memory.valid)});
     put(to + 6 * plane, plane, {log_encode(expm1f(mean.r) * memory.valid * share.r),
                                 log_encode(expm1f(mean.g) * memory.valid * share.g),
                                 log_encode(expm1f(mean.b) * memory.valid * share.b)});

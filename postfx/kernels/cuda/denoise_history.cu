@@ -1,5 +1,5 @@
 // The last output where its pixels are now, bicubic, edge repeated, rescaled where the exposure changed:
-// history (height, width, 3), moved (th, tw, 2), params (5,), window (8,), out_rows (out_th,), out_columns (out_tw,)
+// history (height, width, 3), moved (th, tw, 2), params (4,), window (8,), out_rows (out_th,), out_columns (out_tw,)
 // -> warped (out_th, out_tw, 3), log(1 + exposed).
 
 // The four weights of cubic convolution with a = -0.75, the ONNX GridSample and OpenCV default.

@@ -1,4 +1,4 @@
-// Sums over what was removed in tiles of 16x16: colour, denoised (h, w, 3), params (5,) -> sums (tiles_high,
+// Sums over what was removed in tiles of 16x16: colour, denoised (h, w, 3), params (4,) -> sums (tiles_high,
 // tiles_wide, 11): pixels, power, power once held, products at 8 lags. Blocks stride over rows of 8 tiles.
 const int TILE = 16, GROUP = 8, LAGS = 8, SUMS = 3 + LAGS;
 const int PITCH = TILE + 1;  // rows begin in different banks
