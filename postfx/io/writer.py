@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
+from postfx import __version__
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
 from postfx.io.metadata import kept_attributes, scaled_window, set_attributes
@@ -36,7 +37,11 @@ def is_display_format(path: str | PathLike[str]) -> bool:
 
 
 def write_frame(
-    path: str | PathLike[str], frame: Frame, half: bool = True, relax: Callable[[], None] | None = None
+    path: str | PathLike[str],
+    frame: Frame,
+    half: bool = True,
+    relax: Callable[[], None] | None = None,
+    provenance: Mapping[str, str] | None = None,
 ) -> Path:
     """Write colour and alpha of a frame; returns the path.
 
@@ -44,6 +49,7 @@ def write_frame(
     the input's display window scaled to the frame's size and its useful header attributes. PNG and JPEG hold 8 bits,
     TIFF 16 bits of sRGB code values; a scene-linear frame is clipped to 0..1 there, so tone-map it first. The file
     appears under its name only when it is complete; folders are made. `relax` is called again and again meanwhile.
+    `provenance` are attributes for an EXR header that tell how the frame came about.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written.
     """
@@ -51,6 +57,8 @@ def write_frame(
     display = is_display_format(path)
     convert = _display_pixels(frame, path) if display else _linear_pixels(frame, half)
     spec = _spec(frame, convert(slice(0, 1)), path, display)
+    if not display:
+        set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -50,6 +50,7 @@ class Frames:
         self._scale = ArgumentTable(device.compute_state(denoise_prepare.SCALE),
                                     {"depth_scale": self._common["depth_scale"]})
         self.model = models[0]
+        self.kept, self.recall = self._history.kept, self._history.recall
 
     def use(self, model: str) -> None:
         """Take another model from the next frame on. The history goes on, but for the hidden state."""

@@ -60,13 +60,17 @@ class Library:
         """Outputs that the card marks as `"constant": true`: they depend on no input."""
         return tuple(output for output, facts in self.card(name).get("outputs", {}).items() if facts.get("constant"))
 
+    def sha256(self, name: str) -> str:
+        """The model's hash: the card's, which `load` holds the file to, or the file's own where the card gives none."""
+        return self.card(name).get("sha256") or hashlib.sha256(_content(self.path(name))).hexdigest()
+
     def load(self, name: str) -> bytes:
         """The model's content. Raises ModelError when it, or a file beside it that it has weights in, is not the one
         whose `sha256` the card gives, and when it is refused by `postfx.runtime.model_check`."""
         path, card = self.path(name), self.card(name)
         for file, expected in card.get("weights", {}).items():
             if not is_plain_name(file):
-                raise ModelError(f"card of model '{name}' has weights in '{file}': name a file of the same folder")
+                raise ModelError(f"card of '{path}' has weights in '{file}': name a file of the same folder")
             _checked(path.with_name(file), expected)
         content = _checked(path, card.get("sha256"))
         check_model(path, content, card)
