@@ -45,7 +45,7 @@ class RunFolder:
         self._work.mkdir(parents=True, exist_ok=True)
         with FolderLock(self._work / "lock"):
             self._claim = Claim(self._work, run, names)
-        _remove_leftovers(folder, names)
+            self._remove_leftovers(names)
         self.before = self._known()
 
     def note(self, facts: Mapping[str, Any], outputs: Mapping[str, Output]) -> None:
@@ -132,10 +132,13 @@ class RunFolder:
                 found.append((path, read_about(path)))
         return found
 
-
-def _remove_leftovers(folder: Path, names: Collection[str]) -> None:
-    """Remove what writers of these files left that were killed: nobody else may write them now."""
-    for path in folder.glob(".*"):
-        match = _TEMPORARY.fullmatch(path.name)
-        if match and match["stem"] + match["suffix"] in names:
-            path.unlink(missing_ok=True)
+    def _remove_leftovers(self, names: Collection[str]) -> None:
+        """Remove what killed writers of these files, the manifest and checkpoints left: nobody else may write them now.
+        """
+        for path in self._folder.glob(".*"):
+            match = _TEMPORARY.fullmatch(path.name)
+            if (match and match["stem"] + match["suffix"] in names) or path.name.startswith(f".{NAME}."):
+                path.unlink(missing_ok=True)
+        for path in self._work.glob(f".*{SUFFIX}.*"):
+            if not is_alive(self._work, path.name[1:].partition(SUFFIX)[0]):
+                path.unlink(missing_ok=True)

@@ -123,7 +123,8 @@ class Run:
     def ran(self, number: int, finish: Callable[[], None], is_last: bool) -> None:
         """A frame is done: keep what the passes remember if it is time, or the run ends here before its last frame.
 
-        `finish` waits until all files are written: a checkpoint beyond a missing file is of no use.
+        `finish` waits until all files are written: a checkpoint beyond a file that is not there, or not in the
+        manifest, is of no use.
         """
         seconds = self._options.checkpoint
         if seconds is None or not (is_last or time.monotonic() - self._checkpointed >= seconds):
@@ -131,6 +132,7 @@ class Run:
         history = self._pipeline.history()
         if history:
             finish()
+            self._folder.flush()
             self._save(number, history)
         self._checkpointed = time.monotonic()
 
@@ -150,7 +152,7 @@ class Run:
         return self._provenance.header(self._pipeline.device.models)
 
     def _begin(self, names: dict[str, int]) -> None:
-        self.warnings += self._folder.warnings
+        self.warnings = self._folder.warnings
         wanted = self._chosen(names)
         pending = {name: Output(self._id, number) for name, number in names.items() if number in wanted}
         facts = {**self._provenance.as_dict(), "command": sys.argv, "process": Process.me().as_dict(),
