@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from postfx.paths import is_plain_name
 from postfx.runs.atomic import write_atomically
 from postfx.runs.errors import ManifestError
 from postfx.runs.lock import FolderLock
@@ -70,7 +71,7 @@ class Manifest:
             runs = {str(run): dict(entry) for run, entry in facts["runs"].items()}
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise ManifestError(f"it is damaged ({type(error).__name__}: {error})") from error
-        strange = [name for name in outputs if Path(name).name != name]
+        strange = [name for name in outputs if not is_plain_name(name)]
         if strange:
             raise ManifestError(f"it names a file outside of its folder: {strange[0]}")
         return cls(runs, outputs)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from postfx.io.pattern import parse_pattern
+from postfx.paths import is_plain_name
 from postfx.runs.atomic import sha256_of
 from postfx.runs.claim import is_alive
 from postfx.runs.errors import ManifestError
@@ -78,7 +79,7 @@ def _states(folder: Path, manifest: Manifest) -> dict[str, str]:
 def _unknown(folder: Path, manifest: Manifest) -> list[str]:
     patterns = {str(facts.get("output", "")) for facts in manifest.runs.values()}
     names = set()
-    for pattern in filter(None, patterns):
+    for pattern in filter(is_plain_name, patterns):
         files = parse_pattern(str(folder / pattern)).found().values()
         names |= {path.name for words in files for path in words.values()}
     return sorted(names - set(manifest.outputs))

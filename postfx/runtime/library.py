@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from postfx.paths import models_dir
+from postfx.paths import is_plain_name, models_dir
 from postfx.runtime.errors import ModelError
-from postfx.runtime.model_check import MOST_BYTES, check_model, is_plain_name
+from postfx.runtime.model_check import MOST_BYTES, check_model
 
 _PARTS = {"inputs": dict, "outputs": dict, "weights": str}
 _WORDS = {dict: "objects", str: "texts"}

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from postfx.paths import is_plain_name
 from postfx.runtime.errors import ModelError
 from postfx.runtime.model_file import Declared, ModelFile, Weights, parse_model
 from postfx.runtime.wire import WireError
@@ -116,11 +117,6 @@ def _wrong_place(external: Mapping[str, str], nbytes: int, path: Path, card: Map
             yield f"needs {nbytes} bytes, not {length} from {offset} on"
         elif int(offset) + nbytes > file.stat().st_size:
             yield f"lies beyond the end of '{location}'"
-
-
-def is_plain_name(name: str) -> bool:
-    """Whether a file's name has no folder in it."""
-    return bool(name) and name not in (".", "..") and not set(name) & set("/\\\0")
 
 
 def _wrong_sizes(model: ModelFile) -> Iterator[str]:
