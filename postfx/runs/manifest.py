@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +56,9 @@ class Manifest:
 
     def to_json(self) -> str:
         """The manifest as text."""
-        outputs = {name: asdict(self.outputs[name]) for name in sorted(self.outputs)}
-        return json.dumps({"format": FORMAT, "version": VERSION, "runs": self.runs, "outputs": outputs}, indent=1)
+        head = json.dumps({"format": FORMAT, "version": VERSION, "runs": self.runs}, indent=1)
+        lines = [f"  {json.dumps(name)}: {json.dumps(vars(self.outputs[name]))}" for name in sorted(self.outputs)]
+        return f'{head[:-2]},\n "outputs": {{\n' + ",\n".join(lines) + "\n }\n}\n"
 
     @classmethod
     def from_json(cls, text: str) -> Manifest:
@@ -103,5 +104,6 @@ def _output(entry: Mapping[str, Any]) -> Output:
     wrong = [name for name, kind in kinds.items() if type(getattr(output, name)) is not kind]
     if wrong or not isinstance(output.sha256, str | None):
         raise TypeError(f"'{wrong[0] if wrong else 'sha256'}' of a file")
-    inputs = {path: (int(size), int(changed)) for path, (size, changed) in output.inputs.items()}
-    return Output(**{**entry, "inputs": inputs})
+    for path, (size, changed) in output.inputs.items():
+        output.inputs[path] = int(size), int(changed)
+    return output
