@@ -13,7 +13,7 @@ from postfx.cli.books import options_of
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
 from postfx.cli.progress import FrameProgress
-from postfx.cli.summary import Report
+from postfx.cli.summary import Report, guides_in
 from postfx.errors import GuideError, WriteError
 from postfx.exposure import SMOOTH, SmoothExposure, colours_of
 from postfx.frame import Frame, FrameSpec, Role
@@ -59,7 +59,7 @@ class Job:
         cuts = "auto" if arguments.cuts == "auto" else "none"
         self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts)
         self.plan = self.pipeline.explain(self._first_spec())
-        self._arguments, self._scale = arguments, arguments.scale
+        self._arguments = arguments
         self._warnings: list[str] = []
         self._capture = FrameCapture(arguments, device)
         self._seconds = 0.0
@@ -114,7 +114,7 @@ class Job:
             warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings],
             chosen={name: dict(counts) for name, counts in self._chosen.items()},
             outputs=self._written,
-            guides=self._guides(),
+            guides=guides_in(self.plan, self._arguments.scale),
             cuts=self._cuts,
             left_alone=self.sequence.left_alone,
             capture=self._capture.page,
@@ -191,16 +191,6 @@ class Job:
                 f"{found.source}: guides are {found.width}x{found.height}, those of the first frame "
                 f"{wanted.width}x{wanted.height}: render them at one size"
             )
-
-    def _guides(self) -> dict[str, Any] | None:
-        """Size of the guides, which of them are used, and whether the output's size follows from them."""
-        guides = self.plan.available.guides
-        if guides is None:
-            return None
-        output = self.plan.output
-        follows = self._scale is None and (output.width, output.height) == (guides.width, guides.height)
-        used = [str(role) for role in self.plan.guides]
-        return {"width": guides.width, "height": guides.height, "used": used, "output_follows": follows}
 
     def _first_alone(self) -> Shares | None:
         """What the first frame leaves as it is, where that is asked for."""

@@ -49,6 +49,8 @@ def test_soak_of_200_frames(tmp_path, capsys):
     soak(tmp_path, frames=200, kills=4, capsys=capsys)
 
 
-@pytest.mark.slow
-def test_soak_of_1000_frames(tmp_path, capsys):
+@pytest.mark.soak
+def test_soak_of_1000_frames(tmp_path, capsys, request):
+    if "soak" not in request.config.option.markexpr:
+        pytest.skip("a minute and a half: give -m soak")
     soak(tmp_path, frames=1000, kills=12, capsys=capsys)
