@@ -41,6 +41,7 @@ class RunFolder:
         self._folder, self._work, self._run = folder, folder / WORK_FOLDER, run
         self._unsaved: dict[str, Output] = {}
         self._facts: dict[str, Any] = {}
+        self._wrote = False
         self._flushed, self._cost = time.monotonic(), 0.0
         self._work.mkdir(parents=True, exist_ok=True)
         with FolderLock(self._work / "lock"):
@@ -59,6 +60,7 @@ class RunFolder:
         output = Output(self._run, sha256=sha256_of(path), bytes=path.stat().st_size, **facts)
         self._facts.update(run_facts)
         self._unsaved[path.name] = output
+        self._wrote = True
         if time.monotonic() - self._flushed > max(LEAST_SECONDS, self._cost / MOST_SHARE):
             self.flush()
         return output
@@ -93,9 +95,12 @@ class RunFolder:
         return save_checkpoint(self._work / f"{self._run}{SUFFIX}", about, history, relax)
 
     def close(self, facts: Mapping[str, Any], finished: Collection[int], pattern: str) -> None:
-        """The run is over. Checkpoints within the frames of `finished` are of no use any more."""
+        """The run is over. Checkpoints within the frames of `finished` are of no use any more; what the manifest says
+        of a run that wrote nothing is taken back."""
         try:
             self.note(facts, {})
+            if not self._wrote:
+                update_manifest(self._folder, self._take_back)
             for path, about in self._abouts():
                 own = about.run == self._run or not is_alive(self._work, about.run)
                 if own and about.pattern == pattern and about.frame in finished:
@@ -113,6 +118,14 @@ class RunFolder:
         manifest.outputs.update(self._unsaved)
         manifest.runs[self._run] = {**manifest.runs.get(self._run, {}), **self._facts}
         manifest.drop_idle_runs(self._run)
+
+    def _take_back(self, manifest: Manifest) -> None:
+        mine = {name for name, output in manifest.outputs.items() if output.run == self._run}
+        for name in mine:
+            del manifest.outputs[name]
+        manifest.outputs |= {name: self.before.outputs[name] for name in mine & self.before.outputs.keys()}
+        manifest.runs = self.before.runs | manifest.runs
+        manifest.drop_idle_runs()
 
     def _known(self) -> Manifest:
         """The manifest; one that is damaged is put aside."""

@@ -49,7 +49,7 @@ class Manifest:
     runs: dict[str, dict[str, Any]] = field(default_factory=dict)
     outputs: dict[str, Output] = field(default_factory=dict)
 
-    def drop_idle_runs(self, now: str) -> None:
+    def drop_idle_runs(self, now: str = "") -> None:
         """Forget runs that no file is of, but for the one of `now`."""
         used = {now, *(output.run for output in self.outputs.values())}
         self.runs = {run: facts for run, facts in self.runs.items() if run in used}
@@ -90,10 +90,13 @@ def load_manifest(folder: Path) -> Manifest:
 
 
 def update_manifest(folder: Path, change: Callable[[Manifest], None]) -> None:
-    """Change a folder's manifest: other runs may do so, too, one after the other."""
+    """Change a folder's manifest, which is removed when nothing is in it. Other runs may do so, too, one at a time."""
     with FolderLock(folder / WORK_FOLDER / "lock"):
         manifest = load_manifest(folder)
         change(manifest)
+        if not (manifest.runs or manifest.outputs):
+            (folder / NAME).unlink(missing_ok=True)
+            return
         text = manifest.to_json().encode()
         write_atomically(folder / NAME, lambda file: file.write(text), safe=True)
 

@@ -173,6 +173,15 @@ def test_full_disk_while_a_checkpoint_is_written(runs, unbroken):
     assert runs.files() == unbroken
 
 
+def test_run_that_fails_before_its_first_frame(runs, unbroken):
+    failing = {"at": READ, "do": "fail"}
+    assert runs.fail(failing)[0] == 2
+    assert list(runs.folder.iterdir()) == []
+    assert runs()[0] == 0
+    assert runs.fail(failing, more=("--overwrite",))[0] == 2
+    assert runs.files() == unbroken and runs.verify()[0] == 0
+
+
 @pytest.mark.skipif(os.getuid() == 0, reason="root may write everywhere")
 def test_folder_that_may_not_be_written(runs):
     runs.folder.mkdir(mode=0o500)
