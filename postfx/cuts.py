@@ -10,6 +10,7 @@ correction for attenuation). Frames without evidence count as related.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +70,19 @@ class CutDetector:
     def reset(self) -> None:
         """Forget the past: the next frame is taken as the first."""
         self._before = self.relation = None
+
+    def history(self) -> dict[str, np.ndarray]:
+        """What the next answer depends on beside its frame."""
+        if self._before is None:
+            return {}
+        light, guides, motion = self._before
+        known = {"light": light} | {f"guide {role}": plane for role, plane in guides.items()}
+        return known if motion is None else known | {"motion": motion}
+
+    def recall(self, history: Mapping[str, np.ndarray]) -> None:
+        """Go on as a detector that had this `history`."""
+        guides = {Role(name.removeprefix("guide ")): plane for name, plane in history.items() if name[:6] == "guide "}
+        self._before = Picture(history["light"], guides, history.get("motion")) if history else None
 
     def __call__(self, frame: Frame) -> bool:
         """Whether `frame`, whose colour is scene-linear, begins another shot. False without a colour."""

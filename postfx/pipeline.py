@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes.base import Pass, PassContractError, ResidentFrame
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skipped, Step, make_plan
-from postfx.runtime import CommandBuffer, Device, Tensor
+from postfx.runtime import BindingError, CommandBuffer, Device, Tensor
 
 
 @cache
@@ -114,6 +115,42 @@ class Pipeline:
         if self._detector:
             self._detector.reset()
         self._reset_passes()
+
+    def remembers(self, plan: Plan) -> bool:
+        """Whether what comes out, with this plan, may depend on the frames before."""
+        passes = any(type(step.instance).reset is not Pass.reset for step in plan.steps)
+        return bool(plan.steps) and (passes or getattr(self._meter, "remembers", True))
+
+    def history(self) -> dict[str, np.ndarray] | None:
+        """Between two frames: what the next one's result depends on beside the frame itself, by name; None where a pass
+        or the meter has a history and does not tell it, and before the first frame. To be looked at before the next
+        frame begins."""
+        if self.plan is None:
+            return None
+        found = {name: part.history() for name, part in self._rememberers().items() if hasattr(part, "history")}
+        if len(found) < len(self._rememberers()) or any(history is None for history in found.values()):
+            return None
+        return {f"{name}/{key}": array for name, history in found.items() for key, array in history.items()}
+
+    def recall(self, frame: Frame, history: Mapping[str, np.ndarray]) -> None:
+        """Go on as a pipeline whose last frame was `frame`, and that then had this `history`.
+
+        Raises FrameError when it is the history of other passes or of frames of another size.
+        """
+        self.reset()
+        self._planned(frame.spec)
+        try:
+            for name, part in self._rememberers().items():
+                own = {key.removeprefix(f"{name}/"): a for key, a in history.items() if key.startswith(f"{name}/")}
+                part.recall(own)
+        except (KeyError, ValueError, IndexError, BindingError) as error:
+            self.reset()
+            raise FrameError(f"frame {frame.number}: the history does not fit the passes: {error}") from error
+
+    def _rememberers(self) -> dict[str, Any]:
+        """Whatever may have a history, by name."""
+        found = {f"pass {step.name}": step.instance for step in self.plan.steps}
+        return found | {"meter": self._meter} | ({"cuts": self._detector} if self._detector else {})
 
     def _is_cut(self, frame: Frame) -> bool:
         return self._detector is not None and frame.encoding == "scene-linear" and self._detector(frame)

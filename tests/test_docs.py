@@ -94,7 +94,7 @@ def test_the_reactive_mask_of_the_page_is_used(write_exr, tmp_path, monkeypatch)
     for number in (1, 2):
         write_exr(f"shot/noisy.{number:04d}.exr", planes)
     names = {}
-    exec(blocks("masks.md", "python")[1], names)
+    exec(blocks("masks.md", "python")[-1], names)
     assert names["clean"]["colour"].shape == (60, 80, 3)
 
 

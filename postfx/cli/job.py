@@ -7,16 +7,16 @@ import dataclasses
 import time
 from collections import Counter
 from functools import partial
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+from postfx.cli.books import options_of
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
 from postfx.cli.looks import display_passes
 from postfx.cli.overlay import left_out_for, refuse_layer, unread
 from postfx.cli.progress import FrameProgress
 from postfx.cli.report import RunReport
-from postfx.cli.summary import Report
+from postfx.cli.summary import Report, guides_in
 from postfx.errors import GuideError, WriteError
 from postfx.exposure import SMOOTH, SmoothExposure, colours_of
 from postfx.frame import Frame, Role
@@ -29,18 +29,15 @@ from postfx.passes.base import Pass, PassOptionError
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
 from postfx.plan import Skipped
+from postfx.runs.provenance import provenance_of
+from postfx.runs.retry import read_patiently
+from postfx.runs.run import Run
+from postfx.runs.schedule import Work
+from postfx.runs.stop import Stop
 from postfx.runtime import Device
 from postfx.strength.shares import Shares
 
-RESUME_PREROLL = 8
 DENOISE_OPTIONS = ("scale", "model", "strength", "budget", "reactive")
-
-
-class Work(NamedTuple):
-    """A frame to process, and whether its result is written or only fills the history."""
-
-    number: int
-    write: bool
 
 
 class Job:
@@ -69,7 +66,8 @@ class Job:
         with self.sequence.open(self.sequence.numbers[0]) as files:
             self.left_out += left_out_for(arguments, files)
             self.plan = self.pipeline.explain(files.spec())
-        self._preroll, self._scale, self._dither = arguments.preroll, arguments.scale, arguments.dither
+        self._arguments = arguments
+        self._warnings: list[str] = []
         self._capture = FrameCapture(arguments, device)
         self._page = RunReport(arguments, self.sequence, self.pipeline, self.plan)
         self._seconds = 0.0
@@ -99,20 +97,13 @@ class Job:
         """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
         begin = time.perf_counter()
         try:
-            with FrameProgress(len(self.sequence)) as progress, WriteBehind() as behind:
-                if self.plan.steps and is_first_run():
-                    progress.note("compiling kernels for this processor: some ten seconds, on the first run only")
-                if self._smooth:
-                    progress.note("metering all frames first, for --exposure smooth")
-                works = self._schedule(self.outputs, progress)
-                self._capture.choose([work.number for work in works])
-                self._page.choose([work.number for work in works if work.write])
-                for work, frame in read_ahead(works, self._read):
-                    with self._capture.around(work.number):
-                        result = self._process(work, frame)
-                    if work.write:
-                        self._page.add(frame, result)
-                        behind.put(partial(self._write, self.outputs.path(work.number), result, progress))
+            with FrameProgress(len(self.sequence)) as progress, Stop(progress.note) as stop, self._books() as run:
+                self._warnings = run.warnings
+                self.left_out += run.left_out
+                for _ in run.left_out:
+                    progress.skip()
+                self._announce(progress)
+                self._process_all(run, stop, progress)
         finally:
             self._seconds = time.perf_counter() - begin
 
@@ -125,18 +116,47 @@ class Job:
             frame_ms=self._frame_ms,
             pass_ms=self._pass_ms,
             skipped=[*self.plan.skipped, *self.left_out, *self.pipeline.left_out()],
-            warnings=[*self.plan.remarks, *self.sequence.warnings],
+            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings],
             chosen={name: dict(counts) for name, counts in self._chosen.items()},
             outputs=self._written,
-            guides=self._guides(),
+            guides=guides_in(self.plan, self._arguments.scale),
             cuts=self._cuts,
             left_alone=self.sequence.left_alone,
             capture=self._capture.page,
             error=str(failure) or "interrupted" if failure is not None else None,
         ), self.plan_text)
 
-    def _read(self, work: Work) -> Frame:
-        frame = self.sequence.read(work.number, self.plan.planes, self.plan.guides)
+    def _books(self) -> Run:
+        provenance = provenance_of(self._arguments, self.plan, self.pipeline.device, self.sequence.numbers)
+        options = options_of(self._arguments)
+        return Run(self.outputs, self.sequence, self.pipeline, self.plan, provenance, options)
+
+    def _announce(self, progress: FrameProgress) -> None:
+        """Say what takes its time before the first frame."""
+        if self.plan.steps and is_first_run():
+            progress.note("compiling kernels for this processor: some ten seconds, on the first run only")
+        if self._smooth:
+            progress.note("metering all frames first, for --exposure smooth")
+
+    def _process_all(self, run: Run, stop: Stop, progress: FrameProgress) -> None:
+        self._capture.choose([work.number for work in run.works])
+        self._page.choose([work.number for work in run.works if work.write])
+        with WriteBehind() as behind:
+            for work, frame in read_ahead(run.works, partial(self._read, run)):
+                if work.checkpoint:
+                    run.recall(work, frame)
+                    continue
+                with self._capture.around(work.number):
+                    result = self._process(work, frame)
+                if work.write:
+                    self._page.add(frame, result)
+                    behind.put(partial(self._write, run, work.number, result, self._facts(), progress))
+                run.ran(work.number, behind.wait, stop.asked)
+                stop.check()
+
+    def _read(self, run: Run, work: Work) -> Frame:
+        read = partial(self.sequence.read, work.number, self.plan.planes, self.plan.guides)
+        frame = read_patiently(read, partial(run.failed, work.number))
         self._check_guides(frame)
         return frame
 
@@ -158,10 +178,18 @@ class Job:
             if choice := step.instance.chosen():
                 self._chosen.setdefault(step.name, Counter())[choice] += 1
 
-    def _write(self, path: Path, result: Frame, progress: FrameProgress) -> None:
-        written = str(write_frame(path, result, relax=self._relax, dither=self._dither))
-        self._written.append(written)
-        progress.advance(written)
+    def _facts(self) -> dict[str, Any]:
+        """About the last frame, for the log."""
+        passes = {name: round(elapsed, 3) for name, elapsed in self.pipeline.timings.items()}
+        return {"ms": round(self._frame_ms[-1], 3), "passes": passes, "exposure": self.pipeline.exposure,
+                "cut": self.pipeline.cut}
+
+    def _write(self, run: Run, number: int, result: Frame, facts: dict[str, Any], progress: FrameProgress) -> None:
+        path = write_frame(self.outputs.path(number), result, relax=self._relax, dither=self._arguments.dither,
+                           provenance=run.header())
+        run.wrote(number, path, result, **facts)
+        self._written.append(str(path))
+        progress.advance(str(path))
 
     def _check_guides(self, frame: Frame) -> None:
         """The output's size may follow from the guides, so all frames must have them in one."""
@@ -172,41 +200,10 @@ class Job:
                 f"{wanted.width}x{wanted.height}: render them at one size"
             )
 
-    def _guides(self) -> dict[str, Any] | None:
-        """Size of the guides, which of them are used, and whether the output's size follows from them."""
-        guides = self.plan.available.guides
-        if guides is None:
-            return None
-        output = self.plan.output
-        follows = self._scale is None and (output.width, output.height) == (guides.width, guides.height)
-        used = [str(role) for role in self.plan.guides]
-        return {"width": guides.width, "height": guides.height, "used": used, "output_follows": follows}
-
     def _first_alone(self) -> Shares | None:
         """What the first frame leaves as it is, where that is asked for."""
         asked = self.sequence.leave and Role.STRENGTH in self.plan.planes
         return self.sequence.left_alone_of(self.sequence.numbers[0]) if asked else None
-
-    def _schedule(self, target: OutputFiles, progress: FrameProgress) -> list[Work]:
-        """Frames to process in order: those to write, and before each run of them those that fill the history."""
-        output = self.plan.output
-        works: list[Work] = []
-        for number in self.sequence.numbers:
-            if target.is_done(number, output.width, output.height):
-                self.left_out.append(Skipped(f"frame {number}", f"{target.path(number)} is there and complete"))
-                progress.skip()
-                continue
-            count = self._preroll_of(target)
-            scheduled = {work.number for work in works[-count - 1 :]}
-            leading = [before for before in self.sequence.before(number, count) if before not in scheduled]
-            works += [Work(before, False) for before in leading]
-            works.append(Work(number, True))
-        return works
-
-    def _preroll_of(self, target: OutputFiles) -> int:
-        if self._preroll is not None:
-            return self._preroll
-        return RESUME_PREROLL if target.existing is Existing.SKIP and self.plan.steps else 0
 
     def _passes(self, arguments: argparse.Namespace) -> list[Pass]:
         passes = []

@@ -7,25 +7,26 @@ import sys
 from collections.abc import Sequence
 
 from postfx import __version__
-from postfx.cli import bench, capture_compare, exposure, inspect, lut, models, run
+from postfx.cli import bench, capture_compare, exposure, inspect, lut, models, run, verify
 from postfx.errors import PostfxError
 
-VERBS = (run, inspect, exposure, bench, models, lut, capture_compare)
+VERBS = (run, verify, inspect, exposure, bench, models, lut, capture_compare)
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command line; returns the exit code: 0 done, 2 something the user can mend, 130 interrupted."""
+    """Run a command line; returns the exit code: 0 done, 1 what was checked is not well, 2 something the user can mend,
+    130 interrupted by Ctrl-C, 143 ended by SIGTERM."""
     arguments = make_parser().parse_args(argv)
     try:
         return arguments.execute(arguments)
     except PostfxError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_ERROR
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         print("interrupted: finished frames are kept", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return getattr(interrupt, "exit_code", EXIT_INTERRUPTED)
 
 
 def make_parser() -> argparse.ArgumentParser:

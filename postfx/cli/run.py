@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from postfx.cli import looks
+from postfx.cli import books, looks
 from postfx.cli.arguments import add_depth, add_report
 from postfx.errors import PostfxError
 
@@ -45,7 +45,11 @@ examples:
 
 POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx exposure --help'.
 
-exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 130 interrupted
+Beside the frames lies postfx.manifest.json: how they were made, and the hash of each ('postfx verify' checks it).
+Ctrl-C and SIGTERM end a run after the frame in work; --skip-existing goes on with the same pixels.
+
+exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 130 interrupted by Ctrl-C;
+143 ended by SIGTERM
 """
 
 
@@ -59,14 +63,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", metavar="RANGE", help="frames to process, e.g. 1-100, 1-100x2 or 1,5,8-12")
     existing = parser.add_mutually_exclusive_group()
     existing.add_argument("--overwrite", action="store_true", help="replace output files that are there")
-    existing.add_argument("--skip-existing", action="store_true", help="keep complete output files that are there")
+    existing.add_argument(
+        "--skip-existing", action="store_true",
+        help="keep output files that are whole, by the manifest's hash or decoded to the last pixel; go on from there",
+    )
     parser.add_argument(
         "--preroll",
         metavar="N",
         type=_count,
-        help="frames to process without writing, before the first and after skipped ones, so that the passes have "
-        "their history (default: 8 with --skip-existing, else 0)",
+        help="frames to process without writing, before the first one of the range, so that the passes have their "
+        "history (default: 0)",
     )
+    books.add_arguments(parser.add_argument_group("logs and resuming"))
     _add_passes(parser.add_argument_group("passes"))
     _add_reading(parser.add_argument_group("reading and running"))
     reports = parser.add_argument_group("reports")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
-from postfx.plan import Skipped
+from postfx.plan import Plan, Skipped
 from postfx.strength.shares import Shares
 
 SHOWN_FRAMES = 3
@@ -111,6 +111,16 @@ class Report:
         if not self.frame_ms:
             return ""
         return f", {self.frames / self.seconds:.2f} frames/s, {median(self.frame_ms):.0f} ms a frame in the passes"
+
+
+def guides_in(plan: Plan, scale: float | None) -> dict[str, Any] | None:
+    """Size of the guides, which of them are used, and whether the output's size follows from them."""
+    guides, output = plan.available.guides, plan.output
+    if guides is None:
+        return None
+    follows = scale is None and (output.width, output.height) == (guides.width, guides.height)
+    used = [str(role) for role in plan.guides]
+    return {"width": guides.width, "height": guides.height, "used": used, "output_follows": follows}
 
 
 def _spread(times: list[float]) -> dict[str, float] | None:

@@ -7,6 +7,7 @@ frame and the past only, so a sequence gives the same numbers in one run and fra
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class ExposureMeter:
     """Stateful exposure: call it with each frame in order, get the multiplier (> 0) to use for that frame.
 
     mode: 'auto' meters each picture and follows it smoothly in EV, slower towards brighter (1 s) than towards
-    darker (0.4 s), at once at the first frame and at cuts (`frame.reset`); a black frame keeps the last value.
+    darker (0.4 s), at once at the first frame and at cuts (`frame.reset`); a black frame keeps the shot's last value.
     'metadata' takes `frame.exposure` and fails where there is none. A number is an EV: the multiplier is 2 ** EV.
     """
 
@@ -66,6 +67,19 @@ class ExposureMeter:
         """Forget the past: the next frame is metered as the first."""
         self._ev = None
 
+    @property
+    def remembers(self) -> bool:
+        """Whether the multiplier depends on the frames before."""
+        return self.mode == "auto"
+
+    def history(self) -> dict[str, np.ndarray]:
+        """What the next multiplier depends on beside its frame."""
+        return {} if self._ev is None else {"ev": np.float64(self._ev)}
+
+    def recall(self, history: Mapping[str, np.ndarray]) -> None:
+        """Go on as a meter that had this `history`."""
+        self._ev = float(history["ev"]) if history else None
+
     def __call__(self, frame: Frame) -> float:
         """Multiplier for `frame`; ExposureError when the mode is 'metadata' and its header gives none."""
         if self.mode == "metadata":
@@ -76,8 +90,10 @@ class ExposureMeter:
 
     def _follow(self, frame: Frame) -> float:
         wanted = measure(frame[Role.COLOUR])
+        if frame.reset:
+            self._ev = None
         if wanted is not None:
-            if self._ev is None or frame.reset:
+            if self._ev is None:
                 self._ev = wanted
             else:
                 self._ev += (wanted - self._ev) * _share(frame, wanted > self._ev)

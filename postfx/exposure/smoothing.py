@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -50,6 +50,15 @@ class SmoothExposure:
 
     def reset(self) -> None:
         """Nothing to forget: the curve belongs to the sequence."""
+
+    remembers = False
+
+    def history(self) -> dict[str, np.ndarray]:
+        """Nothing, likewise."""
+        return {}
+
+    def recall(self, history: Mapping[str, np.ndarray]) -> None:
+        """Nothing to take."""
 
     def __call__(self, frame: Frame) -> float:
         """Multiplier for `frame`, by its number."""

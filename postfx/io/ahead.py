@@ -28,7 +28,7 @@ def read_ahead(items: Iterable[Item], read: Callable[[Item], Content]) -> Iterat
 class WriteBehind:
     """Runs one task at a time in a thread of its own. Use it as a context manager: leaving it waits for the last one.
 
-    An error of a task is raised by the next `put`, or on leaving, where no other error is on its way.
+    An error of a task is raised by the next `put` or `wait`, or on leaving, where no other error is on its way.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class WriteBehind:
 
     def put(self, task: Callable[[], None]) -> None:
         """Wait for the task before, then begin this one; so at most one result waits to be written."""
-        self._finish()
+        self.wait()
         self._last = self._writer.submit(task)
 
     def __enter__(self) -> WriteBehind:
@@ -46,9 +46,10 @@ class WriteBehind:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._writer.shutdown(wait=True)
         if kind is None:
-            self._finish()
+            self.wait()
 
-    def _finish(self) -> None:
+    def wait(self) -> None:
+        """Wait for the last task."""
         last, self._last = self._last, None
         if last is not None:
             last.result()

@@ -9,7 +9,7 @@ from pathlib import Path
 from postfx.errors import OutputExistsError, WriteError
 from postfx.io.pattern import Pattern, parse_pattern
 from postfx.io.sequence import Sequence
-from postfx.io.writer import is_complete, is_display_format
+from postfx.io.writer import is_display_format
 
 
 class Existing(StrEnum):
@@ -37,6 +37,11 @@ class OutputFiles:
             raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like {stem}.####{suffix}")
         self._refuse_inputs(sequence)
 
+    @property
+    def pattern(self) -> str:
+        """How the files are named, with # for digits."""
+        return Path(str(self._pattern)).name
+
     def path(self, number: int) -> Path:
         """Output file of a frame."""
         return self._pattern.path(number)
@@ -47,10 +52,6 @@ class OutputFiles:
             for path in map(self.path, numbers):
                 if path.exists():
                     raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")
-
-    def is_done(self, number: int, width: int, height: int) -> bool:
-        """Whether a frame may be skipped: its file is there, complete and of this size."""
-        return self.existing is Existing.SKIP and is_complete(self.path(number), width, height)
 
     def _refuse_inputs(self, sequence: Sequence) -> None:
         inputs = {path.resolve() for path in sequence.all_files()}

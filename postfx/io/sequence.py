@@ -88,10 +88,12 @@ class Sequence:
     def before(self, number: int, count: int) -> list[int]:
         """Up to `count` frames that lead to a frame without a hole between them, on the disk and in order."""
         earlier = [number - self._step * distance for distance in range(count, 0, -1)]
-        holes = [index for index, candidate in enumerate(earlier) if candidate not in self._found]
-        if self.guides:
-            holes += [index for index, candidate in enumerate(earlier) if candidate not in self.guides.present()]
+        holes = [index for index, candidate in enumerate(earlier) if not self.holds(candidate)]
         return earlier[max(holes) + 1 :] if holes else earlier
+
+    def holds(self, number: int) -> bool:
+        """Whether a frame, wanted or not, is on the disk, and its guides are."""
+        return number in self._found and (self.guides is None or number in self.guides.present())
 
     def present(self) -> list[int]:
         """Numbers of the frames on the disk, wanted or not."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
+from postfx import __version__
 from postfx.colour.curves import SRGB
 from postfx.colour.displays import Display, parse_display
 from postfx.errors import WriteError
@@ -44,6 +45,7 @@ def write_frame(
     half: bool = True,
     relax: Callable[[], None] | None = None,
     dither: Dither | str = Dither.MOVING,
+    provenance: Mapping[str, str] | None = None,
 ) -> Path:
     """Write colour and alpha of a frame; returns the path.
 
@@ -53,7 +55,8 @@ def write_frame(
     hold code values: JPEG and PNG 8 bits, dithered (`dither`: moving, static or none), TIFF and PNG for HDR displays 16
     bits. They are tagged with the display that they are for, see `postfx.io.tags`. Linear frames are clipped to 0..1
     there and encoded as sRGB, so tone-map them first. The file appears under its name only when it is complete; folders
-    are made. `relax` is called again and again meanwhile.
+    are made. `relax` is called again and again meanwhile. `provenance` are attributes for an EXR header that tell how
+    the frame came about.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot
     hold an HDR picture.
@@ -61,6 +64,8 @@ def write_frame(
     path = Path(path)
     convert = _code_pixels(frame, path, Dither(dither)) if is_display_format(path) else _linear_pixels(frame, half)
     spec = _spec(frame, convert(slice(0, 1)), path)
+    if not is_display_format(path):
+        set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import stat
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -18,6 +19,7 @@ def cache_folder() -> str:
     """Where compiled kernels are kept: a folder named by the content of all kernel sources.
 
     Numba's own index looks at one file's time stamp, so a constant changed in another file would leave wrong code.
+    Numba unpickles what it finds there, so a folder that is another user's, or that others may write to, is not used.
     """
     digest = hashlib.sha256()
     for source in sorted(Path(__file__).parent.glob("*.py")):
@@ -26,12 +28,20 @@ def cache_folder() -> str:
     for base in (home / "postfx", Path(tempfile.gettempdir()) / f"postfx-{os.getuid()}"):
         folder = base / f"kernels-{digest.hexdigest()[:16]}"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            base.parent.mkdir(parents=True, exist_ok=True)
+            for part in (base, folder):
+                part.mkdir(mode=0o700, exist_ok=True)
+            if all(map(_is_private, (base, folder))) and os.access(folder, os.W_OK):
+                return str(folder)
         except OSError:
             continue
-        if os.access(folder, os.W_OK):
-            return str(folder)
     return ""
+
+
+def _is_private(folder: Path) -> bool:
+    """Whether a folder, and the link if it is one, is this user's, and not for everyone to write to."""
+    status = folder.stat()
+    return {status.st_uid, folder.lstat().st_uid} == {os.getuid()} and not status.st_mode & stat.S_IWOTH
 
 
 def is_first_run() -> bool:

@@ -55,6 +55,7 @@ class Frames:
                                     {"depth_scale": self._common["depth_scale"]})
         self._spread = ArgumentTable(device.compute_state(denoise_reactive.SPREAD_MASK)) if reactive else None
         self.model = models[0]
+        self.kept, self.recall = self._history.kept, self._history.recall
 
     def use(self, model: str) -> None:
         """Take another model from the next frame on. The history goes on, but for the hidden state."""

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import numpy as np
+
 from postfx.kernels import denoise_layout
 from postfx.passes._denoise_window import Sizes
 from postfx.runtime import Device, Tensor
@@ -36,6 +40,15 @@ class History:
     def next(self) -> dict[str, Tensor]:
         """Where this frame leaves it, by the kernels' names."""
         return {NEXT[name]: tensor for name, tensor in self._sets[1].items()}
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """Between two frames: what the last one left, by the kernels' names."""
+        return {name: tensor.content() for name, tensor in self.next.items()}
+
+    def recall(self, kept: Mapping[str, np.ndarray]) -> None:
+        """Between two frames: take what was `kept` for what the last one left."""
+        for name, tensor in self.next.items():
+            tensor.upload(kept[name])
 
     def forget_hidden(self) -> None:
         """Between two frames: forget the hidden state, which another network cannot read; nothing in its place is what

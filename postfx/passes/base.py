@@ -186,6 +186,15 @@ class Pass:
         May be called at any time between frames, also before `compile`.
         """
 
+    def history(self) -> dict[str, np.ndarray] | None:
+        """Between two frames: what the next result depends on beside its frame, by name; to be looked at before the
+        next frame begins. Empty without a history, None where a pass has one and does not tell it."""
+        return {} if type(self).reset is Pass.reset else None
+
+    def recall(self, history: Mapping[str, np.ndarray]) -> None:
+        """After `compile`: go on as a pass that had this `history`. Raises KeyError or BindingError if it is not one of
+        this pass, compiled for the same spec."""
+
     def __call__(self, frame: Frame) -> Frame:
         """Run this pass alone on one frame, in a pipeline of its own that keeps the history between calls."""
         if self._alone is None:

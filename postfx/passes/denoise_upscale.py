@@ -142,6 +142,19 @@ class DenoiseUpscale(Pass):
         self._fresh = False
         self._exposure = 1.0
 
+    def history(self) -> dict[str, np.ndarray]:
+        if not (self.strength and self._fresh):
+            return {}
+        known = {"exposure": np.float64(self._exposure), "network": np.int64(list(self._models).index(self._used))}
+        return known | self._frames.kept()
+
+    def recall(self, history: Mapping[str, np.ndarray]) -> None:
+        self._fresh = bool(history)
+        if self._fresh:
+            self._exposure, self._used = float(history["exposure"]), list(self._models)[int(history["network"])]
+            self._frames.use(self._models[self._used])
+            self._frames.recall(history)
+
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         encode = self._encode_network if self.strength else self._plain.encode

@@ -68,6 +68,14 @@ class ToneMap(Pass):
     def reset(self) -> None:
         self._fresh = False
 
+    def history(self) -> dict[str, np.ndarray]:
+        return {"grid": self._history[1].content()} if self._fresh else {}
+
+    def recall(self, history: Mapping[str, np.ndarray]) -> None:
+        self._fresh = bool(history)
+        if self._fresh:
+            self._history[1].upload(history["grid"])
+
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         keep = float(self.options["keep"]) if self._fresh and not frame.reset else 0.0

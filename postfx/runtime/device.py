@@ -49,6 +49,7 @@ class Device:
         graphs: launch commands that ran before with the same tensors as one CUDA graph.
 
     Attributes:
+        models: name -> SHA-256 of the networks that were made ready.
         results_lock: to hold from commit until the host has read transient results, where several threads commit.
 
     Raises DeviceError when the device is not available or an option does not fit it, MemoryBudgetError for a budget
@@ -76,6 +77,7 @@ class Device:
         self._compiled = compiled_kernels
         self._kernels = kernels
         self._compute_states: dict[Kernel, State] = {}
+        self.models: dict[str, str] = {}
         self._encoders = itertools.count()
         self.commit_lock = threading.Lock()
         self.results_lock = threading.RLock()
@@ -134,6 +136,7 @@ class Device:
             if free:
                 given = ", ".join(f"{key}={size}" for key, size in fixed.items()) or "none"
                 raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' free: dims were {given}")
+        self.models[name] = library.sha256(name)
         return PipelineState(self, name, session, fixed, library.path(name), library.constants(name))
 
     def compute_state(self, kernel: Kernel) -> State:

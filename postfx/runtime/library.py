@@ -7,8 +7,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from postfx.paths import models_dir
+from postfx.paths import is_plain_name, models_dir
 from postfx.runtime.errors import ModelError
+from postfx.runtime.model_check import MOST_BYTES, check_model
+
+_PARTS = {"inputs": dict, "outputs": dict, "weights": str}
+_WORDS = {dict: "objects", str: "texts"}
 
 
 class Library:
@@ -47,26 +51,47 @@ class Library:
             raise ModelError(f"card '{path}' cannot be read: {error}") from error
         if not isinstance(card, dict):
             raise ModelError(f"card '{path}' is not a JSON object")
+        for key, kind in _PARTS.items():
+            if not isinstance(card.get(key, {}), dict) or not all(type(v) is kind for v in card.get(key, {}).values()):
+                raise ModelError(f"card '{path}': '{key}' must be an object of {_WORDS[kind]}")
         return card
 
     def constants(self, name: str) -> tuple[str, ...]:
         """Outputs that the card marks as `"constant": true`: they depend on no input."""
         return tuple(output for output, facts in self.card(name).get("outputs", {}).items() if facts.get("constant"))
 
+    def sha256(self, name: str) -> str:
+        """The model's hash: the card's, which `load` holds the file to, or the file's own where the card gives none."""
+        return self.card(name).get("sha256") or hashlib.sha256(_content(self.path(name))).hexdigest()
+
     def load(self, name: str) -> bytes:
         """The model's content. Raises ModelError when it, or a file beside it that it has weights in, is not the one
-        whose `sha256` the card gives."""
+        whose `sha256` the card gives, and when it is refused by `postfx.runtime.model_check`."""
         path, card = self.path(name), self.card(name)
         for file, expected in card.get("weights", {}).items():
+            if not is_plain_name(file):
+                raise ModelError(f"card of '{path}' has weights in '{file}': name a file of the same folder")
             _checked(path.with_name(file), expected)
-        return _checked(path, card.get("sha256"))
+        content = _checked(path, card.get("sha256"))
+        check_model(path, content, card)
+        return content
 
 
 def _checked(path: Path, sha256: str | None) -> bytes:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"model '{path}' cannot be read: {error}") from error
+    content = _content(path)
     if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
         raise ModelError(f"model '{path}' is not the file that its card describes (sha256 differs): get it again")
     return content
+
+
+def _content(path: Path) -> bytes:
+    """A file's bytes; of what is no file, such as a device that never ends, or is too large, none is read."""
+    try:
+        if not path.is_file():
+            raise ModelError(f"model '{path}' is not a file")
+        if path.stat().st_size > MOST_BYTES:
+            size = f"{path.stat().st_size >> 20} MB"
+            raise ModelError(f"model '{path}' is refused: it has {size}, more than {MOST_BYTES >> 20} MB")
+        return path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"model '{path}' cannot be read: {error}") from error

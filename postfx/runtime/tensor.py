@@ -119,6 +119,10 @@ class Tensor:
         view.flags.writeable = False
         return view
 
+    def content(self) -> np.ndarray:
+        """The content for a short look: `array` where the host sees the memory, else a copy."""
+        return self.array if self._device.memory.host_visible else self.download()
+
     def download(self) -> np.ndarray:
         """A NumPy copy of the content. Raises HazardError as `array` does."""
         check_host_read(self.name, self.state)

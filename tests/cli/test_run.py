@@ -13,7 +13,9 @@ COPY = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise")
 
 
 def outputs(folder):
-    return sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+    """Names of the frames in a folder."""
+    books = ("postfx.manifest.json", ".postfx")
+    return sorted(path.name for path in folder.iterdir() if path.name not in books) if folder.is_dir() else []
 
 
 def pixels_of(path):

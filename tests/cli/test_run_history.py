@@ -45,7 +45,7 @@ def test_preroll_gives_a_chunk_its_history(postfx, brightening):
     whole = pixels_of(brightening / "whole/0004.tif")
     np.testing.assert_array_equal(pixels_of(brightening / "chunk/0004.tif"), whole)
     assert (pixels_of(brightening / "cold/0004.tif") != whole).any()
-    assert [path.name for path in sorted((brightening / "chunk").iterdir())] == ["0004.tif", "0005.tif"]
+    assert [path.name for path in sorted((brightening / "chunk").glob("*.tif"))] == ["0004.tif", "0005.tif"]
 
 
 def test_library_frame_by_frame_equals_one_run(postfx, brightening):

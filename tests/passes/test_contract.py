@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from postfx import ROLES, Frame, FrameSpec, Role
+from postfx.errors import FrameError
 from postfx.frame import ENCODINGS, GUIDE_ROLES, GuideSpec
 from postfx.passes import registry
 from postfx.passes.base import NotCompiledError, Pass, PassOptionError, ResidentFrame
@@ -201,6 +202,33 @@ def test_a_frame_marked_as_reset_is_a_first_frame(make, device):
     cut = frame(spec, 3, reset=True)
     (alone,) = run(make(), [cut], device)
     assert same(run(instance, [frame(spec, 1), frame(spec, 2), cut], device)[-1], alone)
+
+
+def test_what_it_remembers_can_be_taken_up_by_another_instance(make, device):
+    instance = make()
+    frames = [frame(active_spec(instance), number) for number in (1, 2, 3, 4)]
+    whole = Pipeline([instance], device)
+    for item in frames[:2]:
+        whole(item)
+    history = whole.history()
+    if history is None:  # then it must be one that is told by its reset to have a history
+        assert type(instance).reset is not Pass.reset and type(instance).history is Pass.history
+        return
+    kept = {name: np.array(array) for name, array in history.items()}
+    broken = Pipeline([make()], Device("cpu"))
+    broken.recall(frames[1], kept)
+    assert all(same(whole(item), broken(item)) for item in frames[2:])
+
+
+def test_a_history_of_something_else_is_refused(make, device):
+    instance = make()
+    pipeline = Pipeline([instance], device)
+    pipeline(frame(active_spec(instance)))
+    history = pipeline.history() or {}
+    wrong = {f"{name} of another": np.array(array) for name, array in history.items() if name.startswith("pass")}
+    if wrong:
+        with pytest.raises(FrameError, match="the history does not fit the passes"):
+            pipeline.recall(frame(active_spec(instance)), wrong)
 
 
 def test_another_size_and_back(make, device):

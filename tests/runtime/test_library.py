@@ -83,7 +83,7 @@ def test_size_that_depends_on_data_is_refused(device, tmp_path):
 
 def test_damaged_file(device, tmp_path):
     (tmp_path / "bad.onnx").write_bytes(b"not a model")
-    with pytest.raises(ModelError, match="model 'bad' cannot be made ready"):
+    with pytest.raises(ModelError, match="bad.onnx' is damaged or no ONNX file"):
         device.pipeline_state(Library(tmp_path), "bad")
 
 

@@ -1,0 +1,60 @@
+"""`postfx verify`: are all files of a run there, and as they were written."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from postfx.runs.verify import Verification
+
+HELP = "check that the files of a run are there, whole and unaltered"
+DESCRIPTION = """\
+Check the files of a folder against postfx.manifest.json, which 'postfx run' keeps beside the frames: each must be there
+and have the SHA-256 that it was written with. Files that a run was to write and did not, and files named like those of
+a run that no run wrote, are listed, too. Nothing is changed.
+"""
+EXAMPLES = """\
+examples:
+  postfx verify out/
+  postfx verify out/ --json
+  postfx verify out/ || postfx run shot/noisy.####.exr -o out/clean.####.exr --skip-existing
+
+exit codes: 0 all files are whole; 1 files are altered, missing, unfinished or unknown; 2 there is no manifest, or it
+cannot be read
+"""
+SHOWN = 10
+MEANINGS = {
+    "altered": "not as it was written",
+    "missing": "was written and is gone",
+    "unfinished": "was to be written and was not",
+    "unknown": "no run wrote it",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this verb's arguments."""
+    parser.add_argument("folder", metavar="OUT", help="folder that 'postfx run' wrote to")
+    parser.add_argument("--json", action="store_true", help="print one JSON object: lists of file names")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Check a folder; returns the exit code."""
+    from postfx.runs.verify import verify
+
+    found = verify(Path(arguments.folder))
+    print(json.dumps(found.as_dict()) if arguments.json else _text(found))
+    return 0 if found.is_well else 1
+
+
+def _text(found: Verification) -> str:
+    lines = []
+    for kind, meaning in MEANINGS.items():
+        names = getattr(found, kind)
+        lines += [f"{kind:<11}{name}: {meaning}" for name in names[:SHOWN]]
+        lines += [f"{kind:<11}{len(names) - SHOWN} more"] if len(names) > SHOWN else []
+    ended = [f"run {run} was {state}" for run, state in found.runs.items() if state != "finished"]
+    counts = ", ".join(f"{len(getattr(found, kind))} {kind}" for kind in ("whole", *MEANINGS))
+    return "\n".join([*lines, *ended, counts])

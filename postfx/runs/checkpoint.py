@@ -1,0 +1,123 @@
+"""Checkpoints: what the passes remember after a frame, in a file, so that a run can go on with the same pixels.
+
+A line of text that names the format, a line of JSON that tells of the arrays, the arrays as they lie in memory, and the
+SHA-256 of all that.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from postfx.runs.atomic import PIECE, write_atomically
+from postfx.runs.errors import CheckpointError
+
+SUFFIX = ".checkpoint"
+MAGIC = b"postfx checkpoint 1\n"
+_MOST_HEADER = 1 << 20
+_KINDS = ("float32", "float64", "int64")
+_DIGEST = 32  # bytes
+
+
+@dataclass(frozen=True)
+class About:
+    """What a checkpoint is of.
+
+    Attributes:
+        run: id of the run.
+        pattern: of the output files.
+        frame: number of the frame after which it was made.
+        fingerprint: of everything that decides about pixels; a run with another one cannot use it.
+    """
+
+    run: str
+    pattern: str
+    frame: int
+    fingerprint: str
+
+
+def save_checkpoint(
+    path: Path, about: About, history: Mapping[str, np.ndarray], relax: Callable[[], None] | None = None
+) -> int:
+    """Write a checkpoint; returns its size in bytes. `relax` is called again and again meanwhile."""
+    arrays = {name: np.ascontiguousarray(array).reshape(np.shape(array)) for name, array in history.items()}
+    shapes = [[name, array.dtype.name, array.shape] for name, array in arrays.items()]
+    header = MAGIC + json.dumps({**asdict(about), "arrays": shapes}).encode() + b"\n"
+
+    def write(file: BinaryIO) -> None:
+        digest = hashlib.sha256()
+        for content in (header, *(memoryview(array.reshape(-1)).cast("B") for array in arrays.values())):
+            for first in range(0, len(content), PIECE):
+                piece = content[first : first + PIECE]
+                digest.update(piece)
+                file.write(piece)
+                if relax:
+                    relax()
+        file.write(digest.digest())
+
+    write_atomically(path, write)
+    return path.stat().st_size
+
+
+def read_about(path: Path) -> About:
+    """What a checkpoint is of, without reading all of it; CheckpointError when that cannot be read."""
+    with _opened(path) as file:
+        return _about(_header(path, file))
+
+
+def load_checkpoint(path: Path) -> dict[str, np.ndarray]:
+    """The history that a checkpoint holds, as read-only arrays; CheckpointError when it is damaged."""
+    if _is_altered(path):
+        raise CheckpointError(f"{path}: is damaged")
+    with _opened(path) as file:
+        shapes = _header(path, file).get("arrays", [])
+        at = file.tell()
+    arrays: dict[str, np.ndarray] = {}
+    try:
+        for name, kind, shape in shapes:
+            if kind not in _KINDS:
+                raise ValueError(f"an array of {kind}")
+            arrays[name] = np.memmap(path, kind, "r", at, tuple(shape) or (1,)).reshape(shape)
+            at += arrays[name].nbytes
+    except (OSError, ValueError, TypeError) as error:
+        raise CheckpointError(f"{path}: cannot be read: {error}") from error
+    return arrays
+
+
+def _opened(path: Path) -> BinaryIO:
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise CheckpointError(f"{path}: {error.strerror}") from error
+
+
+def _header(path: Path, file: BinaryIO) -> dict[str, Any]:
+    try:
+        if file.readline(len(MAGIC)) != MAGIC:
+            raise ValueError("no checkpoint")
+        return dict(json.loads(file.readline(_MOST_HEADER)))
+    except (OSError, ValueError, TypeError) as error:
+        raise CheckpointError(f"{path}: is damaged") from error
+
+
+def _about(header: Mapping[str, Any]) -> About:
+    return About(str(header.get("run")), str(header.get("pattern")), int(header.get("frame", 0)),
+                 str(header.get("fingerprint")))
+
+
+def _is_altered(path: Path) -> bool:
+    digest, left = hashlib.sha256(), path.stat().st_size - _DIGEST
+    with _opened(path) as file:
+        while left > 0:
+            piece = file.read(min(left, PIECE))
+            if not piece:
+                return True
+            digest.update(piece)
+            left -= len(piece)
+        return file.read() != digest.digest()

@@ -1,0 +1,157 @@
+"""A run's part of an output folder: its claim, its entries in the manifest, its checkpoint."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from postfx.errors import WriteError
+from postfx.runs.atomic import sha256_of
+from postfx.runs.checkpoint import SUFFIX, About, load_checkpoint, read_about, save_checkpoint
+from postfx.runs.claim import Claim, is_alive
+from postfx.runs.errors import CheckpointError, ManifestError
+from postfx.runs.lock import FolderLock
+from postfx.runs.manifest import NAME, WORK_FOLDER, Manifest, Output, load_manifest, update_manifest
+
+LEAST_SECONDS, MOST_SHARE = 1.0, 0.05
+"""The manifest is written at most once in so many seconds, and takes at most this share of the time."""
+_TEMPORARY = re.compile(r"\.(?P<stem>.+)\.\d+(?P<suffix>\.[^.]+)")
+
+
+class RunFolder:
+    """Opened, it belongs to one run as far as the run's own files are concerned.
+
+    names: of the files that the run may write. Raises RunError when another run has one of them, OSError when the
+    folder cannot be written.
+
+    Attributes:
+        before: the manifest as earlier runs left it.
+        warnings: what was odd about it.
+    """
+
+    def __init__(self, folder: Path, run: str, names: Collection[str]) -> None:
+        self.warnings: list[str] = []
+        self._folder, self._work, self._run = folder, folder / WORK_FOLDER, run
+        self._unsaved: dict[str, Output] = {}
+        self._facts: dict[str, Any] = {}
+        self._wrote = False
+        self._flushed, self._cost = time.monotonic(), 0.0
+        self._work.mkdir(parents=True, exist_ok=True)
+        with FolderLock(self._work / "lock"):
+            self._claim = Claim(self._work, run, names)
+            self._remove_leftovers(names)
+        self.before = self._known()
+
+    def note(self, facts: Mapping[str, Any], outputs: Mapping[str, Output]) -> None:
+        """Enter facts about the run and outputs into the manifest."""
+        self._facts.update(facts)
+        self._unsaved.update(outputs)
+        self.flush()
+
+    def wrote(self, path: Path, run_facts: Mapping[str, Any], **facts: Any) -> Output:
+        """Enter a file that was written; the manifest has it within a few seconds."""
+        output = Output(self._run, sha256=sha256_of(path), bytes=path.stat().st_size, **facts)
+        self._facts.update(run_facts)
+        self._unsaved[path.name] = output
+        self._wrote = True
+        if time.monotonic() - self._flushed > max(LEAST_SECONDS, self._cost / MOST_SHARE):
+            self.flush()
+        return output
+
+    def flush(self) -> None:
+        """Write the manifest."""
+        begin = time.monotonic()
+        try:
+            update_manifest(self._folder, self._enter)
+        except OSError as error:
+            raise WriteError(f"{self._folder / NAME}: cannot be written: {error.strerror}; check free space") from error
+        self._unsaved.clear()
+        self._flushed = time.monotonic()
+        self._cost = self._flushed - begin
+
+    def checkpoints(self, pattern: str, fingerprint: str) -> dict[int, Path]:
+        """Whole checkpoints that a run of this pattern and fingerprint can use, by frame number."""
+        found: dict[int, Path] = {}
+        for path, about in self._abouts():
+            if (about.pattern, about.fingerprint) == (pattern, fingerprint):
+                try:
+                    load_checkpoint(path)
+                    found[about.frame] = path
+                except CheckpointError as error:
+                    self.warnings.append(f"{error}: not used")
+        return found
+
+    def save(self, pattern: str, fingerprint: str, frame: int, history: Mapping[str, np.ndarray],
+             relax: Callable[[], None]) -> int:
+        """Put the run's checkpoint in the place of its last one; returns its size in bytes."""
+        about = About(self._run, pattern, frame, fingerprint)
+        return save_checkpoint(self._work / f"{self._run}{SUFFIX}", about, history, relax)
+
+    def close(self, facts: Mapping[str, Any], finished: Collection[int], pattern: str) -> None:
+        """The run is over. Checkpoints within the frames of `finished` are of no use any more; what the manifest says
+        of a run that wrote nothing is taken back."""
+        try:
+            self.note(facts, {})
+            if not self._wrote:
+                update_manifest(self._folder, self._take_back)
+            for path, about in self._abouts():
+                own = about.run == self._run or not is_alive(self._work, about.run)
+                if own and about.pattern == pattern and about.frame in finished:
+                    path.unlink(missing_ok=True)
+        finally:
+            self.release()
+
+    def release(self) -> None:
+        """Give the claim back."""
+        self._claim.release()
+        with suppress(OSError):  # others may be at work
+            self._work.rmdir()
+
+    def _enter(self, manifest: Manifest) -> None:
+        manifest.outputs.update(self._unsaved)
+        manifest.runs[self._run] = {**manifest.runs.get(self._run, {}), **self._facts}
+        manifest.drop_idle_runs(self._run)
+
+    def _take_back(self, manifest: Manifest) -> None:
+        mine = {name for name, output in manifest.outputs.items() if output.run == self._run}
+        for name in mine:
+            del manifest.outputs[name]
+        manifest.outputs |= {name: self.before.outputs[name] for name in mine & self.before.outputs.keys()}
+        manifest.runs = self.before.runs | manifest.runs
+        manifest.drop_idle_runs()
+
+    def _known(self) -> Manifest:
+        """The manifest; one that is damaged is put aside."""
+        try:
+            return load_manifest(self._folder)
+        except ManifestError as error:
+            path = self._folder / NAME
+            with FolderLock(self._work / "lock"):
+                os.replace(path, path.with_name(f"{NAME}.damaged"))
+            self.warnings.append(f"{str(error).rpartition(': delete')[0]}: renamed to {NAME}.damaged, a new one begins")
+            return Manifest()
+
+    def _abouts(self) -> list[tuple[Path, About]]:
+        found = []
+        for path in sorted(self._work.glob(f"*{SUFFIX}")):
+            with suppress(CheckpointError):
+                found.append((path, read_about(path)))
+        return found
+
+    def _remove_leftovers(self, names: Collection[str]) -> None:
+        """Remove what killed writers of these files, the manifest and checkpoints left: nobody else may write them now.
+        """
+        for path in self._folder.glob(".*"):
+            match = _TEMPORARY.fullmatch(path.name)
+            if (match and match["stem"] + match["suffix"] in names) or path.name.startswith(f".{NAME}."):
+                path.unlink(missing_ok=True)
+        for path in self._work.glob(f".*{SUFFIX}.*"):
+            if not is_alive(self._work, path.name[1:].partition(SUFFIX)[0]):
+                path.unlink(missing_ok=True)

@@ -1,0 +1,112 @@
+"""The manifest of an output folder: which runs wrote there, how, and what every file must be."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from postfx.paths import is_plain_name
+from postfx.runs.atomic import write_atomically
+from postfx.runs.errors import ManifestError
+from postfx.runs.lock import FolderLock
+
+NAME = "postfx.manifest.json"
+WORK_FOLDER = ".postfx"
+"""Beside the frames: locks, claims and checkpoints, which are gone when all runs are done."""
+FORMAT, VERSION = "postfx manifest", 1
+
+
+@dataclass(frozen=True)
+class Output:
+    """One file that a run wrote or is to write.
+
+    Attributes:
+        run: id of the run.
+        frame: frame number.
+        sha256: of the file; None while it is not written.
+        bytes, width, height: of the file, once it is written.
+        inputs: path -> size in bytes and time of change in nanoseconds, of the files that the frame was read from.
+        starts: whether the frame began a shot, so that nothing before it counts.
+    """
+
+    run: str
+    frame: int
+    sha256: str | None = None
+    bytes: int = 0
+    width: int = 0
+    height: int = 0
+    inputs: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    starts: bool = False
+
+
+@dataclass
+class Manifest:
+    """What is known about a folder: run id -> facts about the run, file name -> Output."""
+
+    runs: dict[str, dict[str, Any]] = field(default_factory=dict)
+    outputs: dict[str, Output] = field(default_factory=dict)
+
+    def drop_idle_runs(self, now: str = "") -> None:
+        """Forget runs that no file is of, but for the one of `now`."""
+        used = {now, *(output.run for output in self.outputs.values())}
+        self.runs = {run: facts for run, facts in self.runs.items() if run in used}
+
+    def to_json(self) -> str:
+        """The manifest as text."""
+        head = json.dumps({"format": FORMAT, "version": VERSION, "runs": self.runs}, indent=1)
+        lines = [f"  {json.dumps(name)}: {json.dumps(vars(self.outputs[name]))}" for name in sorted(self.outputs)]
+        return f'{head[:-2]},\n "outputs": {{\n' + ",\n".join(lines) + "\n }\n}\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Manifest:
+        """The manifest of a text; ManifestError when it is none. Names of outputs are names of files, without folder.
+        """
+        try:
+            facts = json.loads(text)
+            if facts["format"] != FORMAT or facts["version"] != VERSION:
+                raise ManifestError(f"it is of format {facts['format']!r} {facts['version']!r}")
+            outputs = {str(name): _output(entry) for name, entry in facts["outputs"].items()}
+            runs = {str(run): dict(entry) for run, entry in facts["runs"].items()}
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise ManifestError(f"it is damaged ({type(error).__name__}: {error})") from error
+        strange = [name for name in outputs if not is_plain_name(name)]
+        if strange:
+            raise ManifestError(f"it names a file outside of its folder: {strange[0]}")
+        return cls(runs, outputs)
+
+
+def load_manifest(folder: Path) -> Manifest:
+    """A folder's manifest, empty where there is none; ManifestError when it cannot be understood."""
+    path = folder / NAME
+    try:
+        return Manifest.from_json(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return Manifest()
+    except (OSError, UnicodeDecodeError, ManifestError) as error:
+        raise ManifestError(f"{path}: {error}: delete it; --skip-existing then decodes every frame") from error
+
+
+def update_manifest(folder: Path, change: Callable[[Manifest], None]) -> None:
+    """Change a folder's manifest, which is removed when nothing is in it. Other runs may do so, too, one at a time."""
+    with FolderLock(folder / WORK_FOLDER / "lock"):
+        manifest = load_manifest(folder)
+        change(manifest)
+        if not (manifest.runs or manifest.outputs):
+            (folder / NAME).unlink(missing_ok=True)
+            return
+        text = manifest.to_json().encode()
+        write_atomically(folder / NAME, lambda file: file.write(text), safe=True)
+
+
+def _output(entry: Mapping[str, Any]) -> Output:
+    output = Output(**entry)
+    kinds = {"run": str, "frame": int, "bytes": int, "width": int, "height": int, "starts": bool}
+    wrong = [name for name, kind in kinds.items() if type(getattr(output, name)) is not kind]
+    if wrong or not isinstance(output.sha256, str | None):
+        raise TypeError(f"'{wrong[0] if wrong else 'sha256'}' of a file")
+    for path, (size, changed) in output.inputs.items():
+        output.inputs[path] = int(size), int(changed)
+    return output

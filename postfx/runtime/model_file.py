@@ -1,0 +1,207 @@
+"""What an ONNX file says about itself, read without ONNX Runtime and without the package `onnx`.
+
+Field numbers are those of onnx.proto (ONNX 1.17). Of weights only sizes are looked at.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from postfx.runtime.wire import Wire, WireError, text
+
+Dimension = int | str
+Field = int | memoryview
+_TYPED_DATA = (4, 5, 7, 10, 11)  # float_data, int32_data, int64_data, double_data, uint64_data
+_INT64 = 7
+_MOST_SHAPE = 16  # elements of what may be a shape
+MOST_PARTS = 1_000_000
+
+
+@dataclass
+class Weights:
+    """A tensor that the file holds, or says to be in another file.
+
+    Attributes:
+        kind: ONNX's number of the element type.
+        held: bytes of its content here.
+        raw: whether these are the elements as they lie in memory, so that their number is known.
+        external: key -> value of where it is elsewhere: location, offset, length.
+        values: of a small tensor of int64, which may be a shape.
+    """
+
+    name: str = ""
+    dims: tuple[int, ...] = ()
+    kind: int = 0
+    held: int = 0
+    raw: bool = False
+    external: dict[str, str] | None = None
+    values: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Declared:
+    """An input or output: a name and its dimensions, None where no tensor shape is given. '' is a free dimension."""
+
+    name: str
+    shape: tuple[Dimension, ...] | None
+
+
+@dataclass
+class Node:
+    """One operator."""
+
+    operator: str = ""
+    domain: str = ""
+    inputs: list[str] = field(default_factory=list)
+    outputs: list[str] = field(default_factory=list)
+    weights: list[Weights] = field(default_factory=list)
+    has_graph: bool = False
+
+
+@dataclass
+class ModelFile:
+    """A model: its nodes, weights and declared values."""
+
+    nodes: list[Node] = field(default_factory=list)
+    weights: list[Weights] = field(default_factory=list)
+    inputs: list[Declared] = field(default_factory=list)
+    outputs: list[Declared] = field(default_factory=list)
+    inner: list[Declared] = field(default_factory=list)
+    domains: list[str] = field(default_factory=list)
+    graphs: int = 0
+    extras: set[str] = field(default_factory=set)
+
+
+def parse_model(content: bytes) -> ModelFile:
+    """What is in a file; WireError when it is no ONNX model, ends early, or has more than a million parts."""
+    return _Reader().model(memoryview(content))
+
+
+class _Reader:
+    def __init__(self) -> None:
+        self._wire = Wire(MOST_PARTS)
+
+    def model(self, content: memoryview) -> ModelFile:
+        model = ModelFile()
+        for number, value in self._wire.fields(content):
+            if number == 7:
+                model.graphs += 1
+                self._parse_graph(_message(value), model)
+            elif number == 8:
+                model.domains += [text(inner) for key, inner in self._wire.fields(_message(value)) if key == 1] or [""]
+            elif number == 20:
+                model.extras.add("training")
+            elif number == 25:
+                model.extras.add("functions of its own")
+        return model
+
+    def _parse_graph(self, graph: memoryview, model: ModelFile) -> None:
+        declared = {11: model.inputs, 12: model.outputs, 13: model.inner}
+        for number, value in self._wire.fields(graph):
+            if number == 1:
+                model.nodes.append(self._node(_message(value)))
+            elif number == 5:
+                model.weights.append(self._weights(_message(value)))
+            elif number in declared:
+                declared[number].append(self._declared(_message(value)))
+            elif number == 15:
+                model.extras.add("sparse weights")
+
+    def _node(self, message: memoryview) -> Node:
+        node = Node()
+        for number, value in self._wire.fields(message):
+            if number == 1:
+                node.inputs.append(text(value))
+            elif number == 2:
+                node.outputs.append(text(value))
+            elif number == 4:
+                node.operator = text(value)
+            elif number == 7:
+                node.domain = text(value)
+            elif number == 5:
+                self._parse_attribute(_message(value), node)
+        return node
+
+    def _parse_attribute(self, message: memoryview, node: Node) -> None:
+        for number, value in self._wire.fields(message):
+            if number in (5, 10):
+                node.weights.append(self._weights(_message(value)))
+            elif number in (6, 11):
+                node.has_graph = True
+            elif number in (22, 23):
+                raise WireError("sparse weights in a node")
+
+    def _weights(self, message: memoryview) -> Weights:
+        found, dims, data = Weights(), [], []
+        for number, value in self._wire.fields(message):
+            if number == 1:
+                dims += self._wire.integers(value)
+            elif number == 2:
+                found.kind = self._number(value)
+            elif number == 8:
+                found.name = text(value)
+            elif number == 9:
+                found.raw, found.held = True, len(_message(value))
+                data.append((number, value))
+            elif number in _TYPED_DATA:
+                found.held += 1 if isinstance(value, int) else len(value)
+                data.append((number, value))
+            elif number == 13:
+                found.external = {**(found.external or {}), **self._entry(_message(value))}
+            elif number == 14 and value != 0:
+                found.external = found.external or {}
+        found.dims = tuple(dims)
+        if found.kind == _INT64 and found.held <= 8 * _MOST_SHAPE:
+            found.values = tuple(self._small(data))
+        return found
+
+    def _small(self, data: list[tuple[int, Field]]) -> Iterator[int]:
+        """Elements of a small tensor of int64."""
+        for number, value in data:
+            if number == 9:
+                yield from struct.unpack(f"<{len(value) // 8}q", value[: len(value) // 8 * 8])
+            elif number == 7:
+                yield from self._wire.integers(value)
+
+    def _entry(self, message: memoryview) -> dict[str, str]:
+        found = {number: text(value) for number, value in self._wire.fields(message)}
+        return {found.get(1, ""): found.get(2, "")}
+
+    def _declared(self, message: memoryview) -> Declared:
+        name, shape = "", None
+        for number, value in self._wire.fields(message):
+            if number == 1:
+                name = text(value)
+            elif number == 2:
+                for kind, tensor in self._wire.fields(_message(value)):
+                    if kind == 1:
+                        shape = self._shape(_message(tensor))
+        return Declared(name, shape)
+
+    def _shape(self, tensor: memoryview) -> tuple[Dimension, ...] | None:
+        shape = None
+        for number, value in self._wire.fields(tensor):
+            if number == 2:
+                dims = (dim for key, dim in self._wire.fields(_message(value)) if key == 1)
+                shape = tuple(self._dimension(_message(dim)) for dim in dims)
+        return shape
+
+    def _dimension(self, message: memoryview) -> Dimension:
+        size: Dimension = ""
+        for number, value in self._wire.fields(message):
+            if number == 1:
+                size = self._number(value)
+            elif number == 2:
+                size = text(value)
+        return size
+
+    def _number(self, value: Field) -> int:
+        return next(self._wire.integers(value), 0)
+
+
+def _message(value: Field) -> memoryview:
+    if isinstance(value, int):
+        raise WireError("a number where a message should be")
+    return value

@@ -1,0 +1,115 @@
+"""Short shots, runs in this process or in one of their own, and files compared byte by byte."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from postfx.cli.main import main
+
+REPOSITORY = Path(__file__).resolve().parent.parent.parent
+FAULTY = Path(__file__).with_name("faulty.py")
+FRAMES = 8
+SIZE = (32, 48)
+
+
+def write_frame(path: Path, number: int, reset: bool = False, gain: float = 1.0) -> None:
+    """One small noisy frame of a brightening, moving pattern."""
+    rng = np.random.default_rng(number)
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    light = (1.2 + np.sin((x + 2 * number) / 5) * np.cos(y / 7)) * 1.1**number * gain
+    noise = rng.gamma(2, 0.5, (*SIZE, 3))
+    planes = np.dstack([light[..., None] * noise, np.full(SIZE, 3.0), np.full(SIZE, 2.0), np.zeros(SIZE)])
+    spec = oiio.ImageSpec(SIZE[1], SIZE[0], 6, "float")
+    spec.channelnames = ("R", "G", "B", "depth.Z", "motion.X", "motion.Y")
+    if reset:
+        spec.attribute("postfx:reset", 1)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec) and output.write_image(planes.astype(np.float32)) and output.close()
+
+
+@pytest.fixture(scope="session")
+def shot(tmp_path_factory) -> str:
+    """Pattern of eight frames."""
+    folder = tmp_path_factory.mktemp("shot")
+    for number in range(1, FRAMES + 1):
+        write_frame(folder / f"in.{number:04d}.exr", number)
+    return str(folder / "in.####.exr")
+
+
+QUICK = ("--no-denoise", "--tonemap", "--threads", "1")
+"""Passes with a history (the exposure's and the tone mapper's) that take no time."""
+
+
+class Runs:
+    """Runs `postfx` with frames of one shot into one folder."""
+
+    def __init__(self, shot: str, folder: Path, capsys) -> None:
+        self.shot, self.folder, self.log, self._capsys = shot, folder, folder.parent / f"{folder.name}.jsonl", capsys
+
+    def arguments(self, *more: str, passes: tuple[str, ...] = QUICK) -> list[str]:
+        return ["run", self.shot, "-o", str(self.folder / "out.####.exr"), "--log", str(self.log), *passes, *more]
+
+    def __call__(self, *more: str, passes: tuple[str, ...] = QUICK) -> tuple[int, str]:
+        """Run in this process; gives the exit code and what was said."""
+        code = main(self.arguments(*more, passes=passes))
+        return code, self._capsys.readouterr().err
+
+    def verify(self) -> tuple[int, dict]:
+        code = main(["verify", str(self.folder), "--json"])
+        return code, json.loads(self._capsys.readouterr().out)
+
+    def start(self, faults: list[dict], *more: str, passes: tuple[str, ...] = QUICK) -> subprocess.Popen:
+        """Start a process of its own, with faults."""
+        environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+        return subprocess.Popen([sys.executable, FAULTY, json.dumps(faults), *self.arguments(*more, passes=passes)],
+                                env=environment, stderr=subprocess.PIPE, text=True)
+
+    def fail(self, *faults: dict, more: tuple[str, ...] = (), passes: tuple[str, ...] = QUICK) -> tuple[int, str]:
+        """Run with faults to the end, whatever it is; gives the exit code and what was said."""
+        process = self.start(list(faults), *more, passes=passes)
+        said = process.communicate(timeout=120)[1]
+        return process.returncode, said
+
+    def killed(self, at: str, call: int, when: str = "before", of: str = "",
+               passes: tuple[str, ...] = QUICK, more: tuple[str, ...] = ()) -> None:
+        """Run until a call of a function, at which the process is killed."""
+        fault = {"at": at, "do": "kill", "calls": [call], "when": when, "of": of}
+        code, said = self.fail(fault, passes=passes, more=more)
+        assert code == -signal.SIGKILL, said
+
+    def wait_for(self, event: str, count: int = 1) -> None:
+        """Wait until the log has so many events of a kind."""
+        end = time.monotonic() + 60
+        while sum(item["event"] == event for item in self.events()) < count:
+            assert time.monotonic() < end, self.events()
+            time.sleep(0.02)
+
+    def events(self, kind: str | None = None) -> list[dict]:
+        lines = self.log.read_text().splitlines() if self.log.exists() else []
+        return [item for item in map(json.loads, lines) if kind in (None, item["event"])]
+
+    def files(self) -> dict[str, bytes]:
+        """Every frame's bytes, by name."""
+        return {path.name: path.read_bytes() for path in sorted(self.folder.glob("out.*.exr"))}
+
+
+@pytest.fixture
+def runs(shot, tmp_path, capsys) -> Runs:
+    """Runs into an empty folder."""
+    return Runs(shot, tmp_path / "out", capsys)
+
+
+@pytest.fixture(scope="session")
+def unbroken(shot, tmp_path_factory) -> dict[str, bytes]:
+    """Files of a run that nothing happened to."""
+    folder = tmp_path_factory.mktemp("unbroken")
+    assert main(["run", shot, "-o", str(folder / "out.####.exr"), *QUICK]) == 0
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("out.*.exr"))}

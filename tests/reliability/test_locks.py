@@ -1,0 +1,187 @@
+"""Several runs, one folder: nothing is written twice at once, and what dead processes left is taken over."""
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from postfx.runs import claim as claim_module
+from postfx.runs.claim import Claim, is_alive
+from postfx.runs.errors import RunError
+from postfx.runs.lock import OLD, FolderLock
+from postfx.runs.manifest import NAME, Output, load_manifest, update_manifest
+from postfx.runs.process import Process, age_of
+
+SLOW = {"at": "postfx.cli.job.write_frame", "do": "sleep", "seconds": 0.5}
+
+
+def dead() -> Process:
+    """A process of this machine that is gone."""
+    child = subprocess.Popen([sys.executable, "-c", ""])
+    child.wait()
+    return Process.me()._replace(pid=child.pid, begun=1)
+
+
+ELSEWHERE = Process.me()._replace(host="another-machine")
+
+
+def test_two_runs_of_the_same_frames(runs, unbroken):
+    first = runs.start([SLOW])
+    runs.wait_for("begin")
+    code, said = runs("--overwrite", "--frames", "5-8")
+    assert code == 2
+    assert f"out.0005.exr: is being written by process {first.pid} on" in said and "wait for it" in said
+    assert first.wait(60) == 0
+    assert runs.files() == unbroken and runs.verify()[0] == 0
+
+
+def test_two_runs_of_different_frames(runs, unbroken):
+    first = runs.start([{**SLOW, "seconds": 0.2}], "--frames", "1-4")
+    second = runs.start([{**SLOW, "seconds": 0.2}], "--frames", "5-8", "--preroll", "4")
+    assert (first.wait(60), second.wait(60)) == (0, 0)
+    assert runs.files() == unbroken
+    code, found = runs.verify()
+    assert code == 0 and len(found["whole"]) == 8 and list(found["runs"].values()) == ["finished"] * 2
+
+
+def test_run_after_a_killed_one_takes_over(runs, unbroken):
+    runs.killed("postfx.cli.job.write_frame", 3)
+    assert list((runs.folder / ".postfx").glob("*.claim"))
+    assert runs("--skip-existing")[0] == 0 and runs.files() == unbroken
+
+
+def test_killed_while_it_held_the_lock(runs, unbroken):
+    runs.killed("postfx.runs.manifest.write_atomically", 1)
+    assert (runs.folder / ".postfx/lock").exists()
+    assert runs("--skip-existing")[0] == 0 and runs.files() == unbroken
+
+
+@pytest.fixture
+def lock(tmp_path):
+    return tmp_path / "lock"
+
+
+def test_lock_is_given_back(lock):
+    with FolderLock(lock):
+        assert Process.of(json.loads(lock.read_text())) == Process.me()
+    assert not lock.exists()
+
+
+def test_lock_of_a_dead_process_is_taken_over(lock):
+    lock.write_text(json.dumps(dead().as_dict()))
+    with FolderLock(lock, patience=5):
+        assert Process.of(json.loads(lock.read_text())) == Process.me()
+
+
+def test_lock_of_a_process_whose_number_was_used_again(lock):
+    lock.write_text(json.dumps(Process.me()._replace(begun=1).as_dict()))
+    with FolderLock(lock, patience=5):
+        pass
+
+
+@pytest.mark.parametrize("holder", [Process.me(), ELSEWHERE])
+def test_lock_of_a_living_process_is_waited_for(lock, holder):
+    lock.write_text(json.dumps(holder.as_dict()))
+    with pytest.raises(RunError, match=rf"lock: held by process {holder.pid} on {holder.host}"), FolderLock(lock, 0.1):
+        pass
+    assert lock.exists()
+
+
+@pytest.mark.parametrize("content", [json.dumps(ELSEWHERE.as_dict()), "", "{", "[]"])
+def test_old_lock_of_another_machine_is_taken_over(lock, content):
+    lock.write_text(content)
+    long_ago = time.time() - OLD - 10
+    os.utime(lock, (long_ago, long_ago))
+    with FolderLock(lock, patience=5):
+        pass
+
+
+def test_process_that_died_while_taking_over(lock):
+    lock.write_text(json.dumps(dead().as_dict()))
+    lock.with_name("lock.breaking").write_text(json.dumps(dead().as_dict()))
+    with FolderLock(lock, patience=5):
+        pass
+
+
+def _count(folder, times):
+    for _ in range(times):
+        with FolderLock(folder / "lock"):
+            value = int((folder / "count").read_text())
+            time.sleep(0.001)
+            (folder / "count").write_text(str(value + 1))
+
+
+def test_only_one_at_a_time(tmp_path):
+    """Four processes, the first lock of which is left by a dead one, count to a hundred without losing one."""
+    (tmp_path / "count").write_text("0")
+    (tmp_path / "lock").write_text(json.dumps(dead().as_dict()))
+    context = multiprocessing.get_context("fork")
+    workers = [context.Process(target=_count, args=(tmp_path, 25)) for _ in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(60)
+    assert (tmp_path / "count").read_text() == "100"
+
+
+def _enter(folder, first):
+    (folder / ".postfx").mkdir(exist_ok=True)
+    for number in range(first, first + 20):
+        update_manifest(folder, lambda manifest, n=number: manifest.outputs.update({f"{n}.exr": Output("r", n)}))
+
+
+def test_no_entry_of_the_manifest_is_lost(tmp_path):
+    context = multiprocessing.get_context("fork")
+    workers = [context.Process(target=_enter, args=(tmp_path, 100 * index)) for index in range(3)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(60)
+    assert len(load_manifest(tmp_path).outputs) == 60
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".postfx", NAME]
+
+
+def test_claims_of_different_files(tmp_path):
+    one, other = Claim(tmp_path, "one", ["a", "b"]), Claim(tmp_path, "other", ["c"])
+    assert is_alive(tmp_path, "one")
+    one.release()
+    other.release()
+    assert not is_alive(tmp_path, "one") and list(tmp_path.iterdir()) == []
+
+
+def test_claim_of_another_machine_counts_while_it_beats(tmp_path):
+    folder = tmp_path / ".postfx"
+    folder.mkdir()
+    path = folder / "other.claim"
+    path.write_text(json.dumps({"process": ELSEWHERE.as_dict(), "files": ["a"]}))
+    with pytest.raises(RunError, match="a: is being written by process .* on another-machine: wait for it, or choose"):
+        Claim(folder, "mine", ["a"])
+    os.utime(path, (time.time() - claim_module.SILENT - 10,) * 2)
+    Claim(folder, "mine", ["a"]).release()
+    assert not path.exists()
+
+
+def test_claims_beat(tmp_path, monkeypatch):
+    monkeypatch.setattr(claim_module, "BEAT", 0.02)
+    claim = Claim(tmp_path, "mine", ["a"])
+    os.utime(claim.path, (time.time() - 1000,) * 2)
+    time.sleep(0.3)
+    assert age_of(claim.path) < 100
+    claim.release()
+
+
+def test_stopped_process_is_alive(tmp_path):
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    try:
+        os.kill(child.pid, signal.SIGSTOP)
+        begun = int(open(f"/proc/{child.pid}/stat").read().rpartition(")")[2].split()[19])
+        assert Process.me()._replace(pid=child.pid, begun=begun).is_alive() is True
+    finally:
+        child.kill()
+        child.wait()
+    assert Process.me()._replace(pid=child.pid, begun=begun).is_alive() is False
