@@ -30,7 +30,7 @@ from postfx.runtime import Device
 from postfx.strength.shares import Shares
 
 RESUME_PREROLL = 8
-DENOISE_OPTIONS = ("scale", "model", "strength", "budget")
+DENOISE_OPTIONS = ("scale", "size", "model", "strength", "budget")
 
 
 class Work(NamedTuple):
@@ -62,7 +62,7 @@ class Job:
         cuts = "auto" if arguments.cuts == "auto" else "none"
         self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts)
         self.plan = self.pipeline.explain(self._first_spec())
-        self._preroll, self._scale = arguments.preroll, arguments.scale
+        self._preroll, self._sized = arguments.preroll, bool(arguments.scale or arguments.size)
         self._capture = FrameCapture(arguments, device)
         self._seconds = 0.0
         self._frame_ms: list[float] = []
@@ -171,7 +171,7 @@ class Job:
         if guides is None:
             return None
         output = self.plan.output
-        follows = self._scale is None and (output.width, output.height) == (guides.width, guides.height)
+        follows = not self._sized and (output.width, output.height) == (guides.width, guides.height)
         used = [str(role) for role in self.plan.guides]
         return {"width": guides.width, "height": guides.height, "used": used, "output_follows": follows}
 

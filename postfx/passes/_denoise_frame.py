@@ -25,12 +25,13 @@ STEPS = 8
 
 
 class Frames:
-    """The networks and the history of frames of one size.
+    """The networks for frames of one size; their history may go on with those of another.
 
     Of several models the first is in use until `use` takes another. Guided models read guides.
     """
 
-    def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], guided: bool = False) -> None:
+    def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], history: History,
+                 guided: bool = False) -> None:
         self._device, self._sizes, self._models, self._guided = device, sizes, tuple(models), guided
         self._halo = halo_of(models)
         self._graphs: OrderedDict[Shape, Graph] = OrderedDict()
@@ -38,7 +39,7 @@ class Frames:
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
         if self._bands:
             self._make(self._band_shape)
-        self._history = History(device, sizes)
+        self._history = history
         new, between = device.heap.tensor, device.heap.transient
         self._common = {"params": new("params", (5,)), "depth_scale": between("depth scale", (1,))}
         if guided:
@@ -53,9 +54,8 @@ class Frames:
 
     def use(self, model: str) -> None:
         """Take another model from the next frame on. The history goes on, but for the hidden state."""
-        if model != self.model:
-            self.model = model
-            self._history.forget_hidden()
+        self.model = model
+        self._history.use(model)
 
     def layout(self, cells: np.ndarray) -> Band | None:
         """The tiles for a frame's active cells, of which there is one at least; None where the whole frame is as fast.
@@ -83,7 +83,7 @@ class Frames:
             keep: whether the frame has a history.
             still: whether it shows what the last one showed, where it did.
         """
-        self._history.turn()
+        self._history.turn(commands, (self._sizes.h, self._sizes.w), keep)
         self._common["params"].upload(params)
         self._scale["depth"] = planes["depth"]
         with commands.compute_encoder("scale") as encoder:

@@ -1,44 +1,113 @@
-"""What the denoised upscaler's frames leave to the next."""
+"""What the denoised upscaler's frames leave to the next, which may have another render size."""
 
 from __future__ import annotations
 
+from functools import partial
+
+import numpy as np
+
 from postfx.kernels import denoise_layout
+from postfx.kernels.denoise_resize import RESIZE
+from postfx.kernels.resample import positions
 from postfx.passes._denoise_window import Sizes
-from postfx.runtime import Device, Tensor
+from postfx.passes.base import MOST_SIZES
+from postfx.recent import Recent
+from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
 NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth"}
 """What kernels read of the frame before -> what they write for the next one."""
+CHANNELS = {"state": 4 + denoise_layout.HIDDEN, "last_depth": 1}
+"""Of what has render size."""
+FORGETFUL = ("s",)
+"""Sizes of networks that do better without the hidden state of frames of another size: docs/denoiser.md."""
+
+Size = tuple[int, int]
+
+
+class Room:
+    """Memory for what has render size, of frames of any size up to so many pixels."""
+
+    def __init__(self, device: Device, pixels: int) -> None:
+        self.pixels = pixels
+        self._memory = {name: _zeros(device, name, (pixels * count,)) for name, count in CHANNELS.items()}
+        self._views: Recent[dict[str, Tensor]] = Recent(MOST_SIZES)
+
+    def of(self, size: Size) -> dict[str, Tensor]:
+        """The tensors of a frame's size, by the kernels' names; all sizes share the memory."""
+        return self._views.get(size, partial(self._view, size))
+
+    def _view(self, size: Size) -> dict[str, Tensor]:
+        return {name: memory.view(name, (*size, CHANNELS[name])) for name, memory in self._memory.items()}
 
 
 class History:
-    """The last output, what was accumulated and the depth, in two sets used in turn."""
+    """The last output, what was accumulated and the depth, in two sets used in turn.
+
+    The output keeps its size. The rest has its frame's render size, and is resampled when the next frame has another.
+    """
 
     def __init__(self, device: Device, sizes: Sizes) -> None:
-        shapes = {"history": (sizes.height, sizes.width, 3), "last_depth": (sizes.h, sizes.w, 1),
-                  "state": (sizes.h, sizes.w, 4 + denoise_layout.HIDDEN)}
-        self._sets = [{name: device.heap.tensor(name, shape) for name, shape in shapes.items()} for _ in range(2)]
-        # Before the first frame the history holds nothing, and nothing of it is used: it only has to be defined.
-        for tensor in (tensor for one in self._sets for tensor in one.values()):
-            tensor.fill(0)
+        self._device, self._size = device, (sizes.h, sizes.w)
+        self._outputs = [_zeros(device, "history", (sizes.height, sizes.width, 3)) for _ in range(2)]
+        self._rooms = self._make_rooms()
+        self._model: str | None = None
 
-    def turn(self) -> None:
-        """Begin a frame: what was written is now the last."""
-        self._sets.reverse()
+    def use(self, model: str) -> None:
+        """Between two frames: `model` works on the next one."""
+        if self._model not in (None, model):
+            self._forget_hidden()
+        self._model = model
+
+    def turn(self, commands: CommandBuffer, size: Size, keep: bool) -> None:
+        """Begin a frame of a render size: what was written is now the last. It is only defined if it is not kept."""
+        self._outputs.reverse()
+        self._rooms.reverse()
+        if size == self._size:
+            return
+        before, self._size = self._rooms[0].of(self._size), size
+        if size[0] * size[1] > self._rooms[0].pixels:
+            self._rooms = self._make_rooms()
+        else:
+            self._rooms.reverse()
+        if keep:
+            self._resize(commands, before)
 
     @property
     def last(self) -> dict[str, Tensor]:
         """What the frame before left, by the kernels' names."""
-        return self._sets[0]
+        return {"history": self._outputs[0], **self._rooms[0].of(self._size)}
 
     @property
     def next(self) -> dict[str, Tensor]:
         """Where this frame leaves it, by the kernels' names."""
-        return {NEXT[name]: tensor for name, tensor in self._sets[1].items()}
+        tensors = {"history": self._outputs[1], **self._rooms[1].of(self._size)}
+        return {NEXT[name]: tensor for name, tensor in tensors.items()}
 
-    def forget_hidden(self) -> None:
-        """Between two frames: forget the hidden state, which another network cannot read; nothing in its place is what
-        every network knows from first frames."""
-        state = self._sets[1]["state"]
+    def _make_rooms(self) -> list[Room]:
+        return [Room(self._device, self._size[0] * self._size[1]) for _ in range(2)]
+
+    def _resize(self, commands: CommandBuffer, before: dict[str, Tensor]) -> None:
+        """Record the work that brings what the frame before left to this one's size."""
+        after, (height, width) = self._rooms[0].of(self._size), before["last_depth"].shape[:2]
+        vectors = {"kept": np.float32([self._model.split(".")[1] not in FORGETFUL]),
+                   "at_rows": positions(height, self._size[0]), "at_columns": positions(width, self._size[1])}
+        tensors = {name: self._device.wrap(name, values) for name, values in vectors.items()}
+        tensors |= before | {"resized": after["state"], "resized_depth": after["last_depth"]}
+        state = self._device.compute_state(RESIZE)
+        with commands.compute_encoder("resize") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            encoder.dispatch(state, ArgumentTable(state, tensors))
+
+    def _forget_hidden(self) -> None:
+        """Another network cannot read the hidden state; nothing in its place is what all know from first frames."""
+        state = self._rooms[1].of(self._size)["state"]
         values = state.download()
         values[..., -denoise_layout.HIDDEN:] = 0
         state.upload(values)
+
+
+def _zeros(device: Device, name: str, shape: tuple[int, ...]) -> Tensor:
+    """A tensor of zeros: before the first frame nothing of it is used, it only has to be defined."""
+    tensor = device.heap.tensor(name, shape)
+    tensor.fill(0)
+    return tensor

@@ -34,6 +34,7 @@ CHECKS: tuple[Check, ...] = (
     motion.motion_zero,
     *PLANE_CHECKS,
     shots.one_frame,
+    shots.sizes_change,
     shots.cut_unmarked,
     shots.reset_always,
     shots.jitter_missing,

@@ -1,0 +1,61 @@
+"""What the denoised upscaler has ready for frames of one size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from postfx.frame import FrameSpec, Role
+from postfx.passes._denoise_frame import Frames
+from postfx.passes._denoise_history import History
+from postfx.passes._denoise_planes import Planes, Resampler
+from postfx.passes._denoise_restore import Restore
+from postfx.passes._denoise_size import Size
+from postfx.passes._denoise_strength import Plain, Strength
+from postfx.passes._denoise_window import Sizes
+from postfx.runtime import Device
+
+
+class Ready:
+    """Pipeline states, tensors and argument tables for frames of one spec.
+
+    Attributes:
+        alpha: None without alpha.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
+        self.alpha = None
+        if spec.has(Role.ALPHA):
+            self.alpha = Resampler(device, "alpha", Role.ALPHA, Size(spec.height, spec.width), output)
+
+
+class ReadyPlain(Ready):
+    """Where no network runs.
+
+    Attributes:
+        plain: the input, resampled.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
+        super().__init__(device, spec, output)
+        self.plain = Plain(device, spec, output)
+
+
+class ReadyNetwork(Ready):
+    """Where a network runs.
+
+    Attributes:
+        planes: what its kernels read.
+        frames: the networks, of which each frame takes one.
+        restore: at render size only, else None.
+        strength: None where all of the picture is fully denoised.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Sequence[str], history: History,
+                 guided: bool, strength: float) -> None:
+        super().__init__(device, spec, output)
+        sizes = Sizes(spec.height, spec.width, *output)
+        self.planes = Planes(device, spec, output, guided)
+        self.frames = Frames(device, sizes, models, history, guided)
+        self.restore = Restore(device, output) if output == (spec.height, spec.width) else None
+        full = strength == 1 and not spec.has(Role.STRENGTH)
+        self.strength = None if full else Strength(device, spec, output, strength)
