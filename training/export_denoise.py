@@ -20,6 +20,7 @@ from postfx.kernels import (
     denoise_half,
     denoise_history,
     denoise_prepare,
+    denoise_reflections,
     denoise_resize,
     denoise_restore,
     denoise_strength,
@@ -28,6 +29,7 @@ from postfx.kernels import (
 from postfx.kernels.resample import RESAMPLE
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.networks import denoise_kernels as definitions
+from training.networks import reflection_kernels as reflections
 from training.networks import restore_kernels as restore
 from training.networks.trunk import (
     BLEND,
@@ -67,6 +69,7 @@ KERNELS = {
     denoise_guides.GUIDE: definitions.GuideFeatures,
     denoise_prepare.ACCUMULATE: definitions.Accumulate,
     denoise_resize.RESIZE: definitions.Resize,
+    denoise_reflections.REFLECTIONS: reflections.Reflections,
     denoise_filter.POOL: definitions.Pool,
     denoise_filter.MIX_LEVELS: definitions.Mix,
     denoise_filter.FILTER: definitions.Filter,

@@ -8,6 +8,7 @@ from postfx.frame import FrameSpec, Role
 from postfx.passes._denoise_frame import Frames
 from postfx.passes._denoise_history import History
 from postfx.passes._denoise_planes import Planes, Resampler
+from postfx.passes._denoise_reflections import Reflections, can_follow
 from postfx.passes._denoise_restore import Restore
 from postfx.passes._denoise_size import Size
 from postfx.passes._denoise_strength import Plain, Strength
@@ -46,6 +47,7 @@ class ReadyNetwork(Ready):
     Attributes:
         planes: what its kernels read.
         frames: the networks, of which each frame takes one.
+        reflections: where frames have what it needs, else None.
         restore: at render size only, else None.
         strength: None where all of the picture is fully denoised.
     """
@@ -55,6 +57,7 @@ class ReadyNetwork(Ready):
         super().__init__(device, spec, output)
         sizes = Sizes(spec.height, spec.width, *output)
         self.planes = Planes(device, spec, output, guided)
+        self.reflections = Reflections(device, spec) if can_follow(spec) else None
         self.frames = Frames(device, sizes, models, history, guided)
         self.restore = Restore(device, output) if output == (spec.height, spec.width) else None
         full = strength == 1 and not spec.has(Role.STRENGTH)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from statistics import median
 
@@ -25,6 +26,7 @@ class Spared:
         self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind()}
         self._alone = self._still = self._resized = self._known = 0
         self._now = "whole"
+        self._unfollowed: Counter[str] = Counter()
 
     def begin(self, share: float, has_history: bool, is_still: bool) -> None:
         """A frame begins, of which a share is worked on by the network."""
@@ -39,6 +41,10 @@ class Spared:
         """The next frame has another size; `known` tells whether what it needs is ready."""
         self._resized += 1
         self._known += known
+
+    def unfollowed(self, why: str) -> None:
+        """This frame's reflections move with their surfaces."""
+        self._unfollowed[why] += 1
 
     def took(self, milliseconds: float) -> None:
         """The frame's time on the device."""
@@ -60,6 +66,7 @@ class Spared:
             found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion plane"))
         if self._still:
             found.append((f"reprojection of the last output for {_count(self._still)}", "nothing moves"))
+        found += [(f"motion of reflections for {_count(frames)}", why) for why, frames in self._unfollowed.items()]
         if self._resized:
             found.append((f"preparation at {self._known} of {_count(self._resized, 'change')} of size",
                           "frames of these sizes were there before"))

@@ -18,6 +18,7 @@ from postfx.passes._denoise_layout import active_cells
 from postfx.passes._denoise_models import GUIDED, model_of
 from postfx.passes._denoise_planes import ABSENT
 from postfx.passes._denoise_ready import ReadyNetwork, ReadyPlain
+from postfx.passes._denoise_reflections import Cameras, can_follow
 from postfx.passes._denoise_size import Size, checked_scale, checked_size, output_size
 from postfx.passes._denoise_spared import Spared
 from postfx.passes._denoise_window import Sizes
@@ -63,6 +64,7 @@ class DenoiseUpscale(Pass):
         if self.budget is not None and not self.budget > 0:
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a budget above 0")
         self._used: str | None = None
+        self._cameras = Cameras()
         plain = str(self.options["model"]).removesuffix(GUIDED)
         if plain != self.options["model"]:
             raise PassOptionError(f"model '{plain}{GUIDED}' runs when a frame has guides: give the model '{plain}'")
@@ -74,8 +76,9 @@ class DenoiseUpscale(Pass):
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
         guides = GUIDE_ROLES if self._reads_guides(spec) else lost
         planes = (*PLANES, Role.STRENGTH) if self.strength else ()
+        planes += (Role.SPECULAR_HIT_DISTANCE,) if planes and can_follow(spec) else ()
         return Reflection(reads=(Role.COLOUR,), may_read=(*planes, Role.ALPHA), writes=(Role.COLOUR, *alpha),
-                          output=output, may_read_guides=guides if self.strength else (), notes=self._notes())
+                          output=output, may_read_guides=guides if self.strength else (), notes=self._notes(spec))
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
@@ -139,6 +142,7 @@ class DenoiseUpscale(Pass):
     def reset(self) -> None:
         self._fresh = False
         self._exposure = 1.0
+        self._cameras.reset()
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -147,7 +151,7 @@ class DenoiseUpscale(Pass):
         frame.set(Role.COLOUR, colour)
         if Role.ALPHA in frame:
             frame.set(Role.ALPHA, self._encode_alpha(commands, frame))
-        for role in (*PLANES, Role.STRENGTH):
+        for role in (*PLANES, Role.STRENGTH, Role.SPECULAR_HIT_DISTANCE):
             frame.tensors.pop(role, None)
         frame.guides.clear()
         frame.spec, frame.jitter = self._output, (0.0, 0.0)
@@ -167,7 +171,11 @@ class DenoiseUpscale(Pass):
         ready.frames.use(self._models[self._used])
         still = keep and gain == 1 and self._is_still(frame)
         self._spared.begin(1.0 if band is None else band.share, keep, still)
-        colour = ready.frames.encode(commands, ready.planes.encode(commands, frame), params, keep, still, band)
+        planes = ready.planes.encode(commands, frame)
+        if ready.reflections:
+            change = self._cameras.step(frame, keep and not still, self._spared.unfollowed)
+            planes = ready.reflections.encode(commands, frame, change, planes)
+        colour = ready.frames.encode(commands, planes, params, keep, still, band)
         self._fresh, self._exposure = True, frame.exposure
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
         return ready.strength.encode(commands, frame, colour) if ready.strength else colour
@@ -189,8 +197,10 @@ class DenoiseUpscale(Pass):
             self._ready.alpha.encode(encoder, frame[Role.ALPHA], frame.jitter, (0.0, 0.0))
         return self._ready.alpha.output
 
-    def _notes(self) -> tuple[str, ...]:
-        return (f"stays {self.size} where frames change their size",) if self.size else ()
+    def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
+        notes = [f"stays {self.size} where frames change their size"] if self.size else []
+        notes += ["smooth reflections move by their hit distance"] if self.strength and can_follow(spec) else []
+        return tuple(notes)
 
     def _output_size(self, spec: FrameSpec) -> Size:
         return output_size(spec, self.scale, self.size)

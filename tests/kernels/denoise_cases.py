@@ -16,6 +16,7 @@ from postfx.kernels import (
     denoise_history,
     denoise_layout,
     denoise_prepare,
+    denoise_reflections,
     denoise_resize,
     denoise_restore,
     denoise_strength,
@@ -31,8 +32,8 @@ KERNELS = (
     denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_history.HISTORY, denoise_features.FEATURE,
     denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
     denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
-    denoise_resize.RESIZE, denoise_restore.JUDGE, denoise_restore.DETAIL, denoise_restore.RESTORE,
-    denoise_strength.STRENGTH, RESAMPLE, denoise_assemble.ASSEMBLE,
+    denoise_resize.RESIZE, denoise_reflections.REFLECTIONS, denoise_restore.JUDGE, denoise_restore.DETAIL,
+    denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE, denoise_assemble.ASSEMBLE,
     denoise_half.PACK, denoise_half.OPEN, denoise_half.OPEN_FINE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
