@@ -78,32 +78,37 @@ def inverse_distance(hit_distance, depth, y, x):
 
 
 @compiled
-def curvature(normal, depth, camera, y, x):
-    """How much a surface bends outwards, 1 / scene units, at least 0; -1 at its edges.
+def bend_between(normal, depth, camera, first, last, z, facing):
+    """Change of the normal over that of the position between two pixels (y, x); NaN where one is beyond an edge.
 
-    Change of the normal over that of the position, along both axes of the picture, between the pixels on both sides.
+    ``z`` and ``facing`` are depth and normal between them.
     """
     h, w = depth.shape[:2]
-    z, (nx, ny, nz), total = depth[y, x, 0], unit(normal, y, x), ZERO
-    for axis in range(2):
-        place, facing = np.empty((2, 3), np.float32), np.empty((2, 3), np.float32)
-        for side in range(2):
-            step = 2 * side - 1
-            j = min(max(y + step * (1 - axis), 0), h - 1)
-            i = min(max(x + step * axis, 0), w - 1)
-            a, b, c = unit(normal, j, i)
-            if not (abs(depth[j, i, 0] - z) <= STEP * z and a * nx + b * ny + c * nz >= BEND):
-                return -ONE
-            rx, ry = ray(camera, h, w, j, i)
-            place[side, 0], place[side, 1], place[side, 2] = rx * depth[j, i, 0], ry * depth[j, i, 0], depth[j, i, 0]
-            for k in range(3):
-                facing[side, k] = a * camera[WORLD + k] + b * camera[WORLD + 3 + k] + c * camera[WORLD + 6 + k]
-        along, square = ZERO, ZERO
-        for k in range(3):
-            along += (facing[1, k] - facing[0, k]) * (place[1, k] - place[0, k])
-            square += (place[1, k] - place[0, k]) ** 2
-        total += along / max(square, np.float32(1e-20))
-    return max(np.float32(0.5) * total, ZERO)
+    a, b = unit(normal, first[0], first[1]), unit(normal, last[0], last[1])
+    before, after = depth[first[0], first[1], 0], depth[last[0], last[1], 0]
+    if not (abs(before - z) <= STEP * z and abs(after - z) <= STEP * z
+            and a[0] * facing[0] + a[1] * facing[1] + a[2] * facing[2] >= BEND
+            and b[0] * facing[0] + b[1] * facing[1] + b[2] * facing[2] >= BEND):
+        return np.float32(np.nan)
+    ax, ay = ray(camera, h, w, first[0], first[1])
+    bx, by = ray(camera, h, w, last[0], last[1])
+    px, py, pz = bx * after - ax * before, by * after - ay * before, after - before
+    dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    nx = dx * camera[WORLD] + dy * camera[WORLD + 3] + dz * camera[WORLD + 6]
+    ny = dx * camera[WORLD + 1] + dy * camera[WORLD + 4] + dz * camera[WORLD + 7]
+    nz = dx * camera[WORLD + 2] + dy * camera[WORLD + 5] + dz * camera[WORLD + 8]
+    return (nx * px + ny * py + nz * pz) / max(px * px + py * py + pz * pz, np.float32(1e-20))
+
+
+@compiled
+def curvature(normal, depth, camera, y, x):
+    """How much a surface bends outwards, 1 / scene units, at least 0; -1 at its edges. Mean of both axes."""
+    h, w = depth.shape[:2]
+    z, facing = depth[y, x, 0], unit(normal, y, x)
+    down = bend_between(normal, depth, camera, (max(y - 1, 0), x), (min(y + 1, h - 1), x), z, facing)
+    across = bend_between(normal, depth, camera, (y, max(x - 1, 0)), (y, min(x + 1, w - 1)), z, facing)
+    bend = np.float32(0.5) * (down + across)
+    return max(bend, ZERO) if bend == bend else -ONE
 
 
 @compiled

@@ -17,9 +17,9 @@ TURNS = {"mitsuba": (-1, 1, 1), "opengl": (1, 1, -1), "pbrt": (1, 1, 1)}
 """Signs of the camera's axes: x right, y up, z forward are (1, 1, 1)."""
 
 
-def camera(number: float, convention: str = "pbrt", step: float = 0.06) -> np.ndarray:
+def camera(number: float, convention: str = "pbrt") -> np.ndarray:
     """World to camera of a frame: it goes to the right and a little upwards, and turns."""
-    eye, yaw = np.array([step * number - 0.3, 1.2 + 0.2 * step * number, -2.0]), 0.15 * step * number
+    eye, yaw = np.array([0.06 * number - 0.3, 1.2 + 0.012 * number, -2.0]), 0.009 * number
     forward = np.array([np.sin(yaw) * 0.96, -0.28, np.cos(yaw) * 0.96])
     right = np.cross([0.0, 1.0, 0.0], forward) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], forward))
     axes = np.stack([right, np.cross(forward, right), forward], 1) * TURNS[convention]
@@ -93,10 +93,11 @@ def texture(points: np.ndarray) -> np.ndarray:
 
 
 def frame(number: int, width: int = 96, height: int = 54, ball: bool = False, convention: str = "pbrt",
-          noise: float = 0.0, roughness: float = 0.05, jittered: bool = True, step: float = 0.06) -> Frame:
+          noise: float = 0.0, roughness: float = 0.05, pixel_aspect: float = 1.0) -> Frame:
     """A frame with all planes; `noise` is the deviation of its light over its mean."""
-    jitter = jitter_sequence(16)[number % 16] if jittered else np.zeros(2)
-    now, then = (camera(n, step=step) @ perspective(FOV, width, height, forward="+z") for n in (number, number - 1))
+    jitter = jitter_sequence(16)[number % 16]
+    lens = perspective(FOV, width, height, forward="+z", pixel_aspect=pixel_aspect)
+    now, then = (camera(n) @ lens for n in (number, number - 1))
     places = pixel_positions(width, height, jitter)
     found = view(now, places, width, height, ball)
     motion = project(found.points, then, width, height) - places
@@ -112,5 +113,5 @@ def frame(number: int, width: int = 96, height: int = 54, ball: bool = False, co
         Role.SPECULAR_ALBEDO: 0.8 * shiny * np.ones(3),
         Role.SPECULAR_HIT_DISTANCE: np.where(lost, 0, found.distance),
     }
-    return Frame(planes, number, tuple(jitter), reset=number == 0, world_to_camera=camera(number, convention, step),
-                 fov_x=FOV)
+    return Frame(planes, number, tuple(jitter), reset=number == 0, fov_x=FOV,
+                 world_to_camera=camera(number, convention))

@@ -40,6 +40,7 @@ CHECKS: tuple[Check, ...] = (
     shots.jitter_missing,
     shots.samples_repeat,
     exposure.exposure_mismatch,
+    planes.hit_distance_unused,
     planes.missing,
 )
 """All, in the order of their findings where those are of one level."""
