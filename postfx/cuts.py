@@ -45,17 +45,19 @@ class Picture(NamedTuple):
         light: (rows, columns, 2) log2 of the light of both halves of each cell, without layout.
         guides: role -> (rows, columns, 2, channels) with layout: diffuse albedo, normal, log2 of depth.
         motion: (rows, columns, 2) in cells, or None.
+        cell: height and width of a cell as parts of the frame's.
     """
 
     light: np.ndarray
     guides: dict[Role, np.ndarray]
     motion: np.ndarray | None
+    cell: tuple[float, float]
 
 
 class CutDetector:
     """Stateful: call it with each frame in order; True where a frame is unrelated to the one before it.
 
-    It looks at this frame and the last one only. The first frame and one of another size are no cuts, nor are frames
+    It looks at this frame and the last one only, which may have another size. The first frame is no cut, nor are frames
     marked with `frame.reset` compared: the history is dropped there anyway.
 
     Attributes:
@@ -88,8 +90,8 @@ class CutDetector:
         """Whether `frame`, whose colour is scene-linear, begins another shot. False without a colour."""
         before, self._before = self._before, _picture(frame) if Role.COLOUR in frame else None
         self.relation = None
-        if before and self._before and before.light.shape == self._before.light.shape and not frame.reset:
-            self.relation = relation(before, self._before)
+        if before and self._before and not frame.reset:
+            self.relation = relation(_on_grid(before, self._before), self._before)
         return self.relation is not None and self.relation < RELATED
 
 
@@ -105,6 +107,20 @@ def relation(before: Picture, now: Picture) -> float | None:
         return first
     other = still + _shift(before, now) if now.motion is None else still
     return max(first, _compared(before, now, other) or 0.0)
+
+
+def _on_grid(before: Picture, now: Picture) -> Picture:
+    """The earlier picture on the later one's cells, where frames of another size have others."""
+    if before.cell == now.cell:
+        return before
+    sides = zip(now.light.shape, before.light.shape, now.cell, before.cell, strict=False)
+    rows, columns = (np.clip((np.arange(count) + 0.5) * cell / last_cell - 0.5, 0, last - 1)
+                     for count, last, cell, last_cell in sides)
+    x, y = np.meshgrid(columns, rows)
+    guides = {role: bilinear(plane, x.ravel(), y.ravel()).reshape(*x.shape, *plane.shape[2:])
+              for role, plane in before.guides.items()}
+    light = bilinear(before.light, x.ravel(), y.ravel()).reshape(*x.shape, 2)
+    return Picture(light, guides, None, now.cell)
 
 
 def _picture(frame: Frame) -> Picture | None:
@@ -123,7 +139,8 @@ def _picture(frame: Frame) -> Picture | None:
     motion = None
     if Role.MOTION in frame:
         motion = frame[Role.MOTION][block // 2 :: block, block // 2 :: block][:rows, :columns].astype(float) / block
-    return Picture(_band(np.moveaxis(light, 0, 2)), guides, motion)
+    cell = block / colour.shape[0], block / colour.shape[1]
+    return Picture(_band(np.moveaxis(light, 0, 2)), guides, motion, cell)
 
 
 def _cells(plane: np.ndarray, block: int) -> np.ndarray:

@@ -100,7 +100,8 @@ class FrameSpec:
     """Everything about a frame that passes are compiled for: size, planes (role -> channels), encoding and guides.
 
     `planes` may be given as a mapping, as pairs or as roles; it is kept as pairs in the order of `Role`, so specs
-    compare and hash by meaning. `guides` is None for a frame without planes at output size.
+    compare and hash by meaning. `guides` is None for a frame without planes at output size. `source` is the file the
+    frame comes from, for messages: it does not count when specs are compared.
     """
 
     width: int
@@ -108,6 +109,7 @@ class FrameSpec:
     planes: tuple[tuple[Role, int], ...]
     encoding: str = "scene-linear"
     guides: GuideSpec | None = None
+    source: str | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -217,7 +219,7 @@ class Frame:
         height, width = next(iter(self.planes.values())).shape[:2]
         channels = {role: plane.shape[2] for role, plane in self.planes.items()}
         guides = GuideSpec(*self.guide_size, tuple(self.guides), self.guide_source) if self.guide_size else None
-        return FrameSpec(width, height, channels, self.encoding, guides)
+        return FrameSpec(width, height, channels, self.encoding, guides, self.source)
 
     def __getitem__(self, role: Role) -> np.ndarray:
         """Plane of a role, (height, width, channels); FrameError when the frame does not hold it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,15 @@ import numpy as np
 from postfx.cuts import CutDetector, CutError
 from postfx.errors import FrameError
 from postfx.exposure import ExposureMeter, SmoothExposure
-from postfx.frame import Frame, FrameSpec, Role
-from postfx.passes.base import Pass, PassContractError, ResidentFrame
+from postfx.frame import GUIDE_ROLES, Frame, FrameSpec, Role
+from postfx.passes.base import MOST_SIZES, Pass, PassContractError, ResidentFrame
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skipped, Step, make_plan
+from postfx.recent import Recent
 from postfx.runtime import BindingError, CommandBuffer, Device, Tensor
+
+MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
+"""Planes and guides of all sizes that are kept ready."""
 
 
 @cache
@@ -62,14 +66,14 @@ class Pipeline:
         self.cut = False
         self._meter = exposure if callable(exposure) else ExposureMeter(exposure)
         self._detector = CutDetector() if cuts == "auto" else None
-        self._copies: dict[str, Tensor] = {}  # of planes, on devices whose memory the host does not share
+        self._copies: Recent[Tensor] = Recent(MOST_COPIES)  # of planes, where the host does not see the device's memory
 
     def __call__(self, frame: Frame) -> Frame:
         """The frame after all passes; the given frame is not changed.
 
         Planes and guides that no pass touches are passed on as they are, unless a pass changed the size. Compiles when
-        the frame's spec is not the last one's, which drops the history. When a pass fails, the history is dropped and
-        the error is raised.
+        the frame's spec is not the last one's, which drops the history of passes that cannot go on with frames of
+        another size. When a pass fails, the history is dropped and the error is raised.
         """
         plan = self._planned(frame.spec)
         if not plan.steps:
@@ -157,23 +161,26 @@ class Pipeline:
 
     def _planned(self, spec: FrameSpec) -> Plan:
         if self.plan is None or self.plan.available != spec:
-            plan = make_plan(self.passes, spec)
-            if self.plan is None or self._specs(plan) != self._specs(self.plan):
-                self.plan = None
-                self._copies.clear()
-                for step in plan.steps:
-                    step.instance.compile(self.device, step.input)
+            plan, last = make_plan(self.passes, spec), self.plan
+            self.plan = None
+            ready = {step.instance: step.input for step in last.steps} if last else {}
+            for step in plan.steps:
+                self._make_ready(step, ready.get(step.instance))
             self.plan = plan
         return self.plan
 
+    def _make_ready(self, step: Step, before: FrameSpec | None) -> None:
+        """Compile a pass, if it is not ready as it is, and cannot go on with frames of another size."""
+        if before != step.input and not (before and step.instance.resize(step.input)):
+            self._copies.clear()
+            step.instance.compile(self.device, step.input)
+
     def _input(self, name: str, array: np.ndarray) -> Tensor:
         """A plane as a tensor of this frame. Where it is copied to the device, it always comes to the same memory."""
-        if not self.device.memory.host_visible and name not in self._copies:
-            self._copies[name] = self.device.heap.tensor(name, array.shape)
-        return self.device.wrap(name, array, self._copies.get(name))
-
-    def _specs(self, plan: Plan) -> list[tuple[str, FrameSpec]]:
-        return [(step.name, step.input) for step in plan.steps]
+        if self.device.memory.host_visible:
+            return self.device.wrap(name, array)
+        place = name, array.shape
+        return self.device.wrap(name, array, self._copies.get(place, partial(self.device.heap.tensor, *place)))
 
     def _reset_passes(self) -> None:
         for instance in self.passes:

@@ -190,7 +190,7 @@ def _step_names(passes: Sequence[Pass]) -> list[str]:
 def _restricted(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role]) -> FrameSpec:
     """Guides that nobody reads leave their size behind: it tells how large the output should be."""
     kept = replace(spec.guides, roles=tuple(guides)) if spec.guides else None
-    return FrameSpec(spec.width, spec.height, tuple(roles), spec.encoding, kept)
+    return replace(spec, planes=tuple(roles), guides=kept)
 
 
 def _step_text(step: Step) -> str:
@@ -200,14 +200,15 @@ def _step_text(step: Step) -> str:
     changes += [f"{before.encoding} -> {after.encoding}"] if before.encoding != after.encoding else []
     text = f"{step.name}: reads {_names(step.uses)}; writes {_names(step.reflection.writes)}"
     changes += ["uses the guides"] if step.uses_guides else []
-    return "; ".join([text, *changes])
+    return "; ".join([text, *changes, *step.reflection.notes])
 
 
 def _step_dict(step: Step) -> dict[str, Any]:
     uses, writes = [str(role) for role in step.uses], [str(role) for role in step.reflection.writes]
     guides = [str(role) for role in step.uses_guides]
     output = _spec_dict(step.reflection.output)
-    return {"name": step.name, "reads": uses, "guides": guides, "writes": writes, "output": output}
+    return {"name": step.name, "reads": uses, "guides": guides, "writes": writes, "output": output,
+            "notes": list(step.reflection.notes)}
 
 
 def _spec_text(spec: FrameSpec) -> str:

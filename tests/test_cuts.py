@@ -58,6 +58,23 @@ def test_a_join_is_found_and_nothing_else(room, roles):
     assert cuts(frames + [turned(frame) for frame in frames] + frames) == [8, 16]
 
 
+def resized(frame: Frame, height: int, width: int) -> Frame:
+    """The same view at another size, by the nearest pixels; motion in pixels of that size."""
+    rows = (np.arange(height) + 0.5) * frame.spec.height // height
+    columns = (np.arange(width) + 0.5) * frame.spec.width // width
+    planes = {role: plane[rows.astype(int)][:, columns.astype(int)] for role, plane in frame.planes.items()}
+    if Role.MOTION in planes:
+        planes[Role.MOTION] = planes[Role.MOTION] * np.float32([width / frame.spec.width, height / frame.spec.height])
+    return replace(frame, planes=planes)
+
+
+@pytest.mark.parametrize("roles", [None, WITH_MOTION, COLOUR_ONLY])
+def test_frames_that_change_their_size_are_compared(room, roles):
+    sizes = [(180, 320), (160, 284), (135, 240), (113, 200)]
+    frames = [unmarked(frame, roles) for frame in room + [turned(frame) for frame in room]]
+    assert cuts([resized(frame, *sizes[index % 4]) for index, frame in enumerate(frames)]) == [8]
+
+
 def test_a_frame_marked_as_a_cut_is_not_found_again(room):
     assert cuts([room[0], replace(turned(room[1]), reset=True), turned(room[2])]) == []
 

@@ -124,6 +124,7 @@ def test_json():
     assert document["passes"] == [{
         "name": "enlarge", "reads": ["colour", "depth"], "guides": [], "writes": ["colour"],
         "output": {"width": 12, "height": 20, "encoding": "scene-linear", "planes": ["colour"], "guides": None},
+        "notes": [],
     }]
     assert document["skipped"][0] == {"what": "double", "why": "times is 0"}
 

@@ -21,6 +21,8 @@ from postfx.kernels import (
     denoise_history,
     denoise_prepare,
     denoise_reactive,
+    denoise_reflections,
+    denoise_resize,
     denoise_restore,
     denoise_strength,
     denoise_upsample,
@@ -31,6 +33,7 @@ from training.export import export, export_kernel, parity, parser, read_quality,
 from training.networks import denoise_kernels as definitions
 from training.networks import overlay_kernels as overlay
 from training.networks import reactive_kernels as reactive
+from training.networks import reflection_kernels as reflections
 from training.networks import restore_kernels as restore
 from training.networks.trunk import (
     BLEND,
@@ -70,6 +73,8 @@ KERNELS = {
     denoise_features.FEATURE: definitions.Features,
     denoise_guides.GUIDE: definitions.GuideFeatures,
     denoise_prepare.ACCUMULATE: definitions.Accumulate,
+    denoise_resize.RESIZE: definitions.Resize,
+    denoise_reflections.REFLECTIONS: reflections.Reflections,
     denoise_filter.POOL: definitions.Pool,
     denoise_filter.MIX_LEVELS: definitions.Mix,
     denoise_filter.FILTER: definitions.Filter,

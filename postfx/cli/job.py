@@ -37,7 +37,7 @@ from postfx.runs.stop import Stop
 from postfx.runtime import Device
 from postfx.strength.shares import Shares
 
-DENOISE_OPTIONS = ("scale", "model", "strength", "budget", "reactive")
+DENOISE_OPTIONS = ("scale", "size", "model", "strength", "budget", "reactive")
 
 
 class Job:
@@ -119,7 +119,7 @@ class Job:
             warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings],
             chosen={name: dict(counts) for name, counts in self._chosen.items()},
             outputs=self._written,
-            guides=guides_in(self.plan, self._arguments.scale),
+            guides=guides_in(self.plan, bool(self._arguments.scale or self._arguments.size)),
             cuts=self._cuts,
             left_alone=self.sequence.left_alone,
             capture=self._capture.page,

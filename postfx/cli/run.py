@@ -27,6 +27,7 @@ examples:
   postfx run shot/noisy.####.exr -o out/clean.####.exr
   postfx run shot/noisy.%04d.exr -o out/picture.%04d.png --frames 1-100x2
   postfx run shot/ -o out/ --skip-existing --scale 1.5
+  postfx run shot/dynamic.####.exr -o out/clean.####.exr --size 1920x1080
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
@@ -111,11 +112,16 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _add_passes(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
+    size = group.add_mutually_exclusive_group()
+    size.add_argument(
         "--scale",
         type=float,
         metavar="S",
         help="output size over render size, 1 to 3 (default: the size of the guides, or 2 without guides)",
+    )
+    size.add_argument(
+        "--size", type=_size, metavar="WxH",
+        help="size of the output, e.g. 1920x1080: frames may change their size between it and a third of it",
     )
     group.add_argument("--no-denoise", action="store_true", help="leave denoising and upscaling out")
     group.add_argument("--model", metavar="TAG", help="denoiser: s, m (default) or l in the device's fast "
@@ -202,6 +208,13 @@ def _count(text: str) -> int:
     if not text.isdigit():
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0")
     return int(text)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a size like 1920x1080")
+    return int(width), int(height)
 
 
 def _positive(text: str) -> int:

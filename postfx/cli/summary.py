@@ -113,12 +113,12 @@ class Report:
         return f", {self.frames / self.seconds:.2f} frames/s, {median(self.frame_ms):.0f} ms a frame in the passes"
 
 
-def guides_in(plan: Plan, scale: float | None) -> dict[str, Any] | None:
-    """Size of the guides, which of them are used, and whether the output's size follows from them."""
+def guides_in(plan: Plan, sized: bool) -> dict[str, Any] | None:
+    """Size of the guides, which of them are used, and whether the output's size, unless it is given, follows from them."""
     guides, output = plan.available.guides, plan.output
     if guides is None:
         return None
-    follows = scale is None and (output.width, output.height) == (guides.width, guides.height)
+    follows = not sized and (output.width, output.height) == (guides.width, guides.height)
     used = [str(role) for role in plan.guides]
     return {"width": guides.width, "height": guides.height, "used": used, "output_follows": follows}
 

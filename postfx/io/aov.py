@@ -78,7 +78,8 @@ class FrameFiles:
         """Size, planes and guides of the frame; MissingPlaneError when there is no colour."""
         width, height = self.match(Role.COLOUR).size
         guides = self.guides.spec() if self.guides else None
-        return FrameSpec(width, height, (*self.layout.planes, *self._made()), guides=guides)
+        planes = (*self.layout.planes, *self._made())
+        return FrameSpec(width, height, planes, guides=guides, source=str(self.path))
 
     def read(
         self,

@@ -70,6 +70,10 @@ class Ladder:
             self._decide(milliseconds)
         self._frames += 1
 
+    def resized(self, ratio: float) -> None:
+        """Tell that the next frame has so many times the pixels of the last one."""
+        self._time *= ratio
+
     def _decide(self, milliseconds: float) -> None:
         if self._over >= TOO_LONG and self.rung:
             self._time = milliseconds

@@ -25,14 +25,14 @@ STEPS = 8
 
 
 class Frames:
-    """The networks and the history of frames of one size.
+    """The networks for frames of one size; their history may go on with those of another.
 
     Of several models the first is in use until `use` takes another. Guided models read guides. Reactive frames have a
     mask of where the history is not used.
     """
 
-    def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], guided: bool = False,
-                 reactive: bool = False) -> None:
+    def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], history: History,
+                 guided: bool = False, reactive: bool = False) -> None:
         self._device, self._sizes, self._models = device, sizes, tuple(models)
         self._guided, self._reactive = guided, reactive
         self._halo = halo_of(models)
@@ -41,7 +41,7 @@ class Frames:
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
         if self._bands:
             self._make(self._band_shape)
-        self._history = History(device, sizes, reactive)
+        self._history = history
         new, between = device.heap.tensor, device.heap.transient
         self._common = {"params": new("params", (4,)), "keep": new("keep", (1, 1, 1)),
                         "depth_scale": between("depth scale", (1,))}
@@ -55,13 +55,11 @@ class Frames:
                                     {"depth_scale": self._common["depth_scale"]})
         self._spread = ArgumentTable(device.compute_state(denoise_reactive.SPREAD_MASK)) if reactive else None
         self.model = models[0]
-        self.kept, self.recall = self._history.kept, self._history.recall
 
     def use(self, model: str) -> None:
         """Take another model from the next frame on. The history goes on, but for the hidden state."""
-        if model != self.model:
-            self.model = model
-            self._history.forget_hidden()
+        self.model = model
+        self._history.use(model)
 
     def layout(self, cells: np.ndarray) -> Band | None:
         """The tiles for a frame's active cells, of which there is one at least; None where the whole frame is as fast.
@@ -89,7 +87,7 @@ class Frames:
             keep: whether the frame has a history.
             still: whether it shows what the last one showed, where it did.
         """
-        self._history.turn()
+        self._history.turn(commands, (self._sizes.h, self._sizes.w), keep)
         self._common["params"].upload(params)
         self._common["keep"].fill(keep)
         self._scale["depth"] = planes["depth"]

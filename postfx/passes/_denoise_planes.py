@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
 from postfx.kernels.overlay import ENLARGE
 from postfx.kernels.resample import RESAMPLE, positions
+from postfx.passes._denoise_size import Size
 from postfx.passes.base import ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
 
 # What stands in for a plane that a frame lacks at both sizes; networks are trained with the same values in its place.
 ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0, Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0,
           Role.MOTION: 0.0}
-
-
-class Size(NamedTuple):
-    """Height and width."""
-
-    height: int
-    width: int
 
 
 class Resampler:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from postfx.frame import Role
 from postfx.kernels.denoise_restore import DETAIL, JUDGE, RESTORE, SUMS, TILE
 from postfx.kernels.kernel import Kernel
-from postfx.passes._denoise_planes import Size
+from postfx.passes._denoise_size import Size
 from postfx.passes.base import ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from statistics import median
 
@@ -23,8 +24,9 @@ class Spared:
 
     def __init__(self) -> None:
         self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind()}
-        self._alone = self._still = 0
+        self._alone = self._still = self._resized = self._known = 0
         self._now = "whole"
+        self._unfollowed: Counter[str] = Counter()
 
     def begin(self, share: float, has_history: bool, is_still: bool) -> None:
         """A frame begins, of which a share is worked on by the network."""
@@ -34,6 +36,15 @@ class Spared:
         kind.share += share
         self._alone += share > 0 and not has_history
         self._still += is_still and share == 1
+
+    def resized(self, known: bool) -> None:
+        """The next frame has another size; `known` tells whether what it needs is ready."""
+        self._resized += 1
+        self._known += known
+
+    def unfollowed(self, why: str) -> None:
+        """This frame's reflections move with their surfaces."""
+        self._unfollowed[why] += 1
 
     def took(self, milliseconds: float) -> None:
         """The frame's time on the device."""
@@ -55,6 +66,10 @@ class Spared:
             found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion plane"))
         if self._still:
             found.append((f"reprojection of the last output for {_count(self._still)}", "nothing moves"))
+        found += [(f"motion of reflections for {_count(frames)}", why) for why, frames in self._unfollowed.items()]
+        if self._resized:
+            found.append((f"preparation at {self._known} of {_count(self._resized, 'change')} of size",
+                          "frames of these sizes were there before"))
         return tuple(found)
 
     def _saved(self, kind: Kind) -> str:
@@ -66,5 +81,5 @@ class Spared:
         return f"{median(kind.times):.0f} ms a frame instead of {median(whole):.0f} ms"
 
 
-def _count(frames: int) -> str:
-    return f"{frames} frame{'s' * (frames > 1)}"
+def _count(number: int, what: str = "frame") -> str:
+    return f"{number} {what}{'s' * (number > 1)}"

@@ -6,7 +6,8 @@ import numpy as np
 
 from postfx.frame import FrameSpec, Role
 from postfx.kernels.denoise_strength import STRENGTH
-from postfx.passes._denoise_planes import Resampler, Size
+from postfx.passes._denoise_planes import Resampler
+from postfx.passes._denoise_size import Size
 from postfx.passes.base import ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 

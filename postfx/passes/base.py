@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from postfx.runtime import CommandBuffer, Device, Tensor
 
 
+MOST_SIZES = 4
+"""Sizes of frames that a pass keeps ready, where they change."""
+
+
 class PassOptionError(PostfxError):
     """A pass was given an option it does not know, or a value it cannot use."""
 
@@ -40,6 +44,7 @@ class Reflection:
         output: spec of the frame it leaves. Planes that are not in it are dropped, so a pass that changes the size
             names only the planes that exist at the new size. So are guides.
         may_read_guides: planes at output size that it uses when they are there.
+        notes: what else the user may want to know of its work on such frames, as short clauses.
     """
 
     reads: tuple[Role, ...]
@@ -47,6 +52,7 @@ class Reflection:
     output: FrameSpec
     may_read: tuple[Role, ...] = ()
     may_read_guides: tuple[Role, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass
@@ -159,6 +165,13 @@ class Pass:
         """
         self._spec = spec
         self.reset()
+
+    def resize(self, spec: FrameSpec) -> bool:
+        """Make ready for frames that differ from those before in size only, and keep the history.
+
+        False, and nothing done, where that is not possible: `compile` is called then.
+        """
+        return False
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         """Record the work for one frame; touch no pixel. Replaces planes by `frame.set(role, tensor)`.

@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
 
-from postfx.errors import GuideError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_budget import Ladder, cost, family
-from postfx.passes._denoise_carried import Carried, carried_roles
-from postfx.passes._denoise_frame import Frames
+from postfx.passes._denoise_carried import carried_roles
 from postfx.passes._denoise_graph import has_model
+from postfx.passes._denoise_history import History
 from postfx.passes._denoise_layout import active_cells
 from postfx.passes._denoise_models import GUIDED, model_of
-from postfx.passes._denoise_planes import ABSENT, Planes, Size
-from postfx.passes._denoise_reactive import Reactive, parse_reactive
-from postfx.passes._denoise_restore import Restore
+from postfx.passes._denoise_planes import ABSENT
+from postfx.passes._denoise_reactive import parse_reactive
+from postfx.passes._denoise_ready import ReadyNetwork, ReadyPlain
+from postfx.passes._denoise_reflections import Cameras, can_follow
+from postfx.passes._denoise_size import Size, checked_scale, checked_size, output_size
 from postfx.passes._denoise_spared import Spared
-from postfx.passes._denoise_strength import Plain, Strength
 from postfx.passes._denoise_window import Sizes
-from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
+from postfx.passes.base import MOST_SIZES, Pass, PassOptionError, Reflection, ResidentFrame
+from postfx.recent import Recent
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 PLANES = tuple(ABSENT)
-LEAST, MOST, USUAL = 1.0, 3.0, 2.0
 
 
 class DenoiseUpscale(Pass):
@@ -34,6 +36,8 @@ class DenoiseUpscale(Pass):
 
     Options:
         scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 2 without guides.
+        size: width and height of the output, in place of a scale; frames may change their size, and the history goes
+            on.
         model: tag of the network, 's', 'm' or 'l', which runs in the device's fast precision, or with one: 'm.fp32',
             'm.int8' for the CPU, 'm.fp16' for CUDA.
         budget: milliseconds that a frame may take on the device, None for no limit: networks smaller than `model`, of
@@ -47,21 +51,19 @@ class DenoiseUpscale(Pass):
     Alpha and a transparency overlay are only resampled; the pass `overlay` composites.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. Without a
-    motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, a strength outside 0 to 1,
-    a budget that is not above 0 and a model that is only for guides, GuideError for guides of another size than the
-    output's.
+    motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a
+    strength outside 0 to 1, a budget that is not above 0 and a model that is only for guides, FrameError for a frame
+    that a given size is not 1 to 3 times as large as, GuideError for guides of another size than the output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
-    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"scale": None, "model": "m", "strength": 1.0,
-                                                            "budget": None, "reactive": "auto"})
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({
+        "scale": None, "size": None, "model": "m", "strength": 1.0, "budget": None, "reactive": "auto"})
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        given = self.options["scale"]
-        self.scale = None if given is None else float(given)
-        if self.scale is not None and not LEAST <= self.scale <= MOST:
-            raise PassOptionError(f"pass '{self.name}' scales by 1 to 3, not {self.scale:g}: give a scale in between")
+        self.scale = checked_scale(self.options["scale"])
+        self.size = checked_size(self.options["size"], self.scale)
         self.strength = float(self.options["strength"])
         if not 0 <= self.strength <= 1:
             raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not {self.strength:g}: give one of them")
@@ -70,6 +72,7 @@ class DenoiseUpscale(Pass):
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a budget above 0")
         self._mask = parse_reactive(str(self.options["reactive"]))
         self._used: str | None = None
+        self._cameras = Cameras()
         plain = str(self.options["model"]).removesuffix(GUIDED)
         if plain != self.options["model"]:
             raise PassOptionError(f"model '{plain}{GUIDED}' runs when a frame has guides: give the model '{plain}'")
@@ -81,11 +84,12 @@ class DenoiseUpscale(Pass):
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
         guides = GUIDE_ROLES if self._reads_guides(spec) else lost
         planes = (*PLANES, Role.STRENGTH, *self._reactive_planes(spec)) if self.strength else ()
+        planes += (Role.SPECULAR_HIT_DISTANCE,) if planes and can_follow(spec) else ()
         demanded = self._mask.demanded() if self.strength else ()
         kept = [role for role in carried if role not in spec.guide_roles]
         guides = (*(guides if self.strength else ()), *(role for role in carried if role in spec.guide_roles))
         return Reflection(reads=(Role.COLOUR, *demanded), may_read=(*planes, *kept), writes=(Role.COLOUR, *carried),
-                          output=output, may_read_guides=guides)
+                          output=output, may_read_guides=guides, notes=self._notes(spec))
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
@@ -97,28 +101,37 @@ class DenoiseUpscale(Pass):
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        self._output = self.reflect(spec).output
-        size = Size(self._output.height, self._output.width)
+        self._device, self._output = device, self.reflect(spec).output
+        self._spared = Spared()
         if self.strength:
-            self._compile_network(device, spec, size)
-        else:
-            self._plain = Plain(device, spec, size)
-        self._carried = Carried(device, spec, size)
+            guided, size = self._is_guided(spec), self._output_size(spec)
+            self._models = {tag: model_of(tag, guided, device) for tag in self._tags(guided)}
+            self._ladder = Ladder(list(map(cost, self._models.values())), self.budget) if self.budget else None
+            reactive = self._mask.role(spec) is not None
+            self._history = History(device, Sizes(spec.height, spec.width, *size), reactive)
+        self._sizes: Recent[ReadyNetwork | ReadyPlain] = Recent(MOST_SIZES)
+        self._ready = self._sizes.get(spec, partial(self._made_ready, spec))
         super().compile(device, spec)
 
-    def _compile_network(self, device: Device, spec: FrameSpec, size: Size) -> None:
-        guided = self._is_guided(spec)
-        self._planes = Planes(device, spec, size, guided)
-        tags = self._tags(guided)
-        self._models = {tag: model_of(tag, guided, device) for tag in tags}
-        self._ladder = Ladder(list(map(cost, self._models.values())), self.budget) if self.budget else None
-        self._frames = Frames(device, Sizes(spec.height, spec.width, *size), list(self._models.values()), guided,
-                              reactive=self._mask.role(spec) is not None)
-        self._reactive = Reactive(device, spec, self._mask)
-        self._restore = Restore(device, size) if size == (spec.height, spec.width) else None
-        self._spared = Spared()
-        full = self.strength == 1 and not spec.has(Role.STRENGTH)
-        self._strength = None if full else Strength(device, spec, size, self.strength)
+    def resize(self, spec: FrameSpec) -> bool:
+        before = self._spec
+        if not self.size or replace(spec, width=before.width, height=before.height) != before:
+            return False
+        if self.strength and self._is_guided(spec) != self._is_guided(before):
+            return False
+        if self.strength:
+            self._spared.resized(spec in self._sizes)
+            if self._ladder:
+                self._ladder.resized(spec.width * spec.height / (before.width * before.height))
+        self._ready, self._spec = self._sizes.get(spec, partial(self._made_ready, spec)), spec
+        return True
+
+    def _made_ready(self, spec: FrameSpec) -> ReadyNetwork | ReadyPlain:
+        size = self._output_size(spec)
+        if not self.strength:
+            return ReadyPlain(self._device, spec, size)
+        models, guided = list(self._models.values()), self._is_guided(spec)
+        return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask)
 
     def _tags(self, guided: bool) -> tuple[str, ...]:
         """Tags of the networks to choose from, fastest first; the one that was asked for without a budget."""
@@ -141,81 +154,75 @@ class DenoiseUpscale(Pass):
     def reset(self) -> None:
         self._fresh = False
         self._exposure = 1.0
+        self._cameras.reset()
 
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._fresh):
             return {}
         known = {"exposure": np.float64(self._exposure), "network": np.int64(list(self._models).index(self._used))}
-        return known | self._frames.kept()
+        return known | self._cameras.kept() | self._history.kept()
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)
         if self._fresh:
             self._exposure, self._used = float(history["exposure"]), list(self._models)[int(history["network"])]
-            self._frames.use(self._models[self._used])
-            self._frames.recall(history)
+            self._history.use(self._models[self._used])
+            self._history.recall(history)
+            self._cameras.recall(history)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        encode = self._encode_network if self.strength else self._plain.encode
+        encode = self._encode_network if self.strength else self._ready.plain.encode
         colour = encode(commands, frame)
         frame.set(Role.COLOUR, colour)
-        self._carried.encode(commands, frame)
-        for role in (*PLANES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR):
+        self._ready.carried.encode(commands, frame)
+        for role in (*PLANES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
             frame.tensors.pop(role, None)
         frame.guides.clear()
         frame.spec, frame.jitter = self._output, (0.0, 0.0)
 
     def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
         """The denoised colour, blended by strength; the history stays fully denoised."""
-        cells = self._active(frame)
+        ready, cells = self._ready, self._active(frame)
         if cells is not None and not cells.any():
             self._spared.begin(0.0, False, False)
             self._fresh = False
-            return self._strength.plain(commands, frame)
-        band = None if cells is None else self._frames.layout(cells)
+            return ready.strength.plain(commands, frame)
+        band = None if cells is None else ready.frames.layout(cells)
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
         params = np.array([frame.exposure, *frame.jitter, gain], np.float32)
         self._used = list(self._models)[self._ladder.rung if self._ladder else 0]
-        self._frames.use(self._models[self._used])
+        ready.frames.use(self._models[self._used])
         still = keep and gain == 1 and self._is_still(frame)
         self._spared.begin(1.0 if band is None else band.share, keep, still)
-        planes = {**self._planes.encode(commands, frame), **self._reactive.encode(commands, frame)}
-        colour = self._frames.encode(commands, planes, params, keep, still, band)
+        planes = {**ready.planes.encode(commands, frame), **ready.reactive.encode(commands, frame)}
+        if ready.reflections:
+            change = self._cameras.step(frame, keep and not still, self._spared.unfollowed)
+            planes = ready.reflections.encode(commands, frame, change, planes)
+        colour = ready.frames.encode(commands, planes, params, keep, still, band)
         self._fresh, self._exposure = True, frame.exposure
-        colour = self._restore.encode(commands, frame, colour) if self._restore else colour
-        return self._strength.encode(commands, frame, colour) if self._strength else colour
+        colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
+        return ready.strength.encode(commands, frame, colour) if ready.strength else colour
 
     def _active(self, frame: ResidentFrame) -> np.ndarray | None:
         """Where the frame's strength is not 0, as squares of 16 pixels; None where that is not known, or where the
         whole frame is judged."""
-        if Role.STRENGTH not in frame.given or (self._restore and self._restore.acts_on(frame)):
+        restore = self._ready.restore
+        if Role.STRENGTH not in frame.given or (restore and restore.acts_on(frame)):
             return None
         return active_cells(frame.given[Role.STRENGTH])
 
     def _is_still(self, frame: ResidentFrame) -> bool:
         return Role.MOTION in frame.given and not frame.given[Role.MOTION].any()
 
+    def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
+        notes = [f"stays {self.size} where frames change their size"] if self.size else []
+        notes += ["smooth reflections move by their hit distance"] if self.strength and can_follow(spec) else []
+        return tuple(notes)
+
     def _output_size(self, spec: FrameSpec) -> Size:
-        """The guides' size, if the scale leads there, rounded or cut; without guides the scaled size, rounded."""
-        guides, scale = spec.guides, self.scale or USUAL
-        size = Size(round(spec.height * scale), round(spec.width * scale))
-        if guides is None:
-            return size
-        sides = ((guides.width, spec.width), (guides.height, spec.height))
-        if self.scale is None:
-            low = max(LEAST, *((outer - 0.5) / side for outer, side in sides))
-            high = min(MOST, *((outer + 1) / side for outer, side in sides))
-            mend = "render them 1 to 3 times as large as the colour, by the same factor both ways"
-            fits = low <= high
-        else:
-            mend = f"leave the scale out, or render them at {size.width}x{size.height} for a scale of {scale:g}"
-            fits = all(outer in (round(side * scale), int(side * scale)) for outer, side in sides)
-        if not fits:
-            found = f"guides are {guides.width}x{guides.height}, the colour is {spec.width}x{spec.height}"
-            raise GuideError(f"{guides.source or 'frame'}: {found}: {mend}")
-        return Size(guides.height, guides.width)
+        return output_size(spec, self.scale, self.size)
 
     def _reactive_planes(self, spec: FrameSpec) -> tuple[Role, ...]:
         role = self._mask.role(spec)

@@ -40,6 +40,22 @@ def test_one_frame_says_so_and_nothing_of_what_shows_over_frames(room, diagnose)
     assert "one-frame" in codes(findings, "info")
 
 
+def test_a_hit_distance_that_cannot_be_used_is_named(diagnose):
+    frames = [random((40, 48), number) for number in (1, 2)]
+    assert "hit-distance-unused" not in codes(diagnose(frames), "info")
+    for frame in frames:
+        del frame.planes[Role.NORMAL]
+        frame.fov_x = None
+    (found,) = [finding for finding in diagnose(frames) if finding.code == "hit-distance-unused"]
+    assert found.level == "info" and found.evidence == "no normal, postfx:fovX"
+
+
+def test_frames_of_several_sizes_are_named(diagnose):
+    findings = diagnose([random((40, 48), 1), random((30, 36), 2), random((40, 48), 3)])
+    (found,) = [finding for finding in findings if finding.code == "sizes-change"]
+    assert found.level == "info" and found.evidence == "frames are 48x40, 36x30" and "--size" in found.mend
+
+
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 def test_constant_planes(size, value, diagnose):

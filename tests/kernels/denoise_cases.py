@@ -17,6 +17,8 @@ from postfx.kernels import (
     denoise_layout,
     denoise_prepare,
     denoise_reactive,
+    denoise_reflections,
+    denoise_resize,
     denoise_restore,
     denoise_strength,
     denoise_upsample,
@@ -32,9 +34,9 @@ KERNELS = (
     denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_history.HISTORY, denoise_features.FEATURE,
     denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
     denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
-    denoise_restore.JUDGE, denoise_restore.DETAIL, denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE,
-    denoise_reactive.REACTIVE, denoise_reactive.SPREAD_MASK, denoise_reactive.KEEP,
-    ENLARGE, OVER, OVER_ALPHA, denoise_assemble.ASSEMBLE,
+    denoise_resize.RESIZE, denoise_reflections.REFLECTIONS, denoise_restore.JUDGE, denoise_restore.DETAIL,
+    denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE, denoise_reactive.REACTIVE,
+    denoise_reactive.SPREAD_MASK, denoise_reactive.KEEP, ENLARGE, OVER, OVER_ALPHA, denoise_assemble.ASSEMBLE,
     denoise_half.PACK, denoise_half.OPEN, denoise_half.OPEN_FINE,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
@@ -122,9 +124,9 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return _places(case, random)
     if name in ("frame_rows", "frame_columns"):
         return 3 + np.arange(size[0])
-    if name == "rows":
+    if name in ("rows", "at_rows"):
         return positions(case.h, case.height, 0.3)
-    if name == "columns":
+    if name in ("columns", "at_columns"):
         return positions(case.w, case.width, -0.4)
     if name == "radiance":
         return np.pad(20 * unit[:, 1:-1, 1:-1] ** 3, ((0, 0), (1, 1), (1, 1)), "edge")

@@ -28,6 +28,22 @@ COSTS = {
 """Measured by leaving each plane out of three sequences: the table of ablations in docs/quality.md."""
 MATTERS_DB = 0.2
 
+FOLLOWING = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+"""Without these planes reflections cannot be followed by their hit distance."""
+
+
+def hit_distance_unused(material: Material) -> Iterator[Finding]:
+    """A hit distance without what it takes to follow reflections by it."""
+    first = material.first
+    if Role.SPECULAR_HIT_DISTANCE not in first:
+        return
+    lacking = [str(role) for role in FOLLOWING if role not in first]
+    lacking += ["worldToCamera"] if first.world_to_camera is None else []
+    lacking += ["postfx:fovX"] if first.fov_x is None else []
+    if lacking:
+        yield info(Role.SPECULAR_HIT_DISTANCE, "hit-distance-unused", f"no {', '.join(lacking)}",
+                   "planes or headers that are not written", "write them: then the history of reflections follows them")
+
 
 def missing(material: Material) -> Iterator[Finding]:
     """Planes that would make the result better, and colour, without which there is none."""

@@ -25,8 +25,17 @@ JITTER_PAIRS = 5
 def one_frame(material: Material) -> Iterator[Finding]:
     """Too few frames for what shows over frames only."""
     if not material.pairs:
-        yield info("sequence", "one-frame", f"{len(material.frames)} frame to look at",
+        count = len(material.frames)
+        yield info("sequence", "one-frame", f"{count} frame{'s' * (count > 1)} to look at",
                    "motion, jitter, cuts and repeated noise need two consecutive frames of one size", "give a sequence")
+
+
+def sizes_change(material: Material) -> Iterator[Finding]:
+    """Frames of more than one size: with a scale, the output has as many, and the history ends at each change."""
+    sizes = list(dict.fromkeys(f"{frame.spec.width}x{frame.spec.height}" for frame in material.frames))
+    if len(sizes) > 1:
+        yield info("sequence", "sizes-change", f"frames are {', '.join(sizes)}", "dynamic resolution",
+                   "give the output a size (--size): it stays, and the history goes on")
 
 
 def cut_unmarked(material: Material) -> Iterator[Finding]:
