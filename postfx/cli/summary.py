@@ -114,7 +114,7 @@ class Report:
 
 
 def guides_in(plan: Plan, sized: bool) -> dict[str, Any] | None:
-    """Size of the guides, which of them are used, and whether the output's size, unless it is given, follows from them."""
+    """Size of the guides, which are used, and whether the output's size, unless it is given, follows from them."""
     guides, output = plan.available.guides, plan.output
     if guides is None:
         return None
