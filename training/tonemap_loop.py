@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from training.losses import psnr
 from training.networks.cube import Shaper, default_shaper, look_up, shape
 from training.networks.hdrnet import HDRNet, lowres, slice_grid_dense
 
@@ -105,14 +106,14 @@ def validate(net: HDRNet, held: dict[str, np.ndarray], wanted: dict[str, np.ndar
     device, scores = net.cube.device, {}
     for name, colour in held.items():
         x = torch.from_numpy(colour.astype(np.float32)).permute(2, 0, 1)[None].to(device)
-        out = render(net, x, default_shaper(device))[0][0].permute(1, 2, 0).cpu().numpy()
-        scores[name] = psnr(out, wanted[name])
+        out = render(net, x, default_shaper(device))[0].cpu()
+        scores[name] = score(out, wanted[name])
     return scores
 
 
-def psnr(out: np.ndarray, wanted: np.ndarray) -> float:
-    """In dB, of values in [0, 1]."""
-    return round(-10 * math.log10(float(np.square(out - wanted).mean()) + 1e-12), 3)
+def score(out: torch.Tensor, wanted: np.ndarray) -> float:
+    """PSNR of (1,3,H,W) against (H,W,3), in dB."""
+    return round(float(psnr(out, torch.from_numpy(wanted).permute(2, 0, 1)[None])), 3)
 
 
 def train(

@@ -19,6 +19,7 @@ from training.views import bake
 
 WIDE_SPACES = ("rec2020", "acescg")
 LARGEST = 2.0**14  # after exposure; the shaper ends at 2**8, so nothing visible is lost
+FIELD, VIEW_SIZE = 85.0, (288, 512)  # degrees along the longer side; height and width
 VALIDATION_VIEWS = ((0.0, 0.0), (120.0, 10.0), (240.0, -15.0))  # yaw, pitch in degrees
 WIDE = [torch.from_numpy(matrix_between(LINEAR_SPACES[name], REC709).astype(np.float32)) for name in WIDE_SPACES]
 
@@ -94,11 +95,27 @@ def collect(
     return found
 
 
+def find_pictures(photos: Iterable[str], panoramas: Iterable[str], side: int) -> dict[str, np.ndarray]:
+    """Linear Rec.709 by name, of patterns of files; a perspective view of each panorama; shrunk to `side`."""
+    found = {_name(p): shrink(read(p), side) for pattern in photos for p in sorted(glob.glob(pattern))}
+    for path in (p for pattern in panoramas for p in sorted(glob.glob(pattern))):
+        sphere = torch.from_numpy(read(path)).permute(2, 0, 1)
+        view = perspective(sphere, *VALIDATION_VIEWS[0], FIELD, VIEW_SIZE)
+        found[_name(path)] = shrink(view.permute(1, 2, 0).numpy(), side)
+    return found
+
+
+def _name(path: str) -> str:
+    """A file's stem; with its folder where it is a frame of a sequence, whose stem says little."""
+    stem = Path(path).stem
+    return f"{Path(path).parent.name}" if stem.startswith("reference") else stem
+
+
 def _held_views(name: str, picture: np.ndarray, panorama: bool) -> dict[str, np.ndarray]:
     if not panorama:
         return {name: expose(shrink(picture, 640)).astype(np.float16)}
     sphere = torch.from_numpy(picture).permute(2, 0, 1)
-    views = [perspective(sphere, yaw, pitch, 85.0, (288, 512)) for yaw, pitch in VALIDATION_VIEWS]
+    views = [perspective(sphere, yaw, pitch, FIELD, VIEW_SIZE) for yaw, pitch in VALIDATION_VIEWS]
     return {f"{name}.{i}": expose(v.permute(1, 2, 0).numpy()).astype(np.float16) for i, v in enumerate(views)}
 
 

@@ -13,7 +13,7 @@ from training.looks import describe
 from training.networks.cube import default_shaper, look_up, shape
 from training.networks.hdrnet import HDRNet
 from training.tonemap_data import Views
-from training.tonemap_loop import Recipe, Report, Source, psnr, run_of, train
+from training.tonemap_loop import Recipe, Report, Source, run_of, score, train
 from training.tonemap_set import Lesson, Pictures
 from training.tonemap_start import start_network
 
@@ -48,6 +48,5 @@ def cube_psnr(cube: torch.Tensor, held: Examples, wanted: Examples) -> dict[str,
     scores = {}
     for name, rgb in held.items():
         x = torch.from_numpy(rgb.astype(np.float32)).permute(2, 0, 1)[None]
-        out = look_up(shape(x, *default_shaper()), cube)[0].permute(1, 2, 0).numpy()
-        scores[name] = psnr(out, wanted[name])
+        scores[name] = score(look_up(shape(x, *default_shaper()), cube), wanted[name])
     return scores
