@@ -67,8 +67,8 @@ def export_look(checkpoint: dict[str, Any], tag: str, folder: Path, quality: dic
 
 def _export_cube(cube: torch.Tensor, path: Path) -> None:
     """A model without inputs, whose output is the cube: kept in half precision, which holds it exactly."""
-    half = onnx.numpy_helper.from_array(cube.numpy().astype("float16"), "half")
-    node = onnx.helper.make_node("Cast", ["half"], ["cube"], to=onnx.TensorProto.FLOAT)
+    half = onnx.numpy_helper.from_array(cube.numpy().astype("float16"), "cube_half")
+    node = onnx.helper.make_node("Cast", ["cube_half"], ["cube"], to=onnx.TensorProto.FLOAT)
     output = onnx.helper.make_tensor_value_info("cube", onnx.TensorProto.FLOAT, cube.shape)
     graph = onnx.helper.make_graph([node], "look", [], [output], [half])
     model = onnx.helper.make_model(

@@ -10,8 +10,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import cg
 
-SMOOTH, NEAR = 1e-2, 1e-6  # weights of second differences and of the change itself, against 1 for the data of a cell
-TOLERANCE, ITERATIONS = 1e-4, 400
+SMOOTH, NEAR = 1e-2, 1e-7  # weights of second differences and of the change itself, against 1 for the data of a cell
+TOLERANCE, ITERATIONS = 1e-7, 6000  # what has no data comes last: stopping early would leave it at the start
 
 
 def fit_cube(shaped: np.ndarray, wanted: np.ndarray, start: np.ndarray) -> np.ndarray:

@@ -13,11 +13,11 @@ import numpy as np
 from postfx.bench.metrics import LUMINANCE
 from postfx.colour.difference import itp
 from postfx.colour.displays import parse_display
+from training.charts import MID_GREY, hue_chart, ramp
 
 Render = Callable[[np.ndarray], np.ndarray]
 SRGB = parse_display("srgb")
-MID_GREY, STEPS = 0.18, 255
-RAMP_EV = (-8.0, 6.0)
+STEPS = 255
 SWEEP = range(-6, 7)
 COLOURFUL = 20.0  # Delta E ITP from grey: below that a hue means little
 EDGE_STOPS, EDGE_REACH = 6.0, 0.25  # of the step, and how near to it counts, in shares of the picture's width
@@ -33,12 +33,6 @@ def hue(codes: np.ndarray) -> np.ndarray:
     return np.arctan2(*np.moveaxis(itp(codes, SRGB)[..., 1:], -1, 0))
 
 
-def ramp(width: int = 4096, height: int = 64) -> np.ndarray:
-    """Grey from 8 stops below to 6 above mid grey, (height, width, 3)."""
-    light = MID_GREY * np.exp2(np.linspace(*RAMP_EV, width, dtype=np.float32))
-    return np.ascontiguousarray(np.broadcast_to(light[None, :, None], (height, width, 3)))
-
-
 def greys(render: Render, reference: Render) -> dict[str, float]:
     """Of a grey ramp: largest chroma, largest fall and largest step between neighbours in steps of 8 bits.
 
@@ -51,16 +45,6 @@ def greys(render: Render, reference: Render) -> dict[str, float]:
         "fall": float(max(0.0, -rise.min())),
         "rough": float(max(0.0, rise.max() - wanted_rise.max())),
     }
-
-
-def hue_chart(stops: float = 23.0, hues: int = 24, size: int = 8) -> np.ndarray:
-    """Patches of all hues in two saturations, over `stops` stops about mid grey."""
-    levels = np.exp2(np.linspace(-stops / 2, stops / 2, 24)) * MID_GREY
-    angles = np.arange(hues) * 2 * np.pi / hues
-    colours = np.clip(0.5 + np.cos(angles[:, None] - np.array([0, 2, 4]) * np.pi / 3), 0, 1)
-    rows = [colours, 0.3 + 0.7 * colours]
-    chart = np.concatenate([levels[None, :, None] * row[:, None] for row in rows])
-    return np.ascontiguousarray(chart.repeat(size, 0).repeat(size, 1), np.float32)
 
 
 def hue_flips(found: np.ndarray, wanted: np.ndarray) -> float:

@@ -135,7 +135,7 @@ class Views:
     def _synthetic(self, shape: tuple[int, int]) -> torch.Tensor:
         """Gradients over up to 16 stops with coloured regions: what photographs seldom hold."""
         ramp = self._noise(shape, int(self.random.integers(2, 8))) * self.uniform(0.5, 4)
-        colour = self._noise(shape, int(self.random.integers(2, 8)), 3) * self.uniform(0.1, 1.2)
+        colour = self._noise(shape, int(self.random.integers(2, 8)), 3) * self.uniform(0.1, 2.5)
         stops = ramp + colour
         for _ in range(int(self.random.integers(0, 6))):
             stops = stops + self._region(shape) * torch.log2(self._colour(self.uniform(0.5, 4)))

@@ -14,9 +14,8 @@ from training.networks.cube import default_shaper, look_up, shape
 from training.networks.hdrnet import HDRNet, lowres, slice_grid
 from training.tonemap_loop import SHIFT, Recipe, validate
 from training.tonemap_set import read, shrink
-from training.tonemap_start import start_network
+from training.tonemap_start import shipped_cubes, start_network
 from training.tonemap_teach import Checkpoint, Watch, cube_psnr, run
-from training.views import ACES2, bake
 
 SHAPES = ((320, 512), (384, 384), (512, 320), (288, 512))
 EVERY = 5  # that one is held out
@@ -67,6 +66,14 @@ def fit(net: HDRNet | None, pairs: Pairs, start: torch.Tensor) -> tuple[torch.Te
     return cube, float(-10 * np.log10(np.mean(errors) + 1e-12))
 
 
+def nearest_cube(pairs: Pairs) -> torch.Tensor:
+    """The shipped look that comes nearest to the pairs: what they do not show is taken from it."""
+    def psnr(cube: torch.Tensor) -> float:
+        return sum(cube_psnr(cube, *({name: pair[i] for name, pair in pairs.train.items()} for i in (0, 1))).values())
+
+    return max(shipped_cubes().values(), key=psnr)
+
+
 @torch.no_grad()
 def before_cube(net: HDRNet | None, hdr: np.ndarray) -> torch.Tensor:
     """Shaped colour (1,3,H,W) as it meets the cube, in [0, 1]."""
@@ -83,7 +90,7 @@ def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device, 
     held = {name: hdr for name, (hdr, _) in pairs.held.items()}
     wanted = {name: sdr for name, (_, sdr) in pairs.held.items()}
     common = {"look": {"pairs": sorted(pairs.train)}, "pictures": list(pairs.train)}
-    cube, explained = fit(None, pairs, torch.from_numpy(bake(ACES2)))
+    cube, explained = fit(None, pairs, nearest_cube(pairs))
     print(f"colour alone explains the pairs to {explained:.1f} dB", flush=True)
     alone = {**common, "cube": cube, "weights": None, "history": [], "psnr": cube_psnr(cube, held, wanted)}
     if explained >= ENOUGH:

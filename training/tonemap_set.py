@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 
 from postfx.colour.primaries import LINEAR_SPACES, REC709, matrix_between
+from training.charts import hue_chart, ramp
 from training.looks import Look, describe, exact_target, look_from
 from training.panorama import perspective
 from training.views import bake
@@ -92,7 +93,13 @@ def collect(
             found.panoramas |= {name} if panorama else set()
     for i, frame in enumerate(_clip_frames(clips, clip_limit) if clips else []):
         found.train[f"clip_{i}"] = expose(frame).astype(np.float16)
+    found.held = found.held or charts()
     return found
+
+
+def charts() -> dict[str, np.ndarray]:
+    """What to measure with where there are no pictures."""
+    return {"chart": hue_chart(), "ramp": ramp(512)}
 
 
 def find_pictures(photos: Iterable[str], panoramas: Iterable[str], side: int) -> dict[str, np.ndarray]:
