@@ -1,7 +1,7 @@
 """HDRNet (Gharbi et al. 2017, "Deep Bilateral Learning for Real-Time Image Enhancement") between a shaper and a cube.
 
-The grid of colour matrices does what depends on place and picture, the cube what depends on the colour alone. Colour
-comes in scene-linear Rec.709 and leaves sRGB-encoded in [0, 1]. Layout of all tensors here: (N, C, H, W).
+The grid of colour matrices does what depends on place and picture, the cube what depends on the colour alone. The
+network also sees the picture's histogram, which exposure is a function of and convolutions are slow to learn. Colour comes in scene-linear Rec.709 and leaves sRGB-encoded in [0, 1]. Layout of all tensors here: (N, C, H, W).
 `slice_apply`, `lowres` and `smooth` are the definitions of the compute kernels of the same names in `postfx.kernels`.
 """
 
@@ -17,6 +17,7 @@ SIDE = 256  # side of the copy that the coefficients are computed on
 CELLS, DEPTH = 16, 8  # grid: 16 x 16 cells, 8 guide levels
 COEFFICIENTS = 12  # 3x4 affine colour matrix, row-major
 KNOTS = 16
+BINS = 32  # of the histogram
 GUIDE_PARTS = {"matrix": 9, "bias": 3, "shifts": 3 * KNOTS, "slopes": 3 * KNOTS, "mix": 3, "mix_bias": 1}
 
 
@@ -77,6 +78,18 @@ def slice_grid(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) ->
     return affine(coefficients[:, :, 0], shaped)
 
 
+def keep_greys(grid: torch.Tensor) -> torch.Tensor:
+    """The nearest matrices (..., 12) that take greys to greys: all rows with the same sum and the same offset.
+
+    Tints belong to the cube, which sees nothing but colour.
+    """
+    matrices = grid.unflatten(-1, (3, 4))
+    sums = matrices[..., :3].sum(-1, keepdim=True)
+    turned = matrices[..., :3] + (sums.mean(-2, keepdim=True) - sums) / 3
+    offsets = matrices[..., 3:].mean(-2, keepdim=True).expand_as(sums)
+    return torch.cat([turned, offsets], -1).flatten(-2)
+
+
 def linear_weights(out_size: int, cells: int, device: torch.device) -> torch.Tensor:
     """(out_size, cells) matrix of linear interpolation between cell centres, clamped at the border."""
     x = (torch.arange(out_size, device=device, dtype=torch.float32) + 0.5) * (cells / out_size) - 0.5
@@ -110,6 +123,17 @@ def _conv(cin: int, cout: int, stride: int = 1, bias: bool = True) -> nn.Conv2d:
     return nn.Conv2d(cin, cout, 3, stride, 1, bias=bias)
 
 
+def histogram(low: torch.Tensor) -> torch.Tensor:
+    """BINS times the shares (N,BINS) of the pixels of (N,3,H,W) by their mean channel in [0,1], of every second row and
+    column: 1 on average.
+
+    A pixel between two bins' centres counts for both, so that the shares change smoothly.
+    """
+    level = low.mean(1, keepdim=True)[..., ::2, ::2] * (BINS - 1.0)
+    bins = torch.arange(BINS, device=low.device, dtype=low.dtype).view(1, BINS, 1, 1)
+    return F.relu(1 - (level - bins).abs()).mean((2, 3)) * BINS
+
+
 class Coefficients(nn.Module):
     """(N,3,256,256) shaped low-resolution colour -> (N,16,16,8,12) grid of affine colour matrices."""
 
@@ -118,6 +142,7 @@ class Coefficients(nn.Module):
         self.splat = nn.ModuleList([_conv(3, 8, 2), _conv(8, 16, 2), _conv(16, 32, 2), _conv(32, 64, 2)])
         self.global_conv = nn.ModuleList([_conv(64, 64, 2), _conv(64, 64, 2)])
         self.global_dense = nn.ModuleList([nn.Linear(1024, 256), nn.Linear(256, 128), nn.Linear(128, 64)])
+        self.histogram_dense = nn.ModuleList([nn.Linear(BINS, 64), nn.Linear(64, 64)])
         self.local = nn.ModuleList([_conv(64, 64), _conv(64, 64, bias=False)])
         self.head = nn.Conv2d(64, DEPTH * COEFFICIENTS, 1)
         self._initialise()
@@ -143,9 +168,10 @@ class Coefficients(nn.Module):
         g = g.flatten(1)
         for i, layer in enumerate(self.global_dense):
             g = layer(g) if i == 2 else F.relu(layer(g))
+        g = g + self.histogram_dense[1](F.relu(self.histogram_dense[0](histogram(low))))
         local = self.local[1](F.relu(self.local[0](x)))
         grid = self.head(F.relu(local + g[:, :, None, None]))
-        return grid.unflatten(1, (DEPTH, COEFFICIENTS)).permute(0, 3, 4, 1, 2)
+        return keep_greys(grid.unflatten(1, (DEPTH, COEFFICIENTS)).permute(0, 3, 4, 1, 2))
 
 
 class Guide(nn.Module):
@@ -167,7 +193,7 @@ class Guide(nn.Module):
 
 
 class HDRNet(nn.Module):
-    """482,080 parameters and a cube (size,size,size,3), which is trained only where asked for.
+    """488,352 parameters and a cube (size,size,size,3), which is trained only where asked for.
 
     `forward` is what is exported: lowres -> (grid, guide, cube); the kernels do the rest.
     """
