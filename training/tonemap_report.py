@@ -13,7 +13,7 @@ from training.quality_report.document import Block, compose, parse
 from training.quality_report.markdown import number, table
 from training.tonemap_set import shrink
 
-TILE, GAP, LOUD = 300, 4, 8.0  # widest side of a tile and the gap, in pixels; factor of the errors shown
+TILE, GAP, LOUD = 200, 4, 8.0  # height of a tile and the gap, in pixels; factor of the errors shown
 MOST = 5  # pictures in a strip
 Found = dict[str, dict[str, Any]]
 
@@ -76,9 +76,9 @@ def write_report(doc: Path, found: Found) -> None:
 
 def strip(pairs: list[tuple[np.ndarray, np.ndarray]], path: Path) -> None:
     """A picture of looks (H,W,3) over what was wanted over the difference, made louder; one column a pair."""
-    columns = [_column(*(shrink(x, TILE) for x in pair)) for pair in pairs[:MOST]]
-    height = max(len(column) for column in columns)
-    padded = [np.pad(column, ((0, height - len(column)), (0, GAP), (0, 0)), constant_values=1.0) for column in columns]
+    columns = [_column(*(shrink(x, round(TILE * max(x.shape) / len(x))) for x in pair)) for pair in pairs[:MOST]]
+    height = min(len(column) for column in columns)
+    padded = [np.pad(column[:height], ((0, 0), (0, GAP), (0, 0)), constant_values=1.0) for column in columns]
     path.parent.mkdir(parents=True, exist_ok=True)
     image = oiio.ImageBuf(np.ascontiguousarray(np.round(np.concatenate(padded, 1) * 255).astype(np.uint8)))
     image.specmod()["CompressionQuality"] = 90

@@ -2,8 +2,8 @@
 
 The grid of colour matrices does what depends on place and picture, the cube what depends on the colour alone. The
 network also sees the picture's histogram: exposure is a function of it, and convolutions are slow to learn that. Colour
-comes in scene-linear Rec.709 and leaves sRGB-encoded in [0, 1]. Layout of all tensors here: (N, C, H, W). `slice_apply`,
-`lowres` and `smooth` are the definitions of the compute kernels of the same names in `postfx.kernels`.
+comes in scene-linear Rec.709 and leaves sRGB-encoded in [0, 1]. Layout of all tensors here: (N, C, H, W).
+`slice_apply`, `lowres` and `smooth` are the definitions of the compute kernels of the same names in `postfx.kernels`.
 """
 
 from __future__ import annotations
