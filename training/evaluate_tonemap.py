@@ -1,85 +1,122 @@
-"""Measure a tone mapper's checkpoint on pictures that it was not trained on, against the colour pipeline itself.
+"""Measure looks, as the run-time computes them, against the colour pipelines that they stand for.
 
-    python -m training.evaluate_tonemap checkpoint.pt --look aces2 -o quality.json [--pictures DIR] A.exr B.hdr ...
+    python -m training.evaluate_tonemap aces2 local -o looks.json --photos 'hdr/*.exr' [--panoramas 'env/*.hdr']
+        [--references 'shot/reference.0001.exr'] [--sequences DIR...] [--report]
 
-Each picture is exposed by the run-time's meter and shrunk to at most --side pixels. Per picture: PSNR, SSIM and FLIP
-of the sRGB-encoded result, and mean Delta E ITP (ITU-R BT.2124, display white at 100 cd/m2).
+A look is a tag, or the file of a model. Each picture is exposed by the run-time's meter and shrunk to at most --side
+pixels. Per picture: PSNR, SSIM and FLIP of sRGB code values, mean Delta E ITP (ITU-R BT.2124, white at 100 cd/m2).
+Then the charts of `training.look_checks`, and how steady sequences are. --report writes all of it into docs/tonemap.md
+and makes its pictures, of the looks measured now and of those that -o held before.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import colour
-import flip_evaluator
 import numpy as np
-import OpenImageIO as oiio
-import torch
-from skimage.metrics import structural_similarity
 
+from postfx.bench.metrics import flip, psnr, ssim
+from postfx.colour.difference import delta_e_itp
 from postfx.exposure import measure
-from training.looks import exact_target, find_look
-from training.make_tonemap_set import read, shrink
-from training.networks.hdrnet import HDRNet, default_params
+from postfx.frame import Frame, Role
+from postfx.passes.tonemap import ToneMap, find_model
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from training.look_checks import SRGB, Render, greys, halo, sweep
+from training.look_flicker import flicker
+from training.looks import Look, exact_target, look_from
+from training.tonemap_report import strip, write_report
+from training.tonemap_set import find_pictures
+from training.views import exact_view
 
-WHITE = 100.0  # cd/m2
+REPOSITORY = Path(__file__).resolve().parent.parent
 
 
-def srgb_decode(encoded: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1, [0, 1] to linear [0, 1]."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+class Mapper:
+    """A look as the run-time computes it; what it is called with comes out of a pipeline of its own size."""
 
+    def __init__(self, tag: str) -> None:
+        self._device, self._tag, self._pipelines = Device("cpu"), tag, {}
+        library, model = find_model(tag)
+        self.name, self.card = model.removeprefix("tonemap."), library.card(model)
 
-def delta_e_itp(a: np.ndarray, b: np.ndarray) -> float:
-    """Mean Delta E ITP between two sRGB-encoded pictures shown at 100 cd/m2."""
-    space = colour.RGB_COLOURSPACES["sRGB"], colour.RGB_COLOURSPACES["ITU-R BT.2020"]
-    itp = [colour.RGB_to_ICtCp(colour.RGB_to_RGB(srgb_decode(x.astype(np.float64)), *space) * WHITE) for x in (a, b)]
-    return float(colour.difference.delta_E_ITP(*itp).mean())
+    def __call__(self, rgb: np.ndarray) -> np.ndarray:
+        """Exposed scene-linear (H,W,3) to sRGB code values, without a past."""
+        return self.follow(Frame({Role.COLOUR: np.ascontiguousarray(rgb, np.float32)}, reset=True))
+
+    def follow(self, frame: Frame) -> np.ndarray:
+        """The next frame of a sequence, exposed already."""
+        size = frame[Role.COLOUR].shape
+        if size not in self._pipelines:
+            self._pipelines[size] = Pipeline([ToneMap(tag=self._tag)], self._device, exposure=0.0, cuts="none")
+        return self._pipelines[size](frame)[Role.COLOUR].copy()
 
 
 def compare(out: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
-    error = float(np.square(out - wanted).mean())
     return {
-        "psnr": round(-10 * math.log10(error + 1e-12), 2),
-        "ssim": round(float(structural_similarity(out, wanted, channel_axis=2, data_range=1.0)), 4),
-        "flip": round(float(flip_evaluator.evaluate(wanted, out, "LDR")[1]), 4),
-        "delta_e_itp": round(delta_e_itp(out, wanted), 2),
+        "psnr": round(psnr(out, wanted), 2),
+        "ssim": round(ssim(out, wanted), 4),
+        "flip": round(flip(out, wanted), 4),
+        "delta_e_itp": round(float(delta_e_itp(out, wanted, SRGB).mean()), 2),
     }
 
 
-def write(path: Path, picture: np.ndarray) -> None:
-    oiio.ImageBuf(np.ascontiguousarray(np.round(picture * 255).astype(np.uint8))).write(str(path))
+def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, float]:
+    """Flicker of the look with its history, of its view alone and of the pipeline frame by frame."""
+    def exposed(frame: Frame, exposure: float) -> np.ndarray:
+        return frame[Role.COLOUR] * np.float32(exposure)
+
+    looks = {
+        "look": lambda frame, by: mapper.follow(replace(frame, planes={Role.COLOUR: exposed(frame, by)})),
+        "view": lambda frame, by: exact_view(look.view, exposed(frame, by) * np.float32(2.0**look.gain)),
+        "pipeline": lambda frame, by: exact_target(exposed(frame, by), look),
+    }
+    return flicker(folder, looks, "view")
+
+
+def examine(mapper: Mapper, look: Look, pictures: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str, Any]:
+    """All figures of one look."""
+    reference: Render = lambda rgb: exact_target(rgb, look)  # noqa: E731
+    trained, rows, strips = set(mapper.card["training"]["pictures"]), {}, []
+    for name, rgb in pictures.items():
+        out, wanted = mapper(rgb), reference(rgb)
+        rows[name] = compare(out, wanted) | {"held_out": name.split(".")[0] not in trained}
+        strips.append((out, wanted))
+        print(mapper.name, name, rows[name], flush=True)
+    if args.report:
+        strip(strips, args.images / f"{mapper.name}.jpg")
+    checks = greys(mapper, reference) | sweep(mapper, reference, next(iter(pictures.values())))
+    checks["halo"] = halo(mapper, reference)
+    print(mapper.name, checks, flush=True)
+    steady = {} if look.is_global else {Path(x).name: steadiness(mapper, look, Path(x)) for x in args.sequences}
+    return {"pictures": rows, "checks": checks, "flicker": steady}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkpoint")
-    parser.add_argument("images", nargs="+")
-    parser.add_argument("--look", default="aces2", help="built-in look, or a .toml file")
+    parser.add_argument("looks", nargs="*", help="tags, or files of models; none: only write the report")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="JSON file; looks that it holds stay in it")
+    parser.add_argument("--photos", nargs="*", default=[], help="HDR pictures (patterns)")
+    parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
+    parser.add_argument("--sequences", nargs="*", default=[], help="folders of reference.####.exr and noisy.####.exr")
     parser.add_argument("--side", type=int, default=640)
-    parser.add_argument("--pictures", type=Path, help="folder for PNGs: result beside target")
-    parser.add_argument("-o", "--output", help="JSON file")
+    parser.add_argument("--report", action="store_true", help="write docs/tonemap.md and its pictures")
+    parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/tonemap.md")
+    parser.add_argument("--images", type=Path, default=REPOSITORY / "docs/images/tonemap")
     args = parser.parse_args()
-    net = HDRNet().eval()
-    net.load_state_dict(torch.load(args.checkpoint, map_location="cpu")["weights"])
-    look, quality = find_look(args.look), {}
-    for path in args.images:
-        rgb = shrink(read(path), args.side)
-        rgb = rgb * np.float32(2.0 ** (measure(rgb) or 0.0))
-        with torch.no_grad():
-            out = net.render(torch.from_numpy(rgb).permute(2, 0, 1)[None], default_params())[0].permute(1, 2, 0).numpy()
-        wanted = exact_target(rgb, look)
-        name = f"{Path(path).parent.name}/{Path(path).stem}"
-        quality[name] = compare(out, wanted)
-        print(name, quality[name], flush=True)
-        if args.pictures:
-            args.pictures.mkdir(parents=True, exist_ok=True)
-            write(args.pictures / f"{name.replace('/', '_')}.png", np.concatenate([out, wanted], 1))
-    if args.output:
-        Path(args.output).write_text(json.dumps(quality, indent=2) + "\n")
+    found = json.loads(args.output.read_text()) if args.output.exists() else {}
+    pictures = find_pictures(args.photos, args.panoramas, args.side)
+    pictures = {name: rgb * np.float32(2.0 ** (measure(rgb) or 0.0)) for name, rgb in pictures.items()}
+    for tag in args.looks:
+        mapper = Mapper(tag)
+        found[mapper.name] = examine(mapper, look_from(mapper.card["look"]), pictures, args)
+        args.output.write_text(json.dumps(found, indent=2) + "\n")
+    if args.report:
+        write_report(args.doc, found)
 
 
 if __name__ == "__main__":

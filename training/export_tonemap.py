@@ -1,6 +1,6 @@
-"""Export the tone mapper: network and card to models/, its compute kernels to models/kernels/.
+"""Export the tone mapper: a look's model and card to models/, its compute kernels to models/kernels/.
 
-    python -m training.export_tonemap checkpoint.pt --tag aces2 [--look aces2] [--quality quality.json]
+    python -m training.export_tonemap runs/local/checkpoint.pt --tag local [--quality quality.json] [--models DIR]
     python -m training.export_tonemap
 """
 
@@ -9,27 +9,32 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import onnx
 import torch
 
 from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD
 from postfx.kernels.encode_display import ENCODE_DISPLAY
-from training.export import export, export_kernel, parser, read_quality, write_card
-from training.looks import Look, find_look
-from training.networks.hdrnet import SHAPER, SIDE, TOE, WHITE, HDRNet, default_params
+from training.export import OPSET, export, export_kernel, parity, parser, read_quality, write_card
+from training.networks.cube import CUBE, SHAPER, TO_WORKING, TOE, WHITE, default_shaper
+from training.networks.hdrnet import SIDE, HDRNet
 from training.networks.tonemap_kernels import ApplyCube, Checkerboard, EncodeDisplay, Lowres, SliceApply, Smooth
 
 IMAGE = {0: torch.export.Dim("height", min=1), 1: torch.export.Dim("width", min=1)}
+IR_VERSION = 10  # the newest that ONNX Runtime 1.20 reads
 
 
 def export_kernels(folder: Path) -> None:
     torch.manual_seed(0)
-    colour, params = torch.rand(48, 64, 3), default_params()
-    grid, guide = (x.detach().contiguous() for x in HDRNet()(torch.rand(1, 3, SIDE, SIDE)))
-    export(Lowres(), (colour, params), ["colour", "params"], ["lowres"], folder / "lowres.onnx", [IMAGE, None])
-    reads = ["colour", "params", "guide", "grid"]
-    free = [IMAGE, None, None, None]
-    export(SliceApply(), (colour, params, guide, grid), reads, ["output"], folder / "slice_apply.onnx", free)
+    shaper, colour = default_shaper(), torch.rand(48, 64, 3)
+    net = HDRNet(torch.rand(CUBE, CUBE, CUBE, 3))
+    grid, guide, cube = (x.detach().contiguous() for x in net(torch.rand(1, 3, SIDE, SIDE)))
+    reads, free = ["colour", "params", "matrix"], [IMAGE, None, None]
+    export(Lowres(), (colour, *shaper), reads, ["lowres"], folder / "lowres.onnx", free)
+    size = torch.export.Dim("size", min=2)
+    free = [*free, None, None, {0: size, 1: size, 2: size}]
+    arguments, names = (colour, *shaper, guide, grid, cube), [*reads, "guide", "grid", "cube"]
+    export(SliceApply(), arguments, names, ["output"], folder / "slice_apply.onnx", free)
     reads = ["previous", "current", "keep"]
     # Two tensors, not one twice: the exporter would take equal arguments for one and the same.
     export(Smooth(), (grid, grid.clone(), torch.ones(1)), reads, ["result"], folder / "smooth.onnx")
@@ -38,14 +43,75 @@ def export_kernels(folder: Path) -> None:
     export_kernel(CHECKERBOARD, Checkerboard(), {"height": 9, "width": 16}, folder)
 
 
-def card(checkpoint: dict[str, Any], tag: str, look: Look, quality: dict[str, Any]) -> dict[str, Any]:
+def network(checkpoint: dict[str, Any]) -> HDRNet | None:
+    """The network of a checkpoint, None for a global look, which has a cube only."""
+    if checkpoint["weights"] is None:
+        return None
+    net = HDRNet(checkpoint["cube"])
+    net.load_state_dict(checkpoint["weights"])
+    return net.eval()
+
+
+def export_look(checkpoint: dict[str, Any], tag: str, folder: Path, quality: dict[str, Any]) -> Path:
+    """Write `tonemap.<tag>.onnx` and its card; raises ParityError where it does not compute what torch does."""
+    path, net = folder / f"tonemap.{tag}.onnx", network(checkpoint)
+    if net is None:
+        _export_cube(checkpoint["cube"], path)
+    else:
+        low = torch.rand(1, 3, SIDE, SIDE)
+        export(net, (low,), ["lowres"], ["grid", "guide", "cube"], path)
+        parity(net, path, (low,))
+    write_card(path, card(checkpoint, tag, quality))
+    return path
+
+
+def _export_cube(cube: torch.Tensor, path: Path) -> None:
+    """A model without inputs, whose output is the cube: kept in half precision, which holds it exactly."""
+    half = onnx.numpy_helper.from_array(cube.numpy().astype("float16"), "cube_half")
+    node = onnx.helper.make_node("Cast", ["cube_half"], ["cube"], to=onnx.TensorProto.FLOAT)
+    output = onnx.helper.make_tensor_value_info("cube", onnx.TensorProto.FLOAT, cube.shape)
+    graph = onnx.helper.make_graph([node], "look", [], [output], [half])
+    model = onnx.helper.make_model(
+        graph, opset_imports=[onnx.helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
+    )
+    onnx.checker.check_model(model)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(model.SerializeToString(deterministic=True))
+
+
+def card(checkpoint: dict[str, Any], tag: str, quality: dict[str, Any]) -> dict[str, Any]:
     """What the run-time and a reader need to know about the model."""
-    return {
+    size, net = checkpoint["cube"].shape[0], network(checkpoint)
+    meaning = "red, green, blue, channel; over shaped colour"
+    cube = {"shape": [size, size, size, 3], "meaning": meaning, "constant": True}
+    common = {
         "name": f"tonemap.{tag}",
         "pass": "tonemap",
         "tag": tag,
-        "summary": f"HDRNet tone mapper, look {tag}",
-        "parameters": sum(p.numel() for p in HDRNet().parameters()),
+        "shaper": {
+            "formula": "clip(log2(1 + exposure * (matrix x) / toe) * scale, 0, 1)",
+            "toe": TOE,
+            "scale": SHAPER[1],
+            "white": WHITE,
+            "matrix": TO_WORKING.ravel().tolist(),
+            "primaries": "Rec.2020, from Rec.709",
+        },
+        "output_encoding": "srgb",
+        "look": checkpoint["look"],
+        "training": {
+            "script": "training/train_tonemap.py",
+            "runs": checkpoint["history"],
+            "pictures": checkpoint["pictures"],
+        },
+        "quality": {"held_out_psnr": checkpoint["psnr"], "pictures": quality},
+    }
+    if net is None:
+        summary = f"Look {tag}: depends on colour alone, a cube without a network"
+        return {**common, "summary": summary, "parameters": 0, "inputs": {}, "outputs": {"cube": cube}}
+    return {
+        **common,
+        "summary": f"Look {tag}: HDRNet (Gharbi et al. 2017) and a cube",
+        "parameters": sum(p.numel() for name, p in net.named_parameters() if name != "cube"),
         "inputs": {"lowres": {"shape": [1, 3, SIDE, SIDE], "meaning": "shaped colour, area average, 0..1"}},
         "outputs": {
             "grid": {"shape": [1, 16, 16, 8, 12], "meaning": "y, x, guide level, 3x4 affine matrix row-major"},
@@ -54,44 +120,17 @@ def card(checkpoint: dict[str, Any], tag: str, look: Look, quality: dict[str, An
                 "meaning": "matrix 9, bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1",
                 "constant": True,
             },
+            "cube": cube,
         },
-        "shaper": {
-            "formula": "clip(log2(1 + exposure * x / toe) * scale, 0, 1)",
-            "toe": TOE,
-            "scale": SHAPER[1],
-            "white": WHITE,
-        },
-        "output_encoding": "srgb",
-        "look": describe(look),
-        "training": {
-            "script": "training/train_tonemap.py",
-            "network": "HDRNet (Gharbi et al. 2017)",
-            "runs": checkpoint["history"],
-            "pictures": checkpoint["pictures"],
-        },
-        "quality": {"held_out_psnr": checkpoint["psnr"], "pictures": quality},
     }
 
 
-def describe(look: Look) -> dict[str, Any]:
-    view = look.view.__name__ if callable(look.view) else vars(look.view)
-    local = {"gain": look.gain, "sigma": look.sigma, "alpha": look.alpha, "beta": look.beta}
-    return {"formula": "view(2 ** gain * local_laplacian(rgb))", **local, "view": view}
-
-
 def main() -> None:
-    arguments = parser(__doc__, "aces2")
-    arguments.add_argument("--look", help="built-in look or .toml file it was trained on; default: the tag")
-    args = arguments.parse_args()
+    args = parser(__doc__, "local").parse_args()
     export_kernels(args.models / "kernels")
-    if not args.checkpoint:
-        return
-    checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
-    net = HDRNet()
-    net.load_state_dict(checkpoint["weights"])
-    path = args.models / f"tonemap.{args.tag}.onnx"
-    export(net, (torch.rand(1, 3, SIDE, SIDE),), ["lowres"], ["grid", "guide"], path)
-    write_card(path, card(checkpoint, args.tag, find_look(args.look or args.tag), read_quality(args.quality)))
+    if args.checkpoint:
+        checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
+        export_look(checkpoint, args.tag, args.models, read_quality(args.quality))
 
 
 if __name__ == "__main__":

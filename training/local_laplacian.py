@@ -73,7 +73,7 @@ def local_laplacian(x: torch.Tensor, sigma: float, alpha: float, beta: float, st
 
 
 def compress(rgb: torch.Tensor, sigma: float, alpha: float, beta: float) -> torch.Tensor:
-    """Local range compression of exposed scene-linear RGB (N,3,H,W), >= 0; hue and saturation ratios are kept."""
+    """Local range compression of exposed scene-linear RGB (N,3,H,W); hue and saturation ratios are kept."""
     weights = torch.tensor(LUMINANCE, dtype=rgb.dtype, device=rgb.device).view(1, 3, 1, 1)
-    log = torch.log2((rgb * weights).sum(1, keepdim=True) + FLOOR)
+    log = torch.log2((rgb * weights).sum(1, keepdim=True).clamp_min(0) + FLOOR)
     return rgb * torch.exp2(local_laplacian(log, sigma, alpha, beta) - log)

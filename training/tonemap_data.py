@@ -1,8 +1,9 @@
 """Random views for the tone mapper, made on the device that trains: crops, panoramas, light fields, lamps, exposure.
 
 All colour is scene-linear Rec.709. Few pictures become many by what light does to them: a smooth light field with hard
-edges multiplies the picture (windows, shadows), lamps are added, white balance and saturation move, and the result is
-exposed again as the run-time's meter would, plus a random error of some stops.
+edges multiplies the picture (windows, shadows), lamps are added, white balance and saturation move, some are taken for
+wide-gamut ones, some get noise, and the result is exposed again as the run-time's meter would, plus a random error of
+some stops. Charts made from nothing are always among them, so pictures may be missing.
 """
 
 from __future__ import annotations
@@ -14,22 +15,26 @@ import torch
 import torch.nn.functional as F
 
 from training.local_laplacian import LUMINANCE
+from training.looks import Look, before_view, log_luminance
+from training.networks.cube import default_shaper, look_up, shape
 from training.panorama import perspective
+from training.tonemap_loop import SHIFT
+from training.tonemap_set import LARGEST, WIDE, Pictures
 
 SHAPES = ((320, 512), (384, 384), (512, 320), (288, 512))
-SHIFT = 8  # largest shift, in pixels, between the two views of a consistency pair
-LARGEST = 2.0**14
+
+CHARTS = 0.12  # share of views that are made from nothing
 
 
 class Views:
-    """Endless batches of views from a packed set."""
+    """Endless batches of views of pictures, each with what a look makes of it."""
 
-    def __init__(self, packed: np.lib.npyio.NpzFile, device: torch.device, seed: int) -> None:
-        self.device = device
+    def __init__(
+        self, pictures: Pictures, look: Look, cube: torch.Tensor, device: torch.device, seed: int = 1
+    ) -> None:
+        self.device, self.look, self.cube = device, look, cube.to(device)
         self.random = np.random.default_rng(seed)
-        count = len(packed["names"])
-        self.pictures = [self._load(packed[f"image_{i}"]) for i in range(count)]
-        self.panorama = [bool(x) for x in packed["panorama"]]
+        self.pictures = [(self._load(picture), name in pictures.panoramas) for name, picture in pictures.train.items()]
 
     def _load(self, picture: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(picture.astype(np.float32)).permute(2, 0, 1).contiguous().to(self.device)
@@ -40,25 +45,33 @@ class Views:
     def chance(self, p: float) -> bool:
         return bool(self.random.random() < p)
 
-    def batch(self, size: int, scale: float = 1.0) -> torch.Tensor:
-        """(size,3,H+8,W+8) exposed views, one random shape a batch; `scale` shrinks the shape for toy runs."""
+    def batch(self, size: int, scale: float = 1.0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Exposed views (size,3,H+8,W+8) of one random shape, the look of them, and their shaped colour before it.
+
+        `scale` shrinks the shape for toy runs.
+        """
         h, w = SHAPES[self.random.integers(len(SHAPES))]
-        shape = (int(h * scale) + SHIFT, int(w * scale) + SHIFT)
-        return torch.stack([self._view(shape) for _ in range(size)])
+        size_in_pixels = (int(h * scale) + SHIFT, int(w * scale) + SHIFT)
+        views = torch.stack([self._view(size_in_pixels) for _ in range(size)])
+        shaped = shape(before_view(views, self.look), *default_shaper(self.device))
+        return views, look_up(shaped, self.cube), shaped
 
     def _view(self, shape: tuple[int, int]) -> torch.Tensor:
-        x = self._synthetic(shape) if self.chance(0.12) else self._picture(shape)
+        x = self._synthetic(shape) if not self.pictures or self.chance(CHARTS) else self._picture(shape)
         x = self._grade(x)
         if self.chance(0.5):
             x = x * self._light(shape)
         if self.chance(0.25):
             x = x + self._lamps(shape)
+        if self.chance(0.2):
+            x = x * (1 + self.uniform(0.0, 0.15) * torch.randn(3, *shape, device=self.device)).clamp_min(0)
+        if self.chance(0.2):
+            x = torch.einsum("ij,jhw->ihw", WIDE[self.random.integers(len(WIDE))].to(x), x)
         return self._expose(x)
 
     def _picture(self, shape: tuple[int, int]) -> torch.Tensor:
-        i = int(self.random.integers(len(self.pictures)))
-        picture = self.pictures[i]
-        if self.panorama[i] and self.chance(0.7):
+        picture, panorama = self.pictures[int(self.random.integers(len(self.pictures)))]
+        if panorama and self.chance(0.7):
             x = perspective(picture, self.uniform(-180, 180), self.uniform(-35, 35), self.uniform(45, 120), shape)
         else:
             x = self._crop(picture, shape)
@@ -122,7 +135,7 @@ class Views:
     def _synthetic(self, shape: tuple[int, int]) -> torch.Tensor:
         """Gradients over up to 16 stops with coloured regions: what photographs seldom hold."""
         ramp = self._noise(shape, int(self.random.integers(2, 8))) * self.uniform(0.5, 4)
-        colour = self._noise(shape, int(self.random.integers(2, 8)), 3) * self.uniform(0.1, 1.2)
+        colour = self._noise(shape, int(self.random.integers(2, 8)), 3) * self.uniform(0.1, 2.5)
         stops = ramp + colour
         for _ in range(int(self.random.integers(0, 6))):
             stops = stops + self._region(shape) * torch.log2(self._colour(self.uniform(0.5, 4)))
@@ -144,7 +157,6 @@ class Views:
 
     def _expose(self, x: torch.Tensor) -> torch.Tensor:
         """Geometric mean to mid grey, then an error: mostly within 1.5 stops, sometimes up to 3 either way."""
-        weights = torch.tensor(LUMINANCE, device=self.device).view(3, 1, 1)
-        log = torch.log2((x * weights).sum(0) + 2.0**-16)
+        log = log_luminance(x[None])
         error = self.uniform(-3, 3) if self.chance(0.25) else float(self.random.normal(0.0, 0.8))
-        return (x * torch.exp2(math.log2(0.18) - log.mean() + error)).clamp(0, LARGEST)
+        return (x * torch.exp2(math.log2(0.18) - log.mean() + error)).clamp(-LARGEST, LARGEST)

@@ -1,151 +1,128 @@
-"""Train the HDRNet tone mapper on a packed set (see make_tonemap_set.py).
+"""Teach the tone mapper a look: from nothing to an exported, verified model with a card.
 
-    python -m training.train_tonemap --data tonemap_set.npz --out runs/tonemap --minutes 5
+    python -m training.train_tonemap mine --pairs HDR_DIR SDR_DIR
+    python -m training.train_tonemap film --ocio config.ocio --display "sRGB - Display" --view Film [--look Warm]
+    python -m training.train_tonemap print --lut print.cube,input=ACEScct
+    python -m training.train_tonemap local --target local --pictures 'hdr/*.exr' --panoramas 'env/*.hdr'
 
-Reads from top to bottom: options, data, network, loop, validation, checkpoint. Runs on CUDA, or on a CPU at toy size.
+The first word is the tag: `postfx run shot.####.exr -o out.####.png --tonemap OUT/tonemap.TAG.onnx` uses the result.
+Pairs are files of the same name, linear HDR and sRGB-encoded SDR, exposed as they are. A look that depends on colour
+alone becomes a cube; others are learnt by fine-tuning the network of --start. Held-out pictures are never trained on.
 """
 
 from __future__ import annotations
 
 import argparse
-import copy
 import json
-import math
-import time
+from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
 import torch
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from training.looks import Look, target
-from training.networks.hdrnet import HDRNet, default_params, lowres, shape, slice_apply_dense
-from training.tonemap_data import SHIFT, Views
+from postfx.colour.primaries import LINEAR_SPACES
+from training.looks import Look, find_look
+from training.tonemap_loop import Recipe, Report
+from training.tonemap_set import collect, lesson, load
+from training.tonemap_teach import Checkpoint, teach_look
+from training.views import Lut, Ocio
 
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--data", required=True)
-parser.add_argument("--out", required=True, help="folder for checkpoint.pt and log.jsonl")
-parser.add_argument("--minutes", type=float, default=5.0, help="wall-clock length; the learning rate follows it")
-parser.add_argument("--batch", type=int, default=16)
-parser.add_argument("--rate", type=float, default=1.5e-3)
-parser.add_argument("--scale", type=float, default=1.0, help="shrinks the training pictures, for toy runs")
-parser.add_argument("--every", type=float, default=30.0, help="seconds between validations")
-parser.add_argument("--resume", help="start from this checkpoint's weights")
-parser.add_argument("--seed", type=int, default=1)
-
-CONSISTENCY, GRADIENT, CHROMA, SQUARED = 0.5, 0.5, 0.5, 4.0
+GPU_MINUTES, CPU_MINUTES = 8.0, 45.0
+SIDE = 768  # longest side of a picture
 
 
-def picture_loss(out: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-    """L1 + squared error in sRGB values, their gradients, and two opponent channels; overshoot past white is free."""
-    d = out - wanted
-    d = torch.where(((wanted >= 1) & (d > 0)) | ((wanted <= 0) & (d < 0)), 0.01 * d, d)
-    gradient = (d[..., 1:] - d[..., :-1]).abs().mean() + (d[..., 1:, :] - d[..., :-1, :]).abs().mean()
-    opponent = (d[:, 0] - d[:, 1]).abs().mean() + (d[:, 2] - 0.5 * (d[:, 0] + d[:, 1])).abs().mean()
-    return d.abs().mean() + SQUARED * d.square().mean() + GRADIENT * gradient + CHROMA * opponent
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tag", help="name of the look")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--pairs", nargs=2, type=Path, metavar=("HDR_DIR", "SDR_DIR"), help="your own graded pictures")
+    source.add_argument("--ocio", metavar="CONFIG", help="OpenColorIO config: a file, or the name of a built-in one")
+    source.add_argument("--lut", metavar="FILE", help="look-up table, as --tonemap takes it: FILE,input=SPACE")
+    source.add_argument("--target", metavar="LOOK", help="a built-in look, or a .toml file that describes one")
+    source.add_argument("--set", metavar="NPZ", help="packed by training.make_tonemap_set; its look of this tag")
+    parser.add_argument("--display", help="of --ocio")
+    parser.add_argument("--view", help="of --ocio")
+    parser.add_argument("--look", default="", help="of --ocio, instead of the view's own looks")
+    parser.add_argument("--source", default="", help="the config's name of linear Rec.709")
+    parser.add_argument("--pictures", nargs="*", default=[], help="HDR photographs (patterns) to learn on")
+    parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
+    parser.add_argument("--space", choices=LINEAR_SPACES, default="rec709", help="primaries of all HDR files, linear")
+    parser.add_argument("--hold-out", nargs="*", help="stems of pictures to measure with; default: every fifth")
+    parser.add_argument("--start", default="local", help="tag or file of the model to fine-tune, or 'none'")
+    parser.add_argument("--minutes", type=float, help=f"default: {GPU_MINUTES:g} on a GPU, {CPU_MINUTES:g} on a CPU")
+    parser.add_argument("--batch", type=int)
+    parser.add_argument("--rate", type=float, default=1.5e-3)
+    parser.add_argument("--scale", type=float, help="of the training pictures; default 1 on a GPU, 0.5 on a CPU")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--every", type=float, default=30.0, help="seconds between measurements")
+    parser.add_argument("-o", "--out", type=Path, help="folder for all results; default: runs/TAG")
+    parser.add_argument("--no-export", action="store_true", help="leave a checkpoint for training.export_tonemap")
+    args = parser.parse_args()
+    if args.ocio and not (args.display and args.view):
+        parser.error("--ocio needs --display and --view")
+    args.out = args.out or Path("runs") / args.tag
+    return args
 
 
-def render(net: HDRNet, colour: torch.Tensor, params: torch.Tensor, noise: float = 0.0) -> torch.Tensor:
-    """Display colour before the last clip; `noise` disturbs what the coefficient network sees."""
-    low = lowres(colour, params)
-    grid, guide = net(low + noise * torch.randn_like(low))
-    return slice_apply_dense(shape(colour, params), guide, grid)
+def recipe_of(args: argparse.Namespace, on_gpu: bool) -> Recipe:
+    """What was asked for, or what suits the machine."""
+    return Recipe(
+        seconds=60 * (args.minutes or (GPU_MINUTES if on_gpu else CPU_MINUTES)),
+        batch=args.batch or (16 if on_gpu else 4),
+        rate=args.rate,
+        scale=args.scale or (1.0 if on_gpu else 0.5),
+        seed=args.seed,
+        every=args.every,
+    )
 
 
-def windows(x: torch.Tensor, dy: int, dx: int) -> torch.Tensor:
-    """The view of a padded batch that is shifted by (dy, dx) pixels."""
-    return x[..., dy : x.shape[-2] - SHIFT + dy, dx : x.shape[-1] - SHIFT + dx]
+def look_of(args: argparse.Namespace) -> Look:
+    """The look that the options describe."""
+    if args.ocio:
+        return Look(Ocio(args.ocio, args.display, args.view, args.source, args.look))
+    return Look(Lut(args.lut)) if args.lut else find_look(args.target)
 
 
-def losses(
-    net: HDRNet, batch: torch.Tensor, wanted: torch.Tensor, params: torch.Tensor, shift: tuple[int, int]
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Picture loss of two shifted views, and how much more they differ where they overlap than their targets do."""
-    h, w = batch.shape[-2] - SHIFT, batch.shape[-1] - SHIFT
-    dy, dx = shift
-    first = render(net, windows(batch, 0, 0), params)
-    second = render(net, windows(batch, dy, dx), params, noise=0.01)
-    picture = 0.5 * (picture_loss(first, windows(wanted, 0, 0)) + picture_loss(second, windows(wanted, dy, dx)))
-    a, b = first[..., dy:, dx:], second[..., : h - dy, : w - dx]
-    return picture, (a.clamp(0, 1) - b.clamp(0, 1)).abs().mean()
+def teach(args: argparse.Namespace, device: torch.device, log: Path) -> Checkpoint:
+    recipe = recipe_of(args, device.type == "cuda")
+    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
+    with Progress(*columns) as progress, open(log, "w", encoding="utf-8") as lines:
+        bar = progress.add_task(f"{args.tag} on {device}", total=recipe.seconds)
 
+        def watch(report: Report) -> None:
+            lines.write(json.dumps(asdict(report)) + "\n")
+            lines.flush()
+            mean = sum(report.psnr.values()) / max(1, len(report.psnr))
+            text = f"{args.tag} on {device}: step {report.step}, loss {report.picture:.4f}, held out {mean:.2f} dB"
+            progress.update(bar, completed=report.seconds, description=text)
 
-@torch.no_grad()
-def validate(net: HDRNet, packed: np.lib.npyio.NpzFile, params: torch.Tensor) -> dict[str, float]:
-    """PSNR in sRGB values of each held-out picture against the colour pipeline's own output."""
-    scores = {}
-    for i, name in enumerate(packed["validation_names"]):
-        colour = torch.from_numpy(packed[f"validation_input_{i}"].astype(np.float32)).to(params.device)
-        wanted = torch.from_numpy(packed[f"validation_target_{i}"].astype(np.float32) / 65535).to(params.device)
-        out = render(net, colour.permute(2, 0, 1)[None], params)[0].clamp(0, 1).permute(1, 2, 0)
-        scores[str(name)] = -10 * math.log10(float((out - wanted).square().mean()) + 1e-12)
-    return scores
+        if args.pairs:
+            from training.tonemap_pairs import read_pairs, teach_pairs  # needs SciPy
+
+            pairs = read_pairs(*args.pairs, args.space, SIDE, args.hold_out)
+            return teach_pairs(pairs, args.start, recipe, device, watch)
+        if args.set:
+            pictures, task = load(args.set, args.tag)
+        else:
+            pictures = collect(args.pictures, args.panoramas, hold_out=args.hold_out, side=SIDE, space=args.space)
+            task = lesson(look_of(args), pictures)
+        return teach_look(task, pictures, args.start, recipe, device, watch)
 
 
 def main() -> None:
-    args = parser.parse_args()
+    args = parse()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    name = torch.cuda.get_device_name() if device.type == "cuda" else "CPU"
     torch.manual_seed(args.seed)
     torch.backends.cudnn.allow_tf32 = True  # convolutions only: the interpolation weights need all their bits
-    out = Path(args.out)
-    out.mkdir(parents=True, exist_ok=True)
+    args.out.mkdir(parents=True, exist_ok=True)
+    checkpoint = teach(args, device, args.out / "log.jsonl")
+    torch.save(checkpoint, args.out / "checkpoint.pt")
+    for name, score in checkpoint["psnr"].items():
+        print(f"{name}: {score:.2f} dB")
+    if not args.no_export:
+        from training.export_tonemap import export_look  # needs packages that a training machine may lack
 
-    packed = np.load(args.data)
-    look = Look(*map(float, packed["local"]), view=None)
-    cube = torch.from_numpy(packed["cube"].astype(np.float32) / 65535).to(device)
-    views = Views(packed, device, args.seed)
-    params = default_params().to(device)
-
-    net, history = HDRNet().to(device), []
-    if args.resume:
-        before = torch.load(args.resume, map_location=device)
-        net.load_state_dict(before["weights"])
-        history = before["history"]
-    average = copy.deepcopy(net).requires_grad_(False)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=args.rate, weight_decay=1e-4)
-    print(
-        f"{device}: {sum(p.numel() for p in net.parameters())} parameters, {len(views.pictures)} pictures", flush=True
-    )
-
-    start, last, step, sums = time.time(), 0.0, 0, torch.zeros(2, device=device)
-    steps_since = 0
-    with open(out / "log.jsonl", "w") as log:
-        while True:
-            elapsed = time.time() - start
-            progress = min(1.0, elapsed / (60 * args.minutes))
-            if elapsed - last >= args.every or progress >= 1:
-                scores = validate(average, packed, params)
-                mean_loss = (sums / max(1, steps_since)).tolist()
-                row = {"step": step, "seconds": round(elapsed, 1), "picture": mean_loss[0], "consistency": mean_loss[1]}
-                row |= {"psnr": {k: round(v, 3) for k, v in scores.items()}}
-                print(json.dumps(row), flush=True)
-                log.write(json.dumps(row) + "\n")
-                run = {"steps": step, "seconds": row["seconds"], "device": name, "torch": str(torch.__version__)}
-                run |= {"batch": args.batch, "rate": args.rate, "scale": args.scale, "seed": args.seed}
-                state = {"weights": average.state_dict(), "psnr": row["psnr"], "history": [*history, run]}
-                torch.save(state | {"pictures": [str(x) for x in packed["names"]]}, out / "checkpoint.pt")
-                last, steps_since = elapsed, 0
-                sums.zero_()
-                if progress >= 1:
-                    break
-            warm = min(1.0, (step + 1) / 200)
-            for group in optimizer.param_groups:
-                group["lr"] = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * progress)) + 1e-6
-            with torch.no_grad():
-                batch = views.batch(args.batch, args.scale)
-                wanted = target(batch, look, cube)
-            shift = tuple(int(v) for v in views.random.integers(0, SHIFT + 1, 2))
-            picture, consistency = losses(net, batch, wanted, params, shift)
-            optimizer.zero_grad(set_to_none=True)
-            (picture + CONSISTENCY * consistency).backward()
-            torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
-            optimizer.step()
-            decay = min(0.999, (step + 1) / (step + 10))
-            with torch.no_grad():
-                torch._foreach_lerp_(list(average.parameters()), list(net.parameters()), 1 - decay)
-            sums += torch.stack([picture.detach(), consistency.detach()])
-            step += 1
-            steps_since += 1
+        print(f"verified and written: {export_look(checkpoint, args.tag, args.out, {})}")
 
 
 if __name__ == "__main__":

@@ -1,15 +1,17 @@
-"""Slice the tone mapper's bilateral grid at every pixel and apply the affine colour matrix found there.
+"""Slice the tone mapper's bilateral grid at every pixel, apply the affine colour matrix found there, then the cube.
 
-Bindings (float32): colour (height, width, 3) scene-linear; params (3,): exposure, toe, scale of the shaper;
-guide (112,): matrix 9, bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1; grid (1, 16, 16, 8, 12): y, x, guide
-level, 3x4 matrix row-major; output (height, width, 3) sRGB-encoded, 0..1. Formula: Gharbi et al. 2017, with the
-shaper in front; the torch definition is `training.networks.hdrnet.slice_apply`.
+Bindings (float32): colour (height, width, 3) scene-linear; params (3,): exposure, toe, scale of the shaper; matrix (9,)
+row-major, to the cube's primaries; guide (112,): matrix 9, bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1; grid
+(1, 16, 16, 8, 12): y, x, guide level, 3x4 matrix row-major; cube (size, size, size, 3): red, green, blue, channel;
+output (height, width, 3) as the cube's values. Formula: Gharbi et al. 2017, between the shaper and the cube; the torch
+definition is `training.networks.hdrnet.slice_apply`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from postfx.kernels.cube import cube_row
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.numeric import compiled, fused, vectorised
 from postfx.kernels.shaper import shape_row
@@ -114,40 +116,39 @@ def _columns(width, gw, spans, across):
 
 
 @compiled
-def rows(y0, y1, colour, params, guide, grid, output):
+def rows(y0, y1, colour, params, matrix, guide, grid, cube, output):
     """Output rows y0..y1-1."""
     height, width, levels = colour.shape[0], colour.shape[1], np.float32(grid.shape[3])
-    flat, scratch = np.empty(3 * width, np.float32), np.empty(3 * width, np.int32)
-    shaped, total = np.empty((3, width), np.float32), np.empty((3, width), np.float32)
+    shaped, scratch = np.empty((3, width), np.float32), np.empty(width, np.int32)
+    total = np.empty((3, width), np.float32)
     depth, mapped = np.empty(width, np.float32), np.empty(width, np.float32)
+    places, shares = np.empty((3, width), np.int32), np.empty((3, width), np.float32)
     spans, across = np.empty(grid.shape[2] + 2, np.int64), np.empty(width, np.float32)
     _columns(width, grid.shape[2], spans, across)
     row = np.empty((grid.shape[2], grid.shape[3], COEFFICIENTS), np.float32)
     for y in range(y0, y1):
-        shape_row(colour[y].reshape(3 * width), params, flat, scratch)
-        for x in range(width):
-            shaped[0, x], shaped[1, x], shaped[2, x] = flat[3 * x], flat[3 * x + 1], flat[3 * x + 2]
+        shape_row(colour[y], params, matrix, shaped, scratch)
         _guide_row(shaped, guide, mapped, depth)
         for x in range(width):
             depth[x] = min(max(depth[x] * levels - HALF, ZERO), levels - ONE)
         _grid_row(grid, (np.float32(y) + HALF) / np.float32(height), row)
         _apply_row(spans, across, shaped, depth, row, total)
-        for x in range(width):
-            for c in range(3):
-                output[y, x, c] = min(max(total[c, x], ZERO), ONE)
+        cube_row(total, cube, places, shares, output[y])
 
 
 SLICE_APPLY = Kernel(
     name="slice_apply",
-    reads=("colour", "params", "guide", "grid"),
+    reads=("colour", "params", "matrix", "guide", "grid", "cube"),
     writes=("output",),
     rows=rows,
     row_axis=("output", 0),
     shapes={
         "colour": ("height", "width", 3),
         "params": (3,),
+        "matrix": (9,),
         "guide": (GUIDE_SIZE,),
         "grid": (1, 16, 16, 8, COEFFICIENTS),
+        "cube": ("size", "size", "size", 3),
         "output": ("height", "width", 3),
     },
 )

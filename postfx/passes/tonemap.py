@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from postfx.frame import FrameSpec, Role
+from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
 from postfx.kernels.smooth import SMOOTH
 from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
-from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library, ModelError, Tensor
+from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
 
 
 class ToneMap(Pass):
-    """HDRNet: a small network looks at a 256x256 copy and gives a grid of colour matrices, looked up at every pixel.
+    """HDRNet: a small network looks at a 256x256 copy and gives a grid of colour matrices, looked up at every pixel
+    and followed by a colour cube. Looks that depend on colour alone are a cube without a network.
 
     Options:
-        tag: the look, as in ``tonemap.<tag>``.
+        tag: the look, as in ``tonemap.<tag>``, or the file of a model: ``looks/tonemap.mine.onnx``.
         keep: part of the last frame's grid that is kept, 0 up to (not including) 1; the grid of a still picture does
             not change. It is dropped at the first frame and at cuts.
 
@@ -43,27 +46,36 @@ class ToneMap(Pass):
         return None if spec.encoding == "scene-linear" else f"colour is {spec.encoding} already"
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        library, model = Library(), f"tonemap.{self.options['tag']}"
-        self._shaper = _shaper(library, model)
-        self._network = device.pipeline_state(library, model)
-        shapes = {binding.name: binding.shape for binding in self._network.bindings}
-        new, between = device.heap.tensor, device.heap.transient
-        self._params, self._keep = new("tonemap params", (3,)), new("tonemap keep", (1,))
-        self._lowres, self._grid = between("lowres", shapes["lowres"]), between("grid", shapes["grid"])
-        self._history = [new("smoothed grid", shapes["grid"]) for _ in range(2)]
-        for grid in self._history:
-            grid.fill(0)
-        guide = device.wrap("guide", self._network.constants["guide"])
-        self._output = between("display colour", (spec.height, spec.width, 3))
-        self._tables = {
-            "lowres": ArgumentTable(device.compute_state(LOWRES), {"params": self._params, "lowres": self._lowres}),
-            "smooth": ArgumentTable(device.compute_state(SMOOTH), {"current": self._grid, "keep": self._keep}),
-            "slice": ArgumentTable(
-                device.compute_state(SLICE_APPLY), {"params": self._params, "guide": guide, "output": self._output}
-            ),
-            "network": ArgumentTable(self._network, {"lowres": self._lowres, "grid": self._grid}),
-        }
+        library, model = find_model(str(self.options["tag"]))
+        network = device.pipeline_state(library, model)
+        self._shaper = shaper(library, model)
+        self._params, matrix = device.heap.tensor("tonemap params", (3,)), device.heap.tensor("tonemap matrix", (9,))
+        matrix.upload(self._shaper.matrix)
+        self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
+        common = {"params": self._params, "matrix": matrix, "output": self._output}
+        common |= {name: device.wrap(name, values) for name, values in network.constants.items()}
+        self._has_grid = "grid" in {binding.name for binding in network.bindings}
+        if self._has_grid:
+            self._compile_grid(device, network, common)
+        else:
+            self._tables = {"cube": ArgumentTable(device.compute_state(APPLY_CUBE), common)}
         super().compile(device, spec)
+
+    def _compile_grid(self, device: Device, network: PipelineState, common: Mapping[str, Tensor]) -> None:
+        """The network's part, and the kernels around it."""
+        shapes = {binding.name: binding.shape for binding in network.bindings}
+        shaping = {name: common[name] for name in ("params", "matrix")}
+        lowres, grid = (device.heap.transient(name, shapes[name]) for name in ("lowres", "grid"))
+        self._keep = device.heap.tensor("tonemap keep", (1,))
+        self._history = [device.heap.tensor("smoothed grid", shapes["grid"]) for _ in range(2)]
+        for history in self._history:
+            history.fill(0)
+        self._tables = {
+            "lowres": ArgumentTable(device.compute_state(LOWRES), {**shaping, "lowres": lowres}),
+            "network": ArgumentTable(network, {"lowres": lowres, "grid": grid}),
+            "smooth": ArgumentTable(device.compute_state(SMOOTH), {"current": grid, "keep": self._keep}),
+            "slice": ArgumentTable(device.compute_state(SLICE_APPLY), common),
+        }
 
     def reset(self) -> None:
         self._fresh = False
@@ -78,8 +90,18 @@ class ToneMap(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
+        self._params.upload(np.array([frame.exposure, self._shaper.toe, self._shaper.scale], np.float32))
+        if self._has_grid:
+            self._encode_grid(commands, frame)
+        else:
+            self._tables["cube"]["colour"] = frame[Role.COLOUR]
+            with commands.compute_encoder("cube") as encoder:
+                encoder.barrier(after=("compute", "machine-learning"), before="compute")
+                encoder.dispatch(self._tables["cube"].state, self._tables["cube"])
+        frame.set(Role.COLOUR, self._output)
+
+    def _encode_grid(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         keep = float(self.options["keep"]) if self._fresh and not frame.reset else 0.0
-        self._params.upload(np.array([frame.exposure, *self._shaper], np.float32))
         self._keep.upload(np.array([keep], np.float32))
         self._bind(frame[Role.COLOUR])
         with commands.compute_encoder("lowres") as encoder:
@@ -87,13 +109,12 @@ class ToneMap(Pass):
             encoder.dispatch(self._tables["lowres"].state, self._tables["lowres"])
         with commands.machine_learning_encoder("coefficients") as encoder:
             encoder.barrier(after="compute", before="machine-learning")
-            encoder.dispatch_network(self._network, self._tables["network"])
+            encoder.dispatch_network(self._tables["network"].state, self._tables["network"])
         with commands.compute_encoder("slice") as encoder:
             encoder.barrier(after="machine-learning", before="compute")
             encoder.dispatch(self._tables["smooth"].state, self._tables["smooth"])
             encoder.barrier()
             encoder.dispatch(self._tables["slice"].state, self._tables["slice"])
-        frame.set(Role.COLOUR, self._output)
         self._fresh = True
 
     def _bind(self, colour: Tensor) -> None:
@@ -105,9 +126,24 @@ class ToneMap(Pass):
         self._tables["slice"]["colour"], self._tables["slice"]["grid"] = colour, result
 
 
-def _shaper(library: Library, model: str) -> tuple[float, float]:
-    """Toe and scale of the shaper that a model was trained with, from its card."""
-    shaper = library.card(model).get("shaper")
-    if not isinstance(shaper, dict) or not {"toe", "scale"} <= shaper.keys():
-        raise ModelError(f"card of model '{model}' gives no shaper (toe and scale): export the model again")
-    return float(shaper["toe"]), float(shaper["scale"])
+class Shaper(NamedTuple):
+    """What a look's model was trained behind; see ``postfx.kernels.shaper``."""
+
+    toe: float
+    scale: float
+    matrix: np.ndarray
+
+
+def find_model(tag: str) -> tuple[Library, str]:
+    """The library and the name in it of a look by tag, or of a model file."""
+    if tag.endswith(".onnx"):
+        return Library(Path(tag).parent), Path(tag).stem
+    return Library(), f"tonemap.{tag}"
+
+
+def shaper(library: Library, model: str) -> Shaper:
+    """The shaper of a model, from its card."""
+    given = library.card(model).get("shaper")
+    if not isinstance(given, dict) or not {"toe", "scale", "matrix"} <= given.keys():
+        raise ModelError(f"card of model '{model}' gives no shaper (toe, scale and matrix): export the model again")
+    return Shaper(float(given["toe"]), float(given["scale"]), np.array(given["matrix"], np.float32))

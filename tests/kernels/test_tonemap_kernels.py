@@ -19,8 +19,9 @@ from tests.kernels.tonemap_cases import arguments, sizes
 torch = pytest.importorskip("torch")
 
 from training.networks import hdrnet, tonemap_kernels  # noqa: E402
+from training.networks.cube import default_shaper, look_up  # noqa: E402
 
-TOLERANCE = 1e-4
+TOLERANCE = 1e-5
 
 DEFINITIONS = {
     SLICE_APPLY: tonemap_kernels.SliceApply,
@@ -76,15 +77,32 @@ def test_bands_give_the_same_bits_as_one_run(kernel: Kernel) -> None:
 
 def test_lowres_of_a_flat_picture_is_flat_and_a_firefly_hardly_moves_it() -> None:
     colour = np.full((540, 960, 3), 0.18, np.float32)
-    params = np.array([1.0, *hdrnet.SHAPER], np.float32)
+    shaper = [x.numpy() for x in default_shaper()]
     low = np.empty((1, 3, 256, 256), np.float32)
-    LOWRES.rows(0, 256, colour, params, low)
+    LOWRES.rows(0, 256, colour, *shaper, low)
     flat = float(low[0, 0, 0, 0])
     np.testing.assert_allclose(low, flat, atol=1e-5)
     colour[100, 100] = 1e4
-    LOWRES.rows(0, 256, colour, params, low)
+    LOWRES.rows(0, 256, colour, *shaper, low)
     assert low.max() - flat < 0.2
     assert (np.abs(low - flat) > 1e-5).sum() <= 3 * 4
+
+
+def test_light_beyond_the_range_keeps_its_hue() -> None:
+    """Orange light of 2 and of 2000 times white are the same orange in the shaper, not yellow."""
+    orange = np.float32([[[600.0, 200.0, 10.0]]]) * np.float32([1, 1000])[:, None, None]
+    shaped = hdrnet.shape(torch.from_numpy(orange).permute(0, 2, 1)[..., None], *default_shaper())[..., 0, 0]
+    torch.testing.assert_close(shaped[1], shaped[0], atol=1e-6, rtol=0)
+
+
+def test_cube_gives_its_corners_and_greys_of_its_diagonal() -> None:
+    cube = np.random.default_rng(3).random((5, 5, 5, 3)).astype(np.float32)
+    axis = torch.linspace(0, 1, 5)
+    corners = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij")).flatten(1)[None, :, None]
+    found = look_up(corners, torch.from_numpy(cube))[0, :, 0].T
+    np.testing.assert_allclose(found, cube.reshape(-1, 3), atol=1e-6)
+    grey = look_up(torch.full((1, 3, 1, 1), 0.3), torch.from_numpy(cube)).flatten()
+    np.testing.assert_allclose(grey, 0.8 * cube[1, 1, 1] + 0.2 * cube[2, 2, 2], atol=1e-6)
 
 
 def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:

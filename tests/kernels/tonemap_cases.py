@@ -43,6 +43,13 @@ def plain_guide() -> np.ndarray:
                            np.zeros(1)])
 
 
+def bent_cube(size: int) -> np.ndarray:
+    """A cube (size, size, size, 3) with curves, and channels that mix: about as steep as those of looks."""
+    axis = np.linspace(0, 1, size)
+    r, g, b = np.meshgrid(axis, axis, axis, indexing="ij")
+    return np.stack([r**1.5, 0.8 * g + 0.1 * r + 0.1 * b, np.sin(1.5 * b) * (1 - 0.2 * g)], -1)
+
+
 def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
     """Inputs of a kernel by name, with a guide and grid that use every level and differ from cell to cell."""
     random = np.random.default_rng(7)
@@ -53,7 +60,7 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
         "decode": decoding(parse_display("srgb")),
         "encode": encoding(HLG),
         "matrix": matrix_between(REC709, REC2020).ravel(),
-        "cube": random.random((17, 17, 17, 3)),
+        "cube": bent_cube(17),
         "guide": guide + random.normal(0, 0.05, guide.size),
         "grid": random.normal(0, 0.4, GRID),
         "previous": random.normal(0, 1, GRID),

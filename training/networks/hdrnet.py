@@ -1,35 +1,25 @@
-"""HDRNet (Gharbi et al. 2017, "Deep Bilateral Learning for Real-Time Image Enhancement") with an HDR shaper.
+"""HDRNet (Gharbi et al. 2017, "Deep Bilateral Learning for Real-Time Image Enhancement") between a shaper and a cube.
 
-Colour comes in scene-linear Rec.709 and leaves sRGB-encoded in [0, 1]. Layout of all tensors here: (N, C, H, W).
+The grid of colour matrices does what depends on place and picture, the cube what depends on the colour alone. The
+network also sees the picture's histogram: exposure is a function of it, and convolutions are slow to learn that. Colour
+comes in scene-linear Rec.709 and leaves sRGB-encoded in [0, 1]. Layout of all tensors here: (N, C, H, W).
 `slice_apply`, `lowres` and `smooth` are the definitions of the compute kernels of the same names in `postfx.kernels`.
 """
 
 from __future__ import annotations
 
-import math
-
 import torch
 import torch.nn.functional as F
 from torch import nn
+
+from training.networks.cube import Shaper, look_up, shape
 
 SIDE = 256  # side of the copy that the coefficients are computed on
 CELLS, DEPTH = 16, 8  # grid: 16 x 16 cells, 8 guide levels
 COEFFICIENTS = 12  # 3x4 affine colour matrix, row-major
 KNOTS = 16
-GUIDE_SIZE = 9 + 3 + 3 * KNOTS + 3 * KNOTS + 3 + 1  # matrix, bias, shifts, slopes, mix, mix bias
-
-TOE, WHITE = 2.0**-8, 2.0**8
-SHAPER = (TOE, 1.0 / math.log2(1.0 + WHITE / TOE))  # scene-linear values; 1.0 is reached at WHITE
-
-
-def shape(colour: torch.Tensor, params: torch.Tensor) -> torch.Tensor:
-    """log2(1 + exposure * x / toe) * scale, clipped to [0, 1]; NaN becomes 0. params: (exposure, toe, scale)."""
-    x = torch.where(colour > 0, colour, torch.zeros_like(colour)) * params[0]  # NaN compares false
-    return (torch.log2(1.0 + x / params[1]) * params[2]).clamp(0.0, 1.0)
-
-
-def default_params(exposure: float = 1.0) -> torch.Tensor:
-    return torch.tensor([exposure, *SHAPER], dtype=torch.float32)
+BINS = 32  # of the histogram
+GUIDE_PARTS = {"matrix": 9, "bias": 3, "shifts": 3 * KNOTS, "slopes": 3 * KNOTS, "mix": 3, "mix_bias": 1}
 
 
 def area_weights(out_size: int, in_size: int, device: torch.device | None = None) -> torch.Tensor:
@@ -41,22 +31,22 @@ def area_weights(out_size: int, in_size: int, device: torch.device | None = None
     return overlap.clamp_min(0.0) / scale
 
 
-def lowres(colour: torch.Tensor, params: torch.Tensor) -> torch.Tensor:
+def lowres(colour: torch.Tensor, shaper: Shaper) -> torch.Tensor:
     """Shaped colour (N,3,H,W) averaged by area to (N,3,256,256): a log average, which fireflies barely move."""
     h, w = colour.shape[-2:]
     rows, columns = area_weights(SIDE, h, colour.device), area_weights(SIDE, w, colour.device)
-    return rows @ (shape(colour, params) @ columns.T)
+    return rows @ (shape(colour, *shaper) @ columns.T)
 
 
 def guide_map(shaped: torch.Tensor, guide: torch.Tensor) -> torch.Tensor:
     """Guide (N,1,H,W) in [0,1] from shaped colour: 3x3 matrix, a 16-knot curve a channel, mix, clip."""
-    matrix, bias, shifts, slopes, mix = guide[:-1].split([9, 3, 3 * KNOTS, 3 * KNOTS, 3])
+    matrix, bias, shifts, slopes, mix, mix_bias = guide.split(list(GUIDE_PARTS.values()))
     shifts, slopes = shifts.view(3, KNOTS), slopes.view(3, KNOTS)
     mapped = F.conv2d(shaped, matrix.view(3, 3, 1, 1), bias)
     curves = torch.zeros_like(mapped)
     for k in range(KNOTS):
         curves = curves + slopes[:, k].view(1, 3, 1, 1) * F.relu(mapped - shifts[:, k].view(1, 3, 1, 1))
-    total = (curves * mix.view(1, 3, 1, 1)).sum(1, keepdim=True) + guide[-1]
+    total = (curves * mix.view(1, 3, 1, 1)).sum(1, keepdim=True) + mix_bias
     return total.clamp(0.0, 1.0)
 
 
@@ -67,12 +57,18 @@ def affine(coefficients: torch.Tensor, shaped: torch.Tensor) -> torch.Tensor:
     return (m[:, :, :3] * shaped[:, None]).sum(2) + m[:, :, 3]
 
 
-def slice_apply(colour: torch.Tensor, params: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) -> torch.Tensor:
-    """Display colour (N,3,H,W) in [0,1]: trilinear look-up of grid (N,16,16,8,12), then affine.
+def slice_apply(
+    colour: torch.Tensor, shaper: Shaper, guide: torch.Tensor, grid: torch.Tensor, cube: torch.Tensor
+) -> torch.Tensor:
+    """Display colour (N,3,H,W) in [0,1]: trilinear look-up of grid (N,16,16,8,12), affine, look-up of the cube.
 
     Grid axes: y, x, guide level, coefficient.
     """
-    shaped = shape(colour, params)
+    return look_up(slice_grid(shape(colour, *shaper), guide, grid), cube)
+
+
+def slice_grid(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) -> torch.Tensor:
+    """Shaped colour (N,3,H,W) through the matrices of the grid; not clipped."""
     n, _, h, w = shaped.shape
     z = guide_map(shaped, guide)[:, 0] * 2 - 1
     x = ((torch.arange(w, device=z.device, dtype=z.dtype) + 0.5) * (2.0 / w) - 1).expand(n, h, w)
@@ -80,7 +76,19 @@ def slice_apply(colour: torch.Tensor, params: torch.Tensor, guide: torch.Tensor,
     where = torch.stack([x, y, z], -1)[:, None]
     volume = grid.permute(0, 4, 3, 1, 2)
     coefficients = F.grid_sample(volume, where, mode="bilinear", padding_mode="border", align_corners=False)
-    return affine(coefficients[:, :, 0], shaped).clamp(0.0, 1.0)
+    return affine(coefficients[:, :, 0], shaped)
+
+
+def keep_greys(grid: torch.Tensor) -> torch.Tensor:
+    """The nearest matrices (..., 12) that take greys to greys: all rows with the same sum and the same offset.
+
+    Tints belong to the cube, which sees nothing but colour.
+    """
+    matrices = grid.unflatten(-1, (3, 4))
+    sums = matrices[..., :3].sum(-1, keepdim=True)
+    turned = matrices[..., :3] + (sums.mean(-2, keepdim=True) - sums) / 3
+    offsets = matrices[..., 3:].mean(-2, keepdim=True).expand_as(sums)
+    return torch.cat([turned, offsets], -1).flatten(-2)
 
 
 def linear_weights(out_size: int, cells: int, device: torch.device) -> torch.Tensor:
@@ -90,8 +98,8 @@ def linear_weights(out_size: int, cells: int, device: torch.device) -> torch.Ten
     return (1 - (x - torch.arange(cells, device=device)).abs()).clamp_min(0.0)
 
 
-def slice_apply_dense(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) -> torch.Tensor:
-    """The same without the last clip, by matrix products.
+def slice_grid_dense(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) -> torch.Tensor:
+    """The same by matrix products.
 
     The gradients of a gather and of `F.interpolate` are storms of atomic adds on a GPU: all pixels add to few cells.
     """
@@ -116,6 +124,17 @@ def _conv(cin: int, cout: int, stride: int = 1, bias: bool = True) -> nn.Conv2d:
     return nn.Conv2d(cin, cout, 3, stride, 1, bias=bias)
 
 
+def histogram(low: torch.Tensor) -> torch.Tensor:
+    """BINS times the shares (N,BINS) of the pixels of (N,3,H,W) by their mean channel in [0,1], of every second row and
+    column: 1 on average.
+
+    A pixel between two bins' centres counts for both, so that the shares change smoothly.
+    """
+    level = low.mean(1, keepdim=True)[..., ::2, ::2] * (BINS - 1.0)
+    bins = torch.arange(BINS, device=low.device, dtype=low.dtype).view(1, BINS, 1, 1)
+    return F.relu(1 - (level - bins).abs()).mean((2, 3)) * BINS
+
+
 class Coefficients(nn.Module):
     """(N,3,256,256) shaped low-resolution colour -> (N,16,16,8,12) grid of affine colour matrices."""
 
@@ -124,18 +143,19 @@ class Coefficients(nn.Module):
         self.splat = nn.ModuleList([_conv(3, 8, 2), _conv(8, 16, 2), _conv(16, 32, 2), _conv(32, 64, 2)])
         self.global_conv = nn.ModuleList([_conv(64, 64, 2), _conv(64, 64, 2)])
         self.global_dense = nn.ModuleList([nn.Linear(1024, 256), nn.Linear(256, 128), nn.Linear(128, 64)])
+        self.histogram_dense = nn.ModuleList([nn.Linear(BINS, 64), nn.Linear(64, 64)])
         self.local = nn.ModuleList([_conv(64, 64), _conv(64, 64, bias=False)])
         self.head = nn.Conv2d(64, DEPTH * COEFFICIENTS, 1)
         self._initialise()
 
     def _initialise(self) -> None:
-        """He initialisation; the head starts near the identity matrix, which is already a sensible log picture."""
+        """He initialisation; the head starts at the identity matrix, so that the network starts at its cube's view."""
         for module in self.modules():
             if isinstance(module, nn.Conv2d | nn.Linear):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
-        nn.init.normal_(self.head.weight, std=0.01)
+        nn.init.zeros_(self.head.weight)
         identity = torch.eye(3, 4).flatten()
         self.head.bias.data.copy_(identity.repeat(DEPTH))
 
@@ -149,9 +169,10 @@ class Coefficients(nn.Module):
         g = g.flatten(1)
         for i, layer in enumerate(self.global_dense):
             g = layer(g) if i == 2 else F.relu(layer(g))
+        g = g + self.histogram_dense[1](F.relu(self.histogram_dense[0](histogram(low))))
         local = self.local[1](F.relu(self.local[0](x)))
         grid = self.head(F.relu(local + g[:, :, None, None]))
-        return grid.unflatten(1, (DEPTH, COEFFICIENTS)).permute(0, 3, 4, 1, 2)
+        return keep_greys(grid.unflatten(1, (DEPTH, COEFFICIENTS)).permute(0, 3, 4, 1, 2))
 
 
 class Guide(nn.Module):
@@ -169,22 +190,25 @@ class Guide(nn.Module):
         self.mix_bias = nn.Parameter(torch.zeros(1))
 
     def forward(self) -> torch.Tensor:
-        parts = (self.matrix, self.bias, self.shifts, self.slopes, self.mix, self.mix_bias)
-        return torch.cat([p.flatten() for p in parts])
+        return torch.cat([getattr(self, name).flatten() for name in GUIDE_PARTS])
 
 
 class HDRNet(nn.Module):
-    """482,080 parameters. `forward` is what is exported: lowres -> (grid, guide); the kernels do the rest."""
+    """488,352 parameters and a cube (size,size,size,3), which is trained only where asked for.
 
-    def __init__(self) -> None:
+    `forward` is what is exported: lowres -> (grid, guide, cube); the kernels do the rest.
+    """
+
+    def __init__(self, cube: torch.Tensor) -> None:
         super().__init__()
         self.coefficients = Coefficients()
         self.guide = Guide()
+        self.cube = nn.Parameter(cube, requires_grad=False)
 
-    def forward(self, low: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        return self.coefficients(low), self.guide()
+    def forward(self, low: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        return self.coefficients(low), self.guide(), self.cube
 
-    def render(self, colour: torch.Tensor, params: torch.Tensor) -> torch.Tensor:
+    def render(self, colour: torch.Tensor, shaper: Shaper) -> torch.Tensor:
         """Scene-linear (N,3,H,W) -> display (N,3,H,W) in [0,1], as the run-time does it."""
-        grid, guide = self(lowres(colour, params))
-        return slice_apply(colour, params, guide, grid)
+        grid, guide, cube = self(lowres(colour, shaper))
+        return slice_apply(colour, shaper, guide, grid, cube)

@@ -8,6 +8,7 @@ from torch import nn
 from postfx.colour.primaries import LUMA_REC2020
 from postfx.kernels.encode_display import DARK, LARGEST, STEPS
 from training.networks import hdrnet
+from training.networks.cube import Shaper, look_up, shape
 
 
 def to_image(colour: torch.Tensor) -> torch.Tensor:
@@ -29,19 +30,34 @@ def looked_up(table: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
 
 
 class SliceApply(nn.Module):
-    """colour (H,W,3), params (3,), guide (112,), grid (1,16,16,8,12) -> output (H,W,3)."""
+    """colour (H,W,3), params (3,), matrix (9,), guide (112,), grid (1,16,16,8,12), cube (S,S,S,3) -> output (H,W,3)."""
 
     def forward(
-        self, colour: torch.Tensor, params: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor
+        self,
+        colour: torch.Tensor,
+        params: torch.Tensor,
+        matrix: torch.Tensor,
+        guide: torch.Tensor,
+        grid: torch.Tensor,
+        cube: torch.Tensor,
     ) -> torch.Tensor:
-        return hdrnet.slice_apply(to_image(colour), params, guide, grid)[0].permute(1, 2, 0)
+        return hdrnet.slice_apply(to_image(colour), Shaper(params, matrix), guide, grid, cube)[0].permute(1, 2, 0)
+
+
+class ApplyCube(nn.Module):
+    """colour (H,W,3), params (3,), matrix (9,), cube (S,S,S,3) -> output (H,W,3), tetrahedral between the corners."""
+
+    def forward(
+        self, colour: torch.Tensor, params: torch.Tensor, matrix: torch.Tensor, cube: torch.Tensor
+    ) -> torch.Tensor:
+        return look_up(shape(to_image(colour), params, matrix), cube)[0].permute(1, 2, 0)
 
 
 class Lowres(nn.Module):
-    """colour (H,W,3), params (3,) -> lowres (1,3,256,256)."""
+    """colour (H,W,3), params (3,), matrix (9,) -> lowres (1,3,256,256)."""
 
-    def forward(self, colour: torch.Tensor, params: torch.Tensor) -> torch.Tensor:
-        return hdrnet.lowres(to_image(colour), params)
+    def forward(self, colour: torch.Tensor, params: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
+        return hdrnet.lowres(to_image(colour), Shaper(params, matrix))
 
 
 class Smooth(nn.Module):
@@ -63,29 +79,6 @@ class EncodeDisplay(nn.Module):
         luminance = (light * light.new_tensor(LUMA_REC2020)).sum(-1, keepdim=True)
         light = (light * luminance.clamp_min(DARK) ** params[11]).clamp_max(1)
         return looked_up(encode, light.sqrt().sqrt().sqrt())
-
-
-class ApplyCube(nn.Module):
-    """colour (H,W,3), params (3,), matrix (9,), cube (S,S,S,3) -> output (H,W,3), tetrahedral between the corners."""
-
-    def forward(
-        self, colour: torch.Tensor, params: torch.Tensor, matrix: torch.Tensor, cube: torch.Tensor
-    ) -> torch.Tensor:
-        size = cube.shape[0]
-        shaped = hdrnet.shape(to_image(known(colour) @ matrix.reshape(3, 3).T), params)[0].permute(1, 2, 0)
-        place = shaped * (size - 1)
-        corner = place.floor().clamp_max(size - 2)
-        (r, g, b), steps = (place - corner).unbind(-1), (size * size, size, 1)
-        ranks = ((r < g).long() + (r < b), (r >= g).long() + (g < b), (r >= b).long() + (g >= b))
-        least, most = r.minimum(g).minimum(b), r.maximum(g).maximum(b)
-        middle = r.maximum(g).minimum(r.minimum(g).maximum(b))
-        index = sum(along * step for along, step in zip(corner.long().unbind(-1), steps, strict=True))
-        flat, shares = cube.reshape(-1, 3), (1 - most, most - middle, middle - least, least)
-        total = shares[0][..., None] * flat[index]
-        for order in range(3):  # along the axis of the largest share first
-            index = index + sum((rank == order).long() * step for rank, step in zip(ranks, steps, strict=True))
-            total = total + shares[order + 1][..., None] * flat[index]
-        return total
 
 
 class Checkerboard(nn.Module):

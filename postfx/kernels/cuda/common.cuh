@@ -137,18 +137,52 @@ __device__ inline float gate_of(float logit) {
     return 1.0f / (1.0f + expf(-logit));
 }
 
-// log2(1 + exposure * x / toe) * scale within [0, 1], as postfx/kernels/shaper.py; params are exposure, toe and scale.
+// postfx/kernels/shaper.py: a matrix, then log2(1 + exposure * x / toe) * scale within [0, 1].
 struct Shaper {
     float gain, most, scale;
+    float matrix[9];
 };
 
-__device__ inline Shaper shaper(const View& params) {
-    return {params.at[0] / params.at[1], exp2f(fminf(126.0f, 1.0f / params.at[2] + 1.0f)), params.at[2]};
+__device__ inline Shaper shaper(const View& params, const View& matrix) {
+    const float *const p = params.at, *const m = matrix.at;
+    return {p[0] / p[1], exp2f(fminf(126.0f, 1.0f / p[2])) - 1.0f, p[2],
+            {m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]}};
 }
 
-__device__ inline float shaped(const Shaper& by, float value) {
-    const float light = value > 0.0f ? value : 0.0f;  // NaN too
-    return fminf(log2f(fminf(light * by.gain + 1.0f, by.most)) * by.scale, 1.0f);
+__device__ inline Colour shaped(const Shaper& by, const float* colour) {
+    const float r = clamped(colour[0], -1e10f, 1e10f), g = clamped(colour[1], -1e10f, 1e10f);
+    const float b = clamped(colour[2], -1e10f, 1e10f), *const m = by.matrix;
+    const Colour light = {fmaxf(m[0] * r + m[1] * g + m[2] * b, 0.0f) * by.gain,
+                          fmaxf(m[3] * r + m[4] * g + m[5] * b, 0.0f) * by.gain,
+                          fmaxf(m[6] * r + m[7] * g + m[8] * b, 0.0f) * by.gain};
+    const float fit = by.most / fmaxf(fmaxf(light.r, light.g), fmaxf(light.b, by.most));
+    return {fminf(log2f(light.r * fit + 1.0f) * by.scale, 1.0f), fminf(log2f(light.g * fit + 1.0f) * by.scale, 1.0f),
+            fminf(log2f(light.b * fit + 1.0f) * by.scale, 1.0f)};
+}
+
+// postfx/kernels/cube.py: tetrahedral look-up of a shaped colour, clipped to [0, 1], in a cube (size, size, size, 3).
+__device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
+    const int size = cube.size[0], end = size - 2, red = size * size, green = size, blue = 1;
+    float r = clamped(shaped.r, 0.0f, 1.0f) * (size - 1), g = clamped(shaped.g, 0.0f, 1.0f) * (size - 1);
+    float b = clamped(shaped.b, 0.0f, 1.0f) * (size - 1);
+    const int i = min(int(r), end), j = min(int(g), end), k = min(int(b), end);
+    r -= i;
+    g -= j;
+    b -= k;
+    const int step = r >= g && r >= b ? red : (g >= b ? green : blue);
+    const int last = r >= b && g >= b ? blue : (r >= g ? green : red);
+    const float high = fmaxf(fmaxf(r, g), b), low = fminf(fminf(r, g), b);
+    const float middle = fmaxf(fminf(r, g), fminf(fmaxf(r, g), b));
+    const int first = i * red + j * green + k * blue, fourth = first + red + green + blue;
+    const float* const corners[4] = {cube.at + 3 * first, cube.at + 3 * (first + step), cube.at + 3 * (fourth - last),
+                                     cube.at + 3 * fourth};
+    const float w0 = 1.0f - high, w1 = high - middle, w2 = middle - low;
+    float found[3];
+#pragma unroll
+    for (int c = 0; c < 3; c++)
+        found[c] = w0 * __ldg(corners[0] + c) + w1 * __ldg(corners[1] + c)
+            + (w2 * __ldg(corners[2] + c) + low * __ldg(corners[3] + c));
+    return {found[0], found[1], found[2]};
 }
 
 // An output pixel before the history: log-encoded colour, sharpened, and how much of the history it keeps.

@@ -1,8 +1,8 @@
-// Shaped colour averaged by area: colour (height, width, 3), params (3,) -> lowres (1, 3, 256, 256).
-extern "C" __global__ void lowres(View colour, View params, View lowres) {
+// Shaped colour averaged by area: colour (height, width, 3), params (3,), matrix (9,) -> lowres (1, 3, 256, 256).
+extern "C" __global__ void lowres(View colour, View params, View matrix, View lowres) {
     const int side = 256, height = colour.size[0], width = colour.size[1];
     PIXEL(side, side);
-    const Shaper by = shaper(params);
+    const Shaper by = shaper(params, matrix);
     // Whole numbers below 2^24 over 256: exact.
     const float top = float(y * height) / side, bottom = float((y + 1) * height) / side;
     const float left = float(x * width) / side, right = float((x + 1) * width) / side;
@@ -15,9 +15,8 @@ extern "C" __global__ void lowres(View colour, View params, View lowres) {
 #pragma unroll 4
         for (int i = int(left); i < last_column; i++, pixel += 3) {
             const float wide = fminf(i + 1.0f, right) - fmaxf(float(i), left);
-            row.r += wide * shaped(by, pixel[0]);
-            row.g += wide * shaped(by, pixel[1]);
-            row.b += wide * shaped(by, pixel[2]);
+            const Colour seen = shaped(by, pixel);
+            row = {row.r + wide * seen.r, row.g + wide * seen.g, row.b + wide * seen.b};
         }
         sum = {sum.r + high * row.r, sum.g + high * row.g, sum.b + high * row.b};
     }

@@ -1,5 +1,6 @@
-// Slices a bilateral grid at every pixel and applies the affine colour matrix found there: colour (height, width, 3),
-// params (3,), guide (112,), grid (1, 16, 16, 8, 12) -> output (height, width, 3).
+// Slices a bilateral grid at every pixel, applies the affine colour matrix found there and looks the result up in a cube:
+// colour (height, width, 3), params (3,), matrix (9,), guide (112,), grid (1, 16, 16, 8, 12),
+// cube (size, size, size, 3) -> output (height, width, 3).
 const int KNOTS = 16, SHIFTS = 12, SLOPES = SHIFTS + 3 * KNOTS, WEIGHTS = SLOPES + 3 * KNOTS, NUMBERS = WEIGHTS + 4;
 
 // Shares of the two cells around a position along an axis.
@@ -47,18 +48,18 @@ __device__ inline void add(float weight, const Four& from, Four& to) {
 }
 
 __device__ inline float applied(const Four& row, const Colour& colour) {
-    return fminf(fmaxf(row.x * colour.r + row.y * colour.g + row.z * colour.b + row.w, 0.0f), 1.0f);
+    return row.x * colour.r + row.y * colour.g + row.z * colour.b + row.w;
 }
 
-extern "C" __global__ void slice_apply(View colour, View params, View guide, View grid, View output) {
+extern "C" __global__ void slice_apply(View colour, View params, View matrix, View guide, View grid, View cube,
+                                       View output) {
     __shared__ Four numbers[NUMBERS / 4];
     read_guide(guide, &numbers->x);
     const int height = output.size[0], width = output.size[1];
     PIXEL(width, height);
     const int cells_high = grid.size[1], cells_wide = grid.size[2], levels = grid.size[3];
     const int here = 3 * (y * width + x);
-    const Shaper by = shaper(params);
-    const Colour seen = {shaped(by, colour.at[here]), shaped(by, colour.at[here + 1]), shaped(by, colour.at[here + 2])};
+    const Colour seen = shaped(shaper(params, matrix), colour.at + here);
     const Cells row = cells_at((y + 0.5f) * cells_high / height - 0.5f, cells_high);
     const Cells column = cells_at((x + 0.5f) * cells_wide / width - 0.5f, cells_wide);
     const Cells level = cells_at(level_of(seen, numbers) * levels - 0.5f, levels);
@@ -74,7 +75,8 @@ extern "C" __global__ void slice_apply(View colour, View params, View guide, Vie
         add(weight, four(grid, cell + 1), green);
         add(weight, four(grid, cell + 2), blue);
     }
-    output.at[here] = applied(red, seen);
-    output.at[here + 1] = applied(green, seen);
-    output.at[here + 2] = applied(blue, seen);
+    const Colour found = looked_up(cube, {applied(red, seen), applied(green, seen), applied(blue, seen)});
+    output.at[here] = found.r;
+    output.at[here + 1] = found.g;
+    output.at[here + 2] = found.b;
 }

@@ -1,0 +1,164 @@
+"""Pictures for the tone mapper: read, declared, exposed, held out; kept in one .npz together with baked looks."""
+
+from __future__ import annotations
+
+import glob
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from postfx.colour.primaries import LINEAR_SPACES, REC709, matrix_between
+from training.charts import hue_chart, ramp
+from training.looks import Look, describe, exact_target, look_from
+from training.panorama import perspective
+from training.views import bake
+
+WIDE_SPACES = ("rec2020", "acescg")
+LARGEST = 2.0**14  # after exposure; the shaper ends at 2**8, so nothing visible is lost
+FIELD, VIEW_SIZE = 85.0, (288, 512)  # degrees along the longer side; height and width
+VALIDATION_VIEWS = ((0.0, 0.0), (120.0, 10.0), (240.0, -15.0))  # yaw, pitch in degrees
+WIDE = [torch.from_numpy(matrix_between(LINEAR_SPACES[name], REC709).astype(np.float32)) for name in WIDE_SPACES]
+
+
+@dataclass
+class Pictures:
+    """Exposed linear Rec.709 (H,W,3) by name: to train on, and held out; which of the first are whole spheres."""
+
+    train: dict[str, np.ndarray] = field(default_factory=dict)
+    panoramas: set[str] = field(default_factory=set)
+    held: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """A look, its view's cube (size,size,size,3), and what the pipeline makes of the held-out pictures."""
+
+    look: Look
+    cube: torch.Tensor
+    wanted: dict[str, np.ndarray]
+
+
+def read(path: str, space: str = "rec709") -> np.ndarray:
+    """First three channels of an HDR picture as linear Rec.709, float32; non-finite values and negative light are 0.
+
+    `space` is what the file holds, a name in `postfx.colour.primaries.LINEAR_SPACES`.
+    """
+    import OpenImageIO as oiio
+
+    pixels = oiio.ImageBuf(path).get_pixels("float")
+    if pixels is None or pixels.ndim != 3 or pixels.shape[2] < 3:
+        raise SystemExit(f"{path}: not a readable RGB picture")
+    light = np.maximum(np.nan_to_num(pixels[..., :3], nan=0.0, posinf=LARGEST, neginf=0.0), 0.0)
+    return (light @ matrix_between(LINEAR_SPACES[space], REC709).T).astype(np.float32)
+
+
+def expose(rgb: np.ndarray) -> np.ndarray:
+    """Scale so that the geometric mean of the luminance between the 2nd and 98th percentile is mid grey, 0.18."""
+    log = np.log2(np.maximum(rgb @ np.float32([0.2126, 0.7152, 0.0722]), 2.0**-30))
+    log = log[log > -30]
+    low, high = np.percentile(log, [2, 98])
+    mean = log[(log >= low) & (log <= high)].mean()
+    return (rgb * np.float32(0.18 / 2.0**mean)).clip(-LARGEST, LARGEST)
+
+
+def shrink(rgb: np.ndarray, side: int) -> np.ndarray:
+    """Area average to at most `side` pixels on the longer side."""
+    h, w = rgb.shape[:2]
+    if max(h, w) <= side:
+        return rgb
+    size = (round(h * side / max(h, w)), round(w * side / max(h, w)))
+    x = torch.from_numpy(np.ascontiguousarray(rgb)).permute(2, 0, 1)[None]
+    return F.interpolate(x, size=size, mode="area")[0].permute(1, 2, 0).numpy()
+
+
+def collect(
+    photos: Iterable[str], panoramas: Iterable[str] = (), clips: str | None = None, clip_limit: int = 0,
+    hold_out: Iterable[str] | None = (), side: int = 768, space: str = "rec709",
+) -> Pictures:
+    """Pictures from patterns of files and a folder of rendered clips; stems in `hold_out` are never trained on."""
+    found, held = Pictures(), set(hold_out or ())
+    sources = [(p, False) for pattern in photos for p in sorted(glob.glob(pattern))]
+    sources += [(p, True) for pattern in panoramas for p in sorted(glob.glob(pattern))]
+    for path, panorama in sources:
+        name, picture = Path(path).stem, read(path, space)
+        if name in held:
+            found.held |= _held_views(name, picture, panorama)
+        else:
+            found.train[name] = expose(shrink(picture, 1024 if panorama else side)).astype(np.float16)
+            found.panoramas |= {name} if panorama else set()
+    for i, frame in enumerate(_clip_frames(clips, clip_limit) if clips else []):
+        found.train[f"clip_{i}"] = expose(frame).astype(np.float16)
+    found.held = found.held or charts()
+    return found
+
+
+def charts() -> dict[str, np.ndarray]:
+    """What to measure with where there are no pictures."""
+    return {"chart": hue_chart(), "ramp": ramp(512)}
+
+
+def find_pictures(photos: Iterable[str], panoramas: Iterable[str], side: int) -> dict[str, np.ndarray]:
+    """Linear Rec.709 by name, of patterns of files; a perspective view of each panorama; shrunk to `side`."""
+    found = {_name(p): shrink(read(p), side) for pattern in photos for p in sorted(glob.glob(pattern))}
+    for path in (p for pattern in panoramas for p in sorted(glob.glob(pattern))):
+        sphere = torch.from_numpy(read(path)).permute(2, 0, 1)
+        view = perspective(sphere, *VALIDATION_VIEWS[0], FIELD, VIEW_SIZE)
+        found[_name(path)] = shrink(view.permute(1, 2, 0).numpy(), side)
+    return found
+
+
+def _name(path: str) -> str:
+    """A file's stem; with its folder where it is a frame of a sequence, whose stem says little."""
+    stem = Path(path).stem
+    return f"{Path(path).parent.name}" if stem.startswith("reference") else stem
+
+
+def _held_views(name: str, picture: np.ndarray, panorama: bool) -> dict[str, np.ndarray]:
+    if not panorama:
+        return {name: expose(shrink(picture, 640)).astype(np.float16)}
+    sphere = torch.from_numpy(picture).permute(2, 0, 1)
+    views = [perspective(sphere, yaw, pitch, FIELD, VIEW_SIZE) for yaw, pitch in VALIDATION_VIEWS]
+    return {f"{name}.{i}": expose(v.permute(1, 2, 0).numpy()).astype(np.float16) for i, v in enumerate(views)}
+
+
+def _clip_frames(folder: str, limit: int) -> list[np.ndarray]:
+    """Up to `limit` rendered references, the first frame of evenly spread clips (.npz with `reference` (T,H,W,3))."""
+    paths = sorted(glob.glob(f"{folder}/*.npz"))
+    paths = paths[:: max(1, len(paths) // limit)][:limit] if limit else []
+    return [np.load(path)["reference"][0].astype(np.float32) for path in paths]
+
+
+def lesson(look: Look, pictures: Pictures) -> Lesson:
+    """Bake a look and ask its pipeline about the held-out pictures."""
+    wanted = {name: exact_target(rgb.astype(np.float32), look) for name, rgb in pictures.held.items()}
+    return Lesson(look, torch.from_numpy(bake(look.view)), wanted)
+
+
+def save(path: str, pictures: Pictures, lessons: dict[str, Lesson]) -> None:
+    arrays = {f"train/{name}": picture for name, picture in pictures.train.items()}
+    arrays |= {f"held/{name}": picture for name, picture in pictures.held.items()}
+    arrays["panoramas"] = np.array(sorted(pictures.panoramas))
+    for name, one in lessons.items():
+        arrays[f"look/{name}"] = np.array(json.dumps(describe(one.look)))
+        arrays[f"cube/{name}"] = one.cube.numpy().astype(np.float16)
+        arrays |= {f"wanted/{name}/{of}": np.round(x * 65535).astype(np.uint16) for of, x in one.wanted.items()}
+    np.savez_compressed(path, **arrays)
+
+
+def load(path: str, name: str) -> tuple[Pictures, Lesson]:
+    """Pictures and one lesson of a saved set."""
+    with np.load(path) as packed:
+        if f"look/{name}" not in packed:
+            there = sorted(key[5:] for key in packed if key.startswith("look/"))
+            raise SystemExit(f"{path} has no look '{name}': it has {', '.join(there)}")
+        part = {kind: {key.removeprefix(kind): packed[key] for key in packed if key.startswith(kind)}
+                for kind in ("train/", "held/", f"wanted/{name}/")}
+        pictures = Pictures(part["train/"], set(packed["panoramas"].tolist()), part["held/"])
+        look = look_from(json.loads(str(packed[f"look/{name}"])))
+        wanted = {of: x.astype(np.float32) / 65535 for of, x in part[f"wanted/{name}/"].items()}
+        return pictures, Lesson(look, torch.from_numpy(packed[f"cube/{name}"].astype(np.float32)), wanted)
