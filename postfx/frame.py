@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from postfx.errors import FrameError, GuideError
+from postfx.stored import Stored
 
 DEPTH_MISS = 1e10
 """Depth of a pixel whose ray hit nothing."""
@@ -158,8 +159,10 @@ class Frame:
         world_to_camera: 4x4 float64, row vectors (p_camera = p_world @ M), or None.
         fov_x: horizontal field of view in degrees, or None.
         metadata: header attributes to keep on writing, by EXR name; windows are kept under 'displayWindow' and
-            'dataWindow' as (x0, y0, x1, y1), bounds included.
-        source: file that the frame was read from, or None.
+            'dataWindow' as (x0, y0, x1, y1), bounds included, the rectangle that the planes cover under 'postfx:area'
+            (without it, the display window).
+        source: file that the frame, of several files its colour, was read from, or None.
+        stored: where the colour is in `source`, if it is in one part of it.
         encoding: meaning of the colour plane, one of `ENCODINGS`.
         guides: role -> array like those of `planes`, at output size; roles are among `GUIDE_ROLES`.
         guide_size: width and height of the guides; given only for a frame whose guides were not read.
@@ -185,6 +188,7 @@ class Frame:
     guide_size: tuple[int, int] | None = None
     guide_jitter: tuple[float, float] = (0.0, 0.0)
     guide_source: str | None = None
+    stored: Stored | None = None
 
     def __post_init__(self) -> None:
         if not self.planes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,10 +13,16 @@ from postfx.frame import Role
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.io.convert import Camera
 from postfx.io.depth import DepthOption, missing_error, missing_number
+from postfx.io.part import PICTURE
 from postfx.io.profile import PlaneRule, Profile, load_profile, profile_names
 
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Chromaticities of red, green, blue and white (ITU-R BT.709-6, table 1)."""
+
+_PICTURE_RULES = (
+    PlaneRule(Role.COLOUR, ("",), (("R", "G", "B"),)),
+    PlaneRule(Role.ALPHA, ("",), (("A",),)),
+)
 
 
 class Match(NamedTuple):
@@ -27,9 +33,9 @@ class Match(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the plane, which are those of its display window."""
-        display = self.channels[0].part.display
-        return display.width, display.height
+        """Width and height of the plane, which are those of its area."""
+        area = self.channels[0].part.area
+        return area.width, area.height
 
     @property
     def names(self) -> str:
@@ -97,6 +103,8 @@ def make_layout(
     Raises ProfileError when the depth plane needs numbers of the camera that are not known.
     """
     profile = profile or _detect(index, attributes)
+    if PICTURE in attributes:
+        profile = replace(profile, planes=_PICTURE_RULES + profile.planes)
     layout = Layout(profile, _layer(index, profile), {}, Camera(), attributes)
     camera = Header(layout).camera()
     layout.camera = depth.camera(camera) if depth else camera
@@ -110,8 +118,9 @@ def make_layout(
 
 def _colour_warnings(layout: Layout) -> list[str]:
     match, warnings = layout.planes.get(Role.COLOUR), []
-    if match and match.channels[0].part.overscan:
-        warnings.append("overscan outside the display window is cut off")
+    part = match.channels[0].part if match else None
+    if part and not part.area.holds(part.data):
+        warnings.append("overscan beyond that of the first frame is cut off")
     primaries = layout.attributes.get("chromaticities", REC709)
     if np.size(primaries) == 8 and not np.allclose(primaries, REC709, atol=2e-3):
         warnings.append("colours have other primaries than Rec.709 (chromaticities header): processed as they are")

@@ -9,7 +9,7 @@ from typing import Any
 import OpenImageIO as oiio
 
 from postfx.frame import Frame
-from postfx.io.exr import EXR_NAMES, Window
+from postfx.io.part import EXR_NAMES, Window
 
 # What describes the input's storage, its samples or channels that are not written.
 _DROPPED = (

@@ -9,6 +9,7 @@ from pathlib import Path
 from postfx.errors import MissingFrameError, SequenceError
 from postfx.frame import Frame, Role
 from postfx.io.aov import FrameFiles
+from postfx.io.area import Area
 from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.depth import parse_depth
 from postfx.io.exr import READABLE
@@ -54,6 +55,7 @@ class Sequence:
         self.cuts = None if cuts is None else frozenset(cuts)
         self.leave = () if leave is None else parse_leave(leave)
         self._named = False
+        self._area: Area | None = None  # of the first frame that was opened
         self.left_alone = Shares()
         self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth)
         self.planes = None if planes is None else tuple(Role(role) for role in planes)
@@ -119,7 +121,8 @@ class Sequence:
     def open(self, number: int) -> FrameFiles:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
         guides, strict = self.guide_files(number), not self._named
-        files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict)
+        files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self._area)
+        self._area = self._area or files.area
         self._named = True  # a thing that was found need not be in every frame
         self.warnings += [warning for warning in files.layout.warnings if warning not in self.warnings]
         return files
