@@ -24,12 +24,13 @@ _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
 class ImageFile:
     """An open file: `parts` says what is in it, `read` fetches channels. Use as a context manager.
 
-    Raises MissingFrameError when there is no such file, ReadError when it is broken, deep or of an unknown format.
+    `suffix` tells the format where the path's does not. Raises MissingFrameError when there is no such file, ReadError
+    when it is broken, deep or of an unknown format.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, suffix: str | None = None) -> None:
         self.path = Path(path)
-        if self.path.suffix.lower() not in READABLE:
+        if (suffix or self.path.suffix.lower()) not in READABLE:
             raise ReadError(f"{path}: not a scene-linear image: give OpenEXR (.exr) or Radiance (.hdr) files")
         if not self.path.is_file():
             raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with --frames")

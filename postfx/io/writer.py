@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 from collections.abc import Callable
-from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 
@@ -13,18 +14,20 @@ import OpenImageIO as oiio
 
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
-from postfx.io.metadata import kept_attributes, scaled_window, set_attributes
+from postfx.io.ends import JPEG, has_end
+from postfx.io.finished import finished_file
+from postfx.io.kept import add_rest
+from postfx.io.metadata import kept_attributes, set_attributes
 from postfx.io.srgb import srgb_decode, srgb_encode
+from postfx.io.windows import OutputWindows, Pixels, cut, output_windows
 
 LINEAR_FORMATS = (".exr",)
-JPEG = (".jpg", ".jpeg")
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG)
 WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
 _BITS = {".tif": 16, ".tiff": 16}
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
 _HALF_MAX = 65504.0
 _PIECE = 16 << 20  # bytes in float32 that are converted and written at once
-Pixels = Callable[[slice], np.ndarray]  # rows -> pixels as they are stored
 
 
 def is_display_format(path: str | PathLike[str]) -> bool:
@@ -36,32 +39,33 @@ def is_display_format(path: str | PathLike[str]) -> bool:
 
 
 def write_frame(
-    path: str | PathLike[str], frame: Frame, half: bool = True, relax: Callable[[], None] | None = None
+    path: str | PathLike[str],
+    frame: Frame,
+    half: bool = True,
+    relax: Callable[[], None] | None = None,
+    keep: bool = False,
 ) -> Path:
     """Write colour and alpha of a frame; returns the path.
 
     EXR holds linear light (a display-encoded frame is decoded), half floats unless `half` is False, ZIP compression,
-    the input's display window scaled to the frame's size and its useful header attributes. PNG and JPEG hold 8 bits,
-    TIFF 16 bits of sRGB code values; a scene-linear frame is clipped to 0..1 there, so tone-map it first. The file
-    appears under its name only when it is complete; folders are made. `relax` is called again and again meanwhile.
+    the input's windows scaled to the frame's size and its useful header attributes; with `keep` also everything else
+    that the frame's source holds, see `postfx.io.kept`. PNG and JPEG hold 8 bits, TIFF 16 bits of sRGB code values
+    within the display window; a scene-linear frame is clipped to 0..1 there, so tone-map it first. The file appears
+    under its name only when it is complete; folders are made. `relax` is called again and again meanwhile.
 
-    Raises FrameError when the frame has no colour, WriteError when the file cannot be written.
+    Raises FrameError when the frame has no colour, WriteError when the file cannot be written, ReadError when what is
+    kept cannot be read.
     """
     path = Path(path)
     display = is_display_format(path)
     convert = _display_pixels(frame, path) if display else _linear_pixels(frame, half)
-    spec = _spec(frame, convert(slice(0, 1)), path, display)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _write(temporary, spec, convert, relax)
-        os.replace(temporary, path)
-    except OSError as error:
-        reason = (error.strerror or str(error)).replace(str(temporary), str(path))
-        raise WriteError(f"{path}: cannot be written: {reason}; check the folder's rights and free space") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
+    windows = output_windows(frame)
+    convert = cut(convert, windows.area, windows.display if display else windows.data)
+    spec = _spec(frame, windows, convert(slice(0, 1)), display)
+    with finished_file(path) as temporary:
+        _write(temporary, path.suffix.lower(), spec, convert, relax)
+        if keep and not display:
+            add_rest(temporary, frame)
     return path
 
 
@@ -76,16 +80,7 @@ def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:
     readable = same and image.read_image(oiio.UINT8) is not None
     image.geterror()
     image.close()
-    return readable and _is_ended(Path(path))
-
-
-def _is_ended(path: Path) -> bool:
-    """Whether a JPEG ends with its end marker; its decoder takes shortened files without complaint."""
-    if path.suffix.lower() not in JPEG:
-        return True
-    with path.open("rb") as file:
-        file.seek(-2, os.SEEK_END)
-        return file.read() == b"\xff\xd9"
+    return readable and has_end(Path(path), Path(path).suffix)
 
 
 def _linear_pixels(frame: Frame, half: bool) -> Pixels:
@@ -116,33 +111,54 @@ def _with_alpha(colour: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
     return np.concatenate([colour, frame[Role.ALPHA][rows]], axis=2) if Role.ALPHA in frame else colour
 
 
-def _spec(frame: Frame, pixels: np.ndarray, path: Path, display: bool) -> oiio.ImageSpec:
-    height, width, channels = len(frame[Role.COLOUR]), *pixels.shape[1:]
-    spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
+def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, display: bool) -> oiio.ImageSpec:
+    channels, window = pixels.shape[2], windows.display if display else windows.data
+    spec = oiio.ImageSpec(window.width, window.height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
     spec.channelnames = ("R", "G", "B", "A")[:channels]
     if display:
         spec.attribute("oiio:ColorSpace", "sRGB")
         spec.attribute("CompressionQuality", 95)
         return spec
-    window = scaled_window(frame, width, height)
-    spec.x, spec.y = spec.full_x, spec.full_y = window.x0, window.y0
+    spec.x, spec.y, shown = window.x0, window.y0, windows.display
+    spec.full_x, spec.full_y, spec.full_width, spec.full_height = shown.x0, shown.y0, shown.width, shown.height
     set_attributes(spec, kept_attributes(frame))
     spec.attribute("compression", "zip")
     return spec
 
 
-def _write(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
-    output = oiio.ImageOutput.create(str(path))
+def _write(
+    path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None
+) -> None:
+    """Encode a file. OSError unless it got all its bytes, which the encoders of JPEG, PNG and TIFF do not tell."""
+    if suffix in JPEG:
+        _write_jpeg(path, spec, convert)
+    else:
+        _encode(path, suffix, spec, convert, relax)
+    if not has_end(path, suffix):
+        raise OSError(errno.ENOSPC, "the file has no end")
+
+
+def _write_jpeg(path: Path, spec: oiio.ImageSpec, convert: Pixels) -> None:
+    """Encode in memory, as libjpeg ends the process where a disk is full."""
+    with os.fdopen(os.memfd_create("postfx"), "rb") as memory:
+        _encode(Path(f"/proc/self/fd/{memory.fileno()}"), ".jpg", spec, convert, None)
+        with path.open("wb") as file:
+            shutil.copyfileobj(memory, file)
+
+
+def _encode(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
+    output = oiio.ImageOutput.create(suffix[1:])
     if output is None:
         raise OSError(oiio.geterror())
     written = output.open(str(path), spec)
     step = max(16, _PIECE // (4 * spec.width * spec.nchannels) // 16 * 16)
-    for first in range(0, spec.height, step):
+    for first in range(0, spec.height if written else 0, step):
         last = min(spec.height, first + step)
         pixels = np.ascontiguousarray(convert(slice(first, last)))
         written = written and output.write_scanlines(spec.y + first, spec.y + last, 0, pixels)
         if relax is not None:
             relax()
     closed = output.close()
-    if not (written and closed):
-        raise OSError(output.geterror().splitlines()[0] if output.has_error else "unknown reason")
+    lines = [line for line in output.geterror().splitlines() if line and "Exif" not in line]  # of TIFF, harmless
+    if lines or not (written and closed):
+        raise OSError(lines[0] if lines else "unknown reason")
