@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
+from postfx.cli.faults import Faults, OnError, Standin, check_sizes, first_spec, without_denoising
 from postfx.cli.progress import FrameProgress
 from postfx.cli.summary import Report
-from postfx.errors import GuideError, WriteError
-from postfx.exposure import SMOOTH, SmoothExposure, colours_of
-from postfx.frame import Frame, FrameSpec, Role
+from postfx.errors import WriteError
+from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
+from postfx.frame import Frame, Role
 from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import Sequence
@@ -58,10 +59,17 @@ class Job:
             self.outputs.check(self.sequence.numbers)
         self.left_out: list[Skipped] = []
         self._smooth = arguments.exposure == SMOOTH
-        exposure = SmoothExposure(colours_of(self.sequence)) if self._smooth else arguments.exposure
+        policy = OnError(arguments.on_error)
+        exposure = SmoothExposure(colours_of(self.sequence, policy is not OnError.STOP)) if self._smooth \
+            else ExposureMeter(arguments.exposure)
         cuts = "auto" if arguments.cuts == "auto" else "none"
         self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts)
-        self.plan = self.pipeline.explain(self._first_spec())
+        self.plan = self.pipeline.explain(first_spec(self.sequence, policy))
+        self._keep = arguments.keep == "all"
+        said = len(self.left_out)
+        plain = self._passes(without_denoising(arguments, self.plan)) if policy is OnError.COPY else None
+        del self.left_out[said:]
+        self._faults = Faults(policy, Standin(self.sequence, plain, device, exposure) if plain is not None else None)
         self._preroll, self._scale = arguments.preroll, arguments.scale
         self._capture = FrameCapture(arguments, device)
         self._seconds = 0.0
@@ -104,7 +112,7 @@ class Job:
                 for work, frame in read_ahead(works, self._read):
                     with self._capture.around(work.number):
                         result = self._process(work, frame)
-                    if work.write:
+                    if work.write and result:
                         behind.put(partial(self._write, self.outputs.path(work.number), result, progress))
         finally:
             self._seconds = time.perf_counter() - begin
@@ -125,17 +133,24 @@ class Job:
             cuts=self._cuts,
             left_alone=self.sequence.left_alone,
             capture=self._capture.page,
+            faults=self._faults.found,
             error=str(failure) or "interrupted" if failure is not None else None,
         )
 
-    def _read(self, work: Work) -> Frame:
-        frame = self.sequence.read(work.number, self.plan.planes, self.plan.guides)
-        self._check_guides(frame)
+    def _read(self, work: Work) -> Frame | None:
+        return self._faults.read(work.number, work.write, partial(self._checked, work.number))
+
+    def _checked(self, number: int) -> Frame:
+        frame = self.sequence.read(number, self.plan.planes, self.plan.guides)
+        check_sizes(frame, self.plan.input)
         return frame
 
-    def _process(self, work: Work, frame: Frame) -> Frame:
+    def _process(self, work: Work, frame: Frame | None) -> Frame | None:
+        """The result of a frame, or of what stands in for one that failed; None where there is neither."""
         begin = time.perf_counter()
-        result = self.pipeline(frame)
+        result = frame and self._faults.attempt(work.number, work.write, partial(self.pipeline, frame))
+        if result is None:
+            return self._faults.instead(work.number) if work.write else None
         if self.pipeline.cut:
             self._cuts.append(work.number)
         if work.write:
@@ -152,18 +167,10 @@ class Job:
                 self._chosen.setdefault(step.name, Counter())[choice] += 1
 
     def _write(self, path: Path, result: Frame, progress: FrameProgress) -> None:
-        written = str(write_frame(path, result, relax=self._relax))
-        self._written.append(written)
-        progress.advance(written)
-
-    def _check_guides(self, frame: Frame) -> None:
-        """The output's size may follow from the guides, so all frames must have them in one."""
-        found, wanted = frame.spec.guides, self.plan.input.guides
-        if found and wanted and (found.width, found.height) != (wanted.width, wanted.height):
-            raise GuideError(
-                f"{found.source}: guides are {found.width}x{found.height}, those of the first frame "
-                f"{wanted.width}x{wanted.height}: render them at one size"
-            )
+        write = partial(write_frame, path, result, relax=self._relax, keep=self._keep)
+        if written := self._faults.attempt(result.number, True, write):
+            self._written.append(str(written))
+            progress.advance(str(written))
 
     def _guides(self) -> dict[str, Any] | None:
         """Size of the guides, which of them are used, and whether the output's size follows from them."""
@@ -200,10 +207,6 @@ class Job:
         if self._preroll is not None:
             return self._preroll
         return RESUME_PREROLL if target.existing is Existing.SKIP and self.plan.steps else 0
-
-    def _first_spec(self) -> FrameSpec:
-        with self.sequence.open(self.sequence.numbers[0]) as files:
-            return files.spec()
 
     def _passes(self, arguments: argparse.Namespace) -> list[Pass]:
         passes = []

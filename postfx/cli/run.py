@@ -27,6 +27,7 @@ examples:
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --scale 1 --on-error copy
   postfx run poster.exr -o out/ --memory 4G
   postfx run shot/noisy.####.exr --explain
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-frame 5
@@ -36,7 +37,8 @@ examples:
 
 POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx exposure --help'.
 
-exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 130 interrupted
+exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 3 done, but frames failed
+(--on-error skip or copy); 130 interrupted
 """
 
 
@@ -58,6 +60,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="frames to process without writing, before the first and after skipped ones, so that the passes have "
         "their history (default: 8 with --skip-existing, else 0)",
     )
+    parser.add_argument(
+        "--keep", default="all", choices=("all", "none"), help="EXR: what the input holds beside the picture goes "
+        "into the output bit for bit (channels at render size, parts, header), or not at all (default: all)",
+    )
+    parser.add_argument(
+        "--on-error", default="stop", choices=("stop", "skip", "copy"), help="a frame that cannot be read or processed "
+        "ends the run; has no output; or its picture is enlarged without denoising. The run goes on after the last two "
+        "and exits with 3 (default: stop)",
+    )
     _add_passes(parser.add_argument_group("passes"))
     _add_reading(parser.add_argument_group("reading and running"))
     reports = parser.add_argument_group("reports")
@@ -68,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Process the sequence; returns the exit code."""
+    from postfx.cli.faults import EXIT_FAULTS
     from postfx.cli.job import Job  # loads the runtime, which --help must not wait for
 
     job = Job(arguments)
@@ -85,7 +97,7 @@ def execute(arguments: argparse.Namespace) -> int:
         print(json.dumps(report.as_dict()))
     if failure:
         raise failure
-    return 0
+    return EXIT_FAULTS if report.faults else 0
 
 
 def _add_passes(group: argparse._ArgumentGroup) -> None:

@@ -11,10 +11,13 @@ import OpenImageIO as oiio
 from postfx.frame import Frame
 from postfx.io.part import AREA, EXR_NAMES
 
-_SAMPLES = ("postfx:jitter", "postfx:reset", "postfx:spp", "preview", "thumbnail")
+_OUTDATED = (
+    "postfx:jitter", "postfx:models", "postfx:reset", "postfx:settings", "postfx:spp", "postfx:version", "preview",
+    "thumbnail",
+)
 # What describes the input's storage, its samples or channels that are not written.
 _DROPPED = (
-    *_SAMPLES,
+    *_OUTDATED,
     AREA,
     "blendermultichannel",
     "compression",
@@ -48,7 +51,7 @@ def kept_attributes(frame: Frame) -> dict[str, Any]:
 
 def is_outdated(name: str, frame: Frame) -> bool:
     """Whether an attribute of the input is not true of the picture any more, whatever else is written with it."""
-    outdated = _SAMPLES if frame.encoding == "scene-linear" else _SAMPLES + _SCENE_REFERRED
+    outdated = _OUTDATED if frame.encoding == "scene-linear" else _OUTDATED + _SCENE_REFERRED
     return name.lower().startswith(outdated)
 
 

@@ -18,6 +18,7 @@ from postfx.io.ends import JPEG, has_end
 from postfx.io.finished import finished_file
 from postfx.io.kept import add_rest
 from postfx.io.metadata import kept_attributes, set_attributes
+from postfx.io.part import AREA, Window
 from postfx.io.srgb import srgb_decode, srgb_encode
 from postfx.io.windows import OutputWindows, Pixels, cut, output_windows
 
@@ -76,7 +77,9 @@ def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:
         oiio.geterror()
         return False
     spec = image.spec()
-    same = (spec.full_width, spec.full_height) == (width, height)
+    area = spec.getattribute(AREA)
+    size = (Window(*area).width, Window(*area).height) if area else (spec.full_width, spec.full_height)
+    same = size == (width, height)
     readable = same and image.read_image(oiio.UINT8) is not None
     image.geterror()
     image.close()
@@ -121,6 +124,8 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, display: boo
         return spec
     spec.x, spec.y, shown = window.x0, window.y0, windows.display
     spec.full_x, spec.full_y, spec.full_width, spec.full_height = shown.x0, shown.y0, shown.width, shown.height
+    if windows.area != shown:
+        spec.attribute(AREA, oiio.TypeDesc("int[4]"), tuple(windows.area))
     set_attributes(spec, kept_attributes(frame))
     spec.attribute("compression", "zip")
     return spec
