@@ -7,6 +7,7 @@ outside the data window get a fill value.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.errors import MissingFrameError, ReadError
+from postfx.io.claims import check_claims
 from postfx.io.part import Part, Window, own_windows, part_of, some_rows, to_area
 
 READABLE = (".exr", ".hdr")
@@ -32,8 +34,9 @@ class ImageFile:
         self.path = Path(path)
         if (suffix or self.path.suffix.lower()) not in READABLE:
             raise ReadError(f"{path}: not a scene-linear image: give OpenEXR (.exr) or Radiance (.hdr) files")
-        if not self.path.is_file():
+        if not os.path.isfile(path):
             raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with --frames")
+        check_claims(self.path)
         self._input = oiio.ImageInput.open(str(self.path))
         if self._input is None:
             raise ReadError(f"{path}: cannot be opened: {_first_line(oiio.geterror())}; write the file again")

@@ -145,7 +145,8 @@ class _Merge:
     def _is_new(self, name: str) -> bool:
         """Whether the picture does not have an attribute as the render has it."""
         read, now = self._stored.attributes, self._frame.metadata
-        return is_outdated(name, self._frame) or (name in read and read[name] != now.get(name, read[name]))
+        same = name not in read or np.array_equal(read[name], now.get(name, read[name]))
+        return is_outdated(name, self._frame) or not same
 
     def _named(self, parts: list[NewPart]) -> list[NewPart]:
         """The parts, each with a name of its own, which files of several parts need; those that have one keep it."""

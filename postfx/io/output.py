@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from enum import StrEnum
 from pathlib import Path
 
@@ -44,7 +45,7 @@ class OutputFiles:
         """OutputExistsError when a file is already there and is to be neither overwritten nor skipped."""
         if self.existing is Existing.REFUSE:
             for path in map(self.path, numbers):
-                if path.exists():
+                if os.path.lexists(path):
                     raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")
 
     def is_done(self, number: int, width: int, height: int) -> bool:
@@ -52,10 +53,31 @@ class OutputFiles:
         return self.existing is Existing.SKIP and is_complete(self.path(number), width, height)
 
     def _refuse_inputs(self, sequence: Sequence) -> None:
-        inputs = {path.resolve() for path in sequence.all_files()}
-        for path in map(self.path, sequence.numbers):
-            if path.resolve() in inputs:
+        """An input must not be replaced, whatever links, `..` or letter case lead there, and no output become one of its
+        frames: the next run would read it."""
+        inputs = {_place(path) for path in sequence.all_files()}
+        outputs = list(map(self.path, sequence.numbers))
+        there = any(map(os.path.lexists, outputs))
+        linked = {_identity(path) for path in sequence.all_files()} - {None} if there else set()
+        for path in outputs:
+            if _place(path) in inputs or _identity(path) in linked:
                 raise WriteError(f"{path}: is an input: write to another folder or name")
+            if sequence.pattern.takes(path):
+                raise WriteError(f"{path}: would be a frame of the input: write to another folder or name")
+
+
+def _place(path: Path) -> str:
+    """Where a file is, without links and regardless of letter case."""
+    return os.path.realpath(path).casefold()
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """What names of one file have in common; None where there is no file."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _output_pattern(target: str, source: Pattern) -> Pattern:

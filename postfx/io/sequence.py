@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from os import PathLike
 from pathlib import Path
@@ -199,7 +200,7 @@ def read_sequence(
 def _locate(source: str) -> tuple[Pattern, list[int] | None]:
     """Pattern of a source, and the frame numbers where the source itself names one file."""
     path = Path(source)
-    if path.is_dir():
+    if os.path.isdir(source):
         return _folder_pattern(path), None
     pattern = parse_pattern(source)
     if pattern.numbered or pattern.has_planes:

@@ -136,17 +136,17 @@ def _write(
 ) -> None:
     """Encode a file. OSError unless it got all its bytes, which the encoders of JPEG, PNG and TIFF do not tell."""
     if suffix in JPEG:
-        _write_jpeg(path, spec, convert)
+        _write_jpeg(path, spec, convert, relax)
     else:
         _encode(path, suffix, spec, convert, relax)
     if not has_end(path, suffix):
         raise OSError(errno.ENOSPC, "the file has no end")
 
 
-def _write_jpeg(path: Path, spec: oiio.ImageSpec, convert: Pixels) -> None:
+def _write_jpeg(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
     """Encode in memory, as libjpeg ends the process where a disk is full."""
     with os.fdopen(os.memfd_create("postfx"), "rb") as memory:
-        _encode(Path(f"/proc/self/fd/{memory.fileno()}"), ".jpg", spec, convert, None)
+        _encode(Path(f"/proc/self/fd/{memory.fileno()}"), ".jpg", spec, convert, relax)
         with path.open("wb") as file:
             shutil.copyfileobj(memory, file)
 
