@@ -53,8 +53,8 @@ class OutputFiles:
         return self.existing is Existing.SKIP and is_complete(self.path(number), width, height)
 
     def _refuse_inputs(self, sequence: Sequence) -> None:
-        """An input must not be replaced, whatever links, `..` or letter case lead there, and no output become one of its
-        frames: the next run would read it."""
+        """No input may be replaced, whatever links, `..` or letter case lead there, and no output may become a frame of
+        the input: the next run would read it."""
         inputs = {_place(path) for path in sequence.all_files()}
         outputs = list(map(self.path, sequence.numbers))
         there = any(map(os.path.lexists, outputs))

@@ -146,8 +146,11 @@ def _slices(window: Window, outer: Window) -> tuple[slice, slice]:
 
 
 def _quotient(rational: Any) -> float:
-    numerator, denominator = rational if isinstance(rational, tuple) else (rational, 1)
-    return numerator / denominator if denominator else 0.0
+    try:
+        numerator, denominator = rational if isinstance(rational, tuple) else (rational, 1)
+        return numerator / denominator if denominator else 0.0
+    except (TypeError, ValueError):  # it is stored as something else
+        return 0.0
 
 
 def _window(x: int, y: int, width: int, height: int) -> Window:

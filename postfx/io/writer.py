@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from os import PathLike
 from pathlib import Path
 
@@ -144,11 +144,15 @@ def _write(
 
 
 def _write_jpeg(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
-    """Encode in memory, as libjpeg ends the process where a disk is full."""
-    with os.fdopen(os.memfd_create("postfx"), "rb") as memory:
-        _encode(Path(f"/proc/self/fd/{memory.fileno()}"), ".jpg", spec, convert, relax)
-        with path.open("wb") as file:
-            shutil.copyfileobj(memory, file)
+    """Encode through a pipe, as libjpeg ends the process where a disk is full."""
+    reading, writing = os.pipe()
+    with ThreadPoolExecutor(1) as reader, os.fdopen(reading, "rb") as encoded:
+        content = reader.submit(encoded.read)
+        try:
+            _encode(Path(f"/dev/fd/{writing}"), ".jpg", spec, convert, relax)
+        finally:
+            os.close(writing)
+        path.write_bytes(content.result())
 
 
 def _encode(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:

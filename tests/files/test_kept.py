@@ -109,8 +109,9 @@ def test_deep_and_mip_mapped_parts_are_copied_as_they_are_stored(tmp_path: Path,
 
 def test_a_colour_in_layers_is_kept_and_the_picture_comes_first(tmp_path: Path) -> None:
     light = picture()
-    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage}, {f"ViewLayer.{layer}.{name}": light[name] for name in "RGBA"},
-                          f"ViewLayer.{layer}") for layer in ("Combined", "Noisy Image")]
+    layers = ("ViewLayer.Combined", "ViewLayer.Noisy Image")
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage}, {f"{layer}.{name}": light[name] for name in "RGBA"}, layer)
+             for layer in layers]
     OpenEXR.File(parts).write(str(tmp_path / "in.exr"))
     before, (out, frame) = channel_hashes(tmp_path / "in.exr"), keep(tmp_path / "in.exr")
     after = channel_hashes(out)

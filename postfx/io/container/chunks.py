@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+import numpy as np
+
 from postfx.errors import ReadError
 from postfx.io.container.header import (
     DEEP_SCANLINES,
@@ -26,6 +28,8 @@ _BOUNDED = {0: 1, 1: 128, 2: 1100, 3: 1100, 5: 1100, 6: 8, 7: 32}
 _UNBOUNDED = 1 << 20
 # Compressions -> how many times a chunk may grow: RLE 127 bytes out of 2, DEFLATE 1032:1, a flat block of B44A 32 bytes
 # out of 3. One run of a Huffman code may stand for much more.
+MAX_EMPTY = 1 << 28
+"""Pixels that a display window may have with hardly any data in it: 16384x16384."""
 MAX_SIDE = 1 << 24
 """Largest width and height that is taken for an image's."""
 
@@ -53,6 +57,7 @@ class ExrContainer:
             self._table = self._file.tell()
             self.counts = [_count(header) for header in self.headers]
             self._check_sizes()
+            self._check_table()
         except ReadError as error:
             self._file.close()
             raise ReadError(f"{path}: broken file: {error}; render or copy this frame again") from None
@@ -104,8 +109,8 @@ class ExrContainer:
         at = offset + 4 * self.several
         coordinates, sizes = _head_layout(self.headers[part].part_type)
         head = coordinates + struct.calcsize(sizes)
-        if offset < self._table or at + head > self.size:
-            raise self._broken("some of its pixels are missing")
+        if at + head > self.size:
+            raise self._broken("it ends early")
         self._file.seek(at + coordinates)
         found = struct.unpack(sizes, self._file.read(head - coordinates))
         size = sum(found[:2])  # the third is that of unpacked samples
@@ -119,6 +124,14 @@ class ExrContainer:
         for header in self.headers:
             _check_claims(header, self.size)
 
+    def _check_table(self) -> None:
+        """ReadError where a chunk is missing, as in the file of a render that was ended, or beyond the end."""
+        offsets = np.frombuffer(self._file.read(8 * sum(self.counts)), "<u8")
+        if offsets.min() < self._table:
+            raise ReadError("some of its pixels are missing")
+        if offsets.max() >= self.size:
+            raise ReadError("it ends early")
+
     def _broken(self, reason: str) -> ReadError:
         return ReadError(f"{self.path}: broken file: {reason}; render or copy this frame again")
 
@@ -130,7 +143,10 @@ def _head_layout(part_type: str) -> tuple[int, str]:
 
 def _check_claims(header: Header, file_size: int) -> None:
     """ReadError for a picture that cannot come out of so small a file."""
-    data = header.data
+    data, display = header.data, header.display
+    if not (1 <= display.width <= MAX_SIDE and 1 <= display.height <= MAX_SIDE) or \
+            display.width * display.height > MAX_EMPTY + 16 * data.width * data.height:
+        raise ReadError(f"its header claims a display window of {display.width}x{display.height}")
     if header.part_type not in (SCANLINES, TILES):
         return
     pixel = sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
