@@ -29,7 +29,7 @@ class OutputFiles:
     """
 
     def __init__(self, target: str, sequence: Sequence, existing: Existing = Existing.REFUSE) -> None:
-        self.existing = existing
+        self.existing, self._sequence = existing, sequence
         self._pattern = _output_pattern(target, sequence.pattern)
         self.display = is_display_format(str(self._pattern))
         if len(sequence) > 1 and not self._pattern.numbered:
@@ -49,8 +49,9 @@ class OutputFiles:
                     raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")
 
     def is_done(self, number: int, width: int, height: int) -> bool:
-        """Whether a frame may be skipped: its file is there, complete and of this size."""
-        return self.existing is Existing.SKIP and is_complete(self.path(number), width, height)
+        """Whether a frame may be skipped: its file is there, complete and of this size, overscan included."""
+        size = self._sequence.shown_size(width, height)
+        return self.existing is Existing.SKIP and is_complete(self.path(number), *size)
 
     def _refuse_inputs(self, sequence: Sequence) -> None:
         """No input may be replaced, whatever links, `..` or letter case lead there, and no output may become a frame of

@@ -18,8 +18,11 @@ _NUMBER = re.compile(
     r"%(?:0(?P<printf>\d+))?d|(?P<hash>#+)|(?P<at>@+)|\$F(?P<houdini>\d*)|<F(?P<angle>\d*)>", re.ASCII
 )
 _DIGITS = re.compile(r"\d+(?=\.[^.]*$)", re.ASCII)
+_RANGE = re.compile(r"\s*(?P<first>-?\d{1,9})(?:-(?P<last>-?\d{1,9})(?:[xy:]\d{1,9})?)?\s*", re.ASCII)
 MOST_DIGITS = 32
 """Digits that a frame number may be padded to."""
+MOST_FRAMES = 1_000_000
+"""Frames from the first to the last of each range that is asked for."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,7 @@ def parse_pattern(text: str) -> Pattern:
         raise SequenceError(f"{text}: give the frame number once, in the file name")
     if not found:
         return Pattern(text)
-    if (_digits(found[0])) > MOST_DIGITS:
+    if _digits(found[0]) > MOST_DIGITS:
         raise SequenceError(f"{text}: a frame number has at most {MOST_DIGITS} digits")
     start = len(text) - len(name)
     prefix, suffix = text[: start + found[0].start()], text[start + found[0].end() :]
@@ -110,8 +113,13 @@ def parse_pattern(text: str) -> Pattern:
 def parse_frames(text: str) -> list[int]:
     """Frame numbers of '1-100x2', '1,5,7-9' and the like, in the order given; SequenceError when malformed."""
     try:
+        parts = [_RANGE.fullmatch(part) for part in text.split(",") if part.strip()]
+        if not all(parts):
+            raise ValueError("not whole numbers of up to nine digits")
+        if any(abs(int(part["last"] or part["first"]) - int(part["first"])) >= MOST_FRAMES for part in parts):
+            raise SequenceError(f"--frames {text}: holds more than {MOST_FRAMES} frames")
         numbers = list(fileseq.FrameSet(text))
-    except (fileseq.ParseException, ValueError) as error:
+    except (fileseq.ParseException, fileseq.MaxSizeException, ValueError) as error:
         raise SequenceError(f"--frames {text}: not a frame range: write it like 1-100, 1-100x2 or 1,5,8-12") from error
     if not numbers:
         raise SequenceError(f"--frames {text}: holds no frame")

@@ -15,6 +15,7 @@ from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.depth import parse_depth
 from postfx.io.exr import READABLE
 from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, parse_pattern, pattern_of, patterns_in
+from postfx.io.windows import scaled_windows
 from postfx.scratch import Scratch
 from postfx.strength.entries import parse_leave
 from postfx.strength.shares import Shares
@@ -118,6 +119,14 @@ class Sequence:
                 f"{path}: guides of frame {number} are missing: render them or leave the frame out with --frames"
             )
         return self.guides._found[number]
+
+    def shown_size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of the display window of an output of a size, which is larger where there is overscan."""
+        if self._area is None:
+            return width, height
+        display, area = self._area
+        shown = scaled_windows(area, display, display, width, height).display
+        return shown.width, shown.height
 
     def open(self, number: int) -> FrameFiles:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""

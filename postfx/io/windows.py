@@ -29,14 +29,17 @@ def output_windows(frame: Frame) -> OutputWindows:
     Corners scale along, rounded to the nearest pixel, those of the data window outwards. A frame without windows covers
     the display window from (0, 0).
     """
-    spec = frame.spec
-    whole = (0, 0, spec.width - 1, spec.height - 1)
-    display = Window(*frame.metadata.get("displayWindow", whole))
+    width, height = frame.spec.width, frame.spec.height
+    display = Window(*frame.metadata.get("displayWindow", (0, 0, width - 1, height - 1)))
     covered = Window(*frame.metadata.get(AREA, display))
-    data = Window(*frame.metadata.get("dataWindow", covered))
-    scale = (spec.width / covered.width, spec.height / covered.height)
+    return scaled_windows(covered, display, Window(*frame.metadata.get("dataWindow", covered)), width, height)
+
+
+def scaled_windows(covered: Window, display: Window, data: Window, width: int, height: int) -> OutputWindows:
+    """Windows of an output of a size, out of those of the input."""
+    scale = (width / covered.width, height / covered.height)
     corner = _scaled(covered, scale)
-    area = Window(corner.x0, corner.y0, corner.x0 + spec.width - 1, corner.y0 + spec.height - 1)
+    area = Window(corner.x0, corner.y0, corner.x0 + width - 1, corner.y0 + height - 1)
     shown = area if display == covered else _scaled(display, scale).common(area) or area
     return OutputWindows(area, shown, _outwards(data, scale).common(area) or area)
 

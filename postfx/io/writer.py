@@ -18,7 +18,6 @@ from postfx.io.ends import JPEG, has_end
 from postfx.io.finished import finished_file
 from postfx.io.kept import add_rest
 from postfx.io.metadata import kept_attributes, set_attributes
-from postfx.io.part import AREA, Window
 from postfx.io.srgb import srgb_decode, srgb_encode
 from postfx.io.windows import OutputWindows, Pixels, cut, output_windows
 
@@ -71,15 +70,14 @@ def write_frame(
 
 
 def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:
-    """Whether a file holds a readable image of this size: every pixel is decoded."""
+    """Whether a file holds a readable image whose display window is of this size: every pixel of it is decoded, and all
+    else that an OpenEXR file holds is there."""
     image = oiio.ImageInput.open(str(path)) if Path(path).is_file() else None
     if image is None:
         oiio.geterror()
         return False
     spec = image.spec()
-    area = spec.getattribute(AREA)
-    size = (Window(*area).width, Window(*area).height) if area else (spec.full_width, spec.full_height)
-    same = size == (width, height)
+    same = (spec.full_width, spec.full_height) == (width, height)
     readable = same and image.read_image(oiio.UINT8) is not None
     image.geterror()
     image.close()
@@ -124,8 +122,6 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, display: boo
         return spec
     spec.x, spec.y, shown = window.x0, window.y0, windows.display
     spec.full_x, spec.full_y, spec.full_width, spec.full_height = shown.x0, shown.y0, shown.width, shown.height
-    if windows.area != shown:
-        spec.attribute(AREA, oiio.TypeDesc("int[4]"), tuple(windows.area))
     set_attributes(spec, kept_attributes(frame))
     spec.attribute("compression", "zip")
     return spec

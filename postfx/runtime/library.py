@@ -10,6 +10,9 @@ from typing import Any
 from postfx.paths import models_dir
 from postfx.runtime.errors import ModelError
 
+_PARTS = {"inputs": dict, "outputs": dict, "weights": str}
+_WORDS = {dict: "objects", str: "texts"}
+
 
 class Library:
     """The models of one or more folders: `<name>.onnx`, each with an optional card `<name>.json`.
@@ -47,6 +50,9 @@ class Library:
             raise ModelError(f"card '{path}' cannot be read: {error}") from error
         if not isinstance(card, dict):
             raise ModelError(f"card '{path}' is not a JSON object")
+        for key, kind in _PARTS.items():
+            if not isinstance(card.get(key, {}), dict) or not all(type(v) is kind for v in card.get(key, {}).values()):
+                raise ModelError(f"card '{path}': '{key}' must be an object of {_WORDS[kind]}")
         return card
 
     def constants(self, name: str) -> tuple[str, ...]:
