@@ -81,10 +81,12 @@ def execute(arguments: argparse.Namespace) -> int:
     """Process the sequence; returns the exit code."""
     from postfx.cli.faults import EXIT_FAULTS
     from postfx.cli.job import Job  # loads the runtime, which --help must not wait for
+    from postfx.cli.keeping import keeps
 
     job = Job(arguments)
     if arguments.explain:
-        print(json.dumps(job.plan_dict(), indent=2) if arguments.json else job.plan_text())
+        lines = [job.plan_text(), *keeps(arguments, job.sequence)]
+        print(json.dumps(job.plan_dict(), indent=2) if arguments.json else "\n".join(lines))
         return 0
     failure = None
     try:

@@ -8,7 +8,7 @@ outside the data window get a fill value.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,7 +39,7 @@ class ImageFile:
         check_claims(self.path)
         self._input = oiio.ImageInput.open(str(self.path))
         if self._input is None:
-            raise ReadError(f"{path}: cannot be opened: {_first_line(oiio.geterror())}; write the file again")
+            raise ReadError(f"{path}: cannot be opened: {reason_of(oiio.geterror)}; write the file again")
         self.parts = self._scan()
 
     def __enter__(self) -> ImageFile:
@@ -97,7 +97,7 @@ class ImageFile:
 
     def _decoded(self, pixels: np.ndarray | None) -> np.ndarray:
         if pixels is None:
-            reason = _first_line(self._input.geterror())
+            reason = reason_of(self._input.geterror)
             raise ReadError(f"{self.path}: broken file: {reason}; render or copy this frame again")
         return pixels
 
@@ -142,6 +142,10 @@ def _runs(part: Part, names: Sequence[str]) -> Iterator[tuple[int, int]]:
             begin = index
 
 
-def _first_line(message: str) -> str:
-    lines = [line for line in message.splitlines() if line.strip()]
+def reason_of(fetch: Callable[[], str]) -> str:
+    """First line of an error message of OpenImageIO's, which may quote bytes of the file that are no text."""
+    try:
+        lines = [line for line in fetch().splitlines() if line.strip()]
+    except UnicodeDecodeError:
+        return "its names are no text"
     return lines[0].strip() if lines else "unknown reason"

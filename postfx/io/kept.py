@@ -35,6 +35,7 @@ RENDER = "render:"
 _SHARED = ("displayWindow", "pixelAspectRatio", "timeCode", "chromaticities")
 _STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "type", "name", "tiles", "version",
               "chunkCount", "maxSamplesPerPixel")
+_INVENTED = "capDate"  # OpenImageIO writes today's where there is none
 _NAME, _RENDER_NAME = "rgba", "render"
 
 
@@ -135,7 +136,7 @@ class _Merge:
                 found[RENDER + name] = attribute
         read = {name.lower() for name in self._stored.attributes}
         found |= {name: attribute for name, attribute in own.items()
-                  if name not in found and (name.lower() not in read or self._is_new(name))}
+                  if name not in found and name != _INVENTED and (name.lower() not in read or self._is_new(name))}
         if in_place and "name" in render.attributes:
             found["name"] = render.attributes["name"]
         header = Header(found)

@@ -37,6 +37,7 @@ def _list_of(kind: Kind, words: str) -> Kind:
 TEXT = Kind("a text", lambda value: isinstance(value, str))
 YES_NO = Kind("true or false", lambda value: isinstance(value, bool))
 NUMBER = Kind("a number", _is_number)
+DISTANCE = Kind("a number or inf", lambda value: _is_number(value) or value == math.inf)
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 TABLES = _list_of(TABLE, "tables in double brackets")
 TEXTS = _list_of(TEXT, "a list of texts")
@@ -50,7 +51,7 @@ PATTERNS = Kind("a table of regular expressions",
 
 PROFILE = {"name": TEXT, "title": TEXT, "extends": TEXT, "marker": TEXT, "detect": TABLES, "header": TABLE,
            "camera": TABLE, "plane": TABLES}
-CAMERA = {"fov_x": NUMBER, "near": NUMBER, "far": NUMBER, "column_vectors": YES_NO}
+CAMERA = {"fov_x": NUMBER, "near": NUMBER, "far": DISTANCE, "column_vectors": YES_NO}
 DETECT = {"header": PATTERNS, "channels": TEXTS}
 PLANE = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "scale": NUMBERS, "offset": NUMBERS, "unit": TEXT,
          "space": TEXT, "kind": TEXT, "reversed": YES_NO, "miss": NUMBER, "clamp": RANGE, "enable": TEXT}

@@ -15,6 +15,7 @@ import OpenImageIO as oiio
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
 from postfx.io.ends import JPEG, has_end
+from postfx.io.exr import reason_of
 from postfx.io.finished import finished_file
 from postfx.io.kept import add_rest
 from postfx.io.metadata import kept_attributes, set_attributes
@@ -74,12 +75,12 @@ def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:
     else that an OpenEXR file holds is there."""
     image = oiio.ImageInput.open(str(path)) if Path(path).is_file() else None
     if image is None:
-        oiio.geterror()
+        reason_of(oiio.geterror)
         return False
     spec = image.spec()
     same = (spec.full_width, spec.full_height) == (width, height)
     readable = same and image.read_image(oiio.UINT8) is not None
-    image.geterror()
+    reason_of(image.geterror)
     image.close()
     return readable and has_end(Path(path), Path(path).suffix)
 

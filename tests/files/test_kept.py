@@ -160,7 +160,7 @@ def test_a_source_that_lost_pixels_leaves_no_output(tmp_path: Path) -> None:
     source = write_studio(tmp_path)
     frame = processed(source)
     source.write_bytes(source.read_bytes()[:-40])
-    with pytest.raises(ReadError, match=r"studio\.exr: broken file: some of its pixels are missing; render or copy"):
+    with pytest.raises(ReadError, match=r"studio\.exr: broken file: it ends early; render or copy"):
         write_frame(tmp_path / "new/out.exr", frame, keep=True)
     assert list((tmp_path / "new").iterdir()) == []
 
@@ -172,3 +172,23 @@ def test_a_file_with_a_damaged_kept_part_is_not_complete(tmp_path: Path, scale: 
     assert is_complete(out, *size)
     out.write_bytes(out.read_bytes()[:-10])
     assert not is_complete(out, *size)
+
+
+def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
+    source = write_mixed(tmp_path / "in.exr")
+    first, _ = keep(source)
+    before = first.read_bytes()
+    assert b"capDate" not in before
+    assert keep(source)[0].read_bytes() == before
+
+
+def test_the_command_line_keeps_all_or_none(postfx, shot, tmp_path: Path) -> None:
+    source = shot(1) / "shot.0001.exr"
+    told = postfx("in/", "-o", "out/", "--explain")
+    assert "keeps   7 other channels bit for bit (--keep none leaves them out)" in told.out
+    assert postfx("in/", "-o", "out/").code == 0
+    assert untouched(channel_hashes(tmp_path / "out/shot.0001.exr")) == untouched(channel_hashes(source))
+    told = postfx("in/", "-o", "none/", "--keep", "none", "--explain")
+    assert "keeps" not in told.out and "keeps" not in postfx("in/", "-o", "a.####.png", "--explain").out
+    assert postfx("in/", "-o", "none/", "--keep", "none").code == 0
+    assert not untouched(channel_hashes(tmp_path / "none/shot.0001.exr"))
