@@ -11,6 +11,7 @@ import numpy as np
 
 from postfx.colour.displays import KINDS, parse_display
 from postfx.errors import ColourError, FrameError, GuideError
+from postfx.stored import Stored
 
 DEPTH_MISS = 1e10
 """Depth of a pixel whose ray hit nothing."""
@@ -175,8 +176,10 @@ class Frame:
         world_to_camera: 4x4 float64, row vectors (p_camera = p_world @ M), or None.
         fov_x: horizontal field of view in degrees, or None.
         metadata: header attributes to keep on writing, by EXR name; windows are kept under 'displayWindow' and
-            'dataWindow' as (x0, y0, x1, y1), bounds included.
-        source: file that the frame was read from, or None.
+            'dataWindow' as (x0, y0, x1, y1), bounds included, the rectangle that the planes cover under 'postfx:area'
+            (without it, the display window).
+        source: file that the frame, of several files its colour, was read from, or None.
+        stored: where the colour is in `source`, if it is in one part of it.
         encoding: meaning of the colour plane, see `ENCODINGS`.
         guides: role -> array like those of `planes`, at output size; roles are among `OUTPUT_SIZE_ROLES`.
         guide_size: width and height of the guides; given only for a frame whose guides were not read.
@@ -202,6 +205,7 @@ class Frame:
     guide_size: tuple[int, int] | None = None
     guide_jitter: tuple[float, float] = (0.0, 0.0)
     guide_source: str | None = None
+    stored: Stored | None = None
 
     def __post_init__(self) -> None:
         if not self.planes:

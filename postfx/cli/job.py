@@ -12,13 +12,14 @@ from typing import Any
 from postfx.cli.books import options_of
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
+from postfx.cli.faults import Faults, OnError, Standin, check_sizes, first_readable, without_denoising
 from postfx.cli.looks import display_passes
 from postfx.cli.overlay import left_out_for, refuse_layer, unread
 from postfx.cli.progress import FrameProgress
 from postfx.cli.report import RunReport
 from postfx.cli.summary import Report, guides_in
-from postfx.errors import GuideError, WriteError
-from postfx.exposure import SMOOTH, SmoothExposure, colours_of
+from postfx.errors import WriteError
+from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
 from postfx.frame import Frame, Role
 from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
@@ -60,12 +61,18 @@ class Job:
             self.outputs.check(self.sequence.numbers)
         self.left_out: list[Skipped] = []
         self._smooth = arguments.exposure == SMOOTH
-        exposure = SmoothExposure(colours_of(self.sequence)) if self._smooth else arguments.exposure
+        policy = OnError(arguments.on_error)
+        exposure = SmoothExposure(colours_of(self.sequence, policy is not OnError.STOP)) if self._smooth \
+            else ExposureMeter(arguments.exposure)
         cuts = "auto" if arguments.cuts == "auto" else "none"
         self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts)
-        with self.sequence.open(self.sequence.numbers[0]) as files:
+        with self.sequence.open(first_readable(self.sequence, policy)) as files:
             self.left_out += left_out_for(arguments, files)
             self.plan = self.pipeline.explain(files.spec())
+        said = len(self.left_out)
+        plain = self._passes(without_denoising(arguments, self.plan)) if policy is OnError.COPY else None
+        del self.left_out[said:]
+        self._faults = Faults(policy, Standin(self.sequence, plain, device, exposure) if plain is not None else None)
         self._arguments = arguments
         self._warnings: list[str] = []
         self._capture = FrameCapture(arguments, device)
@@ -123,6 +130,7 @@ class Job:
             cuts=self._cuts,
             left_alone=self.sequence.left_alone,
             capture=self._capture.page,
+            faults=self._faults.found,
             error=str(failure) or "interrupted" if failure is not None else None,
         ), self.plan_text)
 
@@ -148,21 +156,27 @@ class Job:
                     continue
                 with self._capture.around(work.number):
                     result = self._process(work, frame)
-                if work.write:
+                if work.write and result:
                     self._page.add(frame, result)
                     behind.put(partial(self._write, run, work.number, result, self._facts(), progress))
                 run.ran(work.number, behind.wait, stop.asked)
                 stop.check()
 
-    def _read(self, run: Run, work: Work) -> Frame:
-        read = partial(self.sequence.read, work.number, self.plan.planes, self.plan.guides)
-        frame = read_patiently(read, partial(run.failed, work.number))
-        self._check_guides(frame)
+    def _read(self, run: Run, work: Work) -> Frame | None:
+        return self._faults.read(work.number, work.write, partial(self._checked, run, work.number))
+
+    def _checked(self, run: Run, number: int) -> Frame:
+        read = partial(self.sequence.read, number, self.plan.planes, self.plan.guides)
+        frame = read_patiently(read, partial(run.failed, number))
+        check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame
 
-    def _process(self, work: Work, frame: Frame) -> Frame:
+    def _process(self, work: Work, frame: Frame | None) -> Frame | None:
+        """The result of a frame, or of what stands in for one that failed; None where there is neither."""
         begin = time.perf_counter()
-        result = self.pipeline(frame)
+        result = frame and self._faults.attempt(work.number, work.write, partial(self.pipeline, frame))
+        if result is None:
+            return self._faults.instead(work.number) if work.write else None
         if self.pipeline.cut:
             self._cuts.append(work.number)
         if work.write:
@@ -181,24 +195,17 @@ class Job:
     def _facts(self) -> dict[str, Any]:
         """About the last frame, for the log."""
         passes = {name: round(elapsed, 3) for name, elapsed in self.pipeline.timings.items()}
-        return {"ms": round(self._frame_ms[-1], 3), "passes": passes, "exposure": self.pipeline.exposure,
-                "cut": self.pipeline.cut}
+        took = round(self._frame_ms[-1], 3) if self._frame_ms else None
+        return {"ms": took, "passes": passes, "exposure": self.pipeline.exposure, "cut": self.pipeline.cut}
 
     def _write(self, run: Run, number: int, result: Frame, facts: dict[str, Any], progress: FrameProgress) -> None:
-        path = write_frame(self.outputs.path(number), result, relax=self._relax, dither=self._arguments.dither,
-                           provenance=run.header())
-        run.wrote(number, path, result, **facts)
-        self._written.append(str(path))
-        progress.advance(str(path))
+        write = partial(write_frame, self.outputs.path(number), result, relax=self._relax,
+                        dither=self._arguments.dither, provenance=run.header(), keep=self._arguments.keep == "all")
+        if path := self._faults.attempt(number, True, write):
+            run.wrote(number, path, result, **facts)
+            self._written.append(str(path))
+            progress.advance(str(path))
 
-    def _check_guides(self, frame: Frame) -> None:
-        """The output's size may follow from the guides, so all frames must have them in one."""
-        found, wanted = frame.spec.guides, self.plan.input.guides
-        if found and wanted and (found.width, found.height) != (wanted.width, wanted.height):
-            raise GuideError(
-                f"{found.source}: guides are {found.width}x{found.height}, those of the first frame "
-                f"{wanted.width}x{wanted.height}: render them at one size"
-            )
 
     def _first_alone(self) -> Shares | None:
         """What the first frame leaves as it is, where that is asked for."""

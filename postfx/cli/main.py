@@ -24,6 +24,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except PostfxError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_ERROR
+    except OSError as error:
+        name = f"{error.filename}: " if error.filename else ""
+        print(f"error: {name}{error.strerror or error}: check the path and its rights", file=sys.stderr)
+        return EXIT_ERROR
+    except MemoryError:
+        print("error: out of memory: give postfx run --memory, e.g. --memory 4G", file=sys.stderr)
+        return EXIT_ERROR
     except KeyboardInterrupt as interrupt:
         print("interrupted: finished frames are kept", file=sys.stderr)
         return getattr(interrupt, "exit_code", EXIT_INTERRUPTED)

@@ -31,6 +31,7 @@ examples:
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --scale 1 --on-error copy
   postfx run poster.exr -o out/ --memory 4G
   postfx run shot/noisy.####.exr -o out/layers.####.exr --overlay separate
   postfx run shot/noisy.####.exr --explain
@@ -49,8 +50,8 @@ POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx 
 Beside the frames lies postfx.manifest.json: how they were made, and the hash of each ('postfx verify' checks it).
 Ctrl-C and SIGTERM end a run after the frame in work; --skip-existing goes on with the same pixels.
 
-exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 130 interrupted by Ctrl-C;
-143 ended by SIGTERM
+exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 3 done, but frames failed
+(--on-error skip or copy); 130 interrupted by Ctrl-C; 143 ended by SIGTERM
 """
 
 
@@ -75,6 +76,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="frames to process without writing, before the first one of the range, so that the passes have their "
         "history (default: 0)",
     )
+    parser.add_argument(
+        "--keep", default="all", choices=("all", "none"), help="EXR: what the input holds beside the picture goes "
+        "into the output bit for bit (channels at render size, parts, header), or not at all (default: all)",
+    )
+    parser.add_argument(
+        "--on-error", default="stop", choices=("stop", "skip", "copy"), help="a frame that cannot be read or processed "
+        "ends the run; has no output; or its picture is enlarged without denoising. The run goes on after the last two "
+        "and exits with 3 (default: stop)",
+    )
     books.add_arguments(parser.add_argument_group("logs and resuming"))
     _add_passes(parser.add_argument_group("passes"))
     _add_reading(parser.add_argument_group("reading and running"))
@@ -91,11 +101,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Process the sequence; returns the exit code."""
+    from postfx.cli.faults import EXIT_FAULTS
     from postfx.cli.job import Job  # loads the runtime, which --help must not wait for
+    from postfx.cli.keeping import keeps
 
     job = Job(arguments)
     if arguments.explain:
-        print(json.dumps(job.plan_dict(), indent=2) if arguments.json else job.plan_text())
+        lines = [job.plan_text(), *keeps(arguments, job.sequence)]
+        print(json.dumps(job.plan_dict(), indent=2) if arguments.json else "\n".join(lines))
         return 0
     failure = None
     try:
@@ -108,7 +121,7 @@ def execute(arguments: argparse.Namespace) -> int:
         print(json.dumps(report.as_dict()))
     if failure:
         raise failure
-    return 0
+    return EXIT_FAULTS if report.faults else 0
 
 
 def _add_passes(group: argparse._ArgumentGroup) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from statistics import median
 from typing import Any
 
+from postfx.cli.faults import LEFT_OUT, Fault
 from postfx.plan import Plan, Skipped
 from postfx.strength.shares import Shares
 
@@ -34,6 +35,7 @@ class Report:
         left_alone: how much of the frames --leave left as it is.
         capture: path of the capture's page, or None.
         page: path of the page that --report asks for, or None.
+        faults: frames that failed, which the run went on after.
         error: why the run ended early, or None.
     """
 
@@ -51,6 +53,7 @@ class Report:
     left_alone: Shares = field(default_factory=Shares)
     capture: str | None = None
     page: str | None = None
+    faults: list[Fault] = field(default_factory=list)
     error: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -69,6 +72,8 @@ class Report:
         }
         if self.left_alone.frames:
             result["left_alone"] = self.left_alone.as_dict()
+        if self.faults:
+            result["faults"] = [asdict(fault) for fault in self.faults]
         ends = {"capture": self.capture, "report": self.page, "error": self.error}
         return {**result, **{name: text for name, text in ends.items() if text}}
 
@@ -81,6 +86,7 @@ class Report:
         lines += [f"cuts     found at {_listed(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
         if self.left_alone.frames:
             lines.append(f"left     {self.left_alone}")
+        lines += self._fault_lines()
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
         lines += [f"warning  {warning}" for warning in self.warnings]
         lines += [f"capture  {self.capture}"] if self.capture else []
@@ -94,6 +100,16 @@ class Report:
         text = f"{self.guides['width']}x{self.guides['height']}"
         text += f", used: {', '.join(self.guides['used'])}" if self.guides["used"] else ", not used"
         return text + ("; the output has their size" if self.guides["output_follows"] else "")
+
+    def _fault_lines(self) -> list[str]:
+        """How many frames failed, and the first few of them."""
+        if not self.faults:
+            return []
+        out = sum(fault.instead == LEFT_OUT for fault in self.faults)
+        lines = [f"failed   {_frames(len(self.faults))}: {out} left out, {len(self.faults) - out} resampled instead"]
+        lines += [f"failed   frame {fault.frame}, {fault.instead}: {fault.why}" for fault in self.faults[:SHOWN_FRAMES]]
+        more = len(self.faults) - SHOWN_FRAMES
+        return lines + ([f"failed   {_frames(more)} more, see --json"] if more > 0 else [])
 
     def _skipped_by_reason(self) -> list[tuple[str, str]]:
         """Planes together, since they share a reason; of frames the first few."""
@@ -127,6 +143,10 @@ def _spread(times: list[float]) -> dict[str, float] | None:
     if not times:
         return None
     return {"median": round(median(times), 3), "min": round(min(times), 3), "max": round(max(times), 3)}
+
+
+def _frames(count: int) -> str:
+    return f"{count} frame{'s' * (count > 1)}"
 
 
 def _listed(numbers: list[int]) -> str:

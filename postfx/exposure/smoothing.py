@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from postfx.errors import PostfxError
 from postfx.exposure.metering import frame_rate, measure
 from postfx.frame import Frame, Role
 from postfx.io.ahead import read_ahead
@@ -75,11 +76,23 @@ def metered(frames: Iterable[Frame]) -> Iterator[Metered]:
         yield Metered(frame.number, measure(frame[Role.COLOUR]), frame.reset)
 
 
-def colours_of(sequence: FrameSequence) -> Iterator[Frame]:
-    """Frames of a sequence with nothing but their colour; what else reads the sequence meanwhile is not disturbed."""
+def colours_of(sequence: FrameSequence, lenient: bool = False) -> Iterator[Frame]:
+    """Frames of a sequence with nothing but their colour; what else reads the sequence meanwhile is not disturbed.
+
+    When `lenient`, those that cannot be read are left out.
+    """
     own = copy.copy(sequence)  # which frame was read last decides what is a cut
     own.rewind()
-    return (frame for _, frame in read_ahead(own.numbers, lambda number: own.read(number, (Role.COLOUR,), ())))
+    return (frame for _, frame in read_ahead(own.numbers, lambda number: _colour_of(own, number, lenient)) if frame)
+
+
+def _colour_of(sequence: FrameSequence, number: int, lenient: bool) -> Frame | None:
+    try:
+        return sequence.read(number, (Role.COLOUR,), ())
+    except PostfxError:
+        if not lenient:
+            raise
+        return None
 
 
 def shots(cuts: Sequence[bool]) -> list[slice]:

@@ -9,18 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from postfx.errors import MissingPlaneError, ReadError
-from postfx.frame import ROLES, Frame, FrameSpec, Role
-from postfx.io.channels import Channel, ChannelIndex, read_channels
-from postfx.io.convert import Camera, convert, fill_value
+from postfx.errors import MissingPlaneError
+from postfx.frame import Frame, FrameSpec, Role
+from postfx.io.area import Area, area_of, camera_over
+from postfx.io.channels import Channel, ChannelIndex
 from postfx.io.depth import DepthOption
-from postfx.io.exr import ImageFile, Part
-from postfx.io.guides import GuideLayout, larger_planes, planes_that_guide
-from postfx.io.layout import Header, Match, make_layout
+from postfx.io.exr import ImageFile
+from postfx.io.guides import GuideLayout, drop_smaller_planes, larger_planes, planes_that_guide
+from postfx.io.layout import Header, Layout, Match, make_layout
 from postfx.io.left_alone import LeftAlone
+from postfx.io.part import AREA
+from postfx.io.planes import assemble, read_in_pieces, read_whole
 from postfx.io.profile import load_profile
 from postfx.io.transparents import take_opaque_colour
 from postfx.scratch import Scratch
+from postfx.stored import Stored
 from postfx.strength.entries import Entry
 
 
@@ -30,7 +33,8 @@ class FrameFiles:
     `paths` maps a plane's word ('' where one file holds all planes) to its file; `guides` likewise, where planes at
     output size have files of their own. Else the planes that are larger than the colour are guides. `depth` replaces
     what the profile says about depth; `leave` and `strict` are for `LeftAlone`, which makes a strength or multiplies
-    that of the files; planes of the roles `without` are taken as absent. Where there is an overlay, the colour is that
+    that of the files; planes of the roles `without` are taken as absent; `area` is that of
+    frames before. Where there is an overlay, the colour is that
     before transparents, if it is there. Raises ProfileError when near, far or field of view of such a depth is missing,
     MissingFrameError or ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide,
     StrengthError when what to leave is not there.
@@ -39,6 +43,7 @@ class FrameFiles:
         layout: planes of the frame's size.
         guides: planes at output size, or None.
         alone: what is left as it is, or None.
+        area: rectangle that the planes of the frame's size cover, or None without any.
     """
 
     def __init__(
@@ -50,14 +55,17 @@ class FrameFiles:
         leave: Iterable[Entry] = (),
         strict: bool = True,
         without: Collection[Role] = (),
+        area: Area | None = None,
     ) -> None:
         self._stack, self._without = ExitStack(), without
         try:
             self._files = {word: self._stack.enter_context(ImageFile(path)) for word, path in paths.items()}
             self.path = next(iter(self._files.values())).path
-            index = ChannelIndex(self._files)
-            chosen = load_profile(profile) if profile else None
-            self.layout = make_layout(index, self._attributes(), chosen, depth, without)
+            index, self.layout = self._look(profile, depth)
+            self.area = area_of(self.layout, area)
+            if self.area and self.area.is_wider:
+                index, self.layout = self._look_wider(profile, depth)
+            drop_smaller_planes(self.layout)
             self.guides = larger_planes(self.layout)
             if guides:
                 self.guides = self._own_guides(guides, profile, depth)
@@ -101,15 +109,15 @@ class FrameFiles:
         matches = {role: self.match(role) for role in Role if role in stored}
         guide_matches = {role: self.guide(role) for role in guiding}
         if scratch is None:
-            pixels = _read_channels([*matches.values(), *guide_matches.values()])
-            planes = {role: _assemble(match, pixels, self.layout.camera) for role, match in matches.items()}
-            guides = {role: _assemble(match, pixels, self.guides.camera) for role, match in guide_matches.items()}
+            pixels = read_whole([*matches.values(), *guide_matches.values()])
+            planes = {role: assemble(match, pixels, self.layout.camera) for role, match in matches.items()}
+            guides = {role: assemble(match, pixels, self.guides.camera) for role, match in guide_matches.items()}
         else:
-            planes = _read_in_pieces(matches, self.layout.camera, scratch)
-            guides = _read_in_pieces(guide_matches, self.guides.camera, scratch) if guide_matches else {}
+            planes = read_in_pieces(matches, self.layout.camera, scratch)
+            guides = read_in_pieces(guide_matches, self.guides.camera, scratch) if guide_matches else {}
         if masked:
             planes = self._masked(planes, wanted, scratch)
-        return self._frame(number, planes, guides, next(iter(matches.values())).channels[0].part)
+        return self._frame(number, planes, guides, next(iter(matches.values())).channels[0])
 
     def guide(self, role: Role) -> Match:
         """Where a guide is; MissingPlaneError when it is not there at output size."""
@@ -147,13 +155,27 @@ class FrameFiles:
         strength = self.alone.strength(planes, scratch)
         return {role: strength if role is Role.STRENGTH else planes[role] for role in wanted}
 
+    def _look(self, profile: str | None, depth: DepthOption | None) -> tuple[ChannelIndex, Layout]:
+        index = ChannelIndex(self._files)
+        return index, make_layout(index, self._attributes(), load_profile(profile) if profile else None, depth,
+                                  self._without)
+
+    def _look_wider(self, profile: str | None, depth: DepthOption | None) -> tuple[ChannelIndex, Layout]:
+        """Likewise, with planes that cover overscan."""
+        for file in self._files.values():
+            file.widen(*self.area)
+        index, layout = self._look(profile, depth)
+        layout.camera = camera_over(layout.camera, self.area)
+        return index, layout
+
     def _attributes(self) -> dict[str, Any]:
         """Header attributes of all parts; where several have one, that of the smallest, first part counts.
 
-        A larger part's jitter is that of guides.
+        A larger part's jitter is that of guides. Beside a picture that postfx wrote, other parts do not count.
         """
         merged: dict[str, Any] = {}
         parts = [part for file in self._files.values() for part in file.parts]
+        parts = [part for part in parts if part.is_picture] or parts
         for part in sorted(parts, key=lambda part: part.display.width * part.display.height):
             merged = {**part.attributes, **merged}
         return merged
@@ -181,10 +203,10 @@ class FrameFiles:
         return [role for role in planes if role in held or role not in offered], [r for r in planes if r in offered]
 
     def _frame(
-        self, number: int, planes: dict[Role, np.ndarray], guides: dict[Role, np.ndarray], part: Part
+        self, number: int, planes: dict[Role, np.ndarray], guides: dict[Role, np.ndarray], first: Channel
     ) -> Frame:
-        header, camera = Header(self.layout), self.layout.camera
-        windows = {"displayWindow": tuple(part.display), "dataWindow": tuple(part.data)}
+        header, camera, part = Header(self.layout), self.layout.camera, first.part
+        windows = {"displayWindow": tuple(part.display), "dataWindow": tuple(part.data), AREA: tuple(part.area)}
         return Frame(
             planes,
             number=number,
@@ -193,40 +215,21 @@ class FrameFiles:
             reset=bool(header.number("reset")),
             samples=int(header.number("samples") or 0) or None,
             world_to_camera=camera.world_to_camera,
-            fov_x=camera.fov_x,
+            fov_x=camera.fov_over(part.area.width),
             metadata={**self.layout.attributes, **windows},
-            source=str(self.path),
+            source=str(first.file.path),
+            stored=self._stored(),
             guides=guides,
             guide_size=self.guides.size if self.guides else None,
             guide_jitter=self.guides.camera.jitter if self.guides else (0.0, 0.0),
             guide_source=str(self.guides.path) if self.guides else None,
         )
 
-
-def _read_in_pieces(matches: Mapping[Role, Match], camera: Camera, scratch: Scratch) -> dict[Role, np.ndarray]:
-    """Planes of one size, some rows of all at a time."""
-    width, height = next(iter(matches.values())).size
-    planes = {role: scratch.empty((height, width, ROLES[role].channels)) for role in matches}
-    # A piece is there as it is read, with channels between the wanted ones, and as it is converted.
-    row_bytes = 8 * sum(plane.nbytes for plane in planes.values()) // height
-    for rows in scratch.pieces(height, row_bytes):
-        pixels = _read_channels(matches.values(), rows)
-        for role, match in matches.items():
-            planes[role][slice(*rows)] = _assemble(match, pixels, camera, rows[0], height)
-    return planes
-
-
-def _read_channels(
-    matches: Iterable[Match], rows: tuple[int, int] | None = None
-) -> dict[Channel, np.ndarray]:
-    """Channels of some planes."""
-    return read_channels({channel: fill_value(match.rule) for match in matches for channel in match.channels}, rows)
-
-
-def _assemble(
-    match: Match, pixels: Mapping[Channel, np.ndarray], camera: Camera, first: int = 0, height: int | None = None
-) -> np.ndarray:
-    planes = [pixels[channel] for channel in match.channels]
-    if len({plane.shape for plane in planes}) > 1:
-        raise ReadError(f"{match.channels[0].file.path}: channels {match.names} differ in size; write them as one part")
-    return convert(np.stack(planes, axis=-1), match.rule, camera, first, height)
+    def _stored(self) -> Stored | None:
+        """Where the colour is, if it is in one part."""
+        if Role.COLOUR not in self.layout.planes:
+            return None
+        channels = self.layout.planes[Role.COLOUR].channels
+        if len({(channel.file, channel.part.index) for channel in channels}) > 1:
+            return None
+        return Stored(channels[0].part.index, tuple(channel.name for channel in channels), self.layout.attributes)

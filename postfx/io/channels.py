@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.io.exr import ImageFile, Part
+from postfx.io.exr import ImageFile
+from postfx.io.part import Part
 from postfx.io.profile import load_profile
 
 COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image", "noisy")
@@ -92,5 +93,6 @@ def read_channels(
 
 def _plain(parts: list[Part]) -> list[Part]:
     """Parts whose channels go by their bare names as well, best first."""
-    colour = [part for part in parts if part.name.lower() in COLOUR_FILES]
+    colour = [part for part in parts if part.is_picture]
+    colour += [part for part in parts if part.name.lower() in COLOUR_FILES and part not in colour]
     return colour + [part for part in parts if not is_plane_word(part.name)] or parts

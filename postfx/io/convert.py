@@ -21,6 +21,9 @@ class Camera:
         fov_x: horizontal field of view in degrees, or None.
         jitter: sample position minus 0.5 in pixels, x right, y down.
         pixel_aspect: width of a pixel over its height.
+        display_size: width and height of the display window, which the field of view and motion in parts of the image
+            refer to; None where the planes cover just that.
+        shift: from the centre of the display window to that of the planes, in pixels, x right, y down.
         near, far: distances of the near and far plane, or None.
     """
 
@@ -30,6 +33,14 @@ class Camera:
     pixel_aspect: float = 1.0
     near: float | None = None
     far: float | None = None
+    display_size: tuple[int, int] | None = None
+    shift: tuple[float, float] = (0.0, 0.0)
+
+    def fov_over(self, width: int) -> float | None:
+        """Horizontal field of view, in degrees, of planes of a width."""
+        if self.fov_x is None or self.display_size is None:
+            return self.fov_x
+        return math.degrees(2 * math.atan(math.tan(math.radians(self.fov_x) / 2) * width / self.display_size[0]))
 
 
 def convert(
@@ -44,7 +55,8 @@ def convert(
         return _depth(plane, rule, camera, first, height)
     plane = _affine(plane, rule)
     if rule.role is Role.MOTION:
-        plane = np.nan_to_num(_motion_pixels(plane, rule.unit, height), copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        moved = _motion_pixels(plane, rule.unit, *(camera.display_size or (plane.shape[1], height)))
+        plane = np.nan_to_num(moved, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if rule.role is Role.NORMAL and rule.space == "camera":
         plane = normals_to_world(plane, camera.world_to_camera)
     if rule.clamp is not None:
@@ -77,7 +89,8 @@ def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int, heig
 def _planar(plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:
     """Depth along the view axis; what the camera must be known for is checked when the plane is found."""
     if rule.kind == "ray" and camera.fov_x is not None:
-        return depth_from_ray(plane, camera.fov_x, camera.jitter, camera.pixel_aspect, first, height)
+        sample = (camera.jitter[0] + camera.shift[0], camera.jitter[1] + camera.shift[1])
+        return depth_from_ray(plane, camera.fov_over(plane.shape[1]), sample, camera.pixel_aspect, first, height)
     if rule.kind == "device":
         return depth_from_device(plane, camera.near, camera.far or math.inf, rule.reversed)
     if rule.kind == "normalised":
@@ -90,7 +103,6 @@ def _empty(rule: PlaneRule) -> float:
     return math.inf if rule.kind in ("planar", "ray") else 0.0 if rule.reversed else 1.0
 
 
-def _motion_pixels(plane: np.ndarray, unit: str, height: int) -> np.ndarray:
-    width = plane.shape[1]
+def _motion_pixels(plane: np.ndarray, unit: str, width: int, height: int) -> np.ndarray:
     size = {"pixels": (1, 1), "uv": (width, height), "ndc": (width / 2, height / 2)}[unit]
     return plane * np.float32(size)

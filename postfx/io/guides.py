@@ -52,6 +52,19 @@ def larger_planes(layout: Layout) -> GuideLayout | None:
     return GuideLayout(first.file.path, found, replace(layout.camera, jitter=jitter))
 
 
+def drop_smaller_planes(layout: Layout) -> None:
+    """Take planes that are smaller than the colour out of the layout, where the colour is a picture that postfx wrote:
+    they are the render's, kept beside it."""
+    colour = layout.planes.get(Role.COLOUR)
+    if colour is None or not colour.channels[0].part.is_picture:
+        return
+    smaller = [role for role, match in layout.planes.items() if match.size[0] < colour.size[0]]
+    for role in smaller:
+        del layout.planes[role]
+    if smaller:
+        layout.warnings.append(f"planes {', '.join(smaller)} are of the render before it was enlarged: not read")
+
+
 def planes_that_guide(layout: Layout, path: Path) -> GuideLayout:
     """Guides out of files of their own. Raises MissingPlaneError when they hold none."""
     found = {role: layout.planes[role] for role in OUTPUT_SIZE_ROLES if role in layout.planes}

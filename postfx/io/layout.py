@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,13 @@ from postfx.frame import Role
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.io.convert import Camera
 from postfx.io.depth import DepthOption, missing_error, missing_number
+from postfx.io.part import PICTURE
 from postfx.io.profile import PlaneRule, Profile, load_profile, profile_names
+
+_PICTURE_RULES = (
+    PlaneRule(Role.COLOUR, ("",), (("R", "G", "B"),)),
+    PlaneRule(Role.ALPHA, ("",), (("A",),)),
+)
 
 
 class Match(NamedTuple):
@@ -24,9 +30,9 @@ class Match(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the plane, which are those of its display window."""
-        display = self.channels[0].part.display
-        return display.width, display.height
+        """Width and height of the plane, which are those of its area."""
+        area = self.channels[0].part.area
+        return area.width, area.height
 
     @property
     def names(self) -> str:
@@ -100,6 +106,8 @@ def make_layout(
     Raises ProfileError when the depth plane needs numbers of the camera that are not known.
     """
     profile = profile or _detect(index, attributes)
+    if PICTURE in attributes:
+        profile = replace(profile, planes=_PICTURE_RULES + profile.planes)
     layout = Layout(profile, _layer(index, profile), {}, Camera(), attributes)
     camera = Header(layout).camera()
     layout.camera = depth.camera(camera) if depth else camera
@@ -113,8 +121,9 @@ def make_layout(
 
 def _colour_warnings(layout: Layout) -> list[str]:
     match, warnings = layout.planes.get(Role.COLOUR), []
-    if match and match.channels[0].part.overscan:
-        warnings.append("overscan outside the display window is cut off")
+    part = match.channels[0].part if match else None
+    if part and not part.area.holds(part.data):
+        warnings.append("overscan beyond that of the first frame is cut off")
     return warnings
 
 

@@ -105,9 +105,9 @@ class LeftAlone:
                              f"{kind}: {shown}")
 
     def _check_size(self, name: str, channel: Channel) -> None:
-        display = channel.part.display
-        if self._size is not None and (display.width, display.height) != self._size:
-            raise StrengthError(f"{self._path}: {name} is {display.width}x{display.height}, the colour is "
+        area = channel.part.area
+        if self._size is not None and (area.width, area.height) != self._size:
+            raise StrengthError(f"{self._path}: {name} is {area.width}x{area.height}, the colour is "
                                 f"{self._size[0]}x{self._size[1]}: render ids at the colour's size")
 
     def _row_bytes(self, width: int) -> int:

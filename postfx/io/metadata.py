@@ -9,10 +9,16 @@ from typing import Any
 import OpenImageIO as oiio
 
 from postfx.frame import Frame
-from postfx.io.exr import EXR_NAMES, Window
+from postfx.io.part import AREA, EXR_NAMES
 
+_OUTDATED = (
+    "postfx:jitter", "postfx:models", "postfx:reset", "postfx:settings", "postfx:spp", "postfx:version", "preview",
+    "thumbnail",
+)
 # What describes the input's storage, its samples or channels that are not written.
 _DROPPED = (
+    *_OUTDATED,
+    AREA,
     "blendermultichannel",
     "compression",
     "cryptomatte/",
@@ -22,14 +28,7 @@ _DROPPED = (
     "name",
     "oiio:",
     "openexr:",
-    "postfx:jitter",
-    "postfx:models",
-    "postfx:reset",
-    "postfx:settings",
-    "postfx:spp",
-    "postfx:version",
     "textureformat",
-    "thumbnail",
     "tiff:",
     "wrapmodes",
 )
@@ -50,6 +49,12 @@ def kept_attributes(frame: Frame) -> dict[str, Any]:
     return {name: value for name, value in frame.metadata.items() if not name.lower().startswith(dropped)}
 
 
+def is_outdated(name: str, frame: Frame) -> bool:
+    """Whether an attribute of the input is not true of the picture any more, whatever else is written with it."""
+    outdated = _OUTDATED if frame.encoding == "scene-linear" else _OUTDATED + _SCENE_REFERRED
+    return name.lower().startswith(outdated)
+
+
 def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
     """Put attributes into an image's spec with the EXR types they had; values of other types are left out."""
     for name, value in attributes.items():
@@ -58,13 +63,6 @@ def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
             value = Fraction(value).limit_denominator(1001).as_integer_ratio()
         if kind:
             spec.attribute(_STORED_NAMES.get(name, name), oiio.TypeDesc(kind), value)
-
-
-def scaled_window(frame: Frame, width: int, height: int) -> Window:
-    """Display window of an output of a size: the input's, with its origin scaled along."""
-    x0, y0, x1, y1 = frame.metadata.get("displayWindow", (0, 0, width - 1, height - 1))
-    x, y = round(x0 * width / (x1 - x0 + 1)), round(y0 * height / (y1 - y0 + 1))
-    return Window(x, y, x + width - 1, y + height - 1)
 
 
 def _type_of(value: Any) -> str:

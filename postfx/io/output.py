@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from enum import StrEnum
 from pathlib import Path
@@ -29,7 +30,7 @@ class OutputFiles:
     """
 
     def __init__(self, target: str, sequence: Sequence, existing: Existing = Existing.REFUSE) -> None:
-        self.existing = existing
+        self.existing, self._sequence = existing, sequence
         self._pattern = _output_pattern(target, sequence.pattern)
         self.display = is_display_format(str(self._pattern))
         if len(sequence) > 1 and not self._pattern.numbered:
@@ -50,14 +51,35 @@ class OutputFiles:
         """OutputExistsError when a file is already there and is to be neither overwritten nor skipped."""
         if self.existing is Existing.REFUSE:
             for path in map(self.path, numbers):
-                if path.exists():
+                if os.path.lexists(path):
                     raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")
 
     def _refuse_inputs(self, sequence: Sequence) -> None:
-        inputs = {path.resolve() for path in sequence.all_files()}
-        for path in map(self.path, sequence.numbers):
-            if path.resolve() in inputs:
+        """No input may be replaced, whatever links, `..` or letter case lead there, and no output may become a frame of
+        the input: the next run would read it."""
+        inputs = {_place(path) for path in sequence.all_files()}
+        outputs = list(map(self.path, sequence.numbers))
+        there = any(map(os.path.lexists, outputs))
+        linked = {_identity(path) for path in sequence.all_files()} - {None} if there else set()
+        for path in outputs:
+            if _place(path) in inputs or _identity(path) in linked:
                 raise WriteError(f"{path}: is an input: write to another folder or name")
+            if sequence.pattern.takes(path):
+                raise WriteError(f"{path}: would be a frame of the input: write to another folder or name")
+
+
+def _place(path: Path) -> str:
+    """Where a file is, without links and regardless of letter case."""
+    return os.path.realpath(path).casefold()
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """What names of one file have in common; None where there is no file."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def check_folder(folder: Path, option: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,8 +14,15 @@ import fileseq
 from postfx.errors import SequenceError
 
 PLANE = "{plane}"
-_NUMBER = re.compile(r"%(?:0(?P<printf>\d+))?d|(?P<hash>#+)|(?P<at>@+)|\$F(?P<houdini>\d*)|<F(?P<angle>\d*)>")
-_DIGITS = re.compile(r"\d+(?=\.[^.]*$)")
+_NUMBER = re.compile(
+    r"%(?:0(?P<printf>\d+))?d|(?P<hash>#+)|(?P<at>@+)|\$F(?P<houdini>\d*)|<F(?P<angle>\d*)>", re.ASCII
+)
+_DIGITS = re.compile(r"\d+(?=\.[^.]*$)", re.ASCII)
+_RANGE = re.compile(r"\s*(?P<first>-?\d{1,9})(?:-(?P<last>-?\d{1,9})(?:[xy:]\d{1,9})?)?\s*", re.ASCII)
+MOST_DIGITS = 32
+"""Digits that a frame number may be padded to."""
+MOST_FRAMES = 1_000_000
+"""Frames from the first to the last of each range that is asked for."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +65,18 @@ class Pattern:
             match = regex.fullmatch(name)
             if match:
                 words = match.groupdict()
-                frames.setdefault(int(words.get("number") or 1), {})[words.get("plane") or ""] = Path(name)
+                planes, word = frames.setdefault(int(words.get("number") or 1), {}), words.get("plane") or ""
+                if word in planes:
+                    raise SequenceError(f"{planes[word]} and {Path(name).name}: both are frame {words.get('number')}: "
+                                        "remove one of them")
+                planes[word] = Path(name)
         return dict(sorted(frames.items()))
+
+    def takes(self, path: Path) -> bool:
+        """Whether a file, there or not, would be found as a frame."""
+        folder, name = os.path.split(self.prefix)
+        resolved = Pattern(os.path.join(os.path.realpath(folder), name), self.suffix, self.digits)
+        return resolved._regex().fullmatch(os.path.join(os.path.realpath(path.parent), path.name)) is not None
 
     def _glob(self) -> str:
         number = "*" if self.numbered else ""
@@ -68,7 +86,7 @@ class Pattern:
         number = rf"(?P<number>-?\d{{{self.digits},}})" if self.numbered else ""
         name = re.escape(self.prefix) + number + re.escape(self.suffix)
         name = name.replace(re.escape(PLANE), r"(?P<plane>[^./]+)", 1)
-        return re.compile(name.replace(re.escape(PLANE), r"(?P=plane)"))
+        return re.compile(name.replace(re.escape(PLANE), r"(?P=plane)"), re.ASCII)
 
     def __str__(self) -> str:
         return self.prefix + ("" if self.digits is None else "#" * max(self.digits, 1)) + self.suffix
@@ -85,6 +103,8 @@ def parse_pattern(text: str) -> Pattern:
         raise SequenceError(f"{text}: give the frame number once, in the file name")
     if not found:
         return Pattern(text)
+    if _digits(found[0]) > MOST_DIGITS:
+        raise SequenceError(f"{text}: a frame number has at most {MOST_DIGITS} digits")
     start = len(text) - len(name)
     prefix, suffix = text[: start + found[0].start()], text[start + found[0].end() :]
     return Pattern(prefix, suffix, _digits(found[0]))
@@ -93,8 +113,13 @@ def parse_pattern(text: str) -> Pattern:
 def parse_frames(text: str) -> list[int]:
     """Frame numbers of '1-100x2', '1,5,7-9' and the like, in the order given; SequenceError when malformed."""
     try:
+        parts = [_RANGE.fullmatch(part) for part in text.split(",") if part.strip()]
+        if not all(parts):
+            raise ValueError("not whole numbers of up to nine digits")
+        if any(abs(int(part["last"] or part["first"]) - int(part["first"])) >= MOST_FRAMES for part in parts):
+            raise SequenceError(f"--frames {text}: holds more than {MOST_FRAMES} frames")
         numbers = list(fileseq.FrameSet(text))
-    except (fileseq.ParseException, ValueError) as error:
+    except (fileseq.ParseException, fileseq.MaxSizeException, ValueError) as error:
         raise SequenceError(f"--frames {text}: not a frame range: write it like 1-100, 1-100x2 or 1,5,8-12") from error
     if not numbers:
         raise SequenceError(f"--frames {text}: holds no frame")
@@ -118,15 +143,25 @@ def pattern_of(path: Path) -> Pattern:
 
 
 def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
-    """Sequences and single files of a folder that have one of the suffixes."""
+    """Sequences and single files of a folder that have one of the suffixes; hidden files are none.
+
+    SequenceError when the folder cannot be read.
+    """
     found: dict[tuple[str, str], Pattern] = {}
-    for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in suffixes and path.is_file():
+    for path in _listed(folder):
+        if path.suffix.lower() in suffixes and not path.name.startswith(".") and os.path.isfile(path):
             pattern = pattern_of(path)
             known = found.setdefault((pattern.prefix, pattern.suffix), pattern)
             if pattern.numbered and pattern.digits < known.digits:
                 found[pattern.prefix, pattern.suffix] = pattern
     return list(found.values())
+
+
+def _listed(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError as error:
+        raise SequenceError(f"{folder}: cannot be read: {error.strerror or error}; check its rights") from error
 
 
 def _digits(match: re.Match[str]) -> int:

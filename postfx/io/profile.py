@@ -38,13 +38,14 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from postfx.errors import ProfileError
 from postfx.frame import ROLES, Role
+from postfx.io.profile_schema import CAMERA, DETECT, PLANE, PROFILE, TEXTS, check
 
 BUILTIN = Path(__file__).parent / "profiles"
 HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera", "near", "far")
@@ -124,15 +125,17 @@ def load_profile(name: str) -> Profile:
         raise ProfileError(f"{path}: profile cannot be read: {error.strerror or error}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ProfileError(f"{path}: profile is not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise ProfileError(f"{path}: profile extends itself, or its values are nested without end") from error
 
 
 def _parse(table: dict[str, Any], path: Path) -> Profile:
-    _refuse_unknown(table, ("name", "title", "extends", "marker", "detect", "header", "camera", "plane"), path)
+    check(table, PROFILE, path)
     base = load_profile(table["extends"]) if "extends" in table else Profile("")
     camera = table.get("camera", {})
-    _refuse_unknown(camera, ("fov_x", "near", "far", "column_vectors"), path, "[camera]")
+    check(camera, CAMERA, path, "[camera]")
     header = table.get("header", {})
-    _refuse_unknown(header, HEADER_KEYS, path, "[header]")
+    check(header, dict.fromkeys(HEADER_KEYS, TEXTS), path, "[header]")
     own = {key: tuple(names) for key, names in header.items()}
     return Profile(
         name=table.get("name", path.stem),
@@ -149,13 +152,13 @@ def _parse(table: dict[str, Any], path: Path) -> Profile:
 
 
 def _detect(table: dict[str, Any], path: Path) -> DetectRule:
-    _refuse_unknown(table, ("header", "channels"), path, "[[detect]]")
+    check(table, DETECT, path, "[[detect]]")
     return DetectRule(tuple(table.get("header", {}).items()), tuple(table.get("channels", ())))
 
 
 def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     where = f"[[plane]] role = {table.get('role')!r}"
-    _refuse_unknown(table, [entry.name for entry in fields(PlaneRule)], path, where)
+    check(table, PLANE, path, where)
     if table.get("role") not in list(Role):
         raise ProfileError(f"{path}: {where}: unknown role: use one of {', '.join(Role)}")
     for key, allowed in _CHOICES.items():
@@ -165,14 +168,11 @@ def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     channels = tuple(tuple(letters) for letters in table.get("channels", []))
     if not channels or any(len(letters) != ROLES[role].channels for letters in channels):
         raise ProfileError(f"{path}: {where}: each entry of channels needs {ROLES[role].channels} channels")
+    for key in ("scale", "offset"):
+        if len(table.get(key, [1])) not in (1, ROLES[role].channels):
+            raise ProfileError(f"{path}: {where}: {key} needs 1 or {ROLES[role].channels} numbers")
     rest = {key: tuple(value) if key in listed else value for key, value in table.items() if key != "role"}
     return PlaneRule(role, **{"names": ("",), **rest, "channels": channels})
-
-
-def _refuse_unknown(table: dict[str, Any], known: Any, path: Path, where: str = "profile") -> None:
-    unknown = sorted(set(table) - set(known))
-    if unknown:
-        raise ProfileError(f"{path}: {where}: unknown key '{unknown[0]}': use {', '.join(known)}")
 
 
 def _join(name: str, letter: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from os import PathLike
 from pathlib import Path
@@ -9,11 +10,13 @@ from pathlib import Path
 from postfx.errors import MissingFrameError, SequenceError
 from postfx.frame import Frame, Role
 from postfx.io.aov import FrameFiles
+from postfx.io.area import Area
 from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.colourspace import parse_colourspace
 from postfx.io.depth import parse_depth
 from postfx.io.exr import READABLE
 from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, parse_pattern, pattern_of, patterns_in
+from postfx.io.windows import scaled_windows
 from postfx.scratch import Scratch
 from postfx.strength.entries import parse_leave
 from postfx.strength.shares import Shares
@@ -58,6 +61,7 @@ class Sequence:
         self.cuts = None if cuts is None else frozenset(cuts)
         self.leave = () if leave is None else parse_leave(leave)
         self._named = False
+        self._area: Area | None = None  # of the first frame that was opened
         self.left_alone = Shares()
         self.colours = parse_colourspace(colourspace)
         self.without = frozenset(map(Role, without))
@@ -124,10 +128,20 @@ class Sequence:
             )
         return self.guides._found[number]
 
+    def shown_size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of the display window of an output of a size, which is larger where there is overscan."""
+        if self._area is None:
+            return width, height
+        display, area = self._area
+        shown = scaled_windows(area, display, display, width, height).display
+        return shown.width, shown.height
+
     def open(self, number: int) -> FrameFiles:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
         guides, strict = self.guide_files(number), not self._named
-        files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self.without)
+        files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self.without,
+                           self._area)
+        self._area = self._area or files.area
         self._named = True  # a thing that was found need not be in every frame
         found = files.layout.warnings + self.colours.warnings(files.layout.attributes)
         self.warnings += [warning for warning in found if warning not in self.warnings]
@@ -215,7 +229,7 @@ def read_sequence(
 def _locate(source: str) -> tuple[Pattern, list[int] | None]:
     """Pattern of a source, and the frame numbers where the source itself names one file."""
     path = Path(source)
-    if path.is_dir():
+    if os.path.isdir(source):
         return _folder_pattern(path), None
     pattern = parse_pattern(source)
     if pattern.numbered or pattern.has_planes:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from concurrent.futures import ThreadPoolExecutor
 from os import PathLike
 from pathlib import Path
 
@@ -17,8 +18,13 @@ from postfx.colour.displays import Display, parse_display
 from postfx.errors import WriteError
 from postfx.frame import LINEAR, Frame, Role
 from postfx.io.dither import Dither, quantise
-from postfx.io.metadata import kept_attributes, scaled_window, set_attributes
+from postfx.io.ends import has_end
+from postfx.io.exr import reason_of
+from postfx.io.finished import finished_file
+from postfx.io.kept import add_rest
+from postfx.io.metadata import kept_attributes, set_attributes
 from postfx.io.tags import JPEG, tag_codes, tag_light
+from postfx.io.windows import OutputWindows, Pixels, cut, output_windows
 
 LINEAR_FORMATS = (".exr",)
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG)
@@ -28,7 +34,6 @@ _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": 
 _HALF_MAX = 65504.0
 OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 _PIECE = 16 << 20  # bytes in float32 that are converted and written at once
-Pixels = Callable[[slice], np.ndarray]  # rows -> pixels as they are stored
 
 
 def is_display_format(path: str | PathLike[str]) -> bool:
@@ -46,61 +51,51 @@ def write_frame(
     relax: Callable[[], None] | None = None,
     dither: Dither | str = Dither.MOVING,
     provenance: Mapping[str, str] | None = None,
+    keep: bool = False,
 ) -> Path:
     """Write colour and alpha of a frame; returns the path.
 
     EXR holds linear light (a display-encoded frame is decoded, in its display's primaries, 1 is white), half floats
-    unless `half` is False, ZIP compression, the input's display window scaled to the frame's size and its useful header
-    attributes; beside scene-linear colour also an overlay that was not composited, as a layer of that name. Other files
-    hold code values: JPEG and PNG 8 bits, dithered (`dither`: moving, static or none), TIFF and PNG for HDR displays 16
+    unless `half` is False, ZIP compression, the input's windows scaled to the frame's size and its useful header
+    attributes; beside scene-linear colour also an overlay that was not composited, as a layer of that name; with `keep`
+    also everything else that the frame's source holds, see `postfx.io.kept`. Other files hold code values within the
+    display window: JPEG and PNG 8 bits, dithered (`dither`: moving, static or none), TIFF and PNG for HDR displays 16
     bits. They are tagged with the display that they are for, see `postfx.io.tags`. Linear frames are clipped to 0..1
     there and encoded as sRGB, so tone-map them first. The file appears under its name only when it is complete; folders
     are made. `relax` is called again and again meanwhile. `provenance` are attributes for an EXR header that tell how
     the frame came about.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot
-    hold an HDR picture.
+    hold an HDR picture, ReadError when what is kept cannot be read.
     """
     path = Path(path)
-    convert = _code_pixels(frame, path, Dither(dither)) if is_display_format(path) else _linear_pixels(frame, half)
-    spec = _spec(frame, convert(slice(0, 1)), path)
-    if not is_display_format(path):
+    shown = is_display_format(path)
+    convert = _code_pixels(frame, path, Dither(dither)) if shown else _linear_pixels(frame, half)
+    windows = output_windows(frame)
+    convert = cut(convert, windows.area, windows.display if shown else windows.data)
+    spec = _spec(frame, windows, convert(slice(0, 1)), path)
+    if not shown:
         set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _write(temporary, spec, convert, relax)
-        os.replace(temporary, path)
-    except OSError as error:
-        reason = (error.strerror or str(error)).replace(str(temporary), str(path))
-        raise WriteError(f"{path}: cannot be written: {reason}; check the folder's rights and free space") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
+    with finished_file(path) as temporary:
+        _write(temporary, path.suffix.lower(), spec, convert, relax)
+        if keep and not shown:
+            add_rest(temporary, frame)
     return path
 
 
 def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:
-    """Whether a file holds a readable image of this size: every pixel is decoded."""
+    """Whether a file holds a readable image whose display window is of this size: every pixel of it is decoded, and all
+    else that an OpenEXR file holds is there."""
     image = oiio.ImageInput.open(str(path)) if Path(path).is_file() else None
     if image is None:
-        oiio.geterror()
+        reason_of(oiio.geterror)
         return False
     spec = image.spec()
     same = (spec.full_width, spec.full_height) == (width, height)
     readable = same and image.read_image(oiio.UINT8) is not None
-    image.geterror()
+    reason_of(image.geterror)
     image.close()
-    return readable and _is_ended(Path(path))
-
-
-def _is_ended(path: Path) -> bool:
-    """Whether a JPEG ends with its end marker; its decoder takes shortened files without complaint."""
-    if path.suffix.lower() not in JPEG:
-        return True
-    with path.open("rb") as file:
-        file.seek(-2, os.SEEK_END)
-        return file.read() == b"\xff\xd9"
+    return readable and has_end(Path(path), Path(path).suffix)
 
 
 def _display_of(frame: Frame) -> Display | None:
@@ -149,18 +144,19 @@ def _has_layer(frame: Frame) -> bool:
     return Role.OVERLAY in frame and frame.encoding == "scene-linear"
 
 
-def _spec(frame: Frame, pixels: np.ndarray, path: Path) -> oiio.ImageSpec:
-    height, width, channels = len(frame[Role.COLOUR]), *pixels.shape[1:]
-    spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
-    layer = OVERLAY_LAYER if _has_layer(frame) and not is_display_format(path) else ()
+def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) -> oiio.ImageSpec:
+    channels, shown = pixels.shape[2], is_display_format(path)
+    window = windows.display if shown else windows.data
+    spec = oiio.ImageSpec(window.width, window.height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
+    layer = OVERLAY_LAYER if _has_layer(frame) and not shown else ()
     spec.channelnames = ("R", "G", "B", "A")[: channels - len(layer)] + layer
     display = _display_of(frame)
-    if is_display_format(path):
+    if shown:
         tag_codes(spec, display or parse_display("srgb"), path)
         spec.attribute("CompressionQuality", 95)
         return spec
-    window = scaled_window(frame, width, height)
-    spec.x, spec.y = spec.full_x, spec.full_y = window.x0, window.y0
+    spec.x, spec.y, shown = window.x0, window.y0, windows.display
+    spec.full_x, spec.full_y, spec.full_width, spec.full_height = shown.x0, shown.y0, shown.width, shown.height
     set_attributes(spec, kept_attributes(frame))
     if display:
         tag_light(spec, display.kind.primaries, display.white)
@@ -168,18 +164,43 @@ def _spec(frame: Frame, pixels: np.ndarray, path: Path) -> oiio.ImageSpec:
     return spec
 
 
-def _write(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
-    output = oiio.ImageOutput.create(str(path))
+def _write(
+    path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None
+) -> None:
+    """Encode a file. OSError unless it got all its bytes, which the encoders of JPEG, PNG and TIFF do not tell."""
+    if suffix in JPEG:
+        _write_jpeg(path, spec, convert, relax)
+    else:
+        _encode(path, suffix, spec, convert, relax)
+    if not has_end(path, suffix):
+        raise OSError(errno.ENOSPC, "the file has no end")
+
+
+def _write_jpeg(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
+    """Encode through a pipe, as libjpeg ends the process where a disk is full."""
+    reading, writing = os.pipe()
+    with ThreadPoolExecutor(1) as reader, os.fdopen(reading, "rb") as encoded:
+        content = reader.submit(encoded.read)
+        try:
+            _encode(Path(f"/dev/fd/{writing}"), ".jpg", spec, convert, relax)
+        finally:
+            os.close(writing)
+        path.write_bytes(content.result())
+
+
+def _encode(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
+    output = oiio.ImageOutput.create(suffix[1:])
     if output is None:
         raise OSError(oiio.geterror())
     written = output.open(str(path), spec)
     step = max(16, _PIECE // (4 * spec.width * spec.nchannels) // 16 * 16)
-    for first in range(0, spec.height, step):
+    for first in range(0, spec.height if written else 0, step):
         last = min(spec.height, first + step)
         pixels = np.ascontiguousarray(convert(slice(first, last)))
         written = written and output.write_scanlines(spec.y + first, spec.y + last, 0, pixels)
         if relax is not None:
             relax()
     closed = output.close()
-    if not (written and closed):
-        raise OSError(output.geterror().splitlines()[0] if output.has_error else "unknown reason")
+    lines = [line for line in output.geterror().splitlines() if line and "Exif" not in line]  # of TIFF, harmless
+    if lines or not (written and closed):
+        raise OSError(lines[0] if lines else "unknown reason")

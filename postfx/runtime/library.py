@@ -14,6 +14,9 @@ from postfx.runtime.model_check import MOST_BYTES, check_model
 _PARTS = {"inputs": dict, "outputs": dict, "weights": str}
 _WORDS = {dict: "objects", str: "texts"}
 
+_PARTS = {"inputs": dict, "outputs": dict, "weights": str}
+_WORDS = {dict: "objects", str: "texts"}
+
 
 class Library:
     """The models of one or more folders: `<name>.onnx`, each with an optional card `<name>.json`.

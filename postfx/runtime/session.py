@@ -53,13 +53,13 @@ class Session:
             options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(folder))
         try:
             self._session = ort.InferenceSession(model, options, providers=providers_of(placement, exclusive))
+            self.inputs = [_value(item) for item in self._session.get_inputs()]
+            self.outputs = [_value(item) for item in self._session.get_outputs()]
         except Exception as error:
             raise ModelError(f"model '{name}' cannot be made ready: {first_line(error)}") from error
         if self._session.get_providers()[0] != placement.provider:
             raise ModelError(f"model '{name}' cannot run on {placement.provider}: see ONNX Runtime's warning above")
         self._placement = placement
-        self.inputs = [_value(item) for item in self._session.get_inputs()]
-        self.outputs = [_value(item) for item in self._session.get_outputs()]
 
     def bind(self, inputs: Mapping[str, Tensor], outputs: Mapping[str, Tensor]) -> Callable[[], None]:
         """A function that runs the model on these tensors where they lie."""

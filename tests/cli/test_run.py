@@ -19,8 +19,9 @@ def outputs(folder):
 
 
 def pixels_of(path):
+    """The picture of a file: R, G, B, and A where it is there, not what is kept beside it."""
     image = oiio.ImageInput.open(str(path))
-    pixels = image.read_image(oiio.FLOAT)
+    pixels = image.read_image(0, 0, 0, 4 if "A" in image.spec().channelnames else 3, oiio.FLOAT)
     image.close()
     return pixels
 

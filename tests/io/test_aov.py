@@ -184,10 +184,13 @@ def test_unknown_profile_lists_the_known():
         load_profile("maya")
 
 
-def test_overscan_warns(write_exr, ramp):
-    path = write_exr("a.exr", ramp("R", "G", "B"), origin=(-1, -1), display=(0, 0, 4, 4))
-    with open_files(path) as files:
-        assert files.layout.warnings == ["overscan outside the display window is cut off"]
+def test_overscan_beyond_that_of_frames_before_warns(write_exr, ramp):
+    first = write_exr("a.exr", ramp("R", "G", "B", height=5, width=5), origin=(-1, 0), display=(0, 0, 4, 4))
+    path = write_exr("b.exr", ramp("R", "G", "B"), origin=(-1, -1), display=(0, 0, 4, 4))
+    with open_files(first) as files, FrameFiles({"": path}, area=files.area) as later:
+        assert files.layout.warnings == []
+        assert later.layout.warnings == ["overscan beyond that of the first frame is cut off"]
+        assert (later.spec().width, later.spec().height) == (files.spec().width, files.spec().height) == (5, 5)
 
 
 def test_channel_names_are_shown_short(write_exr, ramp):

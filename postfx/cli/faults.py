@@ -1,0 +1,143 @@
+"""What a run does about frames that cannot be read or processed: `--on-error`."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TypeVar
+
+from postfx.errors import FrameError, GuideError, MissingPlaneError, PostfxError, WriteError
+from postfx.exposure import ExposureMeter, SmoothExposure
+from postfx.frame import Frame, FrameSpec, Role
+from postfx.io.sequence import Sequence
+from postfx.passes.base import Pass
+from postfx.pipeline import Pipeline
+from postfx.plan import Plan
+from postfx.runtime import Device
+
+EXIT_FAULTS = 3
+"""Exit code of a run that reached its end, but not with all frames."""
+LEFT_OUT, RESAMPLED = "left out", "resampled"
+Result = TypeVar("Result")
+
+
+class OnError(StrEnum):
+    """What to do about a frame that cannot be read or processed."""
+
+    STOP = "stop"
+    SKIP = "skip"
+    COPY = "copy"
+
+
+@dataclass
+class Fault:
+    """A frame that could not be processed, why, and what became of its output: 'left out' or 'resampled'."""
+
+    frame: int
+    why: str
+    instead: str = LEFT_OUT
+
+
+class Standin:
+    """Makes the output of a frame out of nothing but its picture: enlarged, not denoised, and shown like all others."""
+
+    def __init__(
+        self, sequence: Sequence, passes: list[Pass], device: Device, exposure: ExposureMeter | SmoothExposure
+    ) -> None:
+        self._sequence = copy.copy(sequence)
+        self._sequence.guides, self._sequence.leave = None, ()
+        self._pipeline = Pipeline(passes, device, exposure, "none")
+
+    def __call__(self, number: int) -> Frame:
+        """The frame to write. Raises as reading does."""
+        try:
+            frame = self._sequence.read(number, (Role.COLOUR, Role.ALPHA))
+        except MissingPlaneError:
+            frame = self._sequence.read(number, (Role.COLOUR,))
+        return self._pipeline(frame)
+
+
+class Faults:
+    """Goes on after frames that fail, as far as the policy allows, and keeps a list of them.
+
+    With SKIP such a frame has no output. With COPY a stand-in makes it; where the picture itself cannot be read, there
+    is none either. The frame after it begins without a history, as its motion leads to one that the passes have not
+    seen. An output that cannot be written stops the run whatever the policy: the next ones would fail as well.
+
+    Attributes:
+        found: what failed so far.
+    """
+
+    def __init__(self, policy: OnError, standin: Standin | None = None) -> None:
+        self._policy, self._standin = policy, standin
+        self._is_after_fault = False
+        self.found: list[Fault] = []
+
+    def read(self, number: int, wanted: bool, read: Callable[[], Frame]) -> Frame | None:
+        """A frame; None when it cannot be read and the run goes on. Those that are not `wanted` do not count."""
+        frame = self.attempt(number, wanted, read)
+        if frame is not None and self._is_after_fault:
+            frame.reset = True
+        self._is_after_fault = frame is None
+        return frame
+
+    def attempt(self, number: int, wanted: bool, work: Callable[[], Result]) -> Result | None:
+        """What `work` makes of a frame, likewise."""
+        try:
+            return work()
+        except WriteError:
+            raise
+        except PostfxError as error:
+            if self._policy is OnError.STOP:
+                raise
+            if wanted:
+                self.found.append(Fault(number, str(error)))
+            return None
+
+    def instead(self, number: int) -> Frame | None:
+        """What to write for a frame that failed; None for nothing."""
+        if self._standin is None:
+            return None
+        try:
+            frame = self._standin(number)
+        except PostfxError:
+            return None
+        next(fault for fault in self.found if fault.frame == number).instead = RESAMPLED
+        return frame
+
+
+def first_readable(sequence: Sequence, policy: OnError) -> int:
+    """Number of the first frame, or of the first one that can be read where those that cannot are let pass."""
+    for number in sequence.numbers:
+        try:
+            with sequence.open(number) as files:
+                files.spec()
+                return number
+        except PostfxError:
+            if policy is OnError.STOP or number == sequence.numbers[-1]:
+                raise
+    raise AssertionError("a sequence has a frame")
+
+
+def without_denoising(arguments: argparse.Namespace, plan: Plan) -> argparse.Namespace:
+    """Arguments of a run that only resamples, to the plan's size."""
+    if arguments.no_denoise:
+        return arguments
+    scale = None if arguments.size else plan.output.width / plan.input.width
+    plain = {"scale": scale, "strength": 0.0, "model": None, "budget": None, "reactive": None}
+    return argparse.Namespace(**{**vars(arguments), **plain, "leave": None})
+
+
+def check_sizes(frame: Frame, first: FrameSpec, sized: bool) -> None:
+    """FrameError for a frame of another size than the first one's, GuideError for its guides: the output's size may
+    follow from them, unless it is given (`sized`)."""
+    spec, guides = frame.spec, frame.spec.guides
+    if not sized and (spec.width, spec.height) != (first.width, first.height):
+        raise FrameError(f"{frame.source}: frame {frame.number} is {spec.width}x{spec.height}, the first one "
+                         f"{first.width}x{first.height}: render it at one size, or give the output's with --size")
+    if guides and first.guides and (guides.width, guides.height) != (first.guides.width, first.guides.height):
+        raise GuideError(f"{guides.source}: guides are {guides.width}x{guides.height}, those of the first frame "
+                         f"{first.guides.width}x{first.guides.height}: render them at one size")

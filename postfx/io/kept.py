@@ -1,0 +1,163 @@
+"""What the input holds beside the picture, bit for bit in the output: channels, parts and header attributes.
+
+The picture is always R, G, B (and A) of a part with the attribute `postfx:picture`. Where it has the input's size and
+windows, and the input's colour is R, G, B of one part, it takes their place, and the part's other channels are written
+again, without loss, as ZIP-compressed scanlines. Else it is the first part, and all parts of the input follow with
+their own pixels and size, the render's colour among them; so a larger picture leaves ids and Cryptomattes as they were.
+Parts that need not be written again, deep ones included, are copied as they are stored.
+
+A file has one display window, pixel aspect, time code and set of primaries. Where those of the picture differ, a part's
+own are kept under the name with `render:` before it; so is what is no longer true of a picture (its jitter, samples a
+pixel, a cut) in the part that it shares with other channels.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import numpy as np
+
+from postfx.frame import Frame
+from postfx.io.container.chunks import ExrContainer
+from postfx.io.container.header import PIXEL_BYTES, SCANLINES, TILES, Header, pack_channels
+from postfx.io.container.scanlines import ZIP, ZIP_LINES, Rows, zip_chunks
+from postfx.io.container.write import NewPart, write_container
+from postfx.io.exr import ImageFile
+from postfx.io.finished import PARTIAL
+from postfx.io.metadata import is_outdated
+from postfx.io.part import PICTURE
+from postfx.stored import Stored
+
+RENDER = "render:"
+"""Before the name of an attribute of the render that the picture's file cannot have, or that is not true of it."""
+_SHARED = ("displayWindow", "pixelAspectRatio", "timeCode", "chromaticities")
+_STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "type", "name", "tiles", "version",
+              "chunkCount", "maxSamplesPerPixel")
+_INVENTED = "capDate"  # OpenImageIO writes today's where there is none
+_NAME, _RENDER_NAME = "rgba", "render"
+
+
+def add_rest(path: Path, frame: Frame) -> None:
+    """Put everything else that the frame's source holds into a file that holds its picture.
+
+    A source that is no OpenEXR file has nothing to keep. Raises ReadError when the source is broken or gone, OSError
+    when writing fails.
+    """
+    if frame.source is None or Path(frame.source).suffix.lower() != ".exr":
+        return
+    together = path.with_name(path.name.removesuffix(PARTIAL) + "-all" + PARTIAL)
+    try:
+        with ExitStack() as stack:
+            picture = stack.enter_context(ExrContainer(path))
+            source = stack.enter_context(ExrContainer(Path(frame.source)))
+            write_container(together, _Merge(picture, source, frame, stack).parts())
+        os.replace(together, path)
+    finally:
+        with suppress(OSError):
+            together.unlink()
+
+
+class _Merge:
+    """A picture and the file that its render was read from."""
+
+    def __init__(self, picture: ExrContainer, source: ExrContainer, frame: Frame, stack: ExitStack) -> None:
+        self._picture, self._source, self._frame, self._stack = picture, source, frame, stack
+        self._stored = frame.stored or Stored(0, (), {})
+        self._own = picture.headers[0]
+
+    def parts(self) -> list[NewPart]:
+        """All parts of the output."""
+        index, headers = self._stored.part, self._source.headers
+        if not self._is_in_place():
+            header = self._header(headers[index], False)
+            return self._named([NewPart(header, self._picture.counts[0], self._picture.stored(0)),
+                                *(self._as_stored(part, header) for part in range(len(headers)))])
+        header = self._header(headers[index], True)
+        return self._named([self._together(part, header) if part == index else self._as_stored(part, header)
+                            for part in range(len(headers))])
+
+    def _is_in_place(self) -> bool:
+        """Whether the picture takes the place of the render's colour."""
+        render = self._source.headers[self._stored.part]
+        same = (render.data, render.display) == (self._own.data, self._own.display)
+        plain = all(channel.x_sampling == channel.y_sampling == 1 for channel in render.channels)
+        flat = render.part_type in (SCANLINES, TILES)
+        return same and plain and flat and self._stored.channels == ("R", "G", "B")
+
+    def _as_stored(self, part: int, picture: Header) -> NewPart:
+        """A part of the source with its pixels as they are, and what the whole file shares as the picture has it."""
+        header = Header(dict(self._source.headers[part].attributes))
+        for name in _SHARED:
+            own, shared = header.attributes.get(name), picture.attributes.get(name)
+            if own is not None and own != shared:
+                header.attributes[RENDER + name] = header.attributes.pop(name)
+                header.attributes |= {name: shared} if shared else {}
+        if PICTURE in header.attributes:  # of a picture that was processed again
+            header.attributes[RENDER + PICTURE] = header.attributes.pop(PICTURE)
+        return NewPart(header, self._source.counts[part], self._source.stored(part))
+
+    def _together(self, part: int, header: Header) -> NewPart:
+        """The part that held the render's colour, with the picture in its place."""
+        fresh = {channel.name for channel in self._own.channels}
+        rest = [channel for channel in self._source.headers[part].channels if channel.name not in fresh]
+        if not rest:
+            return NewPart(header, self._picture.counts[0], self._picture.stored(0))
+        channels = self._own.channels + rest
+        header.set("channels", "chlist", pack_channels(channels))
+        header.set("compression", "compression", bytes([ZIP]))
+        rows = self._rows(part, [channel.name for channel in header.channels], fresh)
+        count = -(-header.data.height // ZIP_LINES)
+        return NewPart(header, count, zip_chunks(header.data, sum(PIXEL_BYTES[one.kind] for one in channels), rows))
+
+    def _rows(self, part: int, order: list[str], fresh: set[str]) -> Rows:
+        """Reads rows of channels in an order: the fresh ones of the picture, others of a part of the source."""
+        picture = self._stack.enter_context(ImageFile(self._picture.path, ".exr"))
+        source = self._stack.enter_context(ImageFile(self._source.path))
+        (render,) = (one for one in source.parts if one.index == part)
+        new, old = [name for name in order if name in fresh], [name for name in order if name not in fresh]
+
+        def rows(first: int, last: int) -> list[np.ndarray]:
+            found = dict(zip(new, picture.read_stored(picture.parts[0], new, first, last), strict=True))
+            found |= zip(old, source.read_stored(render, old, first, last), strict=True)
+            return [found[name] for name in order]
+
+        return rows
+
+    def _header(self, render: Header, in_place: bool) -> Header:
+        """Header of the picture's part: what the writer gave it, and what the render's says that it did not change."""
+        own = self._own.attributes
+        found = {name: own[name] for name in _STRUCTURE if name in own}
+        for name, attribute in render.attributes.items():
+            if name not in _STRUCTURE and not self._is_new(name):
+                found[name] = attribute
+            elif in_place and name not in _STRUCTURE:
+                found[RENDER + name] = attribute
+        read = {name.lower() for name in self._stored.attributes}
+        found |= {name: attribute for name, attribute in own.items()
+                  if name not in found and name != _INVENTED and (name.lower() not in read or self._is_new(name))}
+        if in_place and "name" in render.attributes:
+            found["name"] = render.attributes["name"]
+        header = Header(found)
+        header.set_text(PICTURE, ",".join(channel.name for channel in self._own.channels))
+        return header
+
+    def _is_new(self, name: str) -> bool:
+        """Whether the picture does not have an attribute as the render has it."""
+        read, now = self._stored.attributes, self._frame.metadata
+        same = name not in read or np.array_equal(read[name], now.get(name, read[name]))
+        return is_outdated(name, self._frame) or not same
+
+    def _named(self, parts: list[NewPart]) -> list[NewPart]:
+        """The parts, each with a name of its own, which files of several parts need; those that have one keep it."""
+        if len(parts) == 1:
+            return parts
+        taken = {part.header.name for part in parts}
+        for part in parts:
+            if not part.header.name:
+                name = _NAME if PICTURE in part.header.attributes else _RENDER_NAME
+                names = [name, *(f"{name}.{number}" for number in range(2, len(parts) + 2))]
+                part.header.set_text("name", next(name for name in names if name not in taken))
+                taken.add(part.header.name)
+        return parts

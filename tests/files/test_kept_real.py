@@ -1,0 +1,54 @@
+"""Files that other software wrote: every untouched channel and attribute is in the output, by hash."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.frame import Role
+from postfx.io.sequence import read_sequence
+from postfx.io.writer import write_frame
+from tests.files.exr_files import channel_hashes, chunk_hashes, headers_of
+
+FILES = (
+    "exr/cryptomatte/cornellBox_CryptoWildcard.0001.exr",
+    "exr/beachball/multipart.0001.exr",
+    "exr/beachball/multipart.0002.exr",
+    "exr/beachball/singlepart.0001.exr",
+    "exr/crow/crow_dwa.exr",
+    "exr/crow/crow_zip_half.exr",
+    "exr/gaffer/imitateProductionLayers2.exr",
+    "exr/gaffer/weirdPartNames.exr",
+    "exr/oiio/grid-overscan.exr",
+    "exr/openexr/Adjuster.exr",
+    "exr/openexr/BrightRingsNanInf.exr",
+    "sequences/garage/noisy.0001.exr",
+    "sequences/garage/interleaved.0001.exr",
+)
+STRUCTURE = {"channels", "compression", "dataWindow", "displayWindow", "lineOrder", "chunkCount", "name", "type"}
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+@pytest.mark.parametrize("name", FILES)
+def test_every_untouched_channel_and_attribute_is_kept(shared_dir: Path, tmp_path: Path, name: str, scale: int) -> None:
+    source = shared_dir / name
+    frame = next(iter(read_sequence(source, planes=[Role.COLOUR])))
+    larger = np.repeat(np.repeat(frame[Role.COLOUR], scale, 0), scale, 1) * np.float32(0.5)
+    out = write_frame(tmp_path / "out.exr", dataclasses.replace(frame, planes={Role.COLOUR: larger}), keep=True)
+    before, after = channel_hashes(source), channel_hashes(out)
+    in_place = scale == 1 and frame.stored is not None and frame.stored.channels == ("R", "G", "B")
+    touched = {list(headers_of(source))[frame.stored.part]} if in_place else set()
+    for (part, channel), bits in before.items():
+        if part not in touched or channel not in ("R", "G", "B"):
+            assert after[part if (part, channel) in after else "render", channel] == bits, (part, channel)
+    assert len(after) == len(before) + 3 * (not in_place)
+    chunks, attributes = chunk_hashes(out), headers_of(out)
+    for part, header in headers_of(source).items():
+        kept = part if part in attributes else "render"
+        if part not in touched:
+            assert chunks[kept] == chunk_hashes(source)[part]
+        changed = {key for key, value in header.items() if attributes[kept].get(key) != value}
+        assert changed <= STRUCTURE

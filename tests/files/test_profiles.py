@@ -1,0 +1,61 @@
+"""Profiles of any content are taken or refused in one line that names the table and the key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from postfx.errors import ProfileError
+from postfx.io.profile import load_profile
+
+PLANE = '[[plane]]\nrole = "motion"\nchannels = ["XY"]\n'
+MALFORMED = {
+    "detect = 1": "detect must be tables in double brackets",
+    "[detect]\nchannels = ['R']": "detect must be tables in double brackets",
+    "[[detect]]\nheader = ['Software']": r"\[\[detect\]\]: header must be a table of regular expressions",
+    "[[detect]]\nheader = { Software = '(' }": "header must be a table of regular expressions",
+    "[[detect]]\nchannels = 'R'": "channels must be a list of texts",
+    "camera = 3": "camera must be a table",
+    "[camera]\nfov_x = 'wide'": r"\[camera\]: fov_x must be a number",
+    "[camera]\nfov_x = nan": "fov_x must be a number",
+    "[camera]\nnear = true": "near must be a number",
+    "header = []": "header must be a table",
+    "[header]\nsamples = 'spp'": r"\[header\]: samples must be a list of texts",
+    "name = 5": "name must be a text",
+    "extends = ['generic']": "extends must be a text",
+    "extends = 'nothing'": "unknown profile 'nothing'",
+    "plane = { role = 'motion' }": "plane must be tables",
+    PLANE + "scale = 'x'": "scale must be a list of numbers",
+    PLANE + "scale = [1, 2, 3]": "scale needs 1 or 2 numbers",
+    PLANE + "offset = []": "offset needs 1 or 2 numbers",
+    PLANE + "clamp = [1]": "clamp must be two numbers, the lower first",
+    PLANE + "clamp = [1, 0]": "clamp must be two numbers, the lower first",
+    PLANE + "unit = ['uv']": "unit must be a text",
+    PLANE + "names = 'mv'": "names must be a list of texts",
+    PLANE + "miss = 'far'": "miss must be a number",
+    "[[plane]]\nrole = 7": "role must be a text",
+    "a = " + "[" * 5000: "nested without end|not valid TOML",
+}
+
+
+@pytest.mark.parametrize("text", MALFORMED, ids=range(len(MALFORMED)))
+def test_malformed_profiles_are_refused_in_one_line(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "studio.toml"
+    path.write_text(text)
+    with pytest.raises(ProfileError, match=MALFORMED[text]) as caught:
+        load_profile(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_profile_that_extends_itself(tmp_path: Path) -> None:
+    path = tmp_path / "studio.toml"
+    path.write_text(f'extends = "{path}"')
+    with pytest.raises(ProfileError, match="extends itself"):
+        load_profile(str(path))
+
+
+def test_a_profile_that_is_no_text(tmp_path: Path) -> None:
+    (tmp_path / "studio.toml").write_bytes(b"\xff\xfe\0")
+    with pytest.raises(ProfileError, match="not valid TOML"):
+        load_profile(str(tmp_path / "studio.toml"))

@@ -1,0 +1,187 @@
+"""A file is there whole or not at all: full disks, limits, kills in the middle of writing, things in the way."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.errors import WriteError
+from postfx.frame import Frame, Role
+from postfx.io import finished
+from postfx.io.finished import PARTIAL, finished_file
+from postfx.io.sequence import read_sequence
+from postfx.io.writer import is_complete, write_frame
+from tests.files.conftest import names
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SUFFIXES = (".exr", ".png", ".tif", ".jpg")
+
+
+def noise(width: int = 300, height: int = 300) -> Frame:
+    return Frame({Role.COLOUR: np.random.default_rng(0).random((height, width, 3), np.float32)})
+
+
+LIMITED = """
+import resource, sys
+import numpy as np
+from pathlib import Path
+from postfx.errors import PostfxError
+from postfx.frame import Frame, Role
+from postfx.io.writer import write_frame
+path, side, keep = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+frame = Frame({Role.COLOUR: np.random.default_rng(0).random((side, side, 3), np.float32)}, source=keep or None)
+resource.setrlimit(resource.RLIMIT_FSIZE, (40000, 40000))
+try:
+    print(write_frame(path, frame, keep=bool(keep)))
+except PostfxError as error:
+    print(type(error).__name__, error)
+"""
+
+
+def limited(path: Path, side: int, keep: str = "") -> str:
+    """What writing a square of noise says in a process whose files may have 40000 bytes."""
+    done = subprocess.run([sys.executable, "-c", LIMITED, str(path), str(side), keep], capture_output=True, text=True,
+                          env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, timeout=120, check=True)
+    return done.stdout.strip()
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_files_over_the_limit_of_the_system(tmp_path: Path, suffix: str) -> None:
+    told = limited(tmp_path / f"a{suffix}", 300)
+    assert told.startswith(f"WriteError {tmp_path}/a{suffix}: cannot be written: ") and "\n" not in told
+    assert names(tmp_path) == []
+    assert limited(tmp_path / f"b{suffix}", 40) == f"{tmp_path}/b{suffix}"
+
+
+def test_what_is_kept_over_the_limit(tmp_path: Path) -> None:
+    source = write_frame(tmp_path / "in.exr", noise())
+    told = limited(tmp_path / "out.exr", 40, str(source))
+    assert told.startswith(f"WriteError {tmp_path}/out.exr: cannot be written: File too large")
+    assert names(tmp_path) == ["in.exr"]
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path):
+    """A file system of 64 KiB; skips where mounting is not allowed."""
+    (tmp_path / "disk").mkdir()
+    mount = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", tmp_path / "disk"], check=False,
+                           capture_output=True)
+    if mount.returncode:
+        pytest.skip("mounting a small file system is not allowed here")
+    yield tmp_path / "disk"
+    subprocess.run(["umount", "-l", tmp_path / "disk"], check=True)
+
+
+@pytest.mark.parametrize("side", [145, 150, 160, 300])
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_full_disk(small_disk: Path, suffix: str, side: int) -> None:
+    """Also just before the end, where encoders of PNG and TIFF say that all is well, and libjpeg ends the process."""
+    (small_disk / "before.txt").write_text("finished")
+    path = small_disk / f"a{suffix}"
+    try:
+        write_frame(path, noise(side, side))
+    except WriteError as error:
+        assert f"a{suffix}: cannot be written: " in str(error) and "free space" in str(error)
+        assert names(small_disk) == ["before.txt"]
+    else:
+        assert is_complete(path, side, side)
+    assert (small_disk / "before.txt").read_text() == "finished"
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_disk_that_fails_late(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As network file systems do, which take all bytes and tell when they are to be kept."""
+    def fail(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    whole = write_frame(tmp_path / f"a{suffix}", noise())
+    before = whole.read_bytes()
+    monkeypatch.setattr(finished.os, "fsync", fail)
+    with pytest.raises(WriteError, match=rf"a\{suffix}: cannot be written: No space left on device; check the folder"):
+        write_frame(whole, noise(20, 20))
+    assert whole.read_bytes() == before and names(tmp_path) == [f"a{suffix}"]
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_an_encoder_that_says_all_is_well_is_not_believed(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from postfx.io import writer
+    encode = writer._encode
+
+    def lose_the_end(path: Path, *rest: object) -> None:
+        encode(path, *rest)
+        os.truncate(path, os.path.getsize(path) - 20)
+
+    monkeypatch.setattr(writer, "_encode", lose_the_end)
+    if suffix == ".tif":  # its directory is last: all of it
+        monkeypatch.setattr(writer, "_encode", lambda path, *rest: (encode(path, *rest), os.truncate(path, 3000)))
+    with pytest.raises(WriteError, match="cannot be written"):
+        write_frame(tmp_path / f"a{suffix}", noise())
+    assert names(tmp_path) == []
+
+
+KILLED = """
+import sys
+import numpy as np
+from pathlib import Path
+from postfx.frame import Frame, Role
+from postfx.io.sequence import read_sequence
+from postfx.io.writer import write_frame
+import dataclasses
+(frame,) = read_sequence(sys.argv[1])
+print("ready", flush=True)
+number = 0
+while True:
+    number += 1
+    write_frame(Path(sys.argv[2]) / f"a.{number % 3:04d}.exr", frame, keep=True)
+"""
+
+
+@pytest.mark.parametrize("moment", [0.02, 0.11, 0.23, 0.37])
+def test_a_killed_process_leaves_whole_files_only(tmp_path: Path, moment: float) -> None:
+    source = write_frame(tmp_path / "in.exr", noise(700, 700))
+    out = tmp_path / "out"
+    process = subprocess.Popen([sys.executable, "-c", KILLED, str(source), str(out)], stdout=subprocess.PIPE,
+                               env={**os.environ, "PYTHONPATH": str(REPOSITORY)})
+    assert process.stdout.readline() == b"ready\n"
+    time.sleep(moment)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    there = names(out) if out.is_dir() else []
+    frames = [name for name in there if not name.startswith(".")]
+    assert all(name.endswith(PARTIAL) for name in there if name not in frames)
+    assert all(is_complete(out / name, 700, 700) for name in frames)
+    for number in range(3):
+        write_frame(out / f"a.{number:04d}.exr", next(iter(read_sequence(source))))
+    assert names(out) == [f"a.{number:04d}.exr" for number in range(3)]
+
+
+def test_files_of_processes_that_still_run_are_not_removed(tmp_path: Path) -> None:
+    with finished_file(tmp_path / "a.exr") as other:
+        other.write_text("of another thread")
+        with finished_file(tmp_path / "a.exr") as own:
+            own.write_text("mine")
+        assert (tmp_path / "a.exr").read_text() == "mine" and other.is_file()
+    assert (tmp_path / "a.exr").read_text() == "of another thread"
+
+
+def test_an_interrupt_while_writing_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), finished_file(tmp_path / "a.exr") as path:
+        path.write_text("half of it")
+        raise KeyboardInterrupt
+    assert names(tmp_path) == []
+
+
+def test_finished_files_have_the_rights_of_any_new_file(tmp_path: Path) -> None:
+    write_frame(tmp_path / "a.exr", noise(20, 20))
+    (tmp_path / "b").write_text("")
+    assert (tmp_path / "a.exr").stat().st_mode == (tmp_path / "b").stat().st_mode
