@@ -77,14 +77,16 @@ class CutDetector:
         """What the next answer depends on beside its frame."""
         if self._before is None:
             return {}
-        light, guides, motion = self._before
-        known = {"light": light} | {f"guide {role}": plane for role, plane in guides.items()}
+        light, guides, motion, cell = self._before
+        known = {"light": light, "cell": np.float64(cell)} | {f"guide {role}": one for role, one in guides.items()}
         return known if motion is None else known | {"motion": motion}
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         """Go on as a detector that had this `history`."""
         guides = {Role(name.removeprefix("guide ")): plane for name, plane in history.items() if name[:6] == "guide "}
-        self._before = Picture(history["light"], guides, history.get("motion")) if history else None
+        self._before = None
+        if history:
+            self._before = Picture(history["light"], guides, history.get("motion"), tuple(history["cell"].tolist()))
 
     def __call__(self, frame: Frame) -> bool:
         """Whether `frame`, whose colour is scene-linear, begins another shot. False without a colour."""

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from postfx.bench.metrics import FOLLOWED, enlarged_motion, moved
+from postfx.bench.metrics import FOLLOWED, moved
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
+from postfx.sampling import motion_at
 
 Maker = Callable[[Frame, float], np.ndarray]
 """A clean frame and its exposure, in order -> sRGB code values (H,W,3)."""
@@ -20,7 +21,8 @@ def frames(folder: Path) -> Iterator[tuple[Frame, np.ndarray]]:
     """Clean frames of a folder's `reference.####.exr` and the motion of `noisy.####.exr`, enlarged to their size."""
     noisy = read_sequence(str(folder / "noisy.####.exr"))
     for clean, given in zip(read_sequence(str(folder / "reference.####.exr")), noisy, strict=False):
-        yield clean, enlarged_motion(given[Role.MOTION], *clean[Role.COLOUR].shape[:2])
+        height, width = clean[Role.COLOUR].shape[:2]
+        yield clean, motion_at(given[Role.MOTION], np.arange(height), np.arange(width), height, width)
 
 
 def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, float]:

@@ -22,7 +22,7 @@ from postfx.runtime import Device, Library
 
 NOT_PIXELS = frozenset({
     "execute", "output", "overwrite", "skip_existing", "explain", "json", "capture", "capture_frame", "capture_tensors",
-    "capture_network", "log", "checkpoint", "resume", "frames", "preroll", "memory",
+    "capture_network", "log", "checkpoint", "resume", "frames", "preroll", "memory", "report", "reference", "on_error",
 })
 """Arguments of `postfx run` that do not decide how a frame looks that a run writes."""
 FILES = ("input", "guides", "profile")

@@ -110,6 +110,7 @@ class Run:
     def wrote(self, number: int, path: Path, frame: Frame, **facts: Any) -> None:
         """Note a file that was written; `frame` is what came out, `facts` are for the log."""
         height, width = next(iter(frame.planes.values())).shape[:2]
+        width, height = self._sequence.shown_size(width, height)
         output = self._folder.wrote(
             path, {"models": dict(self._pipeline.device.models)}, frame=number, width=width, height=height,
             inputs=self._inputs(number), starts=frame.reset)
@@ -169,7 +170,8 @@ class Run:
         """Frames to write: all, or those whose file is not there as it should be."""
         if self._outputs.existing is not Existing.SKIP:
             return set(names.values())
-        size, before, wanted = (self._plan.output.width, self._plan.output.height), self._folder.before, set()
+        size = self._sequence.shown_size(self._plan.output.width, self._plan.output.height)
+        before, wanted = self._folder.before, set()
         others = []
         for name, number in names.items():
             path, known = self._outputs.path(number), before.outputs.get(name)

@@ -26,6 +26,10 @@ class Outcome(NamedTuple):
         return line
 
 
+BOOKS = ("postfx.manifest.json", ".postfx")
+"""What a run keeps beside its frames."""
+
+
 @pytest.fixture
 def postfx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture) -> Callable[..., Outcome]:
     """Runs `postfx run ARGUMENTS --no-denoise --exposure 0` in the test's folder."""
@@ -53,5 +57,5 @@ def shot(tmp_path: Path) -> Callable[..., Path]:
 
 
 def names(folder: Path) -> list[str]:
-    """What is in a folder, hidden files as well."""
-    return sorted(path.name for path in folder.iterdir())
+    """What is in a folder, hidden files as well, but for the books of runs."""
+    return sorted(path.name for path in folder.iterdir() if path.name not in BOOKS)
