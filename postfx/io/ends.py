@@ -5,19 +5,23 @@ from __future__ import annotations
 import os
 import struct
 from pathlib import Path
+from typing import BinaryIO
 
 from postfx.errors import ReadError
 from postfx.io.container.chunks import ExrContainer
 
 JPEG = (".jpg", ".jpeg")
 _ENDS = {".png": b"\0\0\0\0IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
-_TIFF = {b"II*\0": "<I", b"MM\0*": ">I", b"II+\0": "<4xQ", b"MM\0+": ">4xQ"}
-# First bytes -> where the offset of the directory, which is written last, follows.
+_TIFF = {b"II*\0": "<HI", b"MM\0*": ">HI", b"II+\0": "<QQ", b"MM\0+": ">QQ"}
+# First bytes -> how a directory's count of entries and offsets are stored.
+_WHERE, _HOW_MANY = (273, 324), (279, 325)  # tags of strips and of tiles: offsets, and counts of bytes
+_WHOLE = {3: "H", 4: "I", 16: "Q"}
+
 
 
 def has_end(path: Path, suffix: str) -> bool:
-    """Whether a file of the format of a suffix ends well: PNG's and JPEG's last bytes are there, TIFF's directory, all
-    chunks of all parts of an OpenEXR file."""
+    """Whether a file of the format of a suffix ends well: PNG's and JPEG's last bytes are there, TIFF's directory and
+    all that it leads to, all chunks of all parts of an OpenEXR file."""
     suffix = suffix.lower()
     if suffix == ".exr":
         return _is_whole_exr(path)
@@ -27,15 +31,43 @@ def has_end(path: Path, suffix: str) -> bool:
             size = file.seek(0, os.SEEK_END)
             file.seek(max(0, size - len(end)))
             return file.read() == end
-        return _has_directory(file.read(16), path.stat().st_size)
+        return _is_whole_tiff(file, path.stat().st_size)
 
 
-def _has_directory(start: bytes, size: int) -> bool:
-    layout = _TIFF.get(start[:4])
-    if layout is None or len(start) < 16:
+def _is_whole_tiff(file: BinaryIO, size: int) -> bool:
+    """Whether the directory and the strips or tiles lie within the file (TIFF 6.0, section 2)."""
+    layout = _TIFF.get(file.read(4))
+    try:
+        return layout is not None and _last_byte(file, layout) <= size
+    except (struct.error, KeyError):
         return False
-    (offset,) = struct.unpack_from(layout, start, 4)
-    return 8 <= offset < size - 6
+
+
+def _last_byte(file: BinaryIO, layout: str) -> int:
+    order, kind, offset = layout
+    wide = struct.calcsize(order + offset)
+    file.seek(wide)  # behind the first four bytes, or eight
+    file.seek(*_unpacked(file, order + offset))
+    (count,) = _unpacked(file, order + kind)
+    entries = [_unpacked(file, f"{order}HH{offset}{wide}s") for _ in range(min(count, 4096))]
+    found = {tag: _numbers(file, order, wide, *rest) for tag, *rest in entries if tag in _WHERE + _HOW_MANY}
+    starts, counts = ([found[tag] for tag in tags if tag in found] for tags in (_WHERE, _HOW_MANY))
+    if not starts or not counts or not all(starts[0]):
+        raise KeyError("strips")
+    return max(map(sum, zip(starts[0], counts[0], strict=False)))
+
+
+def _numbers(file: BinaryIO, order: str, wide: int, kind: int, count: int, value: bytes) -> tuple[int, ...]:
+    """Values of an entry: its own bytes, or those that they lead to."""
+    form = f"{order}{min(count, 1 << 20)}{_WHOLE[kind]}"
+    if struct.calcsize(form) <= wide:
+        return struct.unpack_from(form, value)
+    file.seek(*struct.unpack(order + ("I" if wide == 4 else "Q"), value))
+    return _unpacked(file, form)
+
+
+def _unpacked(file: BinaryIO, form: str) -> tuple:
+    return struct.unpack(form, file.read(struct.calcsize(form)))
 
 
 def _is_whole_exr(path: Path) -> bool:

@@ -121,8 +121,6 @@ def test_an_encoder_that_says_all_is_well_is_not_believed(
         os.truncate(path, os.path.getsize(path) - 20)
 
     monkeypatch.setattr(writer, "_encode", lose_the_end)
-    if suffix == ".tif":  # its directory is last: all of it
-        monkeypatch.setattr(writer, "_encode", lambda path, *rest: (encode(path, *rest), os.truncate(path, 3000)))
     with pytest.raises(WriteError, match="cannot be written"):
         write_frame(tmp_path / f"a{suffix}", noise())
     assert names(tmp_path) == []
