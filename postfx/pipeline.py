@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from postfx.broken import mended
 from postfx.cuts import CutDetector, CutError
 from postfx.errors import FrameError
 from postfx.exposure import ExposureMeter, SmoothExposure
@@ -47,6 +48,7 @@ class Pipeline:
         timings: pass name -> milliseconds on the device, of the last frame.
         exposure: multiplier used for the last frame; None before the first and when no pass ran.
         cut: whether the last frame was found to begin another shot.
+        broken: how many pixels of which planes of the last frame were not finite, see `postfx.broken.mended`.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class Pipeline:
         self.timings: dict[str, float] = {}
         self.exposure: float | None = None
         self.cut = False
+        self.broken: dict[Role, int] = {}
         self._meter = exposure if callable(exposure) else ExposureMeter(exposure)
         self._detector = CutDetector() if cuts == "auto" else None
         self._copies: Recent[Tensor] = Recent(MOST_COPIES)  # of planes, where the host does not see the device's memory
@@ -77,8 +80,9 @@ class Pipeline:
         """
         plan = self._planned(frame.spec)
         if not plan.steps:
-            self.timings, self.exposure, self.cut = {}, None, False
+            self.timings, self.exposure, self.cut, self.broken = {}, None, False, {}
             return dataclasses.replace(frame)
+        frame, self.broken = mended(frame, plan.planes)
         self.cut = self._is_cut(frame)
         if self.cut:
             frame = dataclasses.replace(frame, reset=True)

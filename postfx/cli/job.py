@@ -82,6 +82,7 @@ class Job:
         self._pass_ms: dict[str, list[float]] = {}
         self._chosen: dict[str, Counter[str]] = {}
         self._cuts: list[int] = []
+        self._broken: dict[str, dict[str, int]] = {}
         self._written: list[str] = []
 
     def plan_dict(self) -> dict[str, Any]:
@@ -129,6 +130,7 @@ class Job:
             guides=guides_in(self.plan, bool(self._arguments.scale or self._arguments.size)),
             cuts=self._cuts,
             left_alone=self.sequence.left_alone,
+            broken=self._broken,
             capture=self._capture.page,
             faults=self._faults.found,
             error=str(failure) or "interrupted" if failure is not None else None,
@@ -188,6 +190,9 @@ class Job:
         self._frame_ms.append(milliseconds)
         for name, elapsed in self.pipeline.timings.items():
             self._pass_ms.setdefault(name, []).append(elapsed)
+        for role, pixels in self.pipeline.broken.items():
+            found = self._broken.setdefault(str(role), {"pixels": 0, "frames": 0})
+            found["pixels"], found["frames"] = found["pixels"] + pixels, found["frames"] + 1
         for step in self.plan.steps:
             if choice := step.instance.chosen():
                 self._chosen.setdefault(step.name, Counter())[choice] += 1
@@ -196,7 +201,8 @@ class Job:
         """About the last frame, for the log."""
         passes = {name: round(elapsed, 3) for name, elapsed in self.pipeline.timings.items()}
         took = round(self._frame_ms[-1], 3) if self._frame_ms else None
-        return {"ms": took, "passes": passes, "exposure": self.pipeline.exposure, "cut": self.pipeline.cut}
+        return {"ms": took, "passes": passes, "exposure": self.pipeline.exposure, "cut": self.pipeline.cut,
+                "broken": self.pipeline.broken}
 
     def _write(self, run: Run, number: int, result: Frame, facts: dict[str, Any], progress: FrameProgress) -> None:
         write = partial(write_frame, self.outputs.path(number), result, relax=self._relax,

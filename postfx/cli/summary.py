@@ -7,6 +7,7 @@ from statistics import median
 from typing import Any
 
 from postfx.cli.faults import LEFT_OUT, Fault
+from postfx.frame import Role
 from postfx.plan import Plan, Skipped
 from postfx.strength.shares import Shares
 
@@ -33,6 +34,7 @@ class Report:
             them; None without guides.
         cuts: frames at which a cut was found in the pictures.
         left_alone: how much of the frames --leave left as it is.
+        broken: plane -> pixels that were not finite and frames that had them.
         capture: path of the capture's page, or None.
         page: path of the page that --report asks for, or None.
         faults: frames that failed, which the run went on after.
@@ -51,6 +53,7 @@ class Report:
     guides: dict[str, Any] | None = None
     cuts: list[int] = field(default_factory=list)
     left_alone: Shares = field(default_factory=Shares)
+    broken: dict[str, dict[str, int]] = field(default_factory=dict)
     capture: str | None = None
     page: str | None = None
     faults: list[Fault] = field(default_factory=list)
@@ -69,6 +72,7 @@ class Report:
             "guides": self.guides,
             "chosen": self.chosen,
             "cuts": self.cuts,
+            "broken": self.broken,
         }
         if self.left_alone.frames:
             result["left_alone"] = self.left_alone.as_dict()
@@ -87,6 +91,7 @@ class Report:
         if self.left_alone.frames:
             lines.append(f"left     {self.left_alone}")
         lines += self._fault_lines()
+        lines += [f"broken   {role}: {_broken_text(role, found)}" for role, found in self.broken.items()]
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
         lines += [f"warning  {warning}" for warning in self.warnings]
         lines += [f"capture  {self.capture}"] if self.capture else []
@@ -147,6 +152,11 @@ def _spread(times: list[float]) -> dict[str, float] | None:
 
 def _frames(count: int) -> str:
     return f"{count} frame{'s' * (count > 1)}"
+
+
+def _broken_text(role: str, found: dict[str, int]) -> str:
+    mend = ", mended from the pixels around where those are known" if role == Role.COLOUR else ""
+    return f"{found['pixels']} pixel{'s' * (found['pixels'] > 1)} not finite in {_frames(found['frames'])}{mend}"
 
 
 def _listed(numbers: list[int]) -> str:

@@ -115,7 +115,7 @@ def test_log_has_an_object_for_each_event(runs):
     manifest = json.loads((runs.folder / NAME).read_text())["outputs"]
     assert all(manifest[os.path.basename(item["file"])]["sha256"] == item["sha256"] for item in frames)
     assert set(frames[0]) == {"time", "run", "event", "frame", "file", "bytes", "sha256", "ms", "passes", "exposure",
-                              "cut"}
+                              "cut", "broken"}
     assert events[-1]["written"] == 8 and events[-1]["exit_code"] == 0
 
 
