@@ -22,7 +22,8 @@ def mended(frame: Frame, roles: tuple[Role, ...]) -> tuple[Frame, dict[Role, int
 
     An infinite depth is a miss and does not count. A pixel of the colour gets the mean of its finite neighbours, where
     at least 6 of 8 are (as many by proportion at the picture's edge). Others stay: passes take NaN for 0 and infinities
-    for the largest light; where more than half of the frame is broken, all of that becomes 0. The given frame is not changed.
+    for the largest light; where more than half of the frame is broken, all of that becomes 0. The given frame is not
+    changed.
     """
     found = {role: bad for role in roles if (bad := broken(frame[role], role)) is not None}
     counts = {role: int(bad.sum()) for role, bad in found.items()}

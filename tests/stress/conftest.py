@@ -1,0 +1,18 @@
+"""Fixtures of the stress tests."""
+
+import pytest
+
+from postfx.frame import Frame
+from postfx.runtime import Device
+from tests.stress.scenes import room
+
+
+@pytest.fixture(scope="session")
+def device() -> Device:
+    return Device("cpu", threads=2)
+
+
+@pytest.fixture(scope="session")
+def rooms() -> list[Frame]:
+    """Frames that no test may change."""
+    return room()

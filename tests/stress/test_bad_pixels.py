@@ -1,0 +1,122 @@
+"""Pixels that are no number are counted and mended, stay local, and are forgotten."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postfx.broken import mended
+from postfx.frame import Frame, Role
+from postfx.runtime import Device
+from tests.stress.scenes import MODELS, colours, display_psnr, pipeline
+
+BAD = (np.nan, np.inf, -np.inf)
+AT = 2
+"""Frame that is broken."""
+LOCAL = {"s.fp32": (0.005, 40), "m.int8": (0.15, 64)}
+"""Most that one bad pixel changes in its own frame, by the light at the place, and output pixels beyond which that is
+below a tenth of a per cent."""
+LOST = 1.0
+"""Decibels by which frames after a broken one are worse than those of a run that begins after it."""
+FIREFLY = 1e6
+
+
+def changed(frame: Frame, role: Role, value: float, place: tuple[slice | int, ...] = (slice(None),)) -> Frame:
+    plane = frame[role].copy()
+    plane[place] = value
+    return replace(frame, planes={**frame.planes, role: plane})
+
+
+def with_broken(frames: list[Frame], value: float, place: tuple[slice | int, ...] = (slice(None),)) -> list[Frame]:
+    return [changed(frame, Role.COLOUR, value, place) if n == AT else frame for n, frame in enumerate(frames)]
+
+
+def difference(found: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """(height, width): change of light by the light at the place, or by a twentieth of the mean where it is darker."""
+    return np.abs(found - wanted).max(2) / np.maximum(wanted.max(2), wanted.mean() / 20)
+
+
+@pytest.mark.parametrize("value", BAD, ids=str)
+def test_pixels_are_mended_by_the_mean_of_their_neighbours(value: float) -> None:
+    colour = np.random.default_rng(1).random((9, 11, 3), np.float32)
+    broken = colour.copy()
+    broken[4, 5, 1] = broken[0, 0] = value
+    found, counts = mended(Frame({Role.COLOUR: broken}), (Role.COLOUR,))
+    around = [colour[4 + y, 5 + x] for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
+    np.testing.assert_allclose(found[Role.COLOUR][4, 5], np.mean(around, axis=0), rtol=1e-6)
+    np.testing.assert_allclose(found[Role.COLOUR][0, 0], (colour[0, 1] + colour[1, 0] + colour[1, 1]) / 3, rtol=1e-6)
+    assert counts == {Role.COLOUR: 2}
+    unchanged = np.ones((9, 11), bool)
+    unchanged[4, 5] = unchanged[0, 0] = False
+    np.testing.assert_array_equal(found[Role.COLOUR][unchanged], colour[unchanged])
+    assert not np.isfinite(broken[4, 5, 1])  # the frame that was given is as it was
+
+
+def test_a_sun_that_overflowed_keeps_its_shape() -> None:
+    colour = np.ones((40, 40, 3), np.float32)
+    y, x = np.mgrid[:40, :40]
+    sun = (y - 20) ** 2 + (x - 20) ** 2 < 60
+    colour[sun] = np.inf
+    found, counts = mended(Frame({Role.COLOUR: colour}), (Role.COLOUR,))
+    np.testing.assert_array_equal(found[Role.COLOUR], colour)
+    assert counts == {Role.COLOUR: int(sun.sum())}
+
+
+def test_frames_without_bad_pixels_are_passed_on_and_misses_do_not_count() -> None:
+    planes = {Role.COLOUR: np.ones((300, 4, 3), np.float32), Role.DEPTH: np.full((300, 4, 1), np.inf, np.float32)}
+    frame = Frame(planes)
+    found, counts = mended(frame, tuple(planes))
+    assert found is frame and counts == {}
+    planes[Role.DEPTH][299, 3] = np.nan
+    assert mended(Frame(planes), tuple(planes))[1] == {Role.DEPTH: 1}
+    assert mended(Frame(planes), (Role.COLOUR,))[1] == {}
+
+
+@pytest.mark.parametrize("value", BAD, ids=str)
+@pytest.mark.parametrize("model", MODELS)
+def test_a_bad_pixel_stays_local(model: str, value: float, rooms: list[Frame], device: Device) -> None:
+    place = (48, 80)
+    found, wanted = (colours(frames[: AT + 1], model, device)[AT]
+                     for frames in (with_broken(rooms, value, place), rooms))
+    change, (most, reach) = difference(found, wanted), LOCAL[model]
+    y, x = np.mgrid[: change.shape[0], : change.shape[1]]
+    far = np.maximum(np.abs(y - 2 * place[0]), np.abs(x - 2 * place[1])) > reach
+    assert 0 < change.max() < most
+    assert change[far].max() < 1e-3
+
+
+@pytest.mark.parametrize("value", BAD, ids=str)
+@pytest.mark.parametrize("model", MODELS)
+def test_a_frame_without_a_number_is_forgotten(
+    model: str, value: float, rooms: list[Frame], device: Device
+) -> None:
+    """From the next frame on the picture is as near to that of the run without it as one of a run that begins there."""
+    unbroken = colours(rooms, model, device)
+    after = colours(with_broken(rooms, value), model, device)
+    fresh = [*unbroken[: AT + 1], *colours(rooms[AT + 1 :], model, device)]
+    for n in range(AT + 1, len(rooms)):
+        assert display_psnr(after[n], unbroken[n]) > display_psnr(fresh[n], unbroken[n]) - LOST
+    assert display_psnr(after[-1], unbroken[-1]) > 40
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_firefly_does_not_stay(model: str, rooms: list[Frame], device: Device) -> None:
+    """It cannot be told from light; what it adds around it fades."""
+    place, around = (48, 80), (slice(64, 130), slice(128, 194))
+    unbroken, after = (colours(frames, model, device) for frames in (rooms, with_broken(rooms, FIREFLY, place)))
+    first, last = (np.abs(after[n] - unbroken[n])[around].sum() for n in (AT, len(rooms) - 1))
+    assert last < first / 2
+    assert display_psnr(after[-1], unbroken[-1]) > 40
+
+
+def test_bad_pixels_are_counted(rooms: list[Frame], device: Device) -> None:
+    chain = pipeline("s.fp32", device)
+    chain(rooms[0])
+    assert chain.broken == {}
+    frame = changed(changed(rooms[1], Role.COLOUR, np.nan, (slice(3, 5), 7)), Role.NORMAL, np.inf, (0, 0, 1))
+    chain(frame)
+    assert chain.broken == {Role.COLOUR: 2, Role.NORMAL: 1}
+    chain(rooms[2])
+    assert chain.broken == {}

@@ -1,0 +1,106 @@
+"""Every pass on frames that no renderer should write: what comes out is finite and in range."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postfx.frame import Frame, Role
+from postfx.passes.base import Pass
+from postfx.passes.display import Display
+from postfx.passes.overlay import Overlay
+from postfx.passes.tonemap import ToneMap
+from postfx.passes.view import View
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from tests.passes.denoise_frames import noisy
+from tests.stress.scenes import HARD, LIGHTS, MODELS, SIZES, pipeline
+
+BRIGHTEST = 2e4
+"""Exposed light that the denoiser's output stays below: it keeps 1e4 times reflectance, which it takes to be below 2
+here, and which its filters do not enlarge."""
+DISPLAYS = {
+    "tonemap": lambda: ToneMap(), "tonemap, a network": lambda: ToneMap(tag="local"), "view": lambda: View(),
+    "view for HDR": lambda: View(view="reinhard", display="pq"), "display": lambda: Display(),
+    "display for HDR": lambda: Display(display="hlg"),
+}
+
+
+@pytest.fixture(scope="module", params=MODELS)
+def denoiser(request: pytest.FixtureRequest, device: Device) -> Pipeline:
+    return pipeline(request.param, device, "auto")
+
+
+@pytest.fixture(scope="module", params=DISPLAYS)
+def shown(request: pytest.FixtureRequest, device: Device) -> Pipeline:
+    return Pipeline([DISPLAYS[request.param]()], device, cuts="none")
+
+
+def assert_light(colour: np.ndarray, exposure: float) -> None:
+    assert np.isfinite(colour).all()
+    assert colour.min() >= 0 and colour.max() * exposure <= BRIGHTEST
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_denoised_light_is_finite_and_in_range(name: str, denoiser: Pipeline) -> None:
+    """Also the frame after, which has such a history."""
+    denoiser.reset()
+    frames = [HARD[name](noisy(number, 24, 32)) for number in (1, 2)] + [noisy(3, 24, 32)]
+    for frame in frames:
+        assert_light(denoiser(frame)[Role.COLOUR], denoiser.exposure)
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_shown_light_is_within_the_display(name: str, shown: Pipeline) -> None:
+    shown.reset()
+    frame = LIGHTS[name](noisy(1, 24, 32))
+    colour = shown(Frame({Role.COLOUR: frame[Role.COLOUR]}))[Role.COLOUR]
+    assert np.isfinite(colour).all() and colour.min() >= 0 and colour.max() <= 1
+
+
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+@pytest.mark.parametrize("scale", [1, 1.5, 2, 3])
+def test_sizes(size: tuple[int, int], scale: float, device: Device) -> None:
+    chain = Pipeline([*pipeline("s.fp32", device, scale=scale).passes, ToneMap(), Display(display="p3")], device)
+    for number in (1, 2):
+        colour = chain(noisy(number, *size))[Role.COLOUR]
+        assert colour.shape == (round(size[0] * scale), round(size[1] * scale), 3)
+        assert np.isfinite(colour).all() and colour.min() >= 0 and colour.max() <= 1
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0, 1e-42, 65504.0, 1e10])
+def test_overlays_and_alpha(bad: float, device: Device) -> None:
+    """Resampled to the output's size and composited, broken overlays cover nothing that is finite."""
+    frame = noisy(1, 24, 32, (Role.COLOUR, Role.ALPHA))
+    overlay = np.random.default_rng(1).random((24, 32, 4), np.float32)
+    overlay[::3, ::2] = bad
+    overlay[1::3, ::2, 3] = bad
+    frame = replace(frame, planes={**frame.planes, Role.OVERLAY: overlay})
+    passes: list[Pass] = [*pipeline("s.fp32", device).passes, Overlay()]
+    for chain in (Pipeline(passes, device), Pipeline([Overlay()], device)):
+        result = chain(frame)
+        assert np.isfinite(result[Role.COLOUR]).all()
+        assert result[Role.ALPHA].min() >= 0 and result[Role.ALPHA].max() <= 1
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_resets_in_turn(model: str, device: Device) -> None:
+    """A frame that begins a shot is the same whatever came before it."""
+    frames = [replace(noisy(number % 3, 24, 32), number=number, reset=number % 2 == 0) for number in range(8)]
+    chain = pipeline(model, device)
+    found = [chain(frame)[Role.COLOUR] for frame in frames]
+    np.testing.assert_array_equal(found[0], found[6])
+    assert all(np.isfinite(colour).all() for colour in found)
+    fresh = pipeline(model, device)
+    np.testing.assert_array_equal(found[4], fresh(frames[4])[Role.COLOUR])
+    np.testing.assert_array_equal(found[5], fresh(frames[5])[Role.COLOUR])
+
+
+def test_strength_0_keeps_hard_light(device: Device) -> None:
+    """Only resampled: exactly the light that came in, up to the largest float, where it is the same all over."""
+    chain = pipeline("s.fp32", device, strength=0.0)
+    for value in (0.0, 1e-42, 65504.0, 1e10, 1e37):
+        frame = Frame({Role.COLOUR: np.full((5, 7, 3), value, np.float32)})
+        np.testing.assert_allclose(chain(frame)[Role.COLOUR], np.float32(value), rtol=1e-6)
