@@ -212,7 +212,6 @@ class Job:
             self._written.append(str(path))
             progress.advance(str(path))
 
-
     def _first_alone(self) -> Shares | None:
         """What the first frame leaves as it is, where that is asked for."""
         asked = self.sequence.leave and Role.STRENGTH in self.plan.planes

@@ -1,0 +1,84 @@
+"""Kernels in float32 against their own definitions in float64: errors have bounds, which docs/reliability.md shows."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from postfx.kernels.kernel import Kernel
+from postfx.runtime import Device
+from tests.kernels import denoise_cases, tonemap_cases
+
+torch = pytest.importorskip("torch")
+
+from tests.kernels.test_tonemap_kernels import DEFINITIONS as TONE  # noqa: E402
+from training.export_denoise import KERNELS as DENOISE  # noqa: E402
+
+PAGE = Path(__file__).resolve().parent.parent.parent / "docs/reliability.md"
+ROUNDED = 2e-7
+"""Bound of kernels that do a handful of operations a value: twice the spacing of float32 below 1, 1.2e-7, at most."""
+BOUNDS = {
+    "denoise_dilate": 0.0, "denoise_reflections": 0.0, "denoise_spread": 0.0, "denoise_assemble": 0.0,
+    "denoise_pack": 0.0, "checkerboard": 0.0,
+    "denoise_scale": ROUNDED, "denoise_guides": ROUNDED, "denoise_accumulate": ROUNDED, "denoise_mix": ROUNDED,
+    "denoise_remodulate": ROUNDED, "denoise_judge": ROUNDED, "denoise_detail": ROUNDED, "denoise_restore": ROUNDED,
+    "denoise_strength": ROUNDED, "denoise_keep": ROUNDED, "denoise_open": ROUNDED, "denoise_open_fine": ROUNDED,
+    "overlay_over": ROUNDED, "overlay_over_alpha": ROUNDED, "smooth": ROUNDED, "apply_cube": 5e-7, "lowres": 5e-7,
+    "encode_display": 5e-7, "denoise_pool": 5e-7, "denoise_filter": 5e-7, "denoise_resize": 5e-7,
+    "denoise_reactive": 5e-7, "denoise_history": 2e-6, "denoise_features": 5e-6, "denoise_upsample": 2e-6,
+    "denoise_upsample_guided": 2e-6, "resample": 5e-6, "slice_apply": 1e-5, "overlay_enlarge": 2e-5,
+}
+"""Kernel -> largest error of an element by the largest value of its plane."""
+CASES = (denoise_cases.Case(17, 5, 34, 10), denoise_cases.Case(20, 24, 39, 48), denoise_cases.Case(33, 47, 66, 94),
+         denoise_cases.Case(64, 64, 128, 128))
+ROW = re.compile(r"^\| (?P<bound>\S+) \| (?P<names>`\w+`(?:, `\w+`)*) \|$", re.MULTILINE)
+
+
+def exact(definition: type, inputs: list[np.ndarray]) -> list[np.ndarray]:
+    """What a definition gives in float64 of the same numbers, also where it says float32."""
+    wide = [torch.from_numpy(value).to(_wide(value)) for value in inputs]
+    as_float64 = patch.multiple(torch.Tensor, float=torch.Tensor.double), patch.object(torch, "float32", torch.float64)
+    with torch.no_grad(), as_float64[0], as_float64[1]:
+        found = definition().double()(*wide)
+    return [value.numpy() for value in (found if isinstance(found, tuple) else (found,))]
+
+
+def _wide(value: np.ndarray) -> torch.dtype:
+    return torch.float64 if value.dtype == np.float32 else torch.from_numpy(value).dtype
+
+
+def assert_near(kernel: Kernel, name: str, found: np.ndarray, wanted: np.ndarray) -> None:
+    assert wanted.dtype == (np.float64 if found.dtype == np.float32 else found.dtype)
+    error = np.abs(found.astype(np.float64) - wanted.astype(np.float64)).max()
+    assert error <= BOUNDS[kernel.name] * np.abs(wanted).max(), f"{kernel.name}: {name} {error / np.abs(wanted).max()}"
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+@pytest.mark.parametrize("kernel", denoise_cases.KERNELS, ids=lambda kernel: kernel.name)
+def test_error_of_the_upscalers_kernels(kernel: Kernel, case: denoise_cases.Case, device: Device) -> None:
+    inputs = denoise_cases.arguments(kernel, case)
+    results = exact(DENOISE[kernel], [inputs[name] for name in kernel.reads])
+    wanted = denoise_cases.in_frame(kernel, dict(zip(kernel.writes, results, strict=True)), case)
+    for name, found in denoise_cases.run(kernel, device, inputs, case).items():
+        assert_near(kernel, name, found, wanted[name])
+
+
+@pytest.mark.parametrize("kernel", TONE, ids=lambda kernel: kernel.name)
+def test_error_of_the_tone_mappers_kernels(kernel: Kernel) -> None:
+    for size in tonemap_cases.sizes(kernel)[:3]:
+        inputs = list(tonemap_cases.arguments(kernel, *size).values())
+        (wanted,) = exact(TONE[kernel], inputs)
+        found = np.full(wanted.shape, np.nan, np.float32)
+        kernel.rows(0, found.shape[kernel.row_axis[1]], *inputs, found)
+        assert_near(kernel, kernel.writes[0], found, wanted)
+
+
+def test_the_table_has_the_bounds_that_are_asserted() -> None:
+    rows = [(float(row["bound"]), re.findall(r"`(\w+)`", row["names"])) for row in
+            ROW.finditer(PAGE.read_text(encoding="utf-8"))]
+    assert {name: bound for bound, names in rows for name in names} == BOUNDS
+    assert {kernel.name for kernel in (*denoise_cases.KERNELS, *TONE)} == set(BOUNDS)
