@@ -107,7 +107,7 @@ def _smooth(random: np.random.Generator, height: int, width: int) -> np.ndarray:
 
 
 def display_psnr(found: np.ndarray, wanted: np.ndarray, exposure: float = 1.0) -> float:
-    """PSNR in dB of exposed light compressed by x / (1 + x)."""
+    """PSNR in dB of exposed light compressed by x / (1 + x), at most 160."""
     shown = [exposure * light.astype(np.float64) / (1 + exposure * light.astype(np.float64))
              for light in (found, wanted)]
-    return float(-10 * np.log10(np.mean((shown[0] - shown[1]) ** 2)))
+    return float(-10 * np.log10(np.mean((shown[0] - shown[1]) ** 2) + 1e-16))
