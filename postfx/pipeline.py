@@ -82,7 +82,7 @@ class Pipeline:
         if not plan.steps:
             self.timings, self.exposure, self.cut, self.broken = {}, None, False, {}
             return dataclasses.replace(frame)
-        frame, self.broken = mended(frame, plan.planes)
+        frame, self.broken = mended(frame, plan.planes, self.device.scratch)
         self.cut = self._is_cut(frame)
         if self.cut:
             frame = dataclasses.replace(frame, reset=True)

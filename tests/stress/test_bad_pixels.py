@@ -10,6 +10,7 @@ import pytest
 from postfx.broken import mended
 from postfx.frame import Frame, Role
 from postfx.runtime import Device
+from postfx.scratch import Scratch
 from tests.stress.scenes import MODELS, colours, display_psnr, pipeline
 
 BAD = (np.nan, np.inf, -np.inf)
@@ -52,6 +53,15 @@ def test_pixels_are_mended_by_the_mean_of_their_neighbours(value: float) -> None
     unchanged[4, 5] = unchanged[0, 0] = False
     np.testing.assert_array_equal(found[Role.COLOUR][unchanged], colour[unchanged])
     assert not np.isfinite(broken[4, 5, 1])  # the frame that was given is as it was
+
+
+def test_pixels_are_mended_within_a_budget() -> None:
+    colour = np.random.default_rng(1).random((600, 40, 3), np.float32)
+    colour[5, 5], colour[599, 7] = np.nan, np.inf
+    frame = Frame({Role.COLOUR: colour})
+    found, wanted = (mended(frame, (Role.COLOUR,), scratch) for scratch in (Scratch("1M"), None))
+    np.testing.assert_array_equal(found[0][Role.COLOUR], wanted[0][Role.COLOUR])
+    assert found[1] == wanted[1] == {Role.COLOUR: 2} and np.isfinite(found[0][Role.COLOUR]).all()
 
 
 def test_a_sun_that_overflowed_keeps_its_shape() -> None:
