@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 
+from postfx.bench.errors import BenchError
+
 HELP = "measure run time against error on a sequence with references"
 DESCRIPTION = """\
 Measure run time against error: this project's networks, Open Image Denoise, accumulation and plain enlargement, side by
@@ -28,6 +30,7 @@ examples:
   postfx bench shot/noisy.####.exr --reference shot/reference.####.exr -o out/bench --methods ours,oidn-high --models m
   postfx bench shot/noisy.####.exr --guides shot/guides.####.exr --reference shot/reference.####.exr -o out/bench
   postfx bench shot/noisy.####.exr --reference shot/reference.####.exr -o out/bench --threads 1 --runs 5 --json
+  postfx bench shot/noisy.####.exr --frames 1-3 --stress
 
 writes OUT: bench.csv (a line a method), bench.json (everything, frame by frame), pareto_psnr.png, pareto_flicker.png,
 crops.png (details where methods differ most), crops_worst.png (details where ours is behind OIDN most, where there are
@@ -38,8 +41,10 @@ any) and the results under OUT/frames/METHOD/.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
     parser.add_argument("input", metavar="NOISY", help="noisy frames: a pattern, a folder or a file")
-    parser.add_argument("--reference", metavar="REF", required=True, help="references, numbered like the frames")
-    parser.add_argument("-o", "--output", metavar="OUT", required=True, help="folder for tables, plots and results")
+    parser.add_argument("--reference", metavar="REF", help="references, numbered like the frames")
+    parser.add_argument("-o", "--output", metavar="OUT", help="folder for tables, plots and results")
+    parser.add_argument("--stress", action="store_true", help="measure nothing: put what no renderer should write "
+                        "(NaN, 40 stops, motion of 1e6 pixels) into frames, and check what networks make of it")
     parser.add_argument("--guides", metavar="GUIDES", help="planes at output size, numbered like the frames")
     parser.add_argument("--frames", metavar="RANGE", help="frames to measure, e.g. 1-8")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile of NOISY (default: found)")
@@ -54,6 +59,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Measure; returns the exit code."""
+    if arguments.stress:
+        return _stress(arguments)
+    if not (arguments.reference and arguments.output):
+        raise BenchError("bench needs --reference and -o, or --stress: see postfx bench --help")
     from pathlib import Path
 
     from postfx.bench.job import Bench, Wish  # loads the runtime, which --help must not wait for
@@ -71,6 +80,18 @@ def execute(arguments: argparse.Namespace) -> int:
         pictures = ", ".join(sorted(path.name for path in wish.output.glob("*.png")))
         print(f"wrote {wish.output}: bench.csv, bench.json, {pictures}, frames/")
     return 0
+
+
+def _stress(arguments: argparse.Namespace) -> int:
+    from postfx.bench.stress import as_dict, as_text, stress
+    from postfx.io.sequence import Sequence
+    from postfx.runtime import Device
+
+    frames = list(Sequence(arguments.input, arguments.frames, arguments.profile))
+    models = arguments.models.split(",") if arguments.models else None
+    found = list(stress(frames, Device(arguments.device, arguments.threads), models))
+    print(json.dumps(as_dict(found)) if arguments.json else as_text(found))
+    return 0 if all(one.well for one in found) else 1
 
 
 def _positive(text: str) -> int:

@@ -56,9 +56,9 @@ ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-8)
 
 @vectorised
 def blend_rows(current, warped, trust, darken, history, output):
-    """Blend with the reprojected history and decode, all channels interleaved."""
+    """Blend with the reprojected history and decode, all channels interleaved; rounding makes no light negative."""
     for i in range(history.size):
-        history[i] = current[i] + (warped[i] - current[i]) * trust[i]
+        history[i] = max(current[i] + (warped[i] - current[i]) * trust[i], ZERO)
     for i in range(history.size):
         output[i] = expm1(history[i]) * darken
 

@@ -1,4 +1,4 @@
-"""What `postfx run` says about pixels that are not finite."""
+"""What is said about pixels that are not finite: by `postfx run`, and by `postfx bench --stress`, which makes them."""
 
 import json
 
@@ -23,3 +23,14 @@ def test_pixels_that_are_not_finite_are_reported(postfx, write_exr, tmp_path):
     events = map(json.loads, (tmp_path / "log.jsonl").read_text().splitlines())
     assert [event["broken"] for event in events if event["event"] == "frame"] == [
         {}, {"colour": 2, "normal": 1}, {"colour": 2, "normal": 1}]
+
+
+def test_hard_inputs_are_checked(postfx, shot):
+    shot(1, 2)
+    stress = ("bench", "in/shot.####.exr", "--stress", "--models", "s.fp32")
+    done = postfx(*stress)
+    assert done.code == 0 and done.out.startswith("s.fp32: 34 of 34 hard inputs give light in range")
+    assert postfx(*stress, "--json").json["well"] is True
+    wrong = postfx("bench", "in/shot.####.exr")
+    assert (wrong.code, wrong.err.strip()) == (
+        2, "error: bench needs --reference and -o, or --stress: see postfx bench --help")

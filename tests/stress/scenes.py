@@ -1,8 +1,7 @@
-"""Pictures for the stress tests: a small scene with exact motion, and values that no frame should hold."""
+"""Pictures for the stress tests: the sample and a small scene with exact motion; and pipelines of the denoiser."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,52 +12,12 @@ from postfx.io.sequence import read_sequence
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
-from tests.passes.denoise_frames import flat, noisy
+from tests.passes.denoise_frames import flat
 
 ROOM = Path(__file__).resolve().parent.parent.parent / "samples/room"
 MODELS = ("s.fp32", "m.int8")
 
 
-def _set(**planes: float | Callable[[np.ndarray], np.ndarray]) -> Callable[[Frame], Frame]:
-    """Replaces whole planes by a value, or by a function of them."""
-
-    def change(frame: Frame) -> Frame:
-        changed = {}
-        for name, value in planes.items():
-            plane = frame[Role(name)]
-            changed[Role(name)] = value(plane) if callable(value) else np.full_like(plane, value)
-        return replace(frame, planes={**frame.planes, **changed})
-
-    return change
-
-
-def _fireflies(colour: np.ndarray) -> np.ndarray:
-    spotted = colour.copy()
-    spotted[::7, ::5] = 1e6
-    return spotted
-
-
-MISSES = dict(depth=1e10, normal=0, diffuse_albedo=0, specular_albedo=0, roughness=0, motion=0)
-EXPOSURES = (-40, -20, 20, 40)
-LIGHTS = {f"{ev:+d} EV": _set(colour=lambda c, ev=ev: np.float32(c * 2.0**ev)) for ev in EXPOSURES} | {
-    "black": _set(colour=0), "denormal": _set(colour=1e-42), "constant": _set(colour=0.5),
-    "largest half": _set(colour=65504), "1e10": _set(colour=1e10), "largest float": _set(colour=3.4e38),
-    "negative": _set(colour=lambda c: -c), "NaN": _set(colour=np.nan), "infinite": _set(colour=np.inf),
-    "minus infinite": _set(colour=-np.inf), "fireflies": _set(colour=_fireflies),
-}
-HARD = LIGHTS | {
-    "normals 0": _set(normal=0), "normals NaN": _set(normal=np.nan),
-    "albedos 0": _set(diffuse_albedo=0, specular_albedo=0),
-    "albedos broken": _set(diffuse_albedo=np.nan, specular_albedo=np.inf),
-    "roughness 0": _set(roughness=0), "roughness NaN": _set(roughness=np.nan),
-    "depth 0": _set(depth=0), "depth infinite": _set(depth=np.inf), "depth NaN": _set(depth=np.nan),
-    "depth denormal": _set(depth=1e-42), "depth negative": _set(depth=-1),
-    "motion 1e6": _set(motion=1e6), "motion -1e6": _set(motion=-1e6), "motion 9e4": _set(motion=9e4),
-    "motion NaN": _set(motion=np.nan), "motion infinite": _set(motion=np.inf),
-    "misses": _set(**MISSES), "black misses": _set(colour=0, **MISSES),
-    "everything NaN": _set(**dict.fromkeys(map(str, noisy(1, 2, 2).planes), np.nan)),
-}
-"""Name -> what it makes of a frame; of its colour alone in LIGHTS."""
 SIZES = ((1, 1), (1, 40), (40, 1), (2, 3), (13, 17), (31, 29), (3, 257), (199, 2))
 """Heights and widths: single pixels and rows, odd and prime sides, extreme aspects."""
 

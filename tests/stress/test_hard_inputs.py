@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from postfx.bench.stress import BRIGHTEST, HARD, LIGHTS, Outcome, as_dict, as_text, stress, tags
 from postfx.frame import Frame, Role
 from postfx.passes.base import Pass
 from postfx.passes.display import Display
@@ -16,11 +17,8 @@ from postfx.passes.view import View
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import noisy
-from tests.stress.scenes import HARD, LIGHTS, MODELS, SIZES, pipeline
+from tests.stress.scenes import MODELS, SIZES, pipeline
 
-BRIGHTEST = 2e4
-"""Exposed light that the denoiser's output stays below: it keeps 1e4 times reflectance, which it takes to be below 2
-here, and which its filters do not enlarge."""
 DISPLAYS = {
     "tonemap": lambda: ToneMap(), "tonemap, a network": lambda: ToneMap(tag="local"), "view": lambda: View(),
     "view for HDR": lambda: View(view="reinhard", display="pq"), "display": lambda: Display(),
@@ -104,3 +102,14 @@ def test_strength_0_keeps_hard_light(device: Device) -> None:
     for value in (0.0, 1e-42, 65504.0, 1e10, 1e37):
         frame = Frame({Role.COLOUR: np.full((5, 7, 3), value, np.float32)})
         np.testing.assert_allclose(chain(frame)[Role.COLOUR], np.float32(value), rtol=1e-6)
+
+
+def test_report_of_all_hard_inputs(device: Device) -> None:
+    found = list(stress([noisy(1, 12, 16), noisy(2, 12, 16)], device, ["s.int8"]))
+    assert [one.case for one in found] == list(HARD) and all(one.well for one in found)
+    assert as_text(found) == f"s.int8: {len(HARD)} of {len(HARD)} hard inputs give light in range"
+    worse = [*found[:-1], Outcome("s.int8", "everything NaN", float("nan"), False)]
+    assert as_text(worse).endswith("\n  everything NaN: not in range, largest exposed light nan")
+    assert as_dict(found)["well"] and not as_dict(worse)["well"]
+    assert as_dict(worse)["outcomes"][-1]["highest"] is None
+    assert {"s.fp32", "s.int8", "m.fp32", "m.int8"} <= set(tags(device))

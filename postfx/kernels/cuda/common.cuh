@@ -278,7 +278,7 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
 // Blends one channel with the reprojected history and decodes it; `at` counts floats.
 __device__ inline void blend_history(float current, float kept, size_t at, float darken, const View& warped,
                                      const View& output, const View& history) {
-    const float blended = current + (warped.at[at] - current) * kept;
+    const float blended = fmaxf(current + (warped.at[at] - current) * kept, 0.0f);  // rounding, no negative light
     history.at[at] = blended;
     output.at[at] = expm1f(blended) * darken;
 }
