@@ -9,6 +9,7 @@ import pytest
 
 from postfx.bench.stress import BRIGHTEST, HARD, LIGHTS, Outcome, as_dict, as_text, stress, tags
 from postfx.frame import Frame, Role
+from postfx.io.sequence import read_sequence
 from postfx.passes.base import Pass
 from postfx.passes.display import Display
 from postfx.passes.overlay import Overlay
@@ -17,7 +18,7 @@ from postfx.passes.view import View
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import noisy
-from tests.stress.scenes import MODELS, SIZES, pipeline
+from tests.stress.scenes import MODELS, ROOM, SIZES, pipeline
 
 DISPLAYS = {
     "tonemap": lambda: ToneMap(), "tonemap, a network": lambda: ToneMap(tag="local"), "view": lambda: View(),
@@ -102,6 +103,14 @@ def test_strength_0_keeps_hard_light(device: Device) -> None:
     for value in (0.0, 1e-42, 65504.0, 1e10, 1e37):
         frame = Frame({Role.COLOUR: np.full((5, 7, 3), value, np.float32)})
         np.testing.assert_allclose(chain(frame)[Role.COLOUR], np.float32(value), rtol=1e-6)
+
+
+def test_dim_light_after_bright_light_is_not_negative(device: Device) -> None:
+    """Differences of logarithms of light 16 stops apart are rounded."""
+    first, second, last = list(read_sequence(ROOM / "noisy.####.exr", "1-3"))
+    chain = pipeline("s.fp32", device, "auto")
+    for frame in (LIGHTS["largest half"](first), LIGHTS["largest half"](second), last):
+        assert_light(chain(frame)[Role.COLOUR], chain.exposure)
 
 
 def test_report_of_all_hard_inputs(device: Device) -> None:
