@@ -12,7 +12,7 @@ from postfx.errors import FrameError, GuideError
 from postfx.frame import Frame, Role
 from postfx.integrate import jitter_sequence
 from postfx.passes._denoise_frame import Frames
-from postfx.passes._denoise_history import Room
+from postfx.passes._denoise_history import CHANNELS, Room
 from postfx.passes._denoise_window import Sizes
 from postfx.passes.base import MOST_SIZES, PassOptionError
 from postfx.passes.denoise_upscale import DenoiseUpscale
@@ -131,7 +131,7 @@ def test_the_history_has_room_for_larger_frames_too(device: Device) -> None:
 
 
 def test_nothing_of_the_memory_is_taken_for_another_size() -> None:
-    room = Room(Device("cpu", threads=1), 12)
+    room = Room(Device("cpu", threads=1), 12, CHANNELS)
     wide, high = room.of((2, 6)), room.of((4, 3))
     assert wide["state"].shape == (2, 6, 12) and high["last_depth"].shape == (4, 3, 1)
     assert room.of((2, 6)) is wide

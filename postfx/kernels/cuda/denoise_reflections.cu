@@ -92,7 +92,7 @@ __device__ inline bool reflects(const View& diffuse, const View& specular, const
     return share > 0.0f && roughness.at[pixel] <= 0.3f;
 }
 
-__device__ inline float known(float value) {
+__device__ inline float plausible(float value) {
     return value > -1e5f && value < 1e5f ? value : 0.0f;
 }
 
@@ -102,7 +102,7 @@ extern "C" __global__ void denoise_reflections(View motion, View depth, View nor
     const int h = depth.size[0], w = depth.size[1];
     PIXEL(w, h);
     const size_t pixel = size_t(y) * w + x;
-    const Pair stored = pair(motion, pixel), own = {known(stored.x), known(stored.y)};
+    const Pair stored = pair(motion, pixel), own = {plausible(stored.x), plausible(stored.y)};
     pair(reflected, pixel) = own;
     const float z = depth.at[pixel];
     if (!(hit_distance.at[pixel] > 0.0f && z > 0.0f && z < 1e9f) ||
