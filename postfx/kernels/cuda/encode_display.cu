@@ -1,6 +1,6 @@
 // Colour (height, width, 3) to a display's code values: decoded if it is code values, turned by a matrix, cut, encoded.
 // params (12,), decode (4098,), encode (4098,): see postfx/kernels/encode_display.py.
-const float STEPS = 4096.0f, LARGEST = 1e10f;
+const float STEPS = 4096.0f, BRIGHTEST = 1e10f;
 
 // A table between its entries, at a share of it in [0, 1].
 __device__ inline float looked_up(const View& table, float share) {
@@ -23,7 +23,7 @@ extern "C" __global__ void encode_display(View colour, View params, View decode,
     const int here = 3 * (y * width + x);
     float in[3], light[3];
     for (int c = 0; c < 3; c++) {
-        in[c] = clamped(colour.at[here + c], -LARGEST, LARGEST);
+        in[c] = clamped(colour.at[here + c], -BRIGHTEST, BRIGHTEST);
         if (codes) in[c] = looked_up(decode, fminf(fmaxf(in[c], 0.0f), 1.0f));
     }
     for (int c = 0; c < 3; c++)
