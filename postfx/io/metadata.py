@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from fractions import Fraction
 from typing import Any
 
@@ -59,10 +60,11 @@ def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
     """Put attributes into an image's spec with the EXR types they had; values of other types are left out."""
     for name, value in attributes.items():
         kind = _NAMED_TYPES.get(name) or _type_of(value)
-        if kind == "rational":
-            value = Fraction(value).limit_denominator(1001).as_integer_ratio()
-        if kind:
-            spec.attribute(_STORED_NAMES.get(name, name), oiio.TypeDesc(kind), value)
+        with suppress(TypeError, ValueError):  # not what its name promises, or text that is none
+            if kind == "rational":
+                value = Fraction(value).limit_denominator(1001).as_integer_ratio()
+            if kind:
+                spec.attribute(_STORED_NAMES.get(name, name), oiio.TypeDesc(kind), value)
 
 
 def _type_of(value: Any) -> str:
