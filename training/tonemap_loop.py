@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
@@ -117,16 +117,21 @@ def score(out: torch.Tensor, wanted: np.ndarray) -> float:
 
 
 def train(
-    net: HDRNet, source: Source, recipe: Recipe, held: dict[str, np.ndarray], wanted: dict[str, np.ndarray]
+    net: HDRNet,
+    source: Source,
+    recipe: Recipe,
+    held: dict[str, np.ndarray],
+    wanted: dict[str, np.ndarray],
+    clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[tuple[HDRNet, Report]]:
     """Train for `recipe.seconds`; yields the averaged network and a report every `recipe.every` seconds and at last."""
     shaper, average = default_shaper(net.cube.device), copy.deepcopy(net).requires_grad_(False)
     trained = [p for p in net.parameters() if p.requires_grad]
     averaged = [a for a, p in zip(average.parameters(), net.parameters(), strict=True) if p.requires_grad]
     optimizer = torch.optim.AdamW(trained, lr=recipe.rate, weight_decay=1e-4)
-    start, last, step, since, sums = time.time(), 0.0, 0, 0, torch.zeros(2, device=net.cube.device)
+    start, last, step, since, sums = clock(), 0.0, 0, 0, torch.zeros(2, device=net.cube.device)
     while True:
-        elapsed = time.time() - start
+        elapsed = clock() - start
         progress = min(1.0, elapsed / recipe.seconds)
         if elapsed - last >= recipe.every or progress >= 1:
             picture, consistency = (sums / max(1, since)).tolist()
