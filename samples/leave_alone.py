@@ -30,10 +30,6 @@ def noisy_sky(frame: postfx.Frame, noise: float) -> postfx.Frame:
     return replace(frame, planes={**frame.planes, Role.COLOUR: colour})
 
 
-def with_strength(frame: postfx.Frame, plane: np.ndarray) -> postfx.Frame:
-    return replace(frame, planes={**frame.planes, Role.STRENGTH: plane})
-
-
 def main() -> None:
     wanted = f"1-{sys.argv[1] if len(sys.argv) > 1 else 8}"
     frames = list(postfx.read_sequence(ROOM / "noisy.####.exr", wanted))

@@ -106,8 +106,7 @@ class Errors:
     """Errors against a reference of two independent halves, whose noise is taken out. Images are (H, W, 3)."""
 
     def __init__(self, half_a: np.ndarray, half_b: np.ndarray, exposure: float) -> None:
-        self._exposure, self._halves = exposure, (half_a, half_b)
-        self._mean = (half_a + half_b) / 2
+        self._exposure, self._mean = exposure, (half_a + half_b) / 2
         self.noise = {name: self._square(name, half_a, half_b) / 4 for name in MEASURES}
 
     def __call__(self, image: np.ndarray) -> dict[str, float]:

@@ -11,8 +11,6 @@ import numpy as np
 from postfx.bench.errors import BenchError, require
 from postfx.frame import Frame, Role
 
-QUALITIES = ("fast", "balanced", "high")
-
 
 class Oidn:
     """Denoises frames of one size one by one, with albedo and normal as clean auxiliary images where there are any.

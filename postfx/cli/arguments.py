@@ -5,6 +5,17 @@ from __future__ import annotations
 import argparse
 
 
+def from_zero(text: str) -> float:
+    """A number from 0, as argparse's `type`."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = -1.0
+    if not number >= 0:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number from 0")
+    return number
+
+
 def add_depth(parser: argparse._ActionsContainer) -> None:
     """Add --depth, the text for `postfx.io.depth.parse_depth`."""
     parser.add_argument(

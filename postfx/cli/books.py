@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from postfx.cli.arguments import from_zero
+
 if TYPE_CHECKING:
     from postfx.runs.run import Options
 
@@ -38,15 +40,7 @@ def options_of(arguments: argparse.Namespace) -> Options:
 
 
 def _seconds(text: str) -> float | None:
-    if text == "none":
-        return None
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = -1.0
-    if not seconds >= 0:
-        raise argparse.ArgumentTypeError(f"'{text}' is no number of seconds from 0: give one, or none")
-    return seconds
+    return None if text == "none" else from_zero(text)
 
 
 def _rerun(text: str) -> str | int:

@@ -6,6 +6,8 @@ import argparse
 import json
 from typing import TYPE_CHECKING
 
+from postfx.cli.arguments import from_zero
+
 if TYPE_CHECKING:
     from postfx.report.bisect import Comparison
 
@@ -34,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("a", metavar="A", help="capture.json or its folder")
     parser.add_argument("b", metavar="B", help="the reference, likewise")
     parser.add_argument(
-        "--tolerance", type=_tolerance, default=1e-3, metavar="X", help="largest relative error allowed (default: 1e-3)"
+        "--tolerance", type=from_zero, default=1e-3, metavar="X", help="largest relative error allowed (default: 1e-3)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -66,13 +68,3 @@ def _verdict(found: Comparison) -> str:
     what += f" {first.node} of" if first.node else ""
     where = f"{what} command {first.index} '{first.label}' ({first.command})"
     return f"first difference over {found.tolerance:g}: '{first.tensor}' {where}, {first.error:.3g} at {first.place}"
-
-
-def _tolerance(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not value >= 0:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number from 0")
-    return value

@@ -104,10 +104,6 @@ class Header:
         """Replace or add an attribute of type string."""
         self.set(name, "string", raw(value))
 
-    def set_window(self, name: str, window: Window) -> None:
-        """Replace or add an attribute of type box2i."""
-        self.set(name, "box2i", struct.pack("<4i", *window))
-
     def packed(self) -> bytes:
         """The header as a file holds it."""
         entries = [raw(name) + b"\0" + raw(kind) + b"\0" + struct.pack("<i", len(value)) + value
