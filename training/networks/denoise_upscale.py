@@ -218,7 +218,7 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
     current = (detail + sharpen * (detail - soft)).clamp(min=0)
     if factor is not None:
         current = ops.log_encode(torch.expm1(current) * factor)
-    return torch.lerp(warped, current, 1 - inside * (1 - blend))
+    return torch.lerp(warped, current, 1 - inside * (1 - blend)).clamp(min=0)  # rounding makes no light negative
 
 
 class DenoiseUpscale(nn.Module):
