@@ -1,21 +1,28 @@
-"""Kernels in float32 against their own definitions in float64: errors have bounds, which docs/reliability.md shows."""
+"""Kernels in float32 against their own definitions in float64: errors have bounds, which docs/reliability.md shows.
+
+Three ways to compute them: compiled rows, portable definitions by ONNX Runtime, and CUDA sources, run on the host.
+"""
 
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
+import onnxruntime
 import pytest
 
 from postfx.kernels.denoise_reflections import REFLECTIONS
 from postfx.kernels.kernel import Kernel
+from postfx.paths import models_dir
 from postfx.runtime import Device
-from tests.kernels import denoise_cases, tonemap_cases
+from tests.kernels import denoise_cases, host_cuda, tonemap_cases
 
 torch = pytest.importorskip("torch")
 
+from tests.kernels.test_cuda_kernels import by_cuda  # noqa: E402
 from tests.kernels.test_tonemap_kernels import DEFINITIONS as TONE  # noqa: E402
 from training.export_denoise import KERNELS as DENOISE  # noqa: E402
 
@@ -34,6 +41,9 @@ BOUNDS = {
     "denoise_upsample_guided": 2e-6, "resample": 5e-6, "slice_apply": 1e-5, "overlay_enlarge": 2e-5,
 }
 """Kernel -> largest error of an element by the largest value of what is written."""
+PORTABLE_HISTORY = 1e-5
+"""That of the portable `denoise_history`: ONNX takes positions from -1 to 1 over the picture, which are rounded."""
+WAYS = ("compiled", "portable", "CUDA")
 HELD = [kernel for kernel in denoise_cases.KERNELS if kernel is not REFLECTIONS]
 """Without the one that does nothing on random planes: tests/passes/test_denoise_reflections.py has a scene for it."""
 CASES = (denoise_cases.Case(17, 5, 34, 10), denoise_cases.Case(20, 24, 39, 48), denoise_cases.Case(33, 47, 66, 94),
@@ -54,34 +64,73 @@ def _wide(value: np.ndarray) -> torch.dtype:
     return torch.float64 if value.dtype == np.float32 else torch.from_numpy(value).dtype
 
 
-def assert_near(kernel: Kernel, name: str, found: np.ndarray, wanted: np.ndarray) -> None:
-    assert wanted.dtype == (np.float64 if found.dtype == np.float32 else found.dtype)
-    error = np.abs(found.astype(np.float64) - wanted.astype(np.float64)).max()
-    assert error <= BOUNDS[kernel.name] * np.abs(wanted).max(), f"{kernel.name}: {name} {error / np.abs(wanted).max()}"
+@cache
+def exact_upscaler(kernel: Kernel, case: denoise_cases.Case) -> dict[str, np.ndarray]:
+    inputs = denoise_cases.arguments(kernel, case)
+    results = exact(DENOISE[kernel], [inputs[name] for name in kernel.reads])
+    return denoise_cases.in_frame(kernel, dict(zip(kernel.writes, results, strict=True)), case)
+
+
+def has_cuda(kernel: Kernel) -> bool:
+    return host_cuda.COMPILER is not None and (host_cuda.FOLDER / f"{kernel.name}.cu").exists()
+
+
+def bound(kernel: Kernel, way: str) -> float:
+    return PORTABLE_HISTORY if (kernel.name, way) == ("denoise_history", "portable") else BOUNDS[kernel.name]
+
+
+def assert_near(kernel: Kernel, way: str, found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> None:
+    for name, value in found.items():
+        assert wanted[name].dtype == (np.float64 if value.dtype == np.float32 else value.dtype)
+        error = np.abs(value.astype(np.float64) - wanted[name].astype(np.float64)).max() / np.abs(wanted[name]).max()
+        assert error <= bound(kernel, way), f"{kernel.name}, {way}: {name} {error:.2g}"
+
+
+@pytest.fixture(scope="module")
+def portable() -> Device:
+    return Device("cpu", threads=2, compiled_kernels=False)
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 @pytest.mark.parametrize("kernel", HELD, ids=lambda kernel: kernel.name)
-def test_error_of_the_upscalers_kernels(kernel: Kernel, case: denoise_cases.Case, device: Device) -> None:
+@pytest.mark.parametrize("way", WAYS)
+def test_error_of_the_upscalers_kernels(
+    way: str, kernel: Kernel, case: denoise_cases.Case, device: Device, portable: Device
+) -> None:
     inputs = denoise_cases.arguments(kernel, case)
-    results = exact(DENOISE[kernel], [inputs[name] for name in kernel.reads])
-    wanted = denoise_cases.in_frame(kernel, dict(zip(kernel.writes, results, strict=True)), case)
-    for name, found in denoise_cases.run(kernel, device, inputs, case).items():
-        assert_near(kernel, name, found, wanted[name])
+    if way != "CUDA":
+        found = denoise_cases.run(kernel, portable if way == "portable" else device, inputs, case)
+    elif has_cuda(kernel):
+        found = by_cuda(kernel, inputs, {name: denoise_cases.shape(kernel, name, case) for name in kernel.writes})
+        found = denoise_cases.in_frame(kernel, found, case)
+    else:
+        pytest.skip("no CUDA source or no g++")
+    assert_near(kernel, way, found, exact_upscaler(kernel, case))
 
 
 @pytest.mark.parametrize("kernel", TONE, ids=lambda kernel: kernel.name)
-def test_error_of_the_tone_mappers_kernels(kernel: Kernel) -> None:
+@pytest.mark.parametrize("way", WAYS)
+def test_error_of_the_tone_mappers_kernels(way: str, kernel: Kernel) -> None:
+    (name,) = kernel.writes
     for size in tonemap_cases.sizes(kernel)[:3]:
-        inputs = list(tonemap_cases.arguments(kernel, *size).values())
-        (wanted,) = exact(TONE[kernel], inputs)
-        found = np.full(wanted.shape, np.nan, np.float32)
-        kernel.rows(0, found.shape[kernel.row_axis[1]], *inputs, found)
-        assert_near(kernel, kernel.writes[0], found, wanted)
+        inputs = tonemap_cases.arguments(kernel, *size)
+        (wanted,) = exact(TONE[kernel], list(inputs.values()))
+        if way == "compiled":
+            found = np.full(wanted.shape, np.nan, np.float32)
+            kernel.rows(0, found.shape[kernel.row_axis[1]], *inputs.values(), found)
+        elif way == "portable":
+            session = onnxruntime.InferenceSession(models_dir() / "kernels" / f"{kernel.name}.onnx")
+            (found,) = session.run([name], inputs)
+        elif has_cuda(kernel):
+            found = by_cuda(kernel, inputs, {name: wanted.shape})[name]
+        else:
+            pytest.skip("no CUDA source or no g++")
+        assert_near(kernel, way, {name: found}, {name: wanted})
 
 
 def test_the_table_has_the_bounds_that_are_asserted() -> None:
     rows = [(float(row["bound"]), re.findall(r"`(\w+)`", row["names"])) for row in
             ROW.finditer(PAGE.read_text(encoding="utf-8"))]
     assert {name: bound for bound, names in rows for name in names} == BOUNDS
+    assert f"`denoise_history`: {PORTABLE_HISTORY:g}" in PAGE.read_text(encoding="utf-8")
     assert {kernel.name for kernel in (*HELD, *TONE)} == set(BOUNDS)
