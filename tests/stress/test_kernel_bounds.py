@@ -6,24 +6,26 @@ Three ways to compute them: compiled rows, portable definitions by ONNX Runtime,
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
-import onnxruntime
 import pytest
 
+from postfx.frame import Role
 from postfx.kernels.denoise_reflections import REFLECTIONS
 from postfx.kernels.kernel import Kernel
-from postfx.paths import models_dir
 from postfx.runtime import Device
 from tests.kernels import denoise_cases, host_cuda, tonemap_cases
+from tests.passes import mirror_scene
 
 torch = pytest.importorskip("torch")
 
 from tests.kernels.test_cuda_kernels import by_cuda  # noqa: E402
 from tests.kernels.test_tonemap_kernels import DEFINITIONS as TONE  # noqa: E402
+from tests.passes.test_denoise_reflections import PLANES, params_of  # noqa: E402
 from training.export_denoise import KERNELS as DENOISE  # noqa: E402
 
 PAGE = Path(__file__).resolve().parent.parent.parent / "docs/reliability.md"
@@ -39,13 +41,15 @@ BOUNDS = {
     "encode_display": 5e-7, "denoise_pool": 5e-7, "denoise_filter": 5e-7, "denoise_resize": 5e-7,
     "denoise_reactive": 5e-7, "denoise_history": 2e-6, "denoise_features": 5e-6, "denoise_upsample": 2e-6,
     "denoise_upsample_guided": 2e-6, "resample": 5e-6, "slice_apply": 1e-5, "overlay_enlarge": 2e-5,
+    "denoise_reflections": 2e-5,
 }
 """Kernel -> largest error of an element by the largest value of what is written."""
 PORTABLE_HISTORY = 1e-5
 """That of the portable `denoise_history`: ONNX takes positions from -1 to 1 over the picture, which are rounded."""
 WAYS = ("compiled", "portable", "CUDA")
+Arrays = dict[str, np.ndarray]
 HELD = [kernel for kernel in denoise_cases.KERNELS if kernel is not REFLECTIONS]
-"""Without the one that does nothing on random planes: tests/passes/test_denoise_reflections.py has a scene for it."""
+"""Without the one that does nothing on random planes, and has a scene of its own."""
 CASES = (denoise_cases.Case(17, 5, 34, 10), denoise_cases.Case(20, 24, 39, 48), denoise_cases.Case(33, 47, 66, 94),
          denoise_cases.Case(64, 64, 128, 128))
 ROW = re.compile(r"^\| (?P<bound>\S+) \| (?P<names>`\w+`(?:, `\w+`)*) \|$", re.MULTILINE)
@@ -82,8 +86,9 @@ def bound(kernel: Kernel, way: str) -> float:
 def assert_near(kernel: Kernel, way: str, found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> None:
     for name, value in found.items():
         assert wanted[name].dtype == (np.float64 if value.dtype == np.float32 else value.dtype)
-        error = np.abs(value.astype(np.float64) - wanted[name].astype(np.float64)).max() / np.abs(wanted[name]).max()
-        assert error <= bound(kernel, way), f"{kernel.name}, {way}: {name} {error:.2g}"
+        error = np.abs(value.astype(np.float64) - wanted[name].astype(np.float64)).max()
+        largest = np.abs(wanted[name]).max()
+        assert error <= bound(kernel, way) * largest, f"{kernel.name}, {way}: {name} {error:.2g} of {largest:.2g}"
 
 
 @pytest.fixture(scope="module")
@@ -91,41 +96,47 @@ def portable() -> Device:
     return Device("cpu", threads=2, compiled_kernels=False)
 
 
+@pytest.fixture(params=WAYS)
+def way(request: pytest.FixtureRequest, device: Device, portable: Device) -> tuple[str, Callable[..., Arrays]]:
+    """Name, and what gives what a kernel writes from its inputs in a case."""
+
+    def by_source(kernel: Kernel, inputs: Arrays, case: denoise_cases.Case) -> Arrays:
+        if not has_cuda(kernel):
+            pytest.skip("no CUDA source or no g++")
+        shapes = {name: denoise_cases.shape(kernel, name, case) for name in kernel.writes}
+        return denoise_cases.in_frame(kernel, by_cuda(kernel, inputs, shapes), case)
+
+    devices = {"compiled": device, "portable": portable}
+    if request.param == "CUDA":
+        return request.param, by_source
+    return request.param, lambda kernel, *rest: denoise_cases.run(kernel, devices[request.param], *rest)
+
+
 @pytest.mark.parametrize("case", CASES, ids=str)
 @pytest.mark.parametrize("kernel", HELD, ids=lambda kernel: kernel.name)
-@pytest.mark.parametrize("way", WAYS)
-def test_error_of_the_upscalers_kernels(
-    way: str, kernel: Kernel, case: denoise_cases.Case, device: Device, portable: Device
-) -> None:
-    inputs = denoise_cases.arguments(kernel, case)
-    if way != "CUDA":
-        found = denoise_cases.run(kernel, portable if way == "portable" else device, inputs, case)
-    elif has_cuda(kernel):
-        found = by_cuda(kernel, inputs, {name: denoise_cases.shape(kernel, name, case) for name in kernel.writes})
-        found = denoise_cases.in_frame(kernel, found, case)
-    else:
-        pytest.skip("no CUDA source or no g++")
-    assert_near(kernel, way, found, exact_upscaler(kernel, case))
+def test_error_of_the_upscalers_kernels(way, kernel: Kernel, case: denoise_cases.Case) -> None:
+    found = way[1](kernel, denoise_cases.arguments(kernel, case), case)
+    assert_near(kernel, way[0], found, exact_upscaler(kernel, case))
+
+
+@pytest.mark.parametrize("ball", [False, True], ids=["floor", "ball"])
+def test_error_of_reflections(way, ball: bool) -> None:
+    before, now = (mirror_scene.frame(number, ball=ball) for number in (3, 4))
+    inputs = {name: now[role] for name, role in zip(REFLECTIONS.reads, PLANES, strict=False)}
+    inputs = {**inputs, "camera": params_of(before, now)}
+    height, width = now[Role.DEPTH].shape[:2]
+    (wanted,) = exact(DENOISE[REFLECTIONS], [inputs[name] for name in REFLECTIONS.reads])
+    found = way[1](REFLECTIONS, inputs, denoise_cases.Case(height, width, height, width))
+    assert_near(REFLECTIONS, way[0], found, {"reflected": wanted})
 
 
 @pytest.mark.parametrize("kernel", TONE, ids=lambda kernel: kernel.name)
-@pytest.mark.parametrize("way", WAYS)
-def test_error_of_the_tone_mappers_kernels(way: str, kernel: Kernel) -> None:
-    (name,) = kernel.writes
-    for size in tonemap_cases.sizes(kernel)[:3]:
-        inputs = tonemap_cases.arguments(kernel, *size)
-        (wanted,) = exact(TONE[kernel], list(inputs.values()))
-        if way == "compiled":
-            found = np.full(wanted.shape, np.nan, np.float32)
-            kernel.rows(0, found.shape[kernel.row_axis[1]], *inputs.values(), found)
-        elif way == "portable":
-            session = onnxruntime.InferenceSession(models_dir() / "kernels" / f"{kernel.name}.onnx")
-            (found,) = session.run([name], inputs)
-        elif has_cuda(kernel):
-            found = by_cuda(kernel, inputs, {name: wanted.shape})[name]
-        else:
-            pytest.skip("no CUDA source or no g++")
-        assert_near(kernel, way, {name: found}, {name: wanted})
+def test_error_of_the_tone_mappers_kernels(way, kernel: Kernel) -> None:
+    for height, width in tonemap_cases.sizes(kernel)[:3]:
+        inputs = tonemap_cases.arguments(kernel, height, width)
+        wanted = exact(TONE[kernel], list(inputs.values()))
+        found = way[1](kernel, inputs, denoise_cases.Case(height, width, height, width))
+        assert_near(kernel, way[0], found, dict(zip(kernel.writes, wanted, strict=True)))
 
 
 def test_the_table_has_the_bounds_that_are_asserted() -> None:
@@ -133,4 +144,4 @@ def test_the_table_has_the_bounds_that_are_asserted() -> None:
             ROW.finditer(PAGE.read_text(encoding="utf-8"))]
     assert {name: bound for bound, names in rows for name in names} == BOUNDS
     assert f"`denoise_history`: {PORTABLE_HISTORY:g}" in PAGE.read_text(encoding="utf-8")
-    assert {kernel.name for kernel in (*HELD, *TONE)} == set(BOUNDS)
+    assert {kernel.name for kernel in (*HELD, REFLECTIONS, *TONE)} == set(BOUNDS)

@@ -1,0 +1,84 @@
+"""Planes that only some frames have, broken in every way, and providers other than the compiled rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postfx.bench.stress import BRIGHTEST, HARD, LIGHTS
+from postfx.frame import GUIDE_ROLES, Frame, Role
+from postfx.passes.exposure_tool import GREYS, ExposureTool
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from tests.passes import mirror_scene
+from tests.passes.denoise_frames import guided, noisy
+from tests.stress.scenes import pipeline
+
+VALUES = (0.0, 1e-42, -1.0, 65504.0, 1e10, 3.4e38, np.nan, np.inf, -np.inf)
+SIZE = (24, 32)
+
+
+@pytest.fixture(scope="module", params=["s.fp32, portable", "s.fp16", "l.int8"])
+def other(request: pytest.FixtureRequest) -> Pipeline:
+    model, _, portable = request.param.partition(", ")
+    return pipeline(model, Device("cpu", threads=2, compiled_kernels=not portable), "auto")
+
+
+def with_plane(frame: Frame, role: Role, values: np.ndarray | float) -> Frame:
+    channels = {Role.OPAQUE_COLOUR: 3}.get(role, 1)
+    plane = np.broadcast_to(values, (*frame[Role.COLOUR].shape[:2], channels)).astype(np.float32)
+    return replace(frame, planes={**frame.planes, role: plane})
+
+
+def assert_light(chain: Pipeline, frames: list[Frame]) -> None:
+    """Finite and in range, frame after frame; a clean one comes last."""
+    chain.reset()
+    for frame in frames:
+        colour = chain(frame)[Role.COLOUR]
+        assert np.isfinite(colour).all() and colour.min() >= 0 and colour.max() * chain.exposure <= BRIGHTEST
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_other_providers_and_precisions(name: str, other: Pipeline) -> None:
+    assert_light(other, [HARD[name](noisy(1, *SIZE)), noisy(2, *SIZE)])
+
+
+@pytest.mark.parametrize("value", VALUES, ids=str)
+@pytest.mark.parametrize("role", [Role.REACTIVE, Role.STRENGTH, Role.OPAQUE_COLOUR], ids=str)
+def test_masks_of_any_values(role: Role, value: float, device: Device) -> None:
+    """All of a frame, and every third row beside what is usual."""
+    rows = np.full((SIZE[0], 1, 1), 0.5)
+    rows[::3] = value
+    frames = [with_plane(noisy(number, *SIZE), role, values) for number, values in ((1, value), (2, rows), (3, 0.5))]
+    assert_light(pipeline("s.fp32", device, "auto"), frames)
+
+
+@pytest.mark.parametrize("value", VALUES, ids=str)
+@pytest.mark.parametrize("portable", [False, True], ids=["compiled", "portable"])
+def test_hit_distances_of_any_values(value: float, portable: bool) -> None:
+    """A polished floor seen by a camera that moves."""
+    frames = [mirror_scene.frame(number, *SIZE[::-1]) for number in (3, 4, 5)]
+    for frame in frames[:2]:
+        frame[Role.SPECULAR_HIT_DISTANCE][::2] = value
+    assert_light(pipeline("s.fp32", Device("cpu", threads=2, compiled_kernels=not portable), "auto"), frames)
+
+
+@pytest.mark.parametrize("value", VALUES, ids=str)
+@pytest.mark.parametrize("model", ["m.fp32", "m.int8"])
+def test_guides_of_any_values(model: str, value: float, device: Device) -> None:
+    """All guides at once, every second row, then all over."""
+    size = 2 * SIZE[0], 2 * SIZE[1]
+    frames = [guided(noisy(number, *SIZE), *size) for number in (1, 2, 3)]
+    for frame, rows in zip(frames, (np.s_[::2], np.s_[:]), strict=False):
+        for role in GUIDE_ROLES:
+            frame.guides[role][rows] = value
+    assert_light(pipeline(model, device, "auto"), frames)
+
+
+def test_the_exposure_tool_is_visible_on_any_light(device: Device) -> None:
+    chain = Pipeline([ExposureTool()], device, cuts="none")
+    for change in LIGHTS.values():
+        exposed = chain(change(noisy(1, *SIZE)))[Role.COLOUR] * chain.exposure
+        np.testing.assert_allclose((exposed.min(), exposed.max()), GREYS, rtol=1e-6)

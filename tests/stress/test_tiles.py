@@ -1,0 +1,78 @@
+"""Tiles of one pixel: masks that leave one, frames whose last tile is one, and pictures made of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postfx.bench.host_kernels import HostKernels
+from postfx.frame import Frame, Role
+from postfx.kernels.denoise_assemble import ASSEMBLE
+from postfx.passes._denoise_window import ALIGN
+from postfx.runtime import Device
+from tests.kernels import host_cuda
+from tests.passes.denoise_frames import noisy
+from tests.passes.test_denoise_strength_golden import blended64
+from tests.stress.scenes import colours
+
+SIZE = 10 * ALIGN + 1, 16 * ALIGN + 1
+"""Of a frame whose last tile is one pixel."""
+PIXELS = {"in the middle": (80, 100), "first": (0, 0), "last": (-1, -1), "last of a row": (47, -1)}
+NEAR = 1e-3
+"""Difference, as a display shows it, between a pixel of a tile and of the whole frame."""
+
+
+def with_strength(frame: Frame, strength: np.ndarray | float) -> Frame:
+    plane = np.broadcast_to(np.float32(strength), (*frame[Role.COLOUR].shape[:2], 1))
+    return replace(frame, planes={**frame.planes, Role.STRENGTH: plane.copy()})
+
+
+def shown(colour: np.ndarray) -> np.ndarray:
+    return colour / (1 + colour)
+
+
+@pytest.mark.parametrize("model", ["s.fp32", "s.int8"])
+@pytest.mark.parametrize("place", PIXELS)
+def test_a_mask_of_one_pixel(place: str, model: str, device: Device) -> None:
+    """It is as in the whole frame."""
+    mask = np.zeros((*SIZE, 1))
+    mask[PIXELS[place]] = 1
+    frame = noisy(1, *SIZE)
+    masked = with_strength(frame, mask)
+    (whole,), (found,), (plain,) = (colours([one], model, device) for one in (frame, masked, with_strength(frame, 0)))
+    wanted = blended64(masked, whole)
+    assert np.abs(shown(wanted) - shown(plain)).max() > 10 * NEAR
+    assert np.abs(shown(found) - shown(wanted)).max() < NEAR
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 300), (300, 1), (17, 17)], ids=str)
+@pytest.mark.parametrize("strength", [0.0, 0.5, 1.0])
+def test_small_frames_with_masks_and_within_a_budget(size: tuple[int, int], strength: float, device: Device) -> None:
+    frames = [with_strength(noisy(number, *size), strength) for number in (1, 2)]
+    for frame in frames:
+        frame[Role.STRENGTH][0, 0] = 1
+    tight = Device("cpu", threads=2, memory="560M")
+    for found, wanted in zip(colours(frames, "s.fp32", tight), colours(frames, "s.fp32", device), strict=True):
+        assert np.isfinite(found).all()
+        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("way", ["compiled", "portable", "CUDA"])
+def test_a_picture_of_tiles_of_one_pixel(way: str) -> None:
+    height, width = 3, 5
+    wanted = np.random.default_rng(1).random((height, width, 4), np.float32)
+    boxes = [(y, x, y, x, y + 1, x + 1, y, x, y + 1, x + 1) for y in range(height) for x in range(width)]
+    inputs = {"tiles": wanted.reshape(-1, 1, 1, 4).copy(), "places": np.float32(boxes),
+              "frame_rows": np.arange(height, dtype=np.float32), "frame_columns": np.arange(width, dtype=np.float32)}
+    found = np.full_like(wanted, np.nan)
+    if way == "compiled":
+        ASSEMBLE.rows(0, height, *inputs.values(), found)
+    elif way == "portable":
+        found = HostKernels(Device("cpu", compiled_kernels=False)).run(ASSEMBLE, inputs, found.shape)
+    elif host_cuda.COMPILER:
+        host_cuda.run(ASSEMBLE, inputs | {"picture": found})
+    else:
+        pytest.skip("no g++")
+    np.testing.assert_array_equal(found, wanted)
