@@ -32,6 +32,9 @@ TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
 UNKNOWN = 1e-3  # share of a reprojected pixel that the history may lack
 MAX_COUNT = 32.0
 MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
+MOST_LOG, MOST_STATE = np.float32(20), np.float32(3e5)
+"""Beyond what is ever kept from frame to frame, log-encoded light and all of a pixel's state: there the history is
+broken, or the network's answer, and is not handed on. NaN is not below them, either."""
 
 REFLECTANCE = ("diffuse_albedo", "specular_albedo")
 PLANES = {

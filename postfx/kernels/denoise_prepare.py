@@ -11,6 +11,7 @@ from postfx.kernels.denoise_layout import (
     MAX_COUNT,
     MAX_FLOAT,
     MEMORY,
+    MOST_STATE,
     REFLECTANCE,
     TOP,
     kernel,
@@ -58,7 +59,10 @@ def dilate_rows(y0, y1, motion, depth, part_rows, part_columns, moved):
 @compiled
 def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, depth, past, fine, params, window, state,
                     next_depth, level):
-    """Running mean of demodulated colour; ``level`` (4, hp, wp) is it with its importance, zero beyond the frame."""
+    """Running mean of demodulated colour; ``level`` (4, hp, wp) is it with its importance, zero beyond the frame.
+
+    A state of zeros is one that is not known.
+    """
     top, left = int(window[TOP]), int(window[LEFT])
     rows, columns = min(past.shape[0], colour.shape[0] - top), min(past.shape[1], colour.shape[1] - left)
     for y in range(y0, y1):
@@ -71,17 +75,24 @@ def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, depth, past
             f0, f1, f2 = demodulation(diffuse_albedo, specular_albedo, v, u)
             share = ONE / (max(past[y, x, 3], ZERO) + ONE)
             alpha = share + (ONE - share) * fine[0, DISTRUST, y, x]
-            for c, f in enumerate((f0, f1, f2)):
-                exposed = clamp(colour[v, u, c], ZERO, MAX_FLOAT) * params[EXPOSURE]
-                noisy = min(exposed / f, np.float32(MAX_COLOUR))
-                mean = past[y, x, c] + (noisy - past[y, x, c]) * alpha
-                state[y, x, c] = mean
-                level[c, y, x] = mean
             level[3, y, x] = fine[0, IMPORTANCE, y, x]
             next_depth[y, x, 0] = depth[v, u, 0]
             state[y, x, 3] = min(ONE / alpha, np.float32(MAX_COUNT))
+            total = state[y, x, 3] + abs(level[3, y, x])
             for c in range(HIDDEN):
                 state[y, x, 4 + c] = fine[0, MEMORY + c, y, x]
+                total += abs(state[y, x, 4 + c])
+            for c, f in enumerate((f0, f1, f2)):
+                exposed = clamp(colour[v, u, c], ZERO, MAX_FLOAT) * params[EXPOSURE]
+                level[c, y, x] = min(exposed / f, np.float32(MAX_COLOUR))
+                state[y, x, c] = past[y, x, c] + (level[c, y, x] - past[y, x, c]) * alpha
+                total += abs(state[y, x, c])
+            if total <= MOST_STATE:
+                for c in range(3):
+                    level[c, y, x] = state[y, x, c]
+            else:  # broken: this frame's colour alone, and nothing that the next one knows
+                level[3, y, x] = ONE
+                state[y, x] = ZERO
 
 
 SCALE = kernel("scale", ("depth",), ("depth_scale",), scale_rows, ("depth_scale", 0))

@@ -13,6 +13,7 @@ from postfx.kernels.denoise_layout import (
     JITTER_X,
     JITTER_Y,
     LEFT,
+    MOST_LOG,
     OUT_HEIGHT,
     OUT_LEFT,
     OUT_TOP,
@@ -54,11 +55,14 @@ TAPS = 9
 ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-8)
 
 
-@vectorised
+@fused
 def blend_rows(current, warped, trust, darken, history, output):
-    """Blend with the reprojected history and decode, all channels interleaved; rounding makes no light negative."""
+    """Blend with the reprojected history and decode, all channels interleaved; rounding makes no light negative, and
+    what is broken counts as nothing."""
     for i in range(history.size):
-        history[i] = max(current[i] + (warped[i] - current[i]) * trust[i], ZERO)
+        now = current[i] if current[i] <= MOST_LOG else ZERO
+        mixed = now + (warped[i] - now) * trust[i]
+        history[i] = max(mixed, ZERO) if mixed <= MOST_LOG else now
     for i in range(history.size):
         output[i] = expm1(history[i]) * darken
 

@@ -12,6 +12,8 @@ from postfx.kernels.kernel import Kernel
 from postfx.kernels.numeric import compiled
 
 GRID = (1, 16, 16, 8, 12)
+BROKEN = np.float32(1e4)
+"""Change beyond that of any grid, as is NaN: there `previous` counts for nothing."""
 
 
 @compiled
@@ -23,8 +25,9 @@ def rows(y0, y1, previous, current, keep, result):
             for level in range(current.shape[3]):
                 for k in range(current.shape[4]):
                     value = current[0, y, x, level, k]
-                    if weight > 0:
-                        value += weight * (previous[0, y, x, level, k] - value)
+                    change = previous[0, y, x, level, k] - value
+                    if weight > 0 and abs(change) <= BROKEN:
+                        value += weight * change
                     result[0, y, x, level, k] = value
 
 

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from postfx.kernels.denoise_assemble import HELD, OWN
-from postfx.kernels.denoise_layout import UNKNOWN
+from postfx.kernels.denoise_layout import MOST_STATE, UNKNOWN
 from training.networks import denoise_upscale as step
 from training.networks import ops
 from training.networks.denoise_upscale import Guides, Inputs, State
@@ -103,7 +103,9 @@ class GuideFeatures(nn.Module):
 
 
 class Accumulate(nn.Module):
-    """Frame, past (th, tw, 4), fine -> next_state (th, tw, 12), next_depth (th, tw, 1), level (4, hp, wp)."""
+    """Frame, past (th, tw, 4), fine -> next_state (th, tw, 12), next_depth (th, tw, 1), level (4, hp, wp).
+
+    What is broken is this frame's colour alone, and nothing that the next one knows: a state of zeros."""
 
     def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, depth: Tensor, past: Tensor,
                 fine: Tensor, params: Tensor, window: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -113,8 +115,12 @@ class Accumulate(nn.Module):
         factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
         noisy = step.demodulate(ops.pick(expose(colour, params), *at), factor)
         accumulated, count = step.accumulate(noisy, old[:, :3], old[:, 3:].clamp(min=0), here[:, DISTRUST:IMPORTANCE])
-        state = to_picture(torch.cat((accumulated, count, here[:, MEMORY:]), 1)) * valid
-        level = torch.cat((accumulated, here[:, IMPORTANCE:MEMORY]), 1) * to_image(valid)
+        importance = here[:, IMPORTANCE:MEMORY]
+        state = torch.cat((accumulated, count, here[:, MEMORY:]), 1)
+        whole = torch.cat((state, importance), 1).abs().sum(1, keepdim=True) <= float(MOST_STATE)
+        state = to_picture(torch.where(whole, state, 0)) * valid
+        level = torch.cat((accumulated, importance), 1)
+        level = torch.where(whole, level, torch.cat((noisy, torch.ones_like(importance)), 1)) * to_image(valid)
         level = F.pad(level, (0, fine.shape[3] - w, 0, fine.shape[2] - h))
         now = to_picture(part(depth, *at))
         return state, torch.where(valid > 0, now, torch.zeros_like(now)), level[0]

@@ -26,6 +26,7 @@ from training.networks.trunk import (
 MAX_COUNT = 32.0
 MAX_DEPTH = 1e10
 MAX_FLOAT = 3e38
+MOST_LOG = 20.0  # beyond what is ever kept, as is NaN
 ALIGN = 16
 
 
@@ -202,7 +203,7 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
             factor: Tensor | None, at: phases.Centres | None = None) -> Tensor:
     """Upsample radiance, sharpen it, multiply it by a ``factor`` (N, 3, H, W) if there is one, and blend it with the
     reprojected history ``warped``, which is log-encoded, as is the result. ``at`` says where the output's pixels lie;
-    None: they fill the same area."""
+    None: they fill the same area. What is broken, NaN or beyond what is ever kept, counts as nothing."""
     n, _, h, w = radiance.shape
     height, width = warped.shape[-2:]
     weights = fine[:, KERNEL:BLEND].reshape(n, 9, 4, h, w)
@@ -218,7 +219,9 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
     current = (detail + sharpen * (detail - soft)).clamp(min=0)
     if factor is not None:
         current = ops.log_encode(torch.expm1(current) * factor)
-    return torch.lerp(warped, current, 1 - inside * (1 - blend)).clamp(min=0)  # rounding makes no light negative
+    current = torch.where(current <= MOST_LOG, current, 0)
+    mixed = torch.lerp(warped, current, 1 - inside * (1 - blend))
+    return torch.where(mixed <= MOST_LOG, mixed.clamp(min=0), current)  # rounding makes no light negative
 
 
 class DenoiseUpscale(nn.Module):

@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from postfx.kernels.smooth import BROKEN
 from training.networks.cube import Shaper, look_up, shape
 
 SIDE = 256  # side of the copy that the coefficients are computed on
@@ -116,8 +117,10 @@ def slice_grid_dense(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tens
 
 
 def smooth(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor) -> torch.Tensor:
-    """Exponential smoothing of the grid over time: keep[0] of the previous grid; 0 at the first frame and at cuts."""
-    return current + keep[0] * (previous - current)
+    """Exponential smoothing of the grid over time: keep[0] of the previous grid, none of it where it is broken; 0 at
+    the first frame and at cuts."""
+    change = previous - current
+    return current + keep[0] * torch.where(change.abs() <= float(BROKEN), change, 0)
 
 
 def _conv(cin: int, cout: int, stride: int = 1, bias: bool = True) -> nn.Conv2d:

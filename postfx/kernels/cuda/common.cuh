@@ -13,6 +13,7 @@ struct View {
     if (x >= (width) || y >= (height)) return
 
 [[maybe_unused]] const float MAX_COLOUR = 1e4f, TINY = 1e-8f, MAX_COUNT = 32.0f, MAX_DEPTH = 1e10f, MAX_FLOAT = 3e38f;
+[[maybe_unused]] const float MOST_LOG = 20.0f, MOST_STATE = 3e5f;  // NaN is not below them, either
 // Channels of the fine head, of a filter kernel and of the parameters: postfx/kernels/denoise_layout.py.
 enum { HIDDEN = 8, KERNEL = 25, PHASES = 25, BLEND = 61, SHARPEN = 65 };
 enum { MIX = 69, DISTRUST, IMPORTANCE, MEMORY, FINE = MEMORY + HIDDEN };
@@ -278,7 +279,8 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
 // Blends one channel with the reprojected history and decodes it; `at` counts floats.
 __device__ inline void blend_history(float current, float kept, size_t at, float darken, const View& warped,
                                      const View& output, const View& history) {
-    const float blended = fmaxf(current + (warped.at[at] - current) * kept, 0.0f);  // rounding, no negative light
+    const float now = current <= MOST_LOG ? current : 0.0f, mixed = now + (warped.at[at] - now) * kept;
+    const float blended = mixed <= MOST_LOG ? fmaxf(mixed, 0.0f) : now;  // rounding makes no light negative
     history.at[at] = blended;
     output.at[at] = expm1f(blended) * darken;
 }

@@ -1,6 +1,10 @@
 // Running mean of demodulated colour: colour, diffuse_albedo and specular_albedo (h, w, 3), depth (h, w, 1),
 // past (th, tw, 4), fine (1, 80, hp, wp), params (4,), window (8,) -> next_state (th, tw, 12), next_depth (th, tw, 1),
 // level (4, hp, wp), which is the mean with its importance. All are zero beyond the frame.
+__device__ inline float size_of(const Four& value) {
+    return fabsf(value.x) + fabsf(value.y) + fabsf(value.z) + fabsf(value.w);
+}
+
 extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo, View depth,
                                               View past, View fine, View params, View window, View next_state,
                                               View next_depth, View level) {
@@ -34,12 +38,16 @@ extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, 
     const float b = fminf(clamped(blue, 0.0f, MAX_FLOAT) * exposure / factor.b, MAX_COLOUR);
     const Four mean = {before.x + (r - before.x) * alpha, before.y + (g - before.y) * alpha,
                        before.z + (b - before.z) * alpha, fminf(1.0f / alpha, MAX_COUNT)};
-    four(next_state, 3 * pixel) = mean;
-    four(next_state, 3 * pixel + 1) = hidden[0];
-    four(next_state, 3 * pixel + 2) = hidden[1];
+    // What is broken is this frame's colour alone, and nothing that the next one knows.
+    const float total = size_of(mean) + size_of(hidden[0]) + size_of(hidden[1]) + fabsf(importance);
+    const bool whole = total <= MOST_STATE;
+    const Four none = {0.0f, 0.0f, 0.0f, 0.0f};
+    four(next_state, 3 * pixel) = whole ? mean : none;
+    four(next_state, 3 * pixel + 1) = whole ? hidden[0] : none;
+    four(next_state, 3 * pixel + 2) = whole ? hidden[1] : none;
     next_depth.at[pixel] = z;
-    to[0] = mean.x;
-    to[plane] = mean.y;
-    to[2 * plane] = mean.z;
-    to[3 * plane] = importance;
+    to[0] = whole ? mean.x : r;
+    to[plane] = whole ? mean.y : g;
+    to[2 * plane] = whole ? mean.z : b;
+    to[3 * plane] = whole ? importance : 1.0f;
 }

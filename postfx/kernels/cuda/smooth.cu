@@ -10,7 +10,7 @@ extern "C" __global__ void smooth(View previous, View current, View keep, View r
 #pragma unroll 16
     for (int k = 0; k < CELL; k++) {
         const int at = k * cells + first;
-        const float value = current.at[at];
-        result.at[at] = weight > 0.0f ? value + weight * (previous.at[at] - value) : value;  // `previous` may be unset
+        const float value = current.at[at], change = previous.at[at] - value;
+        result.at[at] = weight > 0.0f && fabsf(change) <= 1e4f ? value + weight * change : value;  // it may be unset
     }
 }
