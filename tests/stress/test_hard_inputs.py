@@ -21,7 +21,8 @@ from tests.passes.denoise_frames import noisy
 from tests.stress.scenes import MODELS, ROOM, SIZES, pipeline
 
 DISPLAYS = {
-    "tonemap": lambda: ToneMap(), "tonemap, a network": lambda: ToneMap(tag="local"), "view": lambda: View(),
+    "tonemap": lambda: ToneMap(), "tonemap, a network": lambda: ToneMap(tag="local"),
+    "tonemap, a network that exposes": lambda: ToneMap(tag="auto"), "view": lambda: View(),
     "view for HDR": lambda: View(view="reinhard", display="pq"), "display": lambda: Display(),
     "display for HDR": lambda: Display(display="hlg"),
 }

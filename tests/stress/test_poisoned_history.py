@@ -1,0 +1,104 @@
+"""A broken history is forgotten within two frames: a NaN in it would otherwise stay to the end of a shot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from postfx.frame import Frame, Role
+from postfx.kernels.denoise_prepare import ACCUMULATE
+from postfx.kernels.denoise_upsample import UPSAMPLE, UPSAMPLE_GUIDED
+from postfx.kernels.kernel import Kernel
+from postfx.passes.tonemap import ToneMap
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from tests.kernels import denoise_cases, host_cuda
+from tests.kernels.test_cuda_kernels import by_cuda
+from tests.kernels.test_denoise_kernels import assert_same
+from tests.stress.scenes import colours, display_psnr, pipeline
+
+BROKEN = (np.nan, np.inf, -np.inf, 3e38)
+AT = 3
+"""First frame that has a broken history."""
+LOST = 1.0
+"""Decibels by which the second frame after it may be worse than one that begins a shot there."""
+CASE = denoise_cases.Case(33, 47, 66, 94)
+
+
+def poisoned(chain: Pipeline, frames: list[Frame], value: float) -> Pipeline:
+    """The pipeline after some frames, with what it remembers of light replaced."""
+    for frame in frames:
+        chain(frame)
+    history = {name: np.array(kept) for name, kept in chain.history().items()}
+    for kept in history.values():
+        if kept.ndim >= 3:
+            kept[:] = value
+    chain.recall(frames[-1], history)
+    return chain
+
+
+@pytest.mark.parametrize("value", BROKEN, ids=str)
+@pytest.mark.parametrize("kind", ["s.fp32", "m.int8", "s.fp32, portable"])
+def test_all_of_the_history(kind: str, value: float, rooms: list[Frame], unbroken: Callable) -> None:
+    model, _, portable = kind.partition(", ")
+    device = Device("cpu", threads=2, compiled_kernels=not portable)
+    chain = poisoned(pipeline(model, device), rooms[:AT], value)
+    found = [chain(frame)[Role.COLOUR] for frame in rooms[AT:]]
+    (fresh,) = colours(rooms[AT + 1:AT + 2], model, device)
+    wanted = unbroken(model)
+    assert all(np.isfinite(colour).all() and colour.min() >= 0 for colour in found)
+    assert display_psnr(found[1], wanted[AT + 1]) > display_psnr(fresh, wanted[AT + 1]) - LOST
+    assert display_psnr(found[-1], wanted[-1]) > display_psnr(found[1], wanted[AT + 1])
+
+
+@pytest.mark.parametrize("value", BROKEN, ids=str)
+@pytest.mark.parametrize("tag", ["local", "auto"])
+def test_the_grid_of_the_tone_mapper(tag: str, value: float, rooms: list[Frame], device: Device) -> None:
+    """As if there was none before, at once."""
+    chain, fresh = (Pipeline([ToneMap(tag=tag)], device, 0.0, cuts="none") for _ in range(2))
+    frames = [Frame({Role.COLOUR: frame[Role.COLOUR]}, number) for number, frame in enumerate(rooms[:3])]
+    poisoned(chain, frames[:2], value)
+    np.testing.assert_array_equal(chain(frames[2])[Role.COLOUR], fresh(frames[2])[Role.COLOUR])
+
+
+def by_all(kernel: Kernel, inputs: dict[str, np.ndarray], device: Device) -> list[dict[str, np.ndarray]]:
+    """What compiled rows, the portable definition and, with a compiler, the CUDA source write."""
+    portable = Device("cpu", threads=2, compiled_kernels=False)
+    found = [denoise_cases.run(kernel, place, inputs, CASE) for place in (device, portable)]
+    if host_cuda.COMPILER is not None:
+        shapes = {written: denoise_cases.shape(kernel, written, CASE) for written in kernel.writes}
+        found.append(denoise_cases.in_frame(kernel, by_cuda(kernel, inputs, shapes), CASE))
+    return found
+
+
+def spoiled(kernel: Kernel, name: str, channels: int | None = None) -> dict[str, np.ndarray]:
+    """A kernel's arguments, one of them with broken values in its first channels."""
+    inputs = denoise_cases.arguments(kernel, CASE)
+    flat = inputs[name][..., :channels].reshape(-1).copy()
+    flat[::31] = np.resize(BROKEN, flat[::31].size)
+    inputs[name][..., :channels] = flat.reshape(inputs[name][..., :channels].shape)
+    return inputs
+
+
+@pytest.mark.parametrize(("kernel", "name"), [(ACCUMULATE, "past"), (ACCUMULATE, "fine"), (UPSAMPLE, "warped"),
+                                              (UPSAMPLE_GUIDED, "warped")], ids=lambda one: getattr(one, "name", one))
+def test_all_definitions_forget_alike(kernel: Kernel, name: str, device: Device) -> None:
+    wanted, *others = by_all(kernel, spoiled(kernel, name, 3 if name == "past" else None), device)
+    assert all(np.isfinite(value).all() for value in wanted.values())
+    for found in others:
+        assert_same(found, wanted)
+
+
+@pytest.mark.parametrize("kernel", [UPSAMPLE, UPSAMPLE_GUIDED], ids=lambda kernel: kernel.name)
+def test_a_networks_broken_answer_gives_finite_light(kernel: Kernel, device: Device) -> None:
+    for found in by_all(kernel, spoiled(kernel, "fine"), device):
+        assert all(np.isfinite(value).all() and value.min() >= 0 for value in found.values())
+
+
+@pytest.fixture(scope="module")
+def unbroken(rooms: list[Frame], device: Device) -> Callable[[str], list[np.ndarray]]:
+    """What the undisturbed run of a model gives."""
+    made: dict[str, list[np.ndarray]] = {}
+    return lambda model: made.setdefault(model, []) or made[model].extend(colours(rooms, model, device)) or made[model]
