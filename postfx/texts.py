@@ -28,6 +28,11 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError("its values are nested without end") from None
 
 
+def is_utf8(name: str) -> bool:
+    """Whether a file's name is text; names that are not come from the system as lone surrogates."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in name)
+
+
 def printable(text: str) -> str:
     """A text on one line, without letters that a terminal would obey."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)

@@ -11,6 +11,7 @@ from postfx.errors import OutputExistsError, WriteError
 from postfx.io.pattern import PLANE, Pattern, parse_pattern
 from postfx.io.sequence import Sequence
 from postfx.io.writer import is_display_format
+from postfx.texts import is_utf8, printable
 
 
 class Existing(StrEnum):
@@ -95,6 +96,8 @@ def check_folder(folder: Path, option: str) -> None:
 
 
 def _output_pattern(target: str, source: Pattern) -> Pattern:
+    if not is_utf8(target):
+        raise WriteError(f"{printable(target)}: is not UTF-8: choose another name")
     if PLANE in target:
         raise WriteError(f"{target}: {PLANE} is for input: leave it out, the planes of a frame go into one file")
     if not (target.endswith("/") or Path(target).is_dir() or not Path(target).suffix):
