@@ -23,7 +23,8 @@ from postfx.bench.metrics import flip, psnr, ssim
 from postfx.colour.difference import delta_e_itp
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
-from postfx.passes.tonemap import ToneMap, find_model
+from postfx.passes._tonemap_look import find_model
+from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from training.look_checks import SRGB, Render, greys, halo, sweep

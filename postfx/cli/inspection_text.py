@@ -14,9 +14,9 @@ INDENT = " " * 9
 
 def print_text(facts: dict[str, Any], exit_code: int) -> None:
     """Print facts as lines; findings are coloured on a terminal."""
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
     for line in _lines(facts, exit_code):
-        console.print(line, markup=False)
+        console.print(line)
 
 
 def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:

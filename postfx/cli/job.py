@@ -241,7 +241,7 @@ class Job:
 def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles | None:
     existing = Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
     existing = Existing.SKIP if arguments.skip_existing else existing
-    if arguments.output is None and not arguments.explain:
+    if not arguments.output and not arguments.explain:
         raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr")
     return OutputFiles(arguments.output, sequence, existing) if arguments.output else None
 

@@ -15,7 +15,7 @@ class FrameProgress:
     """
 
     def __init__(self, total: int) -> None:
-        self._console = Console(stderr=True)
+        self._console = Console(stderr=True, markup=False, emoji=False)
         self._total, self._done, self._fresh = total, 0, 0
         self._begin = time.perf_counter()
         self._bar = Progress(

@@ -7,6 +7,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from postfx.texts import printable
+
 if TYPE_CHECKING:
     from postfx.runs.verify import Verification
 
@@ -45,11 +47,11 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.runs.verify import verify
 
     found = verify(Path(arguments.folder))
-    print(json.dumps(found.as_dict()) if arguments.json else _text(found))
+    print(json.dumps(found.as_dict()) if arguments.json else "\n".join(map(printable, _lines(found))))
     return 0 if found.is_well else 1
 
 
-def _text(found: Verification) -> str:
+def _lines(found: Verification) -> list[str]:
     lines = []
     for kind, meaning in MEANINGS.items():
         names = getattr(found, kind)
@@ -57,4 +59,4 @@ def _text(found: Verification) -> str:
         lines += [f"{kind:<11}{len(names) - SHOWN} more"] if len(names) > SHOWN else []
     ended = [f"run {run} was {state}" for run, state in found.runs.items() if state != "finished"]
     counts = ", ".join(f"{len(getattr(found, kind))} {kind}" for kind in ("whole", *MEANINGS))
-    return "\n".join([*lines, *ended, counts])
+    return [*lines, *ended, counts]

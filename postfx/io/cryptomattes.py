@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.strength.cryptomatte import Cryptomatte
 from postfx.strength.entries import StrengthError
+from postfx.texts import parse_json, read_text
 
 _PREFIX = "cryptomatte/"
 _LETTERS = (("R", "G", "B", "A"), ("red", "green", "blue", "alpha"))
@@ -79,12 +79,12 @@ def _manifest(header: Mapping[str, str], path: Path, where: str) -> dict[str, in
     if not text and header.get("manif_file"):
         source = str(path.parent / header["manif_file"])
         try:
-            text = Path(source).read_text("utf-8")
-        except (OSError, UnicodeDecodeError):
+            text = read_text(Path(source))
+        except (OSError, ValueError):
             raise StrengthError(f"{where}: its manifest {source} cannot be read: copy it beside the frame") from None
     if not text:
         return None
     try:
-        return {name: int(value, 16) for name, value in json.loads(text).items()}
+        return {name: int(value, 16) for name, value in parse_json(text).items()}
     except (ValueError, TypeError, AttributeError):
         raise StrengthError(f"{source}: the manifest is not JSON of names and ids: render it again") from None

@@ -18,6 +18,7 @@ import OpenImageIO as oiio
 from postfx.errors import MissingFrameError, ReadError
 from postfx.io.claims import check_claims
 from postfx.io.part import Part, Window, own_windows, part_of, some_rows, to_area
+from postfx.texts import is_utf8, printable
 
 READABLE = (".exr", ".hdr")
 _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
@@ -36,6 +37,8 @@ class ImageFile:
             raise ReadError(f"{path}: not a scene-linear image: give OpenEXR (.exr) or Radiance (.hdr) files")
         if not os.path.isfile(path):
             raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with --frames")
+        if not is_utf8(str(path)):
+            raise ReadError(f"{printable(str(path))}: its name is not UTF-8: rename it")
         check_claims(self.path)
         self._input = oiio.ImageInput.open(str(self.path))
         if self._input is None:

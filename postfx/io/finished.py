@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
@@ -14,6 +15,7 @@ from postfx.errors import WriteError
 PARTIAL = ".part"
 """Suffix of files that are being written; no frame pattern matches it."""
 _NAME_BYTES = 120  # of the final name within the temporary one, so that file systems take it
+_LEFT = re.compile(rf"\.(?P<name>.+)\.(?P<host>[\w-]+)-(?P<process>\d{{1,9}})-\d+{re.escape(PARTIAL)}", re.DOTALL)
 _numbers = count()
 
 
@@ -24,10 +26,10 @@ def finished_file(path: Path) -> Iterator[Path]:
     Folders are made; the content is on the disk before the name is. What a killed process of this machine left behind
     for the same path is removed. Raises WriteError where the file system refuses.
     """
-    temporary = path.with_name(f"{_prefix(path)}{os.getpid()}-{next(_numbers)}{PARTIAL}")
+    temporary = path.with_name(f".{_shortened(path.name)}.{_host()}-{os.getpid()}-{next(_numbers)}{PARTIAL}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_left_over(path)
+        remove_left_over(path.parent, [path.name])
         yield temporary
         _sync(temporary, os.O_RDWR)
         os.replace(temporary, path)
@@ -41,22 +43,27 @@ def finished_file(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
-def _prefix(path: Path) -> str:
-    name = os.fsencode(path.name)[:_NAME_BYTES].decode("utf-8", "ignore")
-    return f".{name}.{socket.gethostname()[:60]}-"
+def remove_left_over(folder: Path, names: Iterable[str], anyones: bool = False) -> None:
+    """Remove what writers of some files of a folder left behind when they were killed on this machine; with `anyones`,
+    also on others, which takes that nobody else may write these files now."""
+    own, meant = _host(), set(map(_shortened, names))
+    for entry in os.scandir(folder):
+        found = entry.name.endswith(PARTIAL) and _LEFT.fullmatch(entry.name)
+        if found and found["name"] in meant and (anyones if found["host"] != own else not _runs(int(found["process"]))):
+            with suppress(OSError):
+                os.unlink(entry.path)
 
 
-def _remove_left_over(path: Path) -> None:
-    prefix = _prefix(path)
-    for entry in os.scandir(path.parent):
-        if entry.name.startswith(prefix) and entry.name.endswith(PARTIAL):
-            process = entry.name[len(prefix) :].partition("-")[0]
-            if process.isdigit() and not _is_running(int(process)):
-                with suppress(OSError):
-                    os.unlink(entry.path)
+def _host() -> str:
+    """This machine's name, without what would hide where the file's ends."""
+    return re.sub(r"[^\w-]", "_", socket.gethostname())[:60]
 
 
-def _is_running(process: int) -> bool:
+def _shortened(name: str) -> str:
+    return os.fsencode(name)[:_NAME_BYTES].decode("utf-8", "ignore")
+
+
+def _runs(process: int) -> bool:
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):

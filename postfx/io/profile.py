@@ -46,9 +46,11 @@ from typing import Any
 from postfx.errors import ProfileError
 from postfx.frame import ROLES, Role
 from postfx.io.profile_schema import CAMERA, DETECT, PLANE, PROFILE, TEXTS, check
+from postfx.texts import read_text
 
 BUILTIN = Path(__file__).parent / "profiles"
 HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera", "near", "far")
+_MOST_BYTES, _MOST_DOTS = 1 << 18, 200
 DEPTH_KINDS = ("planar", "ray", "device", "normalised")
 _CHOICES = {"unit": ("pixels", "uv", "ndc"), "space": ("world", "camera"), "kind": DEPTH_KINDS}
 
@@ -120,13 +122,21 @@ def load_profile(name: str) -> Profile:
             known = ", ".join(profile_names())
             raise ProfileError(f"unknown profile '{name}': use one of {known}, or the path of a TOML file")
     try:
-        return _parse(tomllib.loads(path.read_text("utf-8")), path)
+        return _parse(tomllib.loads(_text(path)), path)
     except OSError as error:
         raise ProfileError(f"{path}: profile cannot be read: {error.strerror or error}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ProfileError(f"{path}: profile is not valid TOML: {error}") from error
     except RecursionError as error:
         raise ProfileError(f"{path}: profile extends itself, or its values are nested without end") from error
+
+
+def _text(path: Path) -> str:
+    """A profile's text, within bounds: tomllib takes time by the square of a dotted name's length."""
+    text = read_text(path, _MOST_BYTES)
+    if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
+        raise ProfileError(f"{path}: profile has a line of more than {_MOST_DOTS} dots")
+    return text
 
 
 def _parse(table: dict[str, Any], path: Path) -> Profile:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,8 +13,9 @@ from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
 from postfx.kernels.smooth import SMOOTH
+from postfx.passes._tonemap_look import check_constants, find_model, shaper
 from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
-from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
+from postfx.runtime import ArgumentTable, CommandBuffer, Device, PipelineState, Tensor
 
 
 class ToneMap(Pass):
@@ -48,13 +48,14 @@ class ToneMap(Pass):
     def compile(self, device: Device, spec: FrameSpec) -> None:
         library, model = find_model(str(self.options["tag"]))
         network = device.pipeline_state(library, model)
+        self._has_grid = "grid" in {binding.name for binding in network.bindings}
+        check_constants(model, network.constants, self._has_grid)
         self._shaper = shaper(library, model)
         self._params, matrix = device.heap.tensor("tonemap params", (3,)), device.heap.tensor("tonemap matrix", (9,))
         matrix.upload(self._shaper.matrix)
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
         common = {"params": self._params, "matrix": matrix, "output": self._output}
         common |= {name: device.wrap(name, values) for name, values in network.constants.items()}
-        self._has_grid = "grid" in {binding.name for binding in network.bindings}
         if self._has_grid:
             self._compile_grid(device, network, common)
         else:
@@ -124,26 +125,3 @@ class ToneMap(Pass):
         self._tables["lowres"]["colour"] = colour
         self._tables["smooth"]["previous"], self._tables["smooth"]["result"] = previous, result
         self._tables["slice"]["colour"], self._tables["slice"]["grid"] = colour, result
-
-
-class Shaper(NamedTuple):
-    """What a look's model was trained behind; see ``postfx.kernels.shaper``."""
-
-    toe: float
-    scale: float
-    matrix: np.ndarray
-
-
-def find_model(tag: str) -> tuple[Library, str]:
-    """The library and the name in it of a look by tag, or of a model file."""
-    if tag.endswith(".onnx"):
-        return Library(Path(tag).parent), Path(tag).stem
-    return Library(), f"tonemap.{tag}"
-
-
-def shaper(library: Library, model: str) -> Shaper:
-    """The shaper of a model, from its card."""
-    given = library.card(model).get("shaper")
-    if not isinstance(given, dict) or not {"toe", "scale", "matrix"} <= given.keys():
-        raise ModelError(f"card of model '{model}' gives no shaper (toe, scale and matrix): export the model again")
-    return Shaper(float(given["toe"]), float(given["scale"]), np.array(given["matrix"], np.float32))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from postfx.runtime.captured import (
     CapturedTensor,
     CapturedValue,
 )
+from postfx.texts import parse_json, read_text
 
 FORMAT = "postfx capture 1"
 FILE = "capture.json"
@@ -51,7 +51,7 @@ def read(path: str | Path) -> tuple[dict[str, Any], Path]:
     file = Path(path)
     file = file / FILE if file.is_dir() else file
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
+        data = parse_json(read_text(file))
     except (OSError, ValueError) as error:
         raise ReadError(f"capture '{file}' cannot be read: {error}") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:

@@ -17,6 +17,7 @@ import numpy as np
 
 from postfx.runs.atomic import PIECE, write_atomically
 from postfx.runs.errors import CheckpointError
+from postfx.texts import parse_json
 
 SUFFIX = ".checkpoint"
 MAGIC = b"postfx checkpoint 1\n"
@@ -68,7 +69,12 @@ def save_checkpoint(
 def read_about(path: Path) -> About:
     """What a checkpoint is of, without reading all of it; CheckpointError when that cannot be read."""
     with _opened(path) as file:
-        return _about(_header(path, file))
+        header = _header(path, file)
+    try:
+        return About(str(header.get("run")), str(header.get("pattern")), int(header.get("frame", 0)),
+                     str(header.get("fingerprint")))
+    except (ValueError, TypeError, OverflowError) as error:
+        raise CheckpointError(f"{path}: is damaged") from error
 
 
 def load_checkpoint(path: Path) -> dict[str, np.ndarray]:
@@ -85,7 +91,7 @@ def load_checkpoint(path: Path) -> dict[str, np.ndarray]:
                 raise ValueError(f"an array of {kind}")
             arrays[name] = np.memmap(path, kind, "r", at, tuple(shape) or (1,)).reshape(shape)
             at += arrays[name].nbytes
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, OverflowError) as error:
         raise CheckpointError(f"{path}: cannot be read: {error}") from error
     return arrays
 
@@ -101,14 +107,9 @@ def _header(path: Path, file: BinaryIO) -> dict[str, Any]:
     try:
         if file.readline(len(MAGIC)) != MAGIC:
             raise ValueError("no checkpoint")
-        return dict(json.loads(file.readline(_MOST_HEADER)))
+        return dict(parse_json(file.readline(_MOST_HEADER)))
     except (OSError, ValueError, TypeError) as error:
         raise CheckpointError(f"{path}: is damaged") from error
-
-
-def _about(header: Mapping[str, Any]) -> About:
-    return About(str(header.get("run")), str(header.get("pattern")), int(header.get("frame", 0)),
-                 str(header.get("fingerprint")))
 
 
 def _is_altered(path: Path) -> bool:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from postfx.runs.errors import RunError
 from postfx.runs.process import Process, age_of
+from postfx.texts import parse_json, read_text
 
 BEAT = 10.0
 """Seconds between two signs of life."""
@@ -67,7 +68,7 @@ def _refuse_shared(path: Path, wanted: set[str]) -> None:
 def _process(path: Path) -> tuple[Process, set[str]]:
     """Whose claim it is, and to what; of one that cannot be read, nobody's to nothing."""
     try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
+        facts = parse_json(read_text(path))
         return Process.of(facts.get("process")), set(facts.get("files", ()))
     except (OSError, ValueError, AttributeError, TypeError):
         return Process.of(None), set()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from postfx.errors import PostfxError
+from postfx.errors import PostfxError, WriteError
 
 
 class RunError(PostfxError):
@@ -11,6 +11,10 @@ class RunError(PostfxError):
 
 class ManifestError(PostfxError):
     """A manifest is missing or cannot be understood."""
+
+
+class BooksError(WriteError):
+    """A manifest is there and cannot be read now: no rights, or a disk that fails. It may well be whole."""
 
 
 class CheckpointError(PostfxError):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from postfx.errors import WriteError
+from postfx.io.finished import remove_left_over
 from postfx.runs.atomic import sha256_of
 from postfx.runs.checkpoint import SUFFIX, About, load_checkpoint, read_about, save_checkpoint
 from postfx.runs.claim import Claim, is_alive
@@ -22,14 +22,13 @@ from postfx.runs.manifest import NAME, WORK_FOLDER, Manifest, Output, load_manif
 
 LEAST_SECONDS, MOST_SHARE = 1.0, 0.05
 """The manifest is written at most once in so many seconds, and takes at most this share of the time."""
-_TEMPORARY = re.compile(r"\.(?P<stem>.+)\.\d+(?P<suffix>\.[^.]+)")
 
 
 class RunFolder:
     """Opened, it belongs to one run as far as the run's own files are concerned.
 
     names: of the files that the run may write. Raises RunError when another run has one of them, OSError when the
-    folder cannot be written.
+    folder cannot be written, BooksError when its manifest cannot be read.
 
     Attributes:
         before: the manifest as earlier runs left it.
@@ -46,8 +45,12 @@ class RunFolder:
         self._work.mkdir(parents=True, exist_ok=True)
         with FolderLock(self._work / "lock"):
             self._claim = Claim(self._work, run, names)
+        try:
             self._remove_leftovers(names)
-        self.before = self._known()
+            self.before = self._known()
+        except BaseException:
+            self.release()
+            raise
 
     def note(self, facts: Mapping[str, Any], outputs: Mapping[str, Output]) -> None:
         """Enter facts about the run and outputs into the manifest."""
@@ -148,10 +151,9 @@ class RunFolder:
     def _remove_leftovers(self, names: Collection[str]) -> None:
         """Remove what killed writers of these files, the manifest and checkpoints left: nobody else may write them now.
         """
-        for path in self._folder.glob(".*"):
-            match = _TEMPORARY.fullmatch(path.name)
-            if (match and match["stem"] + match["suffix"] in names) or path.name.startswith(f".{NAME}."):
-                path.unlink(missing_ok=True)
+        remove_left_over(self._folder, names, anyones=True)
+        for path in self._folder.glob(f".{NAME}.*"):
+            path.unlink(missing_ok=True)
         for path in self._work.glob(f".*{SUFFIX}.*"):
             if not is_alive(self._work, path.name[1:].partition(SUFFIX)[0]):
                 path.unlink(missing_ok=True)

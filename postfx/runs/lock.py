@@ -10,6 +10,7 @@ from pathlib import Path
 
 from postfx.runs.errors import RunError
 from postfx.runs.process import Process, age_of
+from postfx.texts import parse_json, read_text
 
 PATIENCE = 30.0
 """Seconds to wait for a lock, which others hold for milliseconds."""
@@ -74,7 +75,7 @@ def _create(path: Path) -> bool:
 def _holder(path: Path) -> Process:
     """Who made a lock; an unknown process where it is gone, or made and not yet written."""
     try:
-        return Process.of(json.loads(path.read_text(encoding="utf-8")))
+        return Process.of(parse_json(read_text(path)))
     except (OSError, ValueError):
         return Process.of(None)
 

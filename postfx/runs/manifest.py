@@ -10,8 +10,9 @@ from typing import Any
 
 from postfx.paths import is_plain_name
 from postfx.runs.atomic import write_atomically
-from postfx.runs.errors import ManifestError
+from postfx.runs.errors import BooksError, ManifestError
 from postfx.runs.lock import FolderLock
+from postfx.texts import parse_json, printable, read_text
 
 NAME = "postfx.manifest.json"
 WORK_FOLDER = ".postfx"
@@ -65,27 +66,30 @@ class Manifest:
         """The manifest of a text; ManifestError when it is none. Names of outputs are names of files, without folder.
         """
         try:
-            facts = json.loads(text)
+            facts = parse_json(text)
             if facts["format"] != FORMAT or facts["version"] != VERSION:
                 raise ManifestError(f"it is of format {facts['format']!r} {facts['version']!r}")
             outputs = {str(name): _output(entry) for name, entry in facts["outputs"].items()}
             runs = {str(run): dict(entry) for run, entry in facts["runs"].items()}
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
-            raise ManifestError(f"it is damaged ({type(error).__name__}: {error})") from error
-        strange = [name for name in outputs if not is_plain_name(name)]
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
+            raise ManifestError(f"it is damaged ({type(error).__name__}: {printable(str(error))})") from error
+        strange = [name for name in (*outputs, *runs) if not is_plain_name(name)]
         if strange:
-            raise ManifestError(f"it names a file outside of its folder: {strange[0]}")
+            raise ManifestError(f"it names a file outside of its folder: {printable(strange[0])}")
         return cls(runs, outputs)
 
 
 def load_manifest(folder: Path) -> Manifest:
-    """A folder's manifest, empty where there is none; ManifestError when it cannot be understood."""
+    """A folder's manifest, empty where there is none; ManifestError when it cannot be understood, BooksError when it
+    cannot be read."""
     path = folder / NAME
     try:
-        return Manifest.from_json(path.read_text(encoding="utf-8"))
+        return Manifest.from_json(read_text(path))
     except FileNotFoundError:
         return Manifest()
-    except (OSError, UnicodeDecodeError, ManifestError) as error:
+    except OSError as error:
+        raise BooksError(f"{path}: cannot be read: {error.strerror}; check its rights") from error
+    except (ValueError, ManifestError) as error:
         raise ManifestError(f"{path}: {error}: delete it; --skip-existing then decodes every frame") from error
 
 

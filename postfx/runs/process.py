@@ -46,7 +46,7 @@ class Process(NamedTuple):
             return None
         try:
             os.kill(self.pid, 0)
-        except ProcessLookupError:
+        except (ProcessLookupError, OverflowError):
             return False
         except OSError:  # it is another user's, so it is there
             pass

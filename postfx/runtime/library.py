@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
 from postfx.paths import is_plain_name, models_dir
 from postfx.runtime.errors import ModelError
 from postfx.runtime.model_check import MOST_BYTES, check_model
+from postfx.texts import parse_json, read_text
 
 _PARTS = {"inputs": dict, "outputs": dict, "weights": str}
 _WORDS = {dict: "objects", str: "texts"}
-
-_PARTS = {"inputs": dict, "outputs": dict, "weights": str}
-_WORDS = {dict: "objects", str: "texts"}
+_MOST_CARD = 1 << 20  # bytes
 
 
 class Library:
@@ -46,10 +44,10 @@ class Library:
     def card(self, name: str) -> dict[str, Any]:
         """The model's card, empty when it has none. Raises ModelError when the card is not a JSON object."""
         path = self.path(name).with_name(f"{name}.json")
-        if not path.is_file():
+        if not path.exists():
             return {}
         try:
-            card = json.loads(path.read_text(encoding="utf-8"))
+            card = parse_json(read_text(path, _MOST_CARD))
         except (OSError, ValueError) as error:
             raise ModelError(f"card '{path}' cannot be read: {error}") from error
         if not isinstance(card, dict):
@@ -57,6 +55,9 @@ class Library:
         for key, kind in _PARTS.items():
             if not isinstance(card.get(key, {}), dict) or not all(type(v) is kind for v in card.get(key, {}).values()):
                 raise ModelError(f"card '{path}': '{key}' must be an object of {_WORDS[kind]}")
+        for facts in (*card.get("inputs", {}).values(), *card.get("outputs", {}).values()):
+            if not isinstance(facts.get("shape", []), list):
+                raise ModelError(f"card '{path}': a 'shape' must be a list of numbers and names")
         return card
 
     def constants(self, name: str) -> tuple[str, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +16,7 @@ import onnxruntime as ort
 from postfx.runtime.errors import ModelError
 from postfx.runtime.tensor import Tensor
 
+_CGROUP = Path("/sys/fs/cgroup/memory.max")
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
 
 
@@ -59,6 +62,7 @@ class Session:
             raise ModelError(f"model '{name}' cannot be made ready: {first_line(error)}") from error
         if self._session.get_providers()[0] != placement.provider:
             raise ModelError(f"model '{name}' cannot run on {placement.provider}: see ONNX Runtime's warning above")
+        self._name = name
         self._placement = placement
 
     def bind(self, inputs: Mapping[str, Tensor], outputs: Mapping[str, Tensor]) -> Callable[[], None]:
@@ -75,9 +79,13 @@ class Session:
         return lambda: self._session.run_with_iobinding(binding, options)
 
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """Outputs that depend on no input, from one run on zeros."""
+        """Outputs that depend on no input, from one run on zeros. ModelError when there are none such, or they cannot
+        be computed, as where they take more memory than there is."""
         zeros = {value.name: np.zeros(value.shape, value.dtype) for value in self.inputs}
-        return dict(zip(names, self._session.run(list(names), zeros), strict=True)) if names else {}
+        try:
+            return dict(zip(names, self._session.run(list(names), zeros), strict=True)) if names else {}
+        except Exception as error:
+            raise ModelError(f"model '{self._name}' cannot be run: {first_line(error)}") from error
 
     def copy_bytes(self, source: tuple[str, int, int], target: tuple[str, int, int], nbytes: int) -> None:
         """Run a copying model from one (memory, index, pointer) to another."""
@@ -94,9 +102,18 @@ def first_line(error: BaseException) -> str:
 
 @cache
 def _register_shared_arena() -> None:
-    """One allocator for all sessions of the process; private arenas hold each session's peak for ever."""
+    """One allocator for all sessions of the process; private arenas hold each session's peak for ever. It gives no
+    more than the machine has: a model that asks for more fails, where the system would end the process."""
     info = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
-    ort.create_and_register_allocator(info, ort.OrtArenaCfg(0, -1, -1, -1))
+    ort.create_and_register_allocator(info, ort.OrtArenaCfg(_machine_memory(), -1, -1, -1))
+
+
+def _machine_memory() -> int:
+    """Bytes that the machine has, or the container's share of them."""
+    most = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    with suppress(OSError, ValueError):  # no container, or one without a limit
+        most = min(most, int(_CGROUP.read_text()))
+    return most
 
 
 def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOptions:

@@ -119,6 +119,32 @@ def test_names_of_any_characters(postfx, shot, tmp_path: Path, name: str) -> Non
     assert channel_hashes(tmp_path / "again/x.0002.exr") == channel_hashes(second)
 
 
+def test_names_are_printed_as_they_are(postfx, shot, tmp_path: Path) -> None:
+    """And not taken for the marks and signs that rich, which prints them, knows."""
+    shot(1)
+    done = postfx("in/shot.####.exr", "-o", "out/[/b][red] :bug:.####.exr")
+    assert done.code == 0 and done.err.count("out/[/b][red] :bug:.0001.exr") == 2
+    assert names(tmp_path / "out/[") == ["b][red] :bug:.0001.exr"]
+
+
+def test_names_that_are_not_utf_8_are_refused(postfx, shot, tmp_path: Path) -> None:
+    """OpenImageIO takes text only."""
+    folder = shot(1)
+    done = postfx("in/", "-o", "out/\udcff.####.exr")
+    assert done.code == 2 and done.error.endswith("out/?.####.exr: is not UTF-8: choose another name")
+    (folder / "shot.0001.exr").rename(folder / "\udcff.0001.exr")
+    done = postfx("in/", "-o", "out/a.####.exr")
+    assert done.code == 2 and "in/?.0001.exr: its name is not UTF-8: rename it" in done.error
+
+
+@pytest.mark.parametrize(("target", "told"), [("", "nowhere to write: give -o"), ("{plane}/", "is for input"),
+                                              ("out/{plane}.####.exr", "is for input")])
+def test_outputs_that_are_no_names_are_refused(postfx, shot, target: str, told: str) -> None:
+    shot(1)
+    done = postfx("in/shot.####.exr", "-o", target)
+    assert done.code == 2 and told in done.error
+
+
 def test_a_name_that_is_too_long_is_told(postfx, shot, tmp_path: Path) -> None:
     shot(1)
     done = postfx("in/shot.####.exr", "-o", f"out/{'x' * 300}.####.exr")

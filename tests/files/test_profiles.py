@@ -36,6 +36,8 @@ MALFORMED = {
     PLANE + "miss = 'far'": "miss must be a number",
     "[[plane]]\nrole = 7": "role must be a text",
     "a = " + "[" * 5000: "nested without end|not valid TOML",
+    "a" + ".a" * 50000 + " = 1": "a line of more than 200 dots",
+    "#" * (1 << 19): "it has more than 262144 bytes",
 }
 
 

@@ -16,8 +16,9 @@ import atheris
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-WATCHED = ["postfx.io", "postfx.strength", "postfx.cli.cuts", "postfx.scratch", "postfx.runtime.library",
-           "postfx.runtime.model_check", "postfx.runtime.model_file", "postfx.runtime.wire"]
+WATCHED = ["postfx.io", "postfx.strength", "postfx.cli.cuts", "postfx.scratch", "postfx.texts", "postfx.runs",
+           "postfx.passes._tonemap_look", "postfx.runtime.library", "postfx.runtime.model_check",
+           "postfx.runtime.model_file", "postfx.runtime.wire"]
 
 with atheris.instrument_imports(include=WATCHED):
     from tests.fuzz import targets

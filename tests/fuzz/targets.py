@@ -20,6 +20,13 @@ from postfx.io.pattern import number_in_name, parse_frames, parse_pattern, patte
 from postfx.io.profile import BUILTIN, load_profile
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
+from postfx.passes._tonemap_look import check_constants, find_model, shaper
+from postfx.runs.checkpoint import About, load_checkpoint, read_about, save_checkpoint
+from postfx.runs.claim import is_alive
+from postfx.runs.errors import CheckpointError, ManifestError
+from postfx.runs.manifest import NAME, Manifest, Output
+from postfx.runs.process import Process
+from postfx.runs.verify import verify
 from postfx.runtime import Device, Library
 from postfx.scratch import bytes_of
 from postfx.strength import parse_leave
@@ -103,6 +110,37 @@ def model(content: bytes) -> None:
     _device().pipeline_state(library, "toy", {"height": 4, "width": 4})
 
 
+def books(content: bytes) -> None:
+    """A manifest, a claim, a lock and a checkpoint of another run."""
+    text = content.decode("utf-8", "surrogateescape")
+    try:
+        manifest = Manifest.from_json(text)
+        assert Manifest.from_json(manifest.to_json()) == manifest
+    except ManifestError:
+        pass
+    for path in (FOLDER / "run.claim", FOLDER / "run.checkpoint", FOLDER / NAME):
+        path.write_bytes(content)
+    is_alive(FOLDER, "run")
+    for read in (read_about, load_checkpoint):
+        try:
+            read(FOLDER / "run.checkpoint")
+        except CheckpointError:
+            pass
+    verify(FOLDER)
+
+
+def look(content: bytes) -> None:
+    """The card of a look, and whether its cube can be used: the first line, in JSON, is the card."""
+    card, _, network = content.partition(b"\n")
+    (FOLDER / "looks").mkdir(exist_ok=True)
+    (FOLDER / "looks/toy.json").write_bytes(card)
+    (FOLDER / "looks/toy.onnx").write_bytes(network)
+    library, name = find_model(str(FOLDER / "looks/toy.onnx"))
+    shaper(library, name)
+    state = _device().pipeline_state(library, name)
+    check_constants(name, state.constants, any(binding.name == "grid" for binding in state.bindings))
+
+
 def seeds(name: str, folder: Path) -> None:
     """A few small inputs that are all right, to begin with."""
     def add(stem: str, content: bytes) -> None:
@@ -130,6 +168,18 @@ def seeds(name: str, folder: Path) -> None:
                    [value("y", (1, 2, "height", "width"))])
         card = {"inputs": {"x": {}}, "outputs": {"y": {"constant": False}}, "weights": {}}
         add("toy", json.dumps(card).encode() + b"\n" + (FOLDER / "toy.onnx").read_bytes())
+    if name == "look":
+        from onnx import helper
+        nodes = [helper.make_node("Identity", ["w"], ["cube"])]
+        save_model(FOLDER / "toy.onnx", nodes, [], [value("cube", (2, 2, 2, 3))], {"w": np.zeros((2, 2, 2, 3), "f4")})
+        card = {"shaper": {"toe": 0.1, "scale": 0.1, "matrix": [1.0] * 9}, "outputs": {"cube": {"constant": True}}}
+        add("toy", json.dumps(card).encode() + b"\n" + (FOLDER / "toy.onnx").read_bytes())
+    if name == "books":
+        output = Output("run", 1, "0" * 64, 7, 2, 3, {"in.exr": (1, 2)}, True)
+        add("manifest", Manifest({"run": {"status": "running"}}, {"a.0001.exr": output}).to_json().encode())
+        add("claim", json.dumps({"process": Process.me().as_dict(), "files": ["a"]}).encode())
+        save_checkpoint(FOLDER / "seed", About("run", "a.####.exr", 3, "f"), {"grid": np.zeros((2, 3), "f4")})
+        add("checkpoint", (FOLDER / "seed").read_bytes())
 
 
 def _sample() -> Path:
@@ -148,4 +198,5 @@ def _device() -> Device:
 
 TARGETS: dict[str, Callable[[bytes], None]] = {
     "exr": exr, "container": container, "hdr": hdr, "profile": profile, "patterns": patterns, "model": model,
+    "look": look, "books": books,
 }

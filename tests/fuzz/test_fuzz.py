@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -11,16 +14,30 @@ import pytest
 from tests.fuzz.targets import TARGETS
 
 SECONDS = 4
+AT_ONCE = 2
+
+
+def fuzz(target: str, out: Path) -> subprocess.CompletedProcess:
+    out.mkdir()
+    script = Path(__file__).with_name("fuzz.py")
+    return subprocess.run([sys.executable, str(script), target, str(SECONDS)], capture_output=True, text=True,
+                          check=False, timeout=180, errors="replace", env={**os.environ, "POSTFX_FUZZ_OUT": str(out)})
+
+
+@pytest.fixture(scope="module")
+def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Future]]:
+    """What came of each target; a few run at once."""
+    pytest.importorskip("atheris")
+    folder = tmp_path_factory.mktemp("fuzz")
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        yield {target: pool.submit(fuzz, target, folder / target) for target in TARGETS}
+        pool.shutdown(cancel_futures=True)
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_any_input_is_read_or_refused_in_one_line(target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_input_is_read_or_refused_in_one_line(target: str, fuzzed: dict[str, Future]) -> None:
     """No crash, no hang, no memory over the limit; more with `python tests/fuzz/fuzz.py TARGET SECONDS`."""
-    pytest.importorskip("atheris")
-    monkeypatch.setenv("POSTFX_FUZZ_OUT", str(tmp_path))
-    script = Path(__file__).with_name("fuzz.py")
-    done = subprocess.run([sys.executable, str(script), target, str(SECONDS)], capture_output=True, text=True,
-                          check=False, timeout=180, errors="replace")
-    assert done.returncode == 0, f"{sorted(tmp_path.iterdir())}\n{done.stderr[-3000:]}"
+    done = fuzzed[target].result()
+    assert done.returncode == 0, done.stderr[-3000:]
     runs = [line for line in done.stderr.splitlines() if line.startswith("stat::number_of_executed_units")]
     assert int(runs[0].split()[-1]) > 20, done.stderr[-2000:]

@@ -1,10 +1,7 @@
 """Short shots, runs in this process or in one of their own, and files compared byte by byte."""
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -13,9 +10,8 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.cli.main import main
+from tests.reliability.faulty import Faulty
 
-REPOSITORY = Path(__file__).resolve().parent.parent.parent
-FAULTY = Path(__file__).with_name("faulty.py")
 FRAMES = 8
 SIZE = (32, 48)
 
@@ -53,6 +49,7 @@ class Runs:
 
     def __init__(self, shot: str, folder: Path, capsys) -> None:
         self.shot, self.folder, self.log, self._capsys = shot, folder, folder.parent / f"{folder.name}.jsonl", capsys
+        self._started = 0
 
     def arguments(self, *more: str, passes: tuple[str, ...] = QUICK) -> list[str]:
         return ["run", self.shot, "-o", str(self.folder / "out.####.exr"), "--log", str(self.log), *passes, *more]
@@ -66,17 +63,15 @@ class Runs:
         code = main(["verify", str(self.folder), "--json"])
         return code, json.loads(self._capsys.readouterr().out)
 
-    def start(self, faults: list[dict], *more: str, passes: tuple[str, ...] = QUICK) -> subprocess.Popen:
+    def start(self, faults: list[dict], *more: str, passes: tuple[str, ...] = QUICK) -> Faulty:
         """Start a process of its own, with faults."""
-        environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-        return subprocess.Popen([sys.executable, FAULTY, json.dumps(faults), *self.arguments(*more, passes=passes)],
-                                env=environment, stderr=subprocess.PIPE, text=True)
+        self._started += 1
+        said = self.folder.parent / f"{self.folder.name}.{self._started}.txt"
+        return Faulty(faults, self.arguments(*more, passes=passes), said)
 
     def fail(self, *faults: dict, more: tuple[str, ...] = (), passes: tuple[str, ...] = QUICK) -> tuple[int, str]:
         """Run with faults to the end, whatever it is; gives the exit code and what was said."""
-        process = self.start(list(faults), *more, passes=passes)
-        said = process.communicate(timeout=120)[1]
-        return process.returncode, said
+        return self.start(list(faults), *more, passes=passes).finished()
 
     def killed(self, at: str, call: int, when: str = "before", of: str = "",
                passes: tuple[str, ...] = QUICK, more: tuple[str, ...] = ()) -> None:

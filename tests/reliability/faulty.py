@@ -1,6 +1,6 @@
-"""`postfx` with faults: python faulty.py FAULTS ARGUMENTS...
+"""`postfx` with faults, in a process of its own: see `Faulty`.
 
-FAULTS is a JSON list of objects: `at`, the dotted name of a function that is called by its module's name; `do`, one of
+A fault is a mapping: `at`, the dotted name of a function that is called by its module's name; `do`, one of
 kill (SIGKILL to this process), sleep, fail (ReadError) and full (OSError: no space left); `when`, before (default) or
 after the call; `of`, what the arguments must name; `calls`, numbers of such calls from 1 on that it happens at, or all
 of them without; `seconds` of sleep.
@@ -9,12 +9,17 @@ of them without; `seconds` of sleep.
 import errno
 import importlib
 import itertools
-import json
+import multiprocessing
 import os
 import signal
 import sys
 import time
 
+import postfx.cli.job  # noqa: F401 - what a run would import first
+import postfx.colour.views  # noqa: F401
+import postfx.passes.denoise_upscale  # noqa: F401
+import postfx.passes.overlay  # noqa: F401
+import postfx.passes.tonemap  # noqa: F401
 from postfx.cli.main import main
 from postfx.errors import ReadError
 
@@ -52,7 +57,39 @@ def install(fault):
     setattr(owner, name, faulty)
 
 
-if __name__ == "__main__":
-    for one in json.loads(sys.argv[1]):
-        install(one)
-    sys.exit(main(sys.argv[2:]))
+def run(faults, arguments, said):
+    os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), sys.stderr.fileno())
+    for fault in faults:
+        install(fault)
+    sys.exit(main(arguments))
+
+
+class Faulty:
+    """A process of `postfx ARGUMENTS` with faults, like subprocess.Popen. What it says goes to the file `said`.
+
+    It is forked from one that has imported everything and made nothing yet, which spares a second or two each time.
+    """
+
+    def __init__(self, faults, arguments, said):
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload([__name__])
+        self._process = context.Process(target=run, args=(faults, arguments, str(said)), daemon=True)
+        self._process.start()
+        self.pid, self._said = self._process.pid, said
+
+    @property
+    def returncode(self):
+        return self._process.exitcode
+
+    def send_signal(self, number):
+        os.kill(self.pid, number)
+
+    def wait(self, timeout):
+        self._process.join(timeout)
+        assert self.returncode is not None, "it does not end"
+        return self.returncode
+
+    def finished(self, timeout=120):
+        """Exit code and what was said, at its end."""
+        code = self.wait(timeout)
+        return code, self._said.read_text() if self._said.exists() else ""

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import subprocess
 
 import OpenImageIO as oiio
 import pytest
@@ -54,12 +55,38 @@ def test_verify_tells_a_run_that_runs(runs):
     assert process.wait(60) == 0
 
 
+def test_names_in_a_manifest_do_not_steer_the_terminal(tmp_path, capsys):
+    outputs = {"a\n\x1b[31m.exr": {"run": "r", "frame": 1, "sha256": "x"}, "\udcff.exr": {"run": "r", "frame": 2}}
+    (tmp_path / NAME).write_text(json.dumps({"format": "postfx manifest", "version": VERSION,
+                                             "runs": {"r": {"status": "x\ry"}}, "outputs": outputs}))
+    assert main(["verify", str(tmp_path)]) == 1
+    said = capsys.readouterr().out
+    assert "missing    a??[31m.exr: was written and is gone" in said and "unfinished ?.exr" in said
+    assert "run r was x?y" in said and said.count("\n") == 4
+
+
+@pytest.mark.parametrize("verb", ["run", "verify"])
+def test_manifest_that_cannot_be_read_for_now(runs, capsys, monkeypatch, verb):
+    assert runs()[0] == 0
+    before = (runs.folder / NAME).read_bytes()
+
+    def fail(*_):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("postfx.runs.manifest.read_text", fail)
+    assert main(runs.arguments("--skip-existing") if verb == "run" else ["verify", str(runs.folder)]) == 2
+    assert f"{NAME}: cannot be read: Input/output error; check its rights" in capsys.readouterr().err
+    assert (runs.folder / NAME).read_bytes() == before
+    assert sorted(path.suffix for path in runs.folder.iterdir()) == [".exr"] * 8 + [".json"]
+
+
 def test_verify_without_a_manifest(tmp_path, capsys):
     assert main(["verify", str(tmp_path)]) == 2
     assert f"has no {NAME}: give the folder that 'postfx run' wrote to" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", "null", '{"format": "other", "version": 1}', "\x00\x01",
+@pytest.mark.parametrize("content", ["", "{", "[]", "null", "[" * 100_000, "\x00\x01",
+                                     '{"format": "other", "version": 1}',
                                      '{"format": "postfx manifest", "version": 1, "runs": [], "outputs": {}}'])
 def test_verify_of_a_damaged_manifest(tmp_path, capsys, content):
     (tmp_path / NAME).write_text(content)
@@ -74,11 +101,15 @@ def test_manifest_that_names_files_elsewhere(name):
         name: {"run": "r", "frame": 1}}})
     with pytest.raises(ManifestError, match="it names a file outside of its folder"):
         Manifest.from_json(text)
+    with pytest.raises(ManifestError, match="it names a file outside of its folder"):
+        Manifest.from_json(json.dumps({"format": "postfx manifest", "version": VERSION, "runs": {name: {}},
+                                       "outputs": {}}))
 
 
 @pytest.mark.parametrize("entry", [{}, {"run": 1, "frame": 1}, {"run": "r", "frame": "1"}, {"run": "r", "frame": 1,
                                    "sha256": 5}, {"run": "r", "frame": 1, "other": 2}, 7,
-                                   {"run": "r", "frame": 1, "inputs": {"a": 1}}])
+                                   {"run": "r", "frame": 1, "inputs": {"a": 1}},
+                                   {"run": "r", "frame": 1, "inputs": {"a": [float("inf"), 1]}}])
 def test_manifest_with_a_malformed_entry(entry):
     text = json.dumps({"format": "postfx manifest", "version": VERSION, "runs": {}, "outputs": {"a.exr": entry}})
     with pytest.raises(ManifestError, match="it is damaged"):
@@ -182,11 +213,23 @@ def test_run_that_fails_before_its_first_frame(runs, unbroken):
     assert runs.files() == unbroken and runs.verify()[0] == 0
 
 
-@pytest.mark.skipif(os.getuid() == 0, reason="root may write everywhere")
-def test_folder_that_may_not_be_written(runs):
+@pytest.fixture
+def forbidden(runs):
+    """The runs' folder, empty and not to be written; for root, who may write everywhere, a disk that is read only."""
     runs.folder.mkdir(mode=0o500)
+    if os.getuid():
+        yield "Permission denied"
+        return
+    mount = ["mount", "-t", "tmpfs", "-o", "ro", "tmpfs", runs.folder]
+    if subprocess.run(mount, check=False, capture_output=True).returncode:
+        pytest.skip("root may write everywhere, and mounting a disk is not allowed here")
+    yield "Read-only file system"
+    subprocess.run(["umount", "-l", runs.folder], check=True)
+
+
+def test_folder_that_may_not_be_written(runs, forbidden):
     code, said = runs()
-    assert code == 2 and "out.0001.exr: cannot be written: Permission denied" in said
+    assert code == 2 and f"out.0001.exr: cannot be written: {forbidden}" in said and "Traceback" not in said
 
 
 def test_file_where_the_books_should_be(runs):

@@ -1,7 +1,6 @@
 """Ctrl-C and SIGTERM end a run cleanly; what is there then is whole."""
 
 import signal
-import subprocess
 import threading
 import time
 
@@ -9,15 +8,16 @@ import pytest
 
 from postfx.runs.errors import Interrupted
 from postfx.runs.stop import Stop
+from tests.reliability.faulty import Faulty
 
 SLOW = {"at": "postfx.pipeline.Pipeline._run", "do": "sleep", "seconds": 0.3}
 STUCK = {"at": "postfx.pipeline.Pipeline._run", "do": "sleep", "seconds": 20, "calls": [3]}
 
 
-def stopped(runs, process: subprocess.Popen, number: int) -> str:
+def stopped(process: Faulty, number: int) -> str:
     process.send_signal(number)
-    said = process.communicate(timeout=60)[1]
-    assert process.returncode == 128 + number, said
+    code, said = process.finished(60)
+    assert code == 128 + number, said
     return said
 
 
@@ -25,7 +25,7 @@ def stopped(runs, process: subprocess.Popen, number: int) -> str:
 def test_stopped_and_resumed(runs, unbroken, number):
     process = runs.start([SLOW])
     runs.wait_for("frame", 2)
-    said = stopped(runs, process, number)
+    said = stopped(process, number)
     assert "stopping when this frame is finished" in said and "interrupted: finished frames are kept" in said
     done = runs.files()
     assert 2 <= len(done) < 8 and all(unbroken[name] == content for name, content in done.items())
@@ -45,7 +45,7 @@ def test_second_signal_stops_at_once(runs, unbroken):
     process.send_signal(signal.SIGINT)
     time.sleep(0.3)
     begin = time.monotonic()
-    stopped(runs, process, signal.SIGTERM)
+    stopped(process, signal.SIGTERM)
     assert time.monotonic() - begin < 10
     assert all(unbroken[name] == content for name, content in runs.files().items())
     assert runs.verify()[1]["altered"] == [] and not list(runs.folder.glob(".out*"))

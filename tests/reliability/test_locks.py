@@ -78,6 +78,13 @@ def test_lock_of_a_dead_process_is_taken_over(lock):
         assert Process.of(json.loads(lock.read_text())) == Process.me()
 
 
+@pytest.mark.parametrize("number", [0, -1, 1 << 31, 1 << 70])
+def test_lock_of_a_process_that_cannot_be(lock, number):
+    lock.write_text(json.dumps(Process.me()._replace(pid=number).as_dict()))
+    with FolderLock(lock, patience=5):
+        assert Process.of(json.loads(lock.read_text())) == Process.me()
+
+
 def test_lock_of_a_process_whose_number_was_used_again(lock):
     lock.write_text(json.dumps(Process.me()._replace(begun=1).as_dict()))
     with FolderLock(lock, patience=5):

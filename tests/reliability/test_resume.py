@@ -1,7 +1,9 @@
 """A run that was killed anywhere goes on to the very files of an unbroken one."""
 
 import json
+import os
 import shutil
+import socket
 from pathlib import Path
 
 import pytest
@@ -191,6 +193,18 @@ def test_leftovers_of_a_killed_writer_are_removed(runs):
     foreign.write_text("of someone else")
     assert runs(*RESUME)[0] == 0
     assert [path.name for path in runs.folder.glob(".o*")] == [foreign.name]
+
+
+def test_leftovers_of_machines_that_are_gone_are_removed(runs):
+    """As of containers, which have another name each time."""
+    runs.folder.mkdir()
+    gone, foreign, living = (runs.folder / name for name in
+                             (".out.0003.exr.0f3a-7-0.part", ".other.0003.exr.0f3a-7-0.part",
+                              f".out.0003.exr.{socket.gethostname()}-{os.getpid()}-99.part"))
+    for path in (gone, foreign, living):
+        path.write_text("half a frame")
+    assert runs()[0] == 0
+    assert not gone.exists() and foreign.exists() and living.exists()
 
 
 def test_resumed_with_more_frames_than_before(shot, tmp_path, capsys, unbroken):
