@@ -149,8 +149,9 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--leave", metavar="NAMES",
-        help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, and 'auto' for sky and "
-        "misses that are free of noise; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id",
+        help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, 'auto' for sky and "
+        "misses that are free of noise, and 'converged:0.01' for what its variance says to have at most 1 %% of error, "
+        "or 'converged:256spp'; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id",
     )
     looks.add_arguments(group)
     group.add_argument(

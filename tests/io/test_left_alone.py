@@ -207,7 +207,7 @@ def test_planes_of_another_size(tmp_path: Path) -> None:
     larger = {name: np.kron(plane, np.ones((2, 2), np.float32)) for name, plane in ranks("CryptoObject").items()}
     OpenEXR.File({"type": OpenEXR.scanlineimage}, colours()).write(str(tmp_path / "beauty.exr"))
     OpenEXR.File({"type": OpenEXR.scanlineimage, **header()}, larger).write(str(tmp_path / "crypto.exr"))
-    with pytest.raises(StrengthError, match="CryptoObject is 16x12, the colour is 8x6: render ids at the colour's"):
+    with pytest.raises(StrengthError, match="CryptoObject is 16x12, the colour is 8x6: render both at one size"):
         FrameFiles({word: tmp_path / f"{word}.exr" for word in ("beauty", "crypto")}, leave=parse_leave("logo"))
 
 
