@@ -1,12 +1,13 @@
 """What it costs and saves to leave alone what has converged, on a frame that was sampled adaptively.
 
-python samples/converged.py [--size 480x272] [--passes 128] [--model m] [--runs 5]
+python samples/converged.py [--size 256x144] [--passes 128] [--model m] [--runs 5] [--one-place]
 
-Renders samples of one frame of samples/ray_caster.py one by one. For each target a pixel stops when the standard error
-of its mean is at most so much of it, in steps of 16 samples. The frame, with the variance and number of its samples, is
-enlarged to twice its size: denoised everywhere, and with what has converged left alone. Prints samples a pixel, the
-share left alone, PSNR in dB there and of the whole (against 64 samples of each pixel of the output), and milliseconds
-of the denoiser, medians of runs in turn. pip install 'postfx[bench]'
+Renders samples of one frame of samples/ray_caster.py one by one, spread over the pixel, or all at one place of it, as
+real-time renderers do: the variance then knows nothing of what lies between places, such as edges. For each target a
+pixel stops when the standard error of its mean is at most so much of it, in steps of 16 samples. The frame, with the
+variance and number of its samples, is enlarged to twice its size: denoised everywhere, and with what has converged left
+alone. Prints samples a pixel, the share left alone, PSNR in dB there and of the whole (against 64 samples of each pixel
+of the output), and milliseconds of the denoiser, medians of runs in turn. pip install 'postfx[bench]'
 """
 
 import argparse
@@ -55,14 +56,15 @@ def compare(frames: list[postfx.Frame], model: str, runs: int) -> tuple[list[np.
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", default="480x272")
+    parser.add_argument("--size", default="256x144")
     parser.add_argument("--passes", type=int, default=128)
     parser.add_argument("--model", default="m")
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--one-place", action="store_true", help="all samples of a pixel at one place")
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
-    jitter = integrate.jitter_sequence(integrate.jitter_length(2))[0]
-    first = render(1, width, height, 1, jitter)
+    jitter = integrate.jitter_sequence(integrate.jitter_length(2))[0] if arguments.one_place else None
+    first = render(1, width, height, 1, np.zeros(2) if jitter is None else jitter)
     samples = [render(1, width, height, 1, jitter, seed)[Role.COLOUR].astype(np.float32)
                for seed in range(arguments.passes)]
     reference = render(1, 2 * width, 2 * height, REFERENCE, None)[Role.COLOUR]
