@@ -49,7 +49,7 @@ def test_the_time_of_masked_frames(tmp_path):
 @pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="postfx[bench] is not installed")
 def test_misses_are_left_alone_as_long_as_that_is_better():
     """At every noise within 0.5 dB of the better of denoising them and leaving them; without noise they are left."""
-    rows = [list(map(float, line.split()[:5])) for line in run("leave_alone.py", "converged.py", "2").splitlines()[1:]]
+    rows = [list(map(float, line.split()[:5])) for line in run("leave_alone.py", "2").splitlines()[1:]]
     assert all(auto > max(denoised, left) - 0.5 for _, denoised, left, auto, _ in rows)
     assert rows[0][4] > 1 and rows[0][3] > rows[0][1] + 3 and rows[-1][4] == 0
 
@@ -59,7 +59,7 @@ def test_what_has_converged_is_left_alone_more_and_more_rarely():
     printed = run("converged.py", "--size", "96x64", "--passes", "32", "--runs", "1").splitlines()[1:]
     rows = [[float(word) for word in line.replace("%", "").split()] for line in printed]
     samples, shares = [row[1] for row in rows], [row[2] for row in rows]
-    assert samples == sorted(samples) and shares == sorted(shares, reverse=True) and shares[0] > 40
+    assert samples == sorted(samples) and shares == sorted(shares, reverse=True) and shares[0] > 20
     assert rows[0][3] < rows[0][4] and rows[0][5] < rows[0][6]
 
 
@@ -103,6 +103,6 @@ def test_what_the_ray_caster_writes_is_right(tmp_path):
 
 def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
-             "overlay_edges.py", "ghosts.py", "measure_memory.py", "window_cost.py", "ray_caster.py",
+             "converged.py", "window_cost.py", "overlay_edges.py", "ghosts.py", "measure_memory.py", "ray_caster.py",
              "integration_mistakes.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named
