@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from postfx.colour.displays import KINDS, parse_display
 from postfx.errors import ColourError, FrameError, GuideError
+from postfx.roles import ROLES, Role
 from postfx.stored import Stored
 
 DEPTH_MISS = 1e10
@@ -20,53 +20,6 @@ LINEAR = ("scene-linear", "display-linear")
 ENCODINGS = (*LINEAR, *KINDS)
 """Meanings of the colour plane: light in the scene, light of a display (1 is white), both in Rec.709; and code values
 0..1 for displays by name, with peak and white where they are HDR ('pq,peak=1000,white=203')."""
-
-
-class Role(StrEnum):
-    """What a plane means. `ROLES` holds channels, unit, space, range and direction of each."""
-
-    COLOUR = "colour"
-    ALPHA = "alpha"
-    DEPTH = "depth"
-    MOTION = "motion"
-    NORMAL = "normal"
-    DIFFUSE_ALBEDO = "diffuse_albedo"
-    SPECULAR_ALBEDO = "specular_albedo"
-    ROUGHNESS = "roughness"
-    SPECULAR_HIT_DISTANCE = "specular_hit_distance"
-    STRENGTH = "strength"
-    REACTIVE = "reactive"
-    OPAQUE_COLOUR = "opaque_colour"
-    OVERLAY = "overlay"
-
-
-class RoleInfo(NamedTuple):
-    """Convention of one role: channel count, unit, space, range and direction."""
-
-    channels: int
-    unit: str
-    space: str
-    range: str
-    direction: str
-
-
-_REFLECTANCE = "linear Rec.709"
-
-ROLES: Mapping[Role, RoleInfo] = {
-    Role.COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "none; premultiplied by alpha"),
-    Role.ALPHA: RoleInfo(1, "coverage", "none", "0..1", "0 transparent, 1 opaque"),
-    Role.DEPTH: RoleInfo(1, "scene units", "camera", "0..1e10", "along the view axis, away from the camera; miss 1e10"),
-    Role.MOTION: RoleInfo(2, "pixels of this frame", "image", "any", "previous - current; x right, y down; no jitter"),
-    Role.NORMAL: RoleInfo(3, "none", "world", "-1..1", "facing the viewer; unit length not forced, zero at misses"),
-    Role.DIFFUSE_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "none"),
-    Role.SPECULAR_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "Fresnel towards the viewer"),
-    Role.ROUGHNESS: RoleInfo(1, "none", "linear (not squared)", "0..1", "0 mirror, 1 rough"),
-    Role.SPECULAR_HIT_DISTANCE: RoleInfo(1, "scene units", "world", "0..inf", "primary surface to the reflected hit"),
-    Role.STRENGTH: RoleInfo(1, "none", "none", "0..1", "0 leave as it is, 1 denoise fully"),
-    Role.REACTIVE: RoleInfo(1, "none", "none", "0..1", "0 use the history, 1 ignore it"),
-    Role.OPAQUE_COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "colour before transparency"),
-    Role.OVERLAY: RoleInfo(4, "radiance and coverage", "scene-linear Rec.709", "0..inf", "RGBA, premultiplied"),
-}
 
 
 GUIDE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH)

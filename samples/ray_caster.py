@@ -129,12 +129,14 @@ def seen(eye: np.ndarray, rays: np.ndarray, frame: float) -> tuple[np.ndarray, .
     return eye, rays, *trace(eye, rays, frame), mirrored
 
 
-def render(number: int, width: int, height: int, samples: int, jitter: np.ndarray | None) -> postfx.Frame:
+def render(
+    number: int, width: int, height: int, samples: int, jitter: np.ndarray | None, seed: int | None = None
+) -> postfx.Frame:
     """One frame with all planes. Without jitter the samples are spread over the pixel, and the planes of the last stay.
 
-    Frame 1 is the first of the shot, so it is marked as a cut.
+    Frame 1 is the first of the shot, so it is marked as a cut. Without a seed the number is the seed of the noise.
     """
-    rng, colour = np.random.default_rng(number), 0
+    rng, colour = np.random.default_rng(number if seed is None else seed), 0
     projection = integrate.perspective(FOV, width, height)
     clip, clip_before = camera(number) @ projection, camera(number - 1) @ projection
     for _ in range(samples):

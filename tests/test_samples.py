@@ -54,6 +54,19 @@ def test_misses_are_left_alone_as_long_as_that_is_better():
     assert rows[0][4] > 1 and rows[0][3] > rows[0][1] + 3 and rows[-1][4] == 0
 
 
+def test_what_has_converged_is_left_alone_more_and_more_rarely():
+    """On the smallest frame that windows fit in; what is left alone is noisier than what is denoised."""
+    printed = run("converged.py", "--size", "96x64", "--passes", "32", "--runs", "1").splitlines()[1:]
+    rows = [[float(word) for word in line.replace("%", "").split()] for line in printed]
+    samples, shares = [row[1] for row in rows], [row[2] for row in rows]
+    assert samples == sorted(samples) and shares == sorted(shares, reverse=True) and shares[0] > 20
+    assert rows[0][3] < rows[0][4] and rows[0][5] < rows[0][6]
+
+
+def test_what_windows_take_is_measured():
+    assert "ms a window =" in run("window_cost.py", "--width", "480", "--height", "272", "--runs", "1", "--model", "m")
+
+
 def test_edges_of_overlays_neither_ring_nor_shine(tmp_path):
     """What holds them adds less than 0.5 % to the error; bilinear has more than 10 % more."""
     lines = run("overlay_edges.py", str(tmp_path / "room.png")).splitlines()[1:]
@@ -90,5 +103,6 @@ def test_what_the_ray_caster_writes_is_right(tmp_path):
 
 def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
-             "overlay_edges.py", "ghosts.py", "measure_memory.py", "ray_caster.py", "integration_mistakes.py"}
+             "converged.py", "window_cost.py", "overlay_edges.py", "ghosts.py", "measure_memory.py", "ray_caster.py",
+             "integration_mistakes.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

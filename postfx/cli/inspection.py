@@ -15,6 +15,7 @@ from postfx.doctor.statistics import Values, count_values, noise_level
 from postfx.frame import DEPTH_MISS, ROLES, Frame, Role
 from postfx.io.layout import Match
 from postfx.io.sequence import Sequence
+from postfx.roles import ERROR_ROLES
 
 
 class Inspection:
@@ -64,7 +65,8 @@ class Inspection:
             "planes": [_plane(frame[role], role, layout.planes[role], material.stored[role]) for role in spec.roles],
             "guides": _guides(frame, self._reading),
             "missing": [
-                {"role": str(role), "mend": material.enable.get(role, "")} for role in Role if role not in frame
+                {"role": str(role), "mend": material.enable.get(role, "")}
+                for role in Role if role not in frame and role not in ERROR_ROLES
             ],
             "header": _header(frame),
             "warnings": sequence.warnings,

@@ -31,6 +31,7 @@ examples:
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
+  postfx run shot/adaptive.####.exr -o out/clean.####.exr --leave converged:0.01
   postfx run shot/noisy.####.exr -o out/clean.####.exr --scale 1 --on-error copy
   postfx run poster.exr -o out/ --memory 4G
   postfx run shot/noisy.####.exr -o out/layers.####.exr --overlay separate
@@ -149,8 +150,9 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--leave", metavar="NAMES",
-        help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, and 'auto' for sky and "
-        "misses that are free of noise; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id",
+        help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, 'auto' for sky and "
+        "misses that are free of noise, and 'converged:0.01' for what its variance says to have at most 1 %% of error, "
+        "or 'converged:256spp'; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id",
     )
     looks.add_arguments(group)
     group.add_argument(

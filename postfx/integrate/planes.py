@@ -29,11 +29,16 @@ CHANNELS = {
     Role.REACTIVE: ("reactive.Y",),
     Role.OPAQUE_COLOUR: ("opaque_colour.R", "opaque_colour.G", "opaque_colour.B"),
     Role.OVERLAY: OVERLAY_LAYER,
+    Role.VARIANCE_OF_MEAN: ("variance_of_mean.R", "variance_of_mean.G", "variance_of_mean.B"),
+    Role.SAMPLE_VARIANCE: ("sample_variance.R", "sample_variance.G", "sample_variance.B"),
+    Role.SECOND_MOMENT: ("second_moment.R", "second_moment.G", "second_moment.B"),
+    Role.SAMPLE_COUNT: ("sample_count.Y",),
 }
 """Channel names of each plane."""
 
-FULL_FLOAT = (Role.DEPTH, Role.SPECULAR_HIT_DISTANCE)
-"""Planes that half floats do not hold: a miss is 1e10. Motion above 2048 pixels loses fractions only there."""
+FULL_FLOAT = (Role.DEPTH, Role.SPECULAR_HIT_DISTANCE, Role.VARIANCE_OF_MEAN, Role.SAMPLE_VARIANCE, Role.SECOND_MOMENT)
+"""Planes that half floats do not hold: a miss is 1e10, squares of radiance are small or huge. Motion above 2048 pixels
+loses fractions only there."""
 
 _HALF_MAX = 65504.0
 
@@ -41,7 +46,7 @@ _HALF_MAX = 65504.0
 def write_planes(path: str | PathLike[str], frame: Frame) -> Path:
     """Write all planes of a frame and its headers into one EXR file; returns the path.
 
-    Half floats, depth and hit distance 32 bit, ZIP. Headers: `frame_header`. The file appears under its name only when
+    Half floats, those of `FULL_FLOAT` 32 bit, ZIP. Headers: `frame_header`. The file appears under its name only when
     it is complete; folders are made. Raises WriteError when it cannot be written or is not named .exr.
     """
     path = Path(path)

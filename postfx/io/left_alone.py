@@ -1,4 +1,4 @@
-"""The strength of named things, sky and misses, for one frame: where its files say what they are."""
+"""The strength of named things, misses and what has converged, for one frame: where its files say what they are."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 from postfx.frame import Role
 from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.cryptomattes import CryptomattePlanes, cryptomattes
-from postfx.io.layout import Layout
+from postfx.io.layout import Header, Layout
 from postfx.scratch import Scratch
+from postfx.strength import converged
 from postfx.strength.cryptomatte import share_of, snapped
 from postfx.strength.entries import AUTO, Entry, StrengthError
 from postfx.strength.ids import range_of, within
@@ -26,7 +27,8 @@ class LeftAlone:
     """Entries of `postfx.strength.parse_leave`, found in a frame's files.
 
     Raises StrengthError when the files hold no Cryptomatte or plane for one, when that has another size than the
-    colour, when nothing tells misses, and, if `strict`, when no name fits; else the thing is only not in this frame.
+    colour, when nothing tells misses or what has converged, and, if `strict`, when no name fits; else the thing is only
+    not in this frame.
 
     Attributes:
         reads: planes that are looked at, of those that the frame has: colour and its own strength at least.
@@ -42,10 +44,13 @@ class LeftAlone:
         self._named: dict[CryptomattePlanes, dict[int, Entry]] = {}
         self._numbered: dict[Channel, list[Entry]] = {}
         for entry in self._entries:
-            if not entry.is_auto:
+            if not (entry.is_auto or entry.is_converged):
                 self._find(entry, strict)
-        looked = READS if self._auto() else (Role.COLOUR,)
-        self.reads = tuple(role for role in layout.planes if role in (*looked, Role.STRENGTH))
+        self._samples = int(Header(layout).number("samples") or 0) or None
+        self._basis = {entry: self._basis_of(entry, layout) for entry in self._entries if entry.is_converged}
+        looked = {Role.COLOUR, Role.STRENGTH, *(READS if self._auto() else ()),
+                  *(converged.READS if self._basis else ())}
+        self.reads = tuple(role for role in layout.planes if role in looked)
         if self._auto() and not {Role.DEPTH, Role.NORMAL, Role.ALPHA} & set(self.reads):
             raise StrengthError(f"{path}: '{AUTO}' has nothing to look at: render depth, normals or alpha, too")
         self.shares = Shares()
@@ -53,21 +58,34 @@ class LeftAlone:
     def strength(self, planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> np.ndarray:
         """Strength (height, width, 1) of a frame whose planes hold `reads`, times its own; in an array of `scratch`."""
         width, height = self._size
-        self.shares = Shares(1, 0.0, {str(entry): 0.0 for entry in self._entries})
+        basis = {str(entry): text for entry, text in self._basis.items()}
+        self.shares = Shares(1, 0.0, {str(entry): 0.0 for entry in self._entries}, basis=basis)
         found = scratch.empty((height, width, 1)) if scratch else np.empty((height, width, 1), np.float32)
         for rows in scratch.pieces(height, self._row_bytes(width)) if scratch else [(0, height)]:
             found[slice(*rows)] = self._of_ids(rows)
         for entry in self._auto():
             self._without_misses(found, entry, planes, scratch)
+        for entry in self._basis:
+            self._without_converged(found, entry, planes, scratch)
         found *= planes.get(Role.STRENGTH, np.float32(1))
         self.shares.alone = 1 - np.count_nonzero(found) / found.size
         return found
 
     def _is_looked_up(self) -> bool:
-        return any(not entry.is_auto for entry in self._entries)
+        return any(not (entry.is_auto or entry.is_converged) for entry in self._entries)
 
     def _auto(self) -> list[Entry]:
         return [entry for entry in self._entries if entry.is_auto][-1:]
+
+    def _basis_of(self, entry: Entry, layout: Layout) -> str:
+        """What tells that something has converged."""
+        threshold = converged.threshold_of(entry)
+        for role in layout.planes.keys() & {*converged.READS}:
+            self._check_size(f"plane '{role}'", layout.planes[role].channels[0])
+        try:
+            return threshold.basis(layout.planes, self._samples)
+        except StrengthError as error:
+            raise StrengthError(f"{self._path}: '{entry}': {error}") from error
 
     def _find(self, entry: Entry, strict: bool) -> None:
         """Note where an entry's ids are."""
@@ -108,7 +126,7 @@ class LeftAlone:
         area = channel.part.area
         if self._size is not None and (area.width, area.height) != self._size:
             raise StrengthError(f"{self._path}: {name} is {area.width}x{area.height}, the colour is "
-                                f"{self._size[0]}x{self._size[1]}: render ids at the colour's size")
+                                f"{self._size[0]}x{self._size[1]}: render both at one size")
 
     def _row_bytes(self, width: int) -> int:
         """Bytes of a row of all planes of ids, as read and as worked on."""
@@ -144,6 +162,14 @@ class LeftAlone:
             self._count(entry, 1 - strength)
             missed += count
         self.shares.missed = missed / found.size
+
+    def _without_converged(
+        self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray], scratch: Scratch | None
+    ) -> None:
+        threshold, relax = converged.threshold_of(entry), scratch.relax if scratch else None
+        for rows, strength in converged.strength_in_bands(planes, threshold, self._samples, relax):
+            found[rows] *= entry.strength + (1 - entry.strength) * strength
+            self._count(entry, 1 - strength)
 
     def _count(self, entry: Entry, share: np.ndarray) -> None:
         width, height = self._size

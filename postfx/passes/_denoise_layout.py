@@ -19,11 +19,13 @@ REACH = 2
 """Render pixels that a pixel's strength reaches when it is resampled."""
 
 FIXED = 4000
-"""Render pixels whose time a window takes beyond that of its own."""
+"""Render pixels whose time a window takes beyond that of its own. samples/window_cost.py measures 4200 for model m at
+960x540 (9 ms), 8100 for s, and 11200 for m at 1920x1080, where it matters less."""
 
 MOST_BOXES = 6
 GAIN = 0.9
-"""Windows must be expected to take at most this share of the whole frame's time."""
+"""Windows must be expected to take at most this share of the whole frame's time: a frame with windows takes 4 % of it
+more with m and 9 % with s, measured likewise, for what is done everywhere."""
 
 
 @dataclass(frozen=True)

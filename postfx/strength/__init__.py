@@ -1,9 +1,11 @@
-"""Planes `strength` from what a frame holds: names in a Cryptomatte, whole-number ids, or sky and misses.
+"""Planes `strength` from what a frame holds: names in a Cryptomatte, whole-number ids, sky and misses, or
+what has converged.
 
 NumPy in, NumPy out, as in `frame.planes[Role.STRENGTH] = strength_of_misses(frame.planes)`. docs/masks.md explains it,
 and how the same is asked for on the command line.
 """
 
+from postfx.strength.converged import Threshold, strength_of_converged, threshold_of
 from postfx.strength.cryptomatte import Cryptomatte, id_of_name, strength_from_cryptomatte
 from postfx.strength.entries import AUTO, Entry, StrengthError, parse_leave
 from postfx.strength.ids import strength_from_ids
@@ -14,10 +16,13 @@ __all__ = [
     "Cryptomatte",
     "Entry",
     "StrengthError",
+    "Threshold",
     "id_of_name",
     "misses_of",
     "parse_leave",
     "strength_from_cryptomatte",
     "strength_from_ids",
+    "strength_of_converged",
     "strength_of_misses",
+    "threshold_of",
 ]

@@ -9,6 +9,8 @@ from postfx.errors import PostfxError
 
 AUTO = "auto"
 """The name that stands for sky and misses."""
+CONVERGED = "converged"
+"""The word that stands for what has converged, before : and a threshold."""
 
 
 class StrengthError(PostfxError):
@@ -21,7 +23,8 @@ class Entry:
 
     Attributes:
         name: of an object or material, * ? and [] being wildcards; an id such as 7, 7-9 or, in a Cryptomatte,
-            0x1a2b3c4d; or 'auto' for sky and misses.
+            0x1a2b3c4d; 'auto' for sky and misses; 'converged:0.01' or 'converged:256spp' for
+            what has converged.
         plane: Cryptomatte or plane of ids to look in; None for all Cryptomattes of the file.
         strength: 0 leave as it is .. 1 denoise fully.
     """
@@ -39,6 +42,11 @@ class Entry:
         """Whether it is about sky and misses."""
         return self.name == AUTO and self.plane is None
 
+    @property
+    def is_converged(self) -> bool:
+        """Whether it is about what has converged."""
+        return self.name.partition(":")[0] == CONVERGED
+
     def matched(self, names: list[str]) -> list[str]:
         """Those of some names that it stands for: the very name, or else all that fit the wildcards."""
         return [self.name] if self.name in names else [name for name in names if fnmatchcase(name, self.name)]
@@ -48,8 +56,8 @@ def parse_leave(text: str) -> tuple[Entry, ...]:
     """Entries of a text: NAME, NAME=STRENGTH, NAME@PLANE or NAME@PLANE=STRENGTH, parted by commas.
 
     'auto,logo,glass_*=0.5,7-9@id' leaves sky and misses, the logo and the ids 7 to 9 of the plane id alone and denoises
-    glass by half. A name that holds a comma or @ is written with ? in its place. StrengthError for an empty name and a
-    strength outside 0 to 1.
+    glass by half; 'converged:0.01' leaves alone what has a relative error of at most 1 %. A name that holds a comma or
+    @ is written with ? in its place. StrengthError for an empty name and a strength outside 0 to 1.
     """
     return tuple(_entry(word.strip(), text) for word in text.split(","))
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from postfx.doctor.statistics import local_mean, luminance
 from postfx.frame import DEPTH_MISS, Role
+from postfx.strength.bands import BAND, bands, spread
 from postfx.strength.cryptomatte import snapped
 
 READS = (Role.COLOUR, Role.ALPHA, Role.DEPTH, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
@@ -31,7 +32,6 @@ CROWD = (0.15, 0.35)
 """Share of noisy misses from which on none are left alone: noise that is sparse is missing between its spikes, too."""
 GROWN, SOFT = 2, 2
 """Pixels by which everything else is grown, and radius by which it is grown once more and averaged."""
-BAND = 16 * BLOCK
 
 
 def strength_of_misses(planes: Mapping[Role, np.ndarray]) -> np.ndarray:
@@ -56,11 +56,11 @@ def strength_in_bands(
     height, width = planes[Role.COLOUR].shape[:2]
     see_through = _is_transparent(planes)
     noise = _noise_strength(planes, see_through, relax)
-    for first, last, top, bottom in _bands(height, GROWN + 2 * SOFT):
+    for first, last, top, bottom in bands(height, GROWN + 2 * SOFT):
         kept = ~_misses({role: plane[top:bottom] for role, plane in planes.items()}, see_through)
         rows, inner = np.arange(top, bottom) // BLOCK, slice(first - top, last - top)
-        found = np.maximum(_spread(kept.astype(np.float32), GROWN), noise[rows][:, np.arange(width) // BLOCK])
-        soft = local_mean(_spread(found, SOFT)[:, :, None], SOFT)
+        found = np.maximum(spread(kept.astype(np.float32), GROWN), noise[rows][:, np.arange(width) // BLOCK])
+        soft = local_mean(spread(found, SOFT)[:, :, None], SOFT)
         yield slice(first, last), snapped(soft[inner]), kept[inner].size - int(kept[inner].sum())
         if relax:
             relax()
@@ -92,19 +92,12 @@ def _misses(planes: Mapping[Role, np.ndarray], see_through: bool) -> np.ndarray:
     return np.logical_and.reduce(signs) if signs else np.zeros(planes[Role.COLOUR].shape[:2], bool)
 
 
-def _bands(height: int, reach: int) -> Iterator[tuple[int, int, int, int]]:
-    """First and last row of bands, and the same with as many rows around them as are there."""
-    for first in range(0, height, BAND):
-        last = min(height, first + BAND)
-        yield first, last, max(0, first - reach), min(height, last + reach)
-
-
 def _noise_strength(
     planes: Mapping[Role, np.ndarray], see_through: bool, relax: Callable[[], None] | None
 ) -> np.ndarray:
     """Strength that the noise of each square's misses asks for: (rows, columns) of squares, 1 where it is not known."""
     sums = []
-    for first, last, top, bottom in _bands(planes[Role.COLOUR].shape[0], max(SPANS)):
+    for first, last, top, bottom in bands(planes[Role.COLOUR].shape[0], max(SPANS)):
         band = {role: plane[top:bottom] for role, plane in planes.items() if role in READS}
         sums.append(_band_sums(band, _misses(band, see_through), first - top, last - top))
         if relax:
@@ -118,8 +111,8 @@ def _noise_strength(
     strength = np.clip((noise - NOISE[0]) / (NOISE[1] - NOISE[0]), 0, 1)
     crowd = (strength * count).sum() / max(1.0, (count * known).sum())
     least = np.clip((crowd - CROWD[0]) / (CROWD[1] - CROWD[0]), 0, 1)
-    near = _spread(known.astype(np.float32), 1) > 0
-    return np.where(near, np.maximum(_spread(strength, 1), least), 1).astype(np.float32)
+    near = spread(known.astype(np.float32), 1) > 0
+    return np.where(near, np.maximum(spread(strength, 1), least), 1).astype(np.float32)
 
 
 def _band_sums(band: Mapping[Role, np.ndarray], missed: np.ndarray, first: int, last: int) -> np.ndarray:
@@ -156,11 +149,3 @@ def _square_sums(plane: np.ndarray) -> np.ndarray:
     padded = np.pad(plane.astype(np.float64), missing)
     rows, columns = (side // BLOCK for side in padded.shape)
     return padded.reshape(rows, BLOCK, columns, BLOCK).sum((1, 3))
-
-
-def _spread(plane: np.ndarray, radius: int) -> np.ndarray:
-    """Largest value within a square of (2 radius + 1)^2 pixels."""
-    height, width = plane.shape
-    padded, shifts = np.pad(plane, radius, mode="edge"), range(2 * radius + 1)
-    rows = np.maximum.reduce([padded[shift:shift + height] for shift in shifts])
-    return np.maximum.reduce([rows[:, shift:shift + width] for shift in shifts])

@@ -59,6 +59,26 @@ def test_what_is_left_alone_is_the_enlarged_input(postfx, ids, tmp_path):
     assert np.abs(none - everything)[70:].mean() > 0.05
 
 
+def test_what_has_converged_is_told_with_its_reason(postfx, tmp_path):
+    """Noise, and a plane of variance that is 0 in the upper half."""
+    (tmp_path / "in").mkdir()
+    for number in (1, 2):
+        planes = {name: np.random.default_rng(number).random((64, 96), np.float32) for name in "RGB"}
+        planes |= {f"mse.{name}": np.repeat(np.float32([0, 1]), 32)[:, None].repeat(96, 1) for name in "RGB"}
+        OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(tmp_path / "in" / f"shot.{number:04d}.exr"))
+    told = postfx(*RUN, "--leave", "converged:0.01", "--explain")
+    (line,) = (line for line in told.out.splitlines() if line.startswith("leaves"))
+    assert line == ("leaves  of frame 1: 40.6 % of the pixels are not denoised at all: converged:0.01 covers 43.8 % by "
+                    "plane 'variance_of_mean'")
+    done = postfx(*RUN, "--leave", "converged:0.01", "-o", "out/", "--json")
+    assert done.code == 0 and done.json["left_alone"]["basis"] == {"converged:0.01": "plane 'variance_of_mean'"}
+    assert line.replace("leaves  of frame 1:", "left    ") in done.err.splitlines()
+    seen = postfx("inspect", "in/shot.####.exr", "--json").json
+    assert seen["roles"]["variance_of_mean"]["planes"] == ["mse.R", "mse.G", "mse.B"]
+    wrong = postfx(*RUN, "--leave", "converged:64spp", "-o", "other/")
+    assert wrong.code == 2 and "'converged:64spp': nothing tells the number of samples: render the plane" in wrong.err
+
+
 def test_errors_come_before_the_first_frame(postfx, ids, tmp_path):
     for leave, message in (("lgo", "in/shot.0001.exr: no 'lgo' in Cryptomatte CryptoObject: nearest: 'logo'"),
                            ("logo=2", "leave 'logo=2': strength 2 of 'logo': give 0 (as it is) to 1 (fully)")):

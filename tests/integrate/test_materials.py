@@ -82,7 +82,8 @@ def test_written_planes_are_read_back(tmp_path):
     rng = np.random.default_rng(0)
     channels = {Role.COLOUR: 3, Role.ALPHA: 1, Role.DEPTH: 1, Role.MOTION: 2, Role.NORMAL: 3, Role.DIFFUSE_ALBEDO: 3,
                 Role.SPECULAR_ALBEDO: 3, Role.ROUGHNESS: 1, Role.SPECULAR_HIT_DISTANCE: 1, Role.STRENGTH: 1,
-                Role.REACTIVE: 1, Role.OPAQUE_COLOUR: 3, Role.OVERLAY: 4}
+                Role.REACTIVE: 1, Role.OPAQUE_COLOUR: 3, Role.OVERLAY: 4,
+                Role.VARIANCE_OF_MEAN: 3, Role.SAMPLE_VARIANCE: 3, Role.SECOND_MOMENT: 3, Role.SAMPLE_COUNT: 1}
     planes = {role: rng.random((5, 7, count)).astype(np.float16).astype(np.float32) for role, count in channels.items()}
     planes[Role.DEPTH][0, 0] = 1e10
     matrix = np.arange(16.0).reshape(4, 4)

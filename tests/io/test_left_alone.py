@@ -207,7 +207,7 @@ def test_planes_of_another_size(tmp_path: Path) -> None:
     larger = {name: np.kron(plane, np.ones((2, 2), np.float32)) for name, plane in ranks("CryptoObject").items()}
     OpenEXR.File({"type": OpenEXR.scanlineimage}, colours()).write(str(tmp_path / "beauty.exr"))
     OpenEXR.File({"type": OpenEXR.scanlineimage, **header()}, larger).write(str(tmp_path / "crypto.exr"))
-    with pytest.raises(StrengthError, match="CryptoObject is 16x12, the colour is 8x6: render ids at the colour's"):
+    with pytest.raises(StrengthError, match="CryptoObject is 16x12, the colour is 8x6: render both at one size"):
         FrameFiles({word: tmp_path / f"{word}.exr" for word in ("beauty", "crypto")}, leave=parse_leave("logo"))
 
 
@@ -232,3 +232,57 @@ def test_a_real_cryptomatte_with_names_like_wildcards(shared_dir: Path) -> None:
     assert (frame[Role.STRENGTH][:, :167] == 1).all()
     with pytest.raises(PostfxError, match="nearest: 'Rect_]_left'"):
         read_sequence(path, leave="rect_left").read(1)
+
+
+def converged(name: str, letters: str, value: float) -> Channels:
+    """A plane that is 0 in the upper part of a larger picture, colours, and that value below."""
+    planes = {letter: np.full((64, 48), 0.5, np.float32) for letter in "RGB"}
+    for letter in letters:
+        planes[f"{name}{letter}"] = np.full((64, 48), value, np.float32)
+        planes[f"{name}{letter}"][:32] = 0
+    return planes
+
+
+@pytest.mark.parametrize(("channels", "header", "basis"), [
+    (converged("mse.", "RGB", 1e-3), {}, "plane 'variance_of_mean'"),
+    (converged("sample_variance.", "RGB", 0.1), {"postfx:spp": 64}, "plane 'sample_variance' and 64 samples a pixel"),
+    (converged("Variance.", "RGB", 0.1) | {name: np.ones((64, 48), np.float32) for name in (
+        "Albedo.R", "Albedo.G", "Albedo.B", "Ns.X", "Ns.Y", "Ns.Z", "P.Z", "dzdx")}, {"samplesPerPixel": 32},
+     "plane 'sample_variance' and 32 samples a pixel"),
+    (converged("m2_image.", "XYZ", 0.5), {"generatedBy": "Mitsuba version 3.6.0", "postfx:spp": 16},
+     "plane 'second_moment' and 16 samples a pixel"),
+])
+def test_what_renderers_tell_of_their_error(
+    write: Callable[..., Path], channels: Channels, header: dict[str, int | str], basis: str
+) -> None:
+    sequence = Sequence(write(channels, **header), leave="converged:0.01")
+    found = sequence.read(1)[Role.STRENGTH][:, :, 0]
+    assert (found[:26] == 0).all() and (found[32:] == 1).all()
+    assert str(sequence.left_alone).endswith(f"converged:0.01 covers 43.8 % by {basis}")
+    assert sequence.left_alone.as_dict()["basis"] == {"converged:0.01": basis}
+
+
+def test_counts_of_cycles_are_numbers_or_shares(write: Callable[..., Path]) -> None:
+    colour = {f"ViewLayer.Combined.{letter}": np.full((64, 48), 0.5, np.float32) for letter in "RGBA"}
+    for unit in (1, 512):
+        count = np.full((64, 48), 512 / unit, np.float32)
+        count[32:] = 64 / unit
+        path = write(colour | {"ViewLayer.Debug Sample Count.X": count}, **{"cycles.ViewLayer.samples": "512"})
+        sequence = Sequence(path, leave="converged:256spp=0.5")
+        found = sequence.read(1)[Role.STRENGTH][:, :, 0]
+        assert (found[:28] == 0.5).all() and (found[32:] == 1).all()
+        assert "by plane 'sample_count'" in str(sequence.left_alone)
+
+
+def test_what_cannot_tell_that_it_has_converged(write: Callable[..., Path], tmp_path: Path) -> None:
+    path = write(converged("m2_image.", "XYZ", 0.5), generatedBy="Mitsuba version 3.6.0")
+    for leave, message in (("converged:0.01", "'converged:0.01': plane 'second_moment' tells the error only with the"),
+                           ("converged:64spp", "'converged:64spp': nothing tells the number of samples: render the"),
+                           ("converged", "'converged': give a relative error, such as converged:0.01, or a number")):
+        with pytest.raises(StrengthError, match=message):
+            Sequence(path, leave=leave).read(1)
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, colours()).write(str(tmp_path / "beauty.exr"))
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, converged("mse.", "RGB", 1.0)).write(str(tmp_path / "noise.exr"))
+    with pytest.raises(StrengthError, match="plane 'variance_of_mean' is 48x64, the colour is 8x6: render both"):
+        FrameFiles({word: tmp_path / f"{word}.exr" for word in ("beauty", "noise")},
+                   leave=parse_leave("converged:0.01"))

@@ -13,6 +13,7 @@ from postfx.io.sequence import read_sequence
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from postfx.strength import Threshold, strength_of_converged
 from tests.passes.denoise_frames import flat, guided, noisy
 from tests.passes.test_denoise_strength import masked, resampled
 
@@ -76,6 +77,20 @@ def test_a_masked_frame_is_the_whole_frame_where_it_is_active(
         outside = np.kron(mask, np.ones((2, 2))) == 0
         outside &= full(1 - mask)
         np.testing.assert_array_equal(found[outside], resampled(frame, Role.COLOUR, 2)[outside])
+    assert any("strength is 0 there" in item.why for item in tiled.explain().skipped)
+
+
+def test_what_has_not_converged_is_as_in_a_run_of_the_whole(device: Device, room: list[Frame]) -> None:
+    """Noise is left in a part of the frame; strength falls smoothly around it, and windows follow it."""
+    whole, tiled = chain(device, model="m.fp32"), chain(device, model="m.fp32")
+    for frame in room[:2]:
+        variance = 0.1 * MASKS["box"][:, :, None] * frame[Role.COLOUR]**2
+        strength = strength_of_converged({**frame.planes, Role.SAMPLE_VARIANCE: variance}, Threshold(error=0.01), 16)
+        assert (strength[62:118, 102:168] == 1).any() and (strength == 0).mean() > 0.8
+        wanted, found = whole(frame)[Role.COLOUR], tiled(masked(frame, strength[:, :, 0]))[Role.COLOUR]
+        active = resampled(masked(frame, strength[:, :, 0]), Role.STRENGTH, 2)[:, :, 0] == 1
+        error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
+        assert active.sum() > 10000 and error[active].max() < 1e-3
     assert any("strength is 0 there" in item.why for item in tiled.explain().skipped)
 
 

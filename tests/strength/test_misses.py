@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import DEPTH_MISS, Role
-from postfx.strength import misses, misses_of, strength_of_misses
+from postfx.strength import bands, misses, misses_of, strength_of_misses
 
 SIZE = 150, 200
 HORIZON = 90
@@ -133,11 +133,11 @@ def test_smoke_with_alpha_and_without_depth_is_denoised() -> None:
 def test_bands_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     planes, calls = noisy_sky(0.008), []
     wanted = strength_of_misses(planes)
-    monkeypatch.setattr(misses, "BAND", 16)
-    bands = list(misses.strength_in_bands(planes, lambda: calls.append(1)))
-    np.testing.assert_array_equal(np.concatenate([strength for _, strength, _ in bands]), wanted)
-    assert [rows.start for rows, _, _ in bands] == list(range(0, 150, 16)) and len(calls) == 20
-    assert sum(count for _, _, count in bands) == misses_of(planes).sum() and 0 < wanted[:60].mean() < 1
+    monkeypatch.setattr(bands, "BAND", 16)
+    found = list(misses.strength_in_bands(planes, lambda: calls.append(1)))
+    np.testing.assert_array_equal(np.concatenate([strength for _, strength, _ in found]), wanted)
+    assert [rows.start for rows, _, _ in found] == list(range(0, 150, 16)) and len(calls) == 20
+    assert sum(count for _, _, count in found) == misses_of(planes).sum() and 0 < wanted[:60].mean() < 1
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 40), (5, 5), (40, 2)])

@@ -1,0 +1,136 @@
+"""Strength of what has converged: 0 where the renderer's own figures say that its noise is small enough.
+
+Renderers with adaptive sampling estimate the variance of each pixel. The standard error of a pixel's mean is the root
+of its samples' variance over their number; over the mean itself it does not depend on exposure, so one threshold does
+for a picture. An estimate from few samples is noisy, and one that missed a rare spike is too low: squares of pixels are
+taken together, and the largest error of the neighbourhood counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from postfx.doctor.statistics import local_mean, luminance
+from postfx.roles import ERROR_ROLES, VARIANCES, Role
+from postfx.strength.bands import bands, spread, sum_near
+from postfx.strength.cryptomatte import snapped
+from postfx.strength.entries import Entry, StrengthError
+
+READS = (Role.COLOUR, *ERROR_ROLES)
+"""Planes that are looked at, as far as a frame has them."""
+
+POOLED = 2
+"""Radius of the squares over which variance and light are averaged."""
+SOFT = 2
+"""Radius by which what has not converged is grown, and averaged then."""
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """From where on a pixel has converged; one of the two.
+
+    Attributes:
+        error: standard error of the mean over the mean, 0.01 for 1 %.
+        samples: number of samples.
+    """
+
+    error: float | None = None
+    samples: int | None = None
+
+    def basis(self, roles: Collection[Role], samples: int | None) -> str:
+        """What tells, of a frame with planes of these roles and a header's number of samples; StrengthError when
+        nothing does."""
+        counted = f"plane '{Role.SAMPLE_COUNT}'" if Role.SAMPLE_COUNT in roles else f"{samples} samples a pixel"
+        is_counted = bool(Role.SAMPLE_COUNT in roles or samples)
+        if self.samples and not is_counted:
+            raise StrengthError(f"nothing tells the number of samples: render the plane '{Role.SAMPLE_COUNT}', or give "
+                                f"postfx:spp in the header")
+        if self.samples:
+            return counted
+        role = _variance(roles)
+        if role is None:
+            raise StrengthError(f"nothing tells the error: render a plane {', '.join(VARIANCES)}, or name it in a "
+                                "profile (--profile FILE.toml)")
+        if role is not Role.VARIANCE_OF_MEAN and not is_counted:
+            raise StrengthError(f"plane '{role}' tells the error only with the number of samples: give postfx:spp in "
+                                f"the header, or render the plane '{Role.SAMPLE_COUNT}'")
+        return f"plane '{role}'" if role is Role.VARIANCE_OF_MEAN else f"plane '{role}' and {counted}"
+
+
+def threshold_of(entry: Entry) -> Threshold:
+    """Threshold of an entry such as 'converged:0.01' or 'converged:256spp'; StrengthError for anything else."""
+    text = entry.name.partition(":")[2]
+    try:
+        found = Threshold(samples=int(text[:-3])) if text.endswith("spp") else Threshold(error=float(text))
+    except ValueError:
+        found = Threshold()
+    if not 0 < (found.error or found.samples or 0) < np.inf or entry.plane:
+        raise StrengthError(f"'{entry}': give a relative error, such as converged:0.01, or a number of samples, such "
+                            "as converged:256spp")
+    return found
+
+
+def strength_of_converged(
+    planes: Mapping[Role, np.ndarray], threshold: Threshold, samples: int | None = None
+) -> np.ndarray:
+    """Strength (height, width, 1), 0..1: 0 where a frame has converged, 1 where its error is twice the threshold's.
+
+    planes: those of a frame, (height, width, channels), of which `READS` are looked at. samples: of each pixel, where
+    there is no plane of their number. For a number of samples N the error is that of n samples over that of N, the root
+    of N / n: strength is 1 up to N / 4 samples. Errors are those of luminance, as if noise were alike in all channels,
+    which is the largest that it can be. Where light and variance are 0, the error is 0; where one is not finite,
+    strength is 1. It is 1 up to two pixels from what has not converged, and soft within six. StrengthError when the
+    planes do not tell.
+    """
+    threshold.basis(planes, samples)
+    return np.concatenate([strength for _, strength in strength_in_bands(planes, threshold, samples)])
+
+
+def strength_in_bands(
+    planes: Mapping[Role, np.ndarray], threshold: Threshold, samples: int | None,
+    relax: Callable[[], None] | None = None,
+) -> Iterator[tuple[slice, np.ndarray]]:
+    """The same, some rows after the other: which ones, and their strength (rows, width, 1).
+
+    relax: called after each band of rows that was looked at.
+    """
+    unit = _unit(planes.get(Role.SAMPLE_COUNT), samples)
+    seen = {role: planes[role] for role in READS if role in planes}
+    for first, last, top, bottom in bands(planes[Role.COLOUR].shape[0], POOLED + 2 * SOFT):
+        band = {role: plane[top:bottom] for role, plane in seen.items()}
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            count = band[Role.SAMPLE_COUNT][:, :, 0] * unit if Role.SAMPLE_COUNT in band else unit
+            error = np.sqrt(threshold.samples / count) if threshold.samples else _error(band, count) / threshold.error
+            error = np.broadcast_to(error, band[Role.COLOUR].shape[:2])
+            found = np.where(np.isfinite(error), np.clip(error - 1, 0, 1), 1)
+        soft = local_mean(spread(found, SOFT)[:, :, None], SOFT)
+        yield slice(first, last), snapped(soft[first - top:last - top])
+        if relax:
+            relax()
+
+
+def _variance(roles: Collection[Role]) -> Role | None:
+    return next((role for role in VARIANCES if role in roles), None)
+
+
+def _unit(count: np.ndarray | None, samples: int | None) -> np.float32:
+    """Samples that 1 in the plane of counts stands for: those of the header where it holds shares of them, as Cycles
+    may; without a plane, the header's."""
+    is_share = count is None or (bool(samples) and count.max(initial=0) <= 1)
+    return np.float32(samples or 0) if is_share else np.float32(1)
+
+
+def _error(band: Mapping[Role, np.ndarray], count: np.ndarray | np.float32) -> np.ndarray:
+    """Standard error of the mean over the mean: (height, width)."""
+    role, colour = _variance(band), band[Role.COLOUR]
+    variance = band[role]
+    if role is Role.SECOND_MOMENT:
+        variance, count = variance - colour * colour, count - 1
+    power = luminance(np.sqrt(np.maximum(variance, 0))) ** 2
+    if role is not Role.VARIANCE_OF_MEAN:
+        power = np.where(count > 0, power / count, np.inf)
+    power, light = sum_near(power, POOLED), sum_near(luminance(colour), POOLED)
+    return np.where(power == 0, light * 0, np.sqrt(power * (2 * POOLED + 1) ** 2) / np.abs(light))
