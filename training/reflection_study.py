@@ -1,18 +1,22 @@
-"""What is the hit distance of reflections worth? A camera that passes over a polished floor, with it and without.
+"""What is the hit distance of reflections worth? A camera that passes by polished things, with it and without.
 
-python -m training.reflection_study [--floor chrome|black|wood] [--roughness 0.1] [--model s,m]
+python -m training.reflection_study [--floor chrome|black|wood] [--wall] [--model s,m]
+python -m training.reflection_study --drafted 5 --judged 1 2 3 4 5 6 7
 
-Renders the room of samples/room with another floor: 8 frames of 240x135, 2 samples a pixel through one jittered
-position, and references of two of them at twice the size; minutes on a CPU. Prints PSNR of the floor and of the rest:
-with the plane `specular_hit_distance`, without it, and with the history dropped at every frame.
+Renders the room of samples/room with another floor or wall, or a scene as clips for training are drafted, by its seed,
+with whatever it holds: 8 frames of 240x135, 2 samples a pixel through one jittered position, and references of some of
+them at twice the size; minutes on a CPU. Prints PSNR and flicker of the floor, or of what is smooth and reflects more
+than it scatters, and PSNR of the rest: with the plane `specular_hit_distance`, without it, and with the history dropped
+at every frame. Flicker is that of frames whose predecessor is judged, too.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -20,7 +24,13 @@ import numpy as np
 
 from postfx.frame import Frame, Role
 
-FOV = 70.0
+if TYPE_CHECKING:
+    from training.scenes.build import BuiltScene
+    from training.scenes.motion import Camera
+    from training.tracing import Tracer
+
+Pictures = dict[int, np.ndarray]
+FOV, WALL = 70.0, 2
 FAR = 1e10
 FLOOR = 1e-2
 """Height below which a first hit is on the floor, metres."""
@@ -29,7 +39,9 @@ FLOOR = 1e-2
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--floor", default="chrome", choices=("chrome", "black", "wood"))
-    parser.add_argument("--roughness", type=float, default=0.1)
+    parser.add_argument("--wall", action="store_true", help="the material is that of the wall ahead, not of the floor")
+    parser.add_argument("--roughness", type=float, default=0.1, help="of the floor or wall")
+    parser.add_argument("--drafted", type=int, metavar="SEED", help="a drafted scene in place of the room")
     parser.add_argument("--model", default="s,m", help="tags of networks, comma-separated")
     parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), default=(240, 135))
     parser.add_argument("--frames", type=int, default=8)
@@ -41,30 +53,17 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
 
 
 class Shot:
-    """The room, its camera and how it is sampled."""
+    """A scene, its camera and how it is sampled."""
 
     def __init__(self, args: argparse.Namespace) -> None:
         from training.sampling import Style, radical_inverse
-        from training.scenes.build import BuiltScene
-        from training.scenes.materials import METALS, Material
-        from training.scenes.sample_room import sample_room
         from training.tracing import Tracer
 
-        room, (eta, k) = sample_room(), METALS["chrome"]
-        alpha = args.roughness**2
-        room.materials[0] = {
-            "chrome": Material("roughconductor", alpha=alpha, eta=eta, k=k),
-            "black": Material("roughplastic", np.full((1, 1, 3), 0.015, np.float32), alpha),
-            "wood": replace(room.materials[0], alpha=alpha)}[args.floor]
         halton = [[radical_inverse(t + 1, base) for base in (2, 3)] for t in range(args.frames)]
         self.style, self.size = Style("realtime", args.spp, np.array(halton, np.float32) - 0.5), args.size
-        self._tracer, self._built, self._rng = Tracer(4), BuiltScene(room), np.random.default_rng(1)
-
-    def camera(self, t: int):
-        from training.scenes.motion import Camera, look_at
-
-        eye = np.array([-0.9 + 0.05 * t, 0.75, 2.4])
-        return Camera(look_at(eye, eye + np.array([0.15, -0.32, -1.0])), FOV)
+        self._tracer, self._rng = Tracer(4), np.random.default_rng(1)
+        self._built, self.camera = _room(args) if args.drafted is None else _drafted(args, self._tracer)
+        self.judges = self.on_floor if args.drafted is None and not args.wall else reflecting
 
     def frame(self, t: int) -> Frame:
         """A noisy frame with its hit distances."""
@@ -77,8 +76,8 @@ class Shot:
                              self._rng)
         planes = {Role(name): np.asarray(plane) for name, plane in values.items()}
         planes[Role.SPECULAR_HIT_DISTANCE] = self._hit_distance(t)
-        header = frame_header(camera.to_world, FOV, self.style.jitter[t], self.style.spp, 1.0, t == 0)
-        return Frame(planes, t, tuple(self.style.jitter[t]), reset=t == 0, samples=self.style.spp, fov_x=FOV,
+        header = frame_header(camera.to_world, camera.fov, self.style.jitter[t], self.style.spp, 1.0, t == 0)
+        return Frame(planes, t, tuple(self.style.jitter[t]), reset=t == 0, samples=self.style.spp, fov_x=camera.fov,
                      world_to_camera=header["worldToCamera"])
 
     def reference(self, t: int, spp: int) -> np.ndarray:
@@ -124,6 +123,51 @@ class Shot:
         return np.where(count > 0, count / np.maximum(near, 1 / FAR), 0)[..., None].astype(np.float32)
 
 
+def _room(args: argparse.Namespace) -> tuple[BuiltScene, Callable[[int], Camera]]:
+    """The room of samples/room with the floor or wall that was asked for, and a camera that passes by it."""
+    from training.scenes.build import BuiltScene
+    from training.scenes.materials import METALS, Material
+    from training.scenes.motion import Camera, look_at
+    from training.scenes.sample_room import sample_room
+
+    room, (eta, k), alpha = sample_room(), METALS["chrome"], args.roughness**2
+    room.materials[WALL if args.wall else 0] = {
+        "chrome": Material("roughconductor", alpha=alpha, eta=eta, k=k),
+        "black": Material("roughplastic", np.full((1, 1, 3), 0.015, np.float32), alpha),
+        "wood": replace(room.materials[0], alpha=alpha)}[args.floor]
+
+    height, rise = (1.7, 0.05) if args.wall else (0.75, -0.32)
+
+    def camera(t: int) -> Camera:
+        eye = np.array([-0.9 + 0.05 * t, height, 2.4])
+        return Camera(look_at(eye, eye + np.array([0.15, rise, -1.0])), FOV)
+
+    return BuiltScene(room), camera
+
+
+def _drafted(args: argparse.Namespace, tracer: Tracer) -> tuple[BuiltScene, Callable[[int], Camera]]:
+    """A scene and a camera path as clips for training have them; ValueError where the seed gives no view of use."""
+    from training.scenes.build import BuiltScene
+    from training.scenes.lights import Environments
+    from training.scenes.procedural import draft
+    from training.scenes.views import choose_path
+
+    rng = np.random.default_rng(args.drafted)
+    drafted = draft(rng, Environments(None))
+    built = BuiltScene(drafted.description)
+    built.move(3.5, 2.5)
+    chosen = choose_path(tracer, built, drafted.view, rng, args.size[0], drafted.near)
+    if chosen is None:
+        raise ValueError(f"seed {args.drafted} gives no view of use")
+    return built, chosen[0].at
+
+
+def reflecting(frame: Frame) -> np.ndarray:
+    """(h, w): whether a pixel is smooth, has a hit distance and reflects more than it scatters."""
+    share = (frame[Role.SPECULAR_ALBEDO] - frame[Role.DIFFUSE_ALBEDO]).sum(-1)
+    return (share > 0) & (frame[Role.ROUGHNESS][..., 0] <= 0.3) & (frame[Role.SPECULAR_HIT_DISTANCE][..., 0] > 0)
+
+
 def results(frames: list[Frame], model: str, exposure: float) -> Iterator[tuple[str, list[np.ndarray]]]:
     """Pictures of all frames by method."""
     import postfx
@@ -145,15 +189,33 @@ def main(argv: list[str] | None = None) -> None:
 
     shot = Shot(args)
     frames = [shot.frame(t) for t in range(args.frames)]
-    references = {t: shot.reference(t, args.reference_spp) for t in args.judged}
     exposure = exposure_of(np.stack([frame[Role.COLOUR] for frame in frames]))
-    floor = {t: shot.on_floor(frames[t]).repeat(2, 0).repeat(2, 1) for t in args.judged}
+    wanted = {t: shown(shot.reference(t, args.reference_spp), exposure) for t in args.judged}
+    chosen = {t: shot.judges(frames[t]).repeat(2, 0).repeat(2, 1) for t in args.judged}
+    print(f"{np.mean([*chosen.values()]):.1%} of the picture is judged")
     for model in args.model.split(","):
         for name, pictures in results(frames, model, exposure):
-            squares = {t: (shown(pictures[t], exposure) - shown(references[t], exposure)) ** 2 for t in args.judged}
-            there = np.mean([squares[t][floor[t]].mean() for t in args.judged])
-            rest = np.mean([squares[t][~floor[t]].mean() for t in args.judged])
-            print(f"{model:3} {name:13} floor {-10 * math.log10(there):.2f} dB, rest {-10 * math.log10(rest):.2f} dB")
+            made = {t: shown(pictures[t], exposure) for t in args.judged}
+            there, rest = (_psnr(made, wanted, {t: mask == side for t, mask in chosen.items()}) for side in (1, 0))
+            change = _flicker(made, wanted, chosen, frames)
+            print(f"{model:3} {name:13} there {there:.2f} dB, flicker {change:.2f}; rest {rest:.2f} dB", flush=True)
+
+
+def _psnr(made: Pictures, wanted: Pictures, masks: Pictures) -> float:
+    return -10 * math.log10(np.mean([np.square(made[t] - wanted[t])[masks[t]].mean() for t in made]))
+
+
+def _flicker(made: Pictures, wanted: Pictures, masks: Pictures, frames: list[Frame]) -> float:
+    """1000 times the mean error of the change from frame to frame where masks are true, followed by the motion."""
+    from postfx.bench.metrics import moved
+
+    changes = []
+    for t in sorted(made):
+        if t - 1 in made:
+            motion = 2 * frames[t][Role.MOTION].repeat(2, 0).repeat(2, 1)
+            before = moved(made[t - 1] - wanted[t - 1], motion)
+            changes.append(np.abs(made[t] - wanted[t] - before)[masks[t]].mean())
+    return 1000 * float(np.mean(changes)) if changes else math.nan
 
 
 if __name__ == "__main__":

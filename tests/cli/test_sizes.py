@@ -31,6 +31,18 @@ def test_the_output_keeps_its_size_and_the_history_goes_on(postfx, dynamic, tmp_
     assert again.code == 0 and "0 of 4 frames" in again.err and "is there and complete" in again.err
 
 
+@pytest.mark.parametrize("lost", [2, 3, 4])
+def test_a_lost_frame_is_made_anew_to_the_bit(lost, postfx, dynamic, tmp_path):
+    """Its history is that of frames of other sizes, which run again."""
+    assert postfx(*RUN, "--size", "72x48").code == 0
+    frame = tmp_path / "out" / f"clean.{lost:04d}.exr"
+    whole = frame.read_bytes()
+    frame.unlink()
+    again = postfx(*RUN, "--size", "72x48", "--skip-existing")
+    assert again.code == 0 and "1 of 4 frames" in again.err, again.err
+    assert frame.read_bytes() == whole
+
+
 def test_explain_tells(postfx, dynamic):
     told = postfx(*RUN[:2], "--size", "72x48", "--explain").out
     assert "48x32 -> 72x48; stays 72x48 where frames change their size" in told

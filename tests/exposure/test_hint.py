@@ -47,6 +47,14 @@ def test_half_the_light_at_twice_the_exposure_is_the_same_picture(view, frames, 
         np.testing.assert_allclose(run(1 / factor, EXPOSURE * factor), wanted, atol=1e-3, rtol=1e-3)
 
 
+@pytest.mark.parametrize("model", ["s.int8", "s.fp32", "m.fp32", "l.int8"])
+def test_doubling_changes_no_pixel_in_any_precision(model: str, frames, device: Device) -> None:
+    def run(factor: float) -> np.ndarray:
+        return outputs(frames[:2], [DenoiseUpscale(model=model)], device, 1 / factor, EXPOSURE * factor) * factor
+
+    np.testing.assert_array_equal(run(2.0), run(1.0))
+
+
 def test_a_factor_of_three_is_the_same_to_a_thousandth_with_a_network_of_floats(frames, device: Device) -> None:
     """Integers round: a few pixels at a rounding edge differ, the picture does not."""
     def run(model: str, factor: float) -> np.ndarray:

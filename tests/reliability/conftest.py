@@ -16,14 +16,15 @@ FRAMES = 8
 SIZE = (32, 48)
 
 
-def write_frame(path: Path, number: int, reset: bool = False, gain: float = 1.0) -> None:
+def write_frame(path: Path, number: int, reset: bool = False, gain: float = 1.0,
+                size: tuple[int, int] = SIZE) -> None:
     """One small noisy frame of a brightening, moving pattern."""
     rng = np.random.default_rng(number)
-    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    y, x = np.mgrid[: size[0], : size[1]]
     light = (1.2 + np.sin((x + 2 * number) / 5) * np.cos(y / 7)) * 1.1**number * gain
-    noise = rng.gamma(2, 0.5, (*SIZE, 3))
-    planes = np.dstack([light[..., None] * noise, np.full(SIZE, 3.0), np.full(SIZE, 2.0), np.zeros(SIZE)])
-    spec = oiio.ImageSpec(SIZE[1], SIZE[0], 6, "float")
+    noise = rng.gamma(2, 0.5, (*size, 3))
+    planes = np.dstack([light[..., None] * noise, np.full(size, 3.0), np.full(size, 2.0), np.zeros(size)])
+    spec = oiio.ImageSpec(size[1], size[0], 6, "float")
     spec.channelnames = ("R", "G", "B", "depth.Z", "motion.X", "motion.Y")
     if reset:
         spec.attribute("postfx:reset", 1)

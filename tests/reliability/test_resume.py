@@ -50,6 +50,21 @@ def test_killed_and_resumed_with_the_denoiser(runs, seconds):
     assert len(runs.events("recall")) == (seconds == "0")
 
 
+@pytest.mark.parametrize("seconds", ["0", "none"])
+def test_killed_and_resumed_across_changing_sizes(tmp_path, capsys, seconds):
+    """The frame where it goes on is of another size than those before and after it."""
+    sizes = ((32, 48), (24, 36), (32, 48), (16, 24))
+    for number in range(1, FRAMES + 1):
+        write_frame(tmp_path / f"in.{number:04d}.exr", number, size=sizes[number % 4])
+    shot, passes = str(tmp_path / "in.####.exr"), (*DENOISE, "--size", "72x48")
+    whole, runs = Runs(shot, tmp_path / "whole", capsys), Runs(shot, tmp_path / "out", capsys)
+    assert whole(passes=passes)[0] == 0
+    runs.killed("postfx.cli.job.write_frame", 6, passes=passes, more=("--checkpoint", seconds))
+    assert runs(*RESUME, passes=passes)[0] == 0
+    assert runs.files() == whole.files()
+    assert len(runs.events("recall")) == (seconds == "0")
+
+
 def test_killed_again_and_again(runs, unbroken):
     for call in (2, 1, 3, 2):
         runs.killed("postfx.cli.job.write_frame", call, more=("--checkpoint", "0", *RESUME))

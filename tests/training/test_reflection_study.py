@@ -32,8 +32,10 @@ def test_hit_distances_end_at_the_walls():
     assert (distance[inside] > 0).mean() > 0.98 and distance[inside].max() < np.linalg.norm(SIZE)
 
 
-def test_it_prints_the_floor_and_the_rest(capsys):
-    study.main(SMALL)
-    lines = capsys.readouterr().out.splitlines()
+@pytest.mark.parametrize(("place", "share"), [((), 0.6), (("--wall",), 0.2), (("--drafted", "5"), 0.03)])
+def test_it_prints_the_polished_part_and_the_rest(place, share, capsys):
+    study.main([*SMALL, "--judged", "1", "2", *place])
+    head, *lines = capsys.readouterr().out.splitlines()
+    assert float(head.split("%")[0]) > 100 * share / 2 and head.endswith("of the picture is judged")
     assert [line[4:16].strip() for line in lines] == ["hit distance", "without", "no history"]
-    assert all(" dB, rest " in line for line in lines)
+    assert all(" dB, flicker " in line and "; rest " in line and "nan" not in line for line in lines)
