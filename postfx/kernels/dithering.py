@@ -13,7 +13,7 @@ ZERO, ONE = np.float32(0), np.float32(1)
 def dither_rows(codes, top, thresholds, shifts, output):
     """output (height, width, channels) uint8 = the whole part of top * codes, cut to 0..1, plus a threshold.
 
-    codes: float32, NaN counts as 0; thresholds (side, side) float32 in (0, 1), repeated; shifts (channels, 2) int64: row
+    codes: float32, NaN counts as 0; thresholds (side, side) float32 in (0, 1), repeated; shifts (channels, 2): row
     and column of the thresholds that a channel's first pixel gets.
     """
     height, width, channels = codes.shape
