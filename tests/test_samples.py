@@ -34,6 +34,10 @@ def test_reading_names_the_planes():
     assert run("read_sequence.py").count("planes colour, motion") == 3
 
 
+def test_all_looks_are_timed():
+    assert run("look_speed.py", "--width", "96", "--height", "64", "--runs", "1").count("all cores") == 5
+
+
 @pytest.mark.skipif(find_spec("pyoidn") is None, reason="pyoidn is not installed")
 def test_speed_is_compared_with_oidn():
     printed = run("compare_speed.py", "--width", "96", "--height", "64", "--runs", "1")

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +22,13 @@ from postfx.bench.metrics import flip, psnr, ssim
 from postfx.colour.difference import delta_e_itp
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
-from postfx.passes._tonemap_look import find_model
+from postfx.kernels.slice_apply import SLICE_APPLY
+from postfx.passes._tonemap_look import find_model, shaper
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from training.look_checks import SRGB, Render, greys, halo, sweep
-from training.look_flicker import flicker
+from training.look_flicker import exposed, flicker
 from training.looks import Look, exact_target, look_from
 from training.tonemap_report import strip, write_report
 from training.tonemap_set import find_pictures
@@ -56,6 +56,25 @@ class Mapper:
             self._pipelines[size] = Pipeline([ToneMap(tag=self._tag)], self._device, exposure=0.0, cuts="none")
         return self._pipelines[size](frame)[Role.COLOUR].copy()
 
+    def grid(self, frame: Frame) -> np.ndarray:
+        """The smoothed grid (1,16,16,8,12) of the next frame of a sequence, exposed already."""
+        self.follow(frame)
+        return self._pipelines[frame[Role.COLOUR].shape].passes[0].history()["grid"]
+
+    def held(self, grid: np.ndarray) -> Render:
+        """The look with a grid that does not change."""
+        library, model = find_model(self._tag)
+        constants, numbers = self._device.pipeline_state(library, model).constants, shaper(library, model)
+        params = np.array([1.0, numbers.toe, numbers.scale], np.float32)
+
+        def render(rgb: np.ndarray) -> np.ndarray:
+            output = np.empty_like(rgb)
+            given = rgb, params, numbers.matrix, constants["guide"], grid, constants["cube"]
+            SLICE_APPLY.rows(0, len(rgb), *given, output)
+            return output
+
+        return render
+
 
 def compare(out: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
     return {
@@ -67,16 +86,15 @@ def compare(out: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
 
 
 def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, float]:
-    """Flicker of the look with its history, of its view alone and of the pipeline frame by frame."""
-    def exposed(frame: Frame, exposure: float) -> np.ndarray:
-        return frame[Role.COLOUR] * np.float32(exposure)
-
-    looks = {
-        "look": lambda frame, by: mapper.follow(replace(frame, planes={Role.COLOUR: exposed(frame, by)})),
-        "view": lambda frame, by: exact_view(look.view, exposed(frame, by) * np.float32(2.0**look.gain)),
-        "pipeline": lambda frame, by: exact_target(exposed(frame, by), look),
+    """Flicker of the look with its history, of its mean grid held still, of its view alone, of the pipeline itself."""
+    still = mapper.held(np.mean([mapper.grid(frame) for frame in exposed(folder)], 0))
+    makers = {
+        "look": mapper.follow,
+        "still": lambda frame: still(frame[Role.COLOUR]),
+        "view": lambda frame: exact_view(look.view, frame[Role.COLOUR] * np.float32(2.0**look.gain)),
+        "pipeline": lambda frame: exact_target(frame[Role.COLOUR], look),
     }
-    return flicker(folder, looks, "view")
+    return flicker(folder, makers, "view")
 
 
 def examine(mapper: Mapper, look: Look, pictures: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str, Any]:

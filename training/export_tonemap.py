@@ -21,6 +21,7 @@ from training.networks.hdrnet import SIDE, HDRNet
 from training.networks.tonemap_kernels import ApplyCube, Checkerboard, EncodeDisplay, Lowres, SliceApply, Smooth
 
 IMAGE = {0: torch.export.Dim("height", min=1), 1: torch.export.Dim("width", min=1)}
+KEEP, KEEP_EXPOSURE = 0.6, 0.9  # of the last frame's grid: 90 % of a change after 5 frames, and 22 where it is exposure
 IR_VERSION = 10  # the newest that ONNX Runtime 1.20 reads
 
 
@@ -112,6 +113,7 @@ def card(checkpoint: dict[str, Any], tag: str, quality: dict[str, Any]) -> dict[
         **common,
         "summary": f"Look {tag}: HDRNet (Gharbi et al. 2017) and a cube",
         "parameters": sum(p.numel() for name, p in net.named_parameters() if name != "cube"),
+        "keep": KEEP_EXPOSURE if checkpoint["look"].get("key") else KEEP,
         "inputs": {"lowres": {"shape": [1, 3, SIDE, SIDE], "meaning": "shaped colour, area average, 0..1"}},
         "outputs": {
             "grid": {"shape": [1, 16, 16, 8, 12], "meaning": "y, x, guide level, 3x4 affine matrix row-major"},

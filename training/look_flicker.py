@@ -13,16 +13,20 @@ from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.sampling import motion_at
 
-Maker = Callable[[Frame, float], np.ndarray]
-"""A clean frame and its exposure, in order -> sRGB code values (H,W,3)."""
+Maker = Callable[[Frame], np.ndarray]
+"""A clean frame, exposed, in order; the first is marked as a beginning -> sRGB code values (H,W,3)."""
 
 
-def frames(folder: Path) -> Iterator[tuple[Frame, np.ndarray]]:
-    """Clean frames of a folder's `reference.####.exr` and the motion of `noisy.####.exr`, enlarged to their size."""
-    noisy = read_sequence(str(folder / "noisy.####.exr"))
-    for clean, given in zip(read_sequence(str(folder / "reference.####.exr")), noisy, strict=False):
-        height, width = clean[Role.COLOUR].shape[:2]
-        yield clean, motion_at(given[Role.MOTION], np.arange(height), np.arange(width), height, width)
+def exposed(folder: Path) -> Iterator[Frame]:
+    """Clean frames of a folder's `reference.####.exr`, exposed as the run-time's meter would."""
+    meter = ExposureMeter("auto")
+    for number, clean in enumerate(read_sequence(str(folder / "reference.####.exr"))):
+        yield Frame({Role.COLOUR: clean[Role.COLOUR] * np.float32(meter(clean))}, number=clean.number, reset=not number)
+
+
+def motions(folder: Path) -> Iterator[np.ndarray]:
+    """Motion of a folder's `noisy.####.exr`, (h, w, 2) in its own pixels."""
+    return (given[Role.MOTION] for given in read_sequence(str(folder / "noisy.####.exr")))
 
 
 def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, float]:
@@ -30,12 +34,13 @@ def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, floa
 
     Counts pixels where the look named `judge` changes by less than 0.1: elsewhere the motion does not tell.
     """
-    meter, before, sums, count = ExposureMeter("auto"), {}, dict.fromkeys(looks, 0.0), 0
-    for clean, motion in frames(folder):
-        exposure = meter(clean)
-        now = {name: make(clean, exposure) for name, make in looks.items()}
+    before, sums, count = {}, dict.fromkeys(looks, 0.0), 0
+    for frame, motion in zip(exposed(folder), motions(folder), strict=False):
+        now = {name: make(frame) for name, make in looks.items()}
         if before:
-            change = {name: np.abs(now[name] - moved(before[name], motion)) for name in looks}
+            height, width = frame[Role.COLOUR].shape[:2]
+            along = motion_at(motion, np.arange(height), np.arange(width), height, width)
+            change = {name: np.abs(now[name] - moved(before[name], along)) for name in looks}
             followed = change[judge].max(-1) < FOLLOWED
             count += int(followed.sum())
             for name in looks:

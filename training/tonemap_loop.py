@@ -32,7 +32,8 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to train: seconds of wall clock, which the learning rate follows; `scale` shrinks the pictures."""
+    """How to train: seconds of wall clock, which the learning rate follows; `scale` shrinks the pictures; `only` names
+    the parts of the network that change, none means all."""
 
     seconds: float
     batch: int = 16
@@ -40,6 +41,7 @@ class Recipe:
     scale: float = 1.0
     seed: int = 1
     every: float = 30.0
+    only: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,7 @@ def train(
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[tuple[HDRNet, Report]]:
     """Train for `recipe.seconds`; yields the averaged network and a report every `recipe.every` seconds and at last."""
+    _freeze(net, recipe.only)
     shaper, average = default_shaper(net.cube.device), copy.deepcopy(net).requires_grad_(False)
     trained = [p for p in net.parameters() if p.requires_grad]
     averaged = [a for a, p in zip(average.parameters(), net.parameters(), strict=True) if p.requires_grad]
@@ -155,6 +158,16 @@ def train(
             torch._foreach_lerp_(averaged, trained, 1 - min(0.999, (step + 1) / (step + 10)))
         sums += torch.stack([picture.detach(), consistency.detach()])
         step, since = step + 1, since + 1
+
+
+def _freeze(net: HDRNet, only: tuple[str, ...]) -> None:
+    """Leave as it is whatever has no name of `only` in its own; all is trained where there are no names."""
+    names = [name for name, p in net.named_parameters() if p.requires_grad]
+    for part in only:
+        if not any(part in name.split(".") for name in names):
+            raise SystemExit(f"the network has no part '{part}': it has {', '.join(sorted(set(names)))}")
+    for name, p in net.named_parameters():
+        p.requires_grad_(p.requires_grad and (not only or not set(only).isdisjoint(name.split("."))))
 
 
 def run_of(recipe: Recipe, report: Report, device: torch.device) -> dict[str, object]:

@@ -51,7 +51,7 @@ def checks_table(found: Found) -> str:
 
 def flicker_table(found: Found) -> str:
     """How steady sequences are."""
-    heads = ["look", "sequence", "look", "its view alone", "pipeline, frame by frame"]
+    heads = ["look", "sequence", "look", "its mean held still", "its view alone", "pipeline, frame by frame"]
     return table(heads, ([f"`{look}`", name.replace("_", " "), *(number(row[key], ".2f") for key in row)]
                          for look, one in found.items() for name, row in one["flicker"].items()))
 

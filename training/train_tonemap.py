@@ -49,6 +49,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--space", choices=LINEAR_SPACES, default="rec709", help="primaries of all HDR files, linear")
     parser.add_argument("--hold-out", nargs="*", help="stems of pictures to measure with; default: every fifth")
     parser.add_argument("--start", default="local", help="tag or file of the model to fine-tune, or 'none'")
+    parser.add_argument("--only", nargs="+", default=[], metavar="PART", help="what changes of the network, as head")
     parser.add_argument("--minutes", type=float, help=f"default: {GPU_MINUTES:g} on a GPU, {CPU_MINUTES:g} on a CPU")
     parser.add_argument("--batch", type=int)
     parser.add_argument("--rate", type=float, default=1.5e-3)
@@ -73,6 +74,7 @@ def recipe_of(args: argparse.Namespace, on_gpu: bool) -> Recipe:
         scale=args.scale or (1.0 if on_gpu else 0.5),
         seed=args.seed,
         every=args.every,
+        only=tuple(args.only),
     )
 
 

@@ -7,6 +7,8 @@ from functools import cache
 
 import numpy as np
 
+from postfx.kernels.dithering import dither_rows
+
 SIDE = 64
 _SIGMA = 1.5
 _STEP = np.array([0.7548776662466927, 0.5698402909980532])  # a shift that comes back late: Roberts 2018, R2
@@ -29,13 +31,13 @@ def quantise(codes: np.ndarray, bits: int, dither: Dither, number: int = 1, firs
     are not dithered.
     """
     top = np.float32(2**bits - 1)
-    scaled = np.clip(np.nan_to_num(codes), 0, 1) * top
     if bits != 8 or dither is Dither.NONE:
-        return np.rint(scaled).astype(np.uint8 if bits == 8 else np.uint16)
-    for channel in range(scaled.shape[2]):
-        turn = channel + (3 * number if dither is Dither.MOVING else 0)
-        scaled[:, :, channel] += _thresholds(scaled.shape[:2], first_row, turn)
-    return scaled.astype(np.uint8)
+        return np.rint(np.clip(np.nan_to_num(codes), 0, 1) * top).astype(np.uint8 if bits == 8 else np.uint16)
+    turns = np.arange(codes.shape[2]) + (3 * number if dither is Dither.MOVING else 0)
+    shifts = (turns[:, None] * _STEP % 1 * SIDE).astype(np.int64) + [first_row, 0]
+    whole = np.empty(codes.shape, np.uint8)
+    dither_rows(np.ascontiguousarray(codes, np.float32), top, blue_noise(), shifts, whole)
+    return whole
 
 
 @cache
@@ -82,9 +84,3 @@ def _neighbourhood(side: int) -> np.ndarray:
     distance = np.minimum(np.arange(2 * side) % side, -np.arange(2 * side) % side)
     near = np.exp(-(distance**2) / (2 * _SIGMA**2))
     return near[:, None] * near
-
-
-def _thresholds(size: tuple[int, int], first_row: int, turn: int) -> np.ndarray:
-    down, right = (turn * _STEP % 1 * SIDE).astype(int)
-    rows, columns = (np.arange(first_row, first_row + size[0]) + down) % SIDE, (np.arange(size[1]) + right) % SIDE
-    return blue_noise()[rows][:, columns]

@@ -13,7 +13,7 @@ from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
 from postfx.kernels.smooth import SMOOTH
-from postfx.passes._tonemap_look import check_constants, find_model, shaper
+from postfx.passes._tonemap_look import check_constants, find_model, keep_of, shaper
 from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, PipelineState, Tensor
 
@@ -24,19 +24,20 @@ class ToneMap(Pass):
 
     Options:
         tag: the look, as in ``tonemap.<tag>``, or the file of a model: ``looks/tonemap.mine.onnx``.
-        keep: part of the last frame's grid that is kept, 0 up to (not including) 1; the grid of a still picture does
-            not change. It is dropped at the first frame and at cuts.
+        keep: part of the last frame's grid that is kept, 0 up to (not including) 1, by default as the look's card
+            says; the grid of a still picture does not change. It is dropped at the first frame and at cuts.
 
     Colour comes out sRGB-encoded in [0, 1]. Raises PassOptionError for a keep outside [0, 1).
     """
 
     name: ClassVar[str] = "tonemap"
-    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"tag": "aces2", "keep": 0.6})
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"tag": "aces2", "keep": None})
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        if not 0 <= float(self.options["keep"]) < 1:
-            raise PassOptionError(f"pass '{self.name}' keeps 0 to below 1 of the last grid, not {self.options['keep']}")
+        keep = self.options["keep"]
+        if keep is not None and not 0 <= float(keep) < 1:
+            raise PassOptionError(f"pass '{self.name}' keeps 0 to below 1 of the last grid, not {keep}")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         output = FrameSpec(spec.width, spec.height, {Role.COLOUR: 3, **dict(spec.planes)}, "srgb")
@@ -50,7 +51,8 @@ class ToneMap(Pass):
         network = device.pipeline_state(library, model)
         self._has_grid = "grid" in {binding.name for binding in network.bindings}
         check_constants(model, network.constants, self._has_grid)
-        self._shaper = shaper(library, model)
+        self._shaper, given = shaper(library, model), self.options["keep"]
+        self._share = keep_of(library, model) if given is None else float(given)
         self._params, matrix = device.heap.tensor("tonemap params", (3,)), device.heap.tensor("tonemap matrix", (9,))
         matrix.upload(self._shaper.matrix)
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
@@ -102,7 +104,7 @@ class ToneMap(Pass):
         frame.set(Role.COLOUR, self._output)
 
     def _encode_grid(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
-        keep = float(self.options["keep"]) if self._fresh and not frame.reset else 0.0
+        keep = self._share if self._fresh and not frame.reset else 0.0
         self._keep.upload(np.array([keep], np.float32))
         self._bind(frame[Role.COLOUR])
         with commands.compute_encoder("lowres") as encoder:

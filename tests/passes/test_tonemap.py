@@ -128,6 +128,19 @@ def test_the_grid_follows_slowly_and_at_once_at_cuts(device: Device) -> None:
     assert 0 < slow < slower
 
 
+@pytest.mark.parametrize(("tag", "frames"), [("local", 5), ("auto", 22)])
+def test_looks_follow_a_step_of_light_as_their_cards_say(device: Device, tag: str, frames: int) -> None:
+    """90 % of the way after so many frames, and one more or less."""
+    pipeline = Pipeline([ToneMap(tag=tag)], device, exposure=0.0, cuts="none")
+    light = scene()
+    stepped = light.copy()
+    stepped[:, 80:] *= 8
+    pipeline(frame(light))
+    means = [float(pipeline(frame(stepped))[Role.COLOUR].mean()) for _ in range(90)]
+    way = np.abs(np.array(means) - means[-1])
+    assert abs(int(np.argmax(way < 0.1 * way[0])) - frames) <= 1
+
+
 @pytest.mark.parametrize("tag", ["aces2", "local"])
 def test_portable_kernels_give_the_same_picture(device: Device, tag: str) -> None:
     portable = Device("cpu", threads=2, compiled_kernels=False)

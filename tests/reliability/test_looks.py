@@ -82,6 +82,11 @@ def test_card_without_a_shaper(refused, shaper):
     assert "gives no shaper" in refused(COPY, cube(), card={"shaper": shaper})
 
 
+@pytest.mark.parametrize("keep", [1, -0.1, float("nan"), "x", None, True])
+def test_card_that_keeps_what_cannot_be(refused, keep):
+    assert "of the last grid, not 0 to below 1" in refused(COPY, cube(), card={"shaper": SHAPER, "keep": keep})
+
+
 def sized_by(operator):
     """Nodes that make 2^40 elements and more of a few, step by step or by an operator's own arithmetic."""
     if operator == "Concat":

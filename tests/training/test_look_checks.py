@@ -55,7 +55,7 @@ def test_a_halo_is_found() -> None:
     assert halo(glowing, plain) > 5
 
 
-@pytest.mark.parametrize("tag", ["aces2", "local"])
+@pytest.mark.parametrize("tag", ["aces2", "local", "auto"])
 def test_shipped_looks_pass(tag: str) -> None:
     look, mapper = LOOKS[tag], Mapper(tag)
 
@@ -67,4 +67,4 @@ def test_shipped_looks_pass(tag: str) -> None:
     random = np.random.default_rng(1)
     patches = np.exp2(random.normal(-2, 2, (6, 8, 3))).repeat(24, 0).repeat(24, 1).astype(np.float32)
     assert sweep(mapper, reference, patches) == {"in_range": True, "hue_flips": 0}
-    assert halo(mapper, reference) < 6
+    assert halo(mapper, reference) < 1  # of 255 steps

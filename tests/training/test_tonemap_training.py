@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import itertools
 import json
@@ -174,3 +175,42 @@ def test_training_comes_nearer_to_the_look() -> None:
     trained = train(hdrnet.HDRNet(RAMP.clone()), Brighter(), recipe, held, wanted, clock=lambda: float(next(steps)))
     psnr = [report.psnr["flat"] for _, report in trained]
     assert psnr[-1] > psnr[0] + 3
+
+
+def test_only_the_parts_that_are_named_change() -> None:
+    torch.manual_seed(3)
+    net, steps = hdrnet.HDRNet(RAMP.clone()), itertools.count()
+    before = copy.deepcopy(net.state_dict())
+    source = Views(Pictures(), LOOKS["local"], RAMP, torch.device("cpu"))
+    recipe = Recipe(seconds=3, batch=1, scale=0.1, only=("head", "histogram_dense"))
+    *_, (after, _) = train(net, source, recipe, {}, {}, clock=lambda: float(next(steps)))
+    changed = {name for name, value in after.state_dict().items() if not torch.equal(value, before[name])}
+    assert changed and all("head" in name or "histogram_dense" in name for name in changed)
+
+
+def test_a_part_that_is_not_there_is_named() -> None:
+    recipe = Recipe(seconds=1, only=("tail",))
+    with pytest.raises(SystemExit, match="no part 'tail'"):
+        next(train(hdrnet.HDRNet(RAMP), Views(Pictures(), LOOKS["local"], RAMP, torch.device("cpu")), recipe, {}, {}))
+
+
+def test_guide_by_two_convolutions_is_the_guide() -> None:
+    shaped, net = torch.rand(2, 3, 20, 30), random_net()
+    guide = net.guide()
+    found = hdrnet.guide_of_copy(shaped, guide)
+    assert found.std() > 0.01
+    torch.testing.assert_close(found, hdrnet.guide_map(shaped, guide), atol=1e-5, rtol=0)
+
+
+def test_cells_borrow_what_they_have_no_pixels_of() -> None:
+    """Dark on the left, bright on the right: the first bright cells have the dark cells' matrix of the dark level."""
+    low = torch.full((1, 3, 256, 256), 0.2)
+    low[..., 128:] = 0.8
+    guide = hdrnet.Guide()().detach()
+    level = int(round(0.2 * hdrnet.DEPTH - 0.5))
+    grid = torch.zeros(1, hdrnet.DEPTH, hdrnet.COEFFICIENTS, 16, 16)
+    grid[..., :8], grid[..., 8:] = 1.0, 9.0
+    found = hdrnet.borrow(grid.flatten(1, 2), low, guide).unflatten(1, (hdrnet.DEPTH, hdrnet.COEFFICIENTS))
+    dark = found[0, level, 0, 8]
+    assert dark[:8] == pytest.approx(1.0, abs=0.01)
+    assert dark[8] == pytest.approx(1.0, abs=0.02) and dark[9:] == pytest.approx(9.0, abs=0.01)

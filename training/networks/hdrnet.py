@@ -20,6 +20,8 @@ CELLS, DEPTH = 16, 8  # grid: 16 x 16 cells, 8 guide levels
 COEFFICIENTS = 12  # 3x4 affine colour matrix, row-major
 KNOTS = 16
 BINS = 32  # of the histogram
+FOURTH = 4  # the copy's pixels by rows and columns of so many, where it is counted which guide levels a cell has
+TRUST, NONE = 0.2, 1e-4  # shares of a cell's pixels: as good as the neighbours together; of levels that are not there
 GUIDE_PARTS = {"matrix": 9, "bias": 3, "shifts": 3 * KNOTS, "slopes": 3 * KNOTS, "mix": 3, "mix_bias": 1}
 
 
@@ -49,6 +51,35 @@ def guide_map(shaped: torch.Tensor, guide: torch.Tensor) -> torch.Tensor:
         curves = curves + slopes[:, k].view(1, 3, 1, 1) * F.relu(mapped - shifts[:, k].view(1, 3, 1, 1))
     total = (curves * mix.view(1, 3, 1, 1)).sum(1, keepdim=True) + mix_bias
     return total.clamp(0.0, 1.0)
+
+
+def level_weights(level: torch.Tensor) -> torch.Tensor:
+    """How much (N,8,H,W) each guide level counts for pixels with a guide (N,1,H,W): 1 in all, of two neighbours."""
+    z = (level * DEPTH - 0.5).clamp(0.0, DEPTH - 1.0)
+    levels = torch.arange(DEPTH, device=z.device).view(1, DEPTH, 1, 1)
+    return (1 - (z - levels).abs()).clamp_min(0.0)
+
+
+def borrow(grid: torch.Tensor, low: torch.Tensor, guide: torch.Tensor) -> torch.Tensor:
+    """The grid (N,96,16,16), level by level, whose matrices come the more from the cells around, the fewer pixels of
+    (N,3,256,256) a cell has at a level.
+
+    Beside an edge the matrices of the darker side reach into cells that have nothing dark, and those of the brighter
+    side the other way: without a pixel to be right for, they are anything, and what is looked up between is a halo.
+    Formula: normalised convolution, Knutsson and Westin 1993, over 3x3 cells.
+    """
+    share = F.avg_pool2d(level_weights(guide_of_copy(F.avg_pool2d(low, FOURTH), guide)), SIDE // FOURTH // CELLS)
+    share = (share + NONE).repeat_interleave(COEFFICIENTS, 1)
+    around = F.avg_pool2d(share * grid, 3, 1, 1) / F.avg_pool2d(share, 3, 1, 1)
+    return around + share / (share + TRUST) * (grid - around)
+
+
+def guide_of_copy(shaped: torch.Tensor, guide: torch.Tensor) -> torch.Tensor:
+    """`guide_map` by two convolutions with all 48 pieces of the curves between them: few steps for a small picture."""
+    matrix, bias, shifts, slopes, mix, mix_bias = guide.split(list(GUIDE_PARTS.values()))
+    weight = matrix.view(3, 3, 1, 1).repeat_interleave(KNOTS, 0)
+    pieces = F.relu(F.conv2d(shaped, weight, bias.repeat_interleave(KNOTS) - shifts))
+    return F.conv2d(pieces, (slopes * mix.repeat_interleave(KNOTS)).view(1, -1, 1, 1), mix_bias).clamp(0.0, 1.0)
 
 
 def affine(coefficients: torch.Tensor, shaped: torch.Tensor) -> torch.Tensor:
@@ -105,12 +136,10 @@ def slice_grid_dense(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tens
     The gradients of a gather and of `F.interpolate` are storms of atomic adds on a GPU: all pixels add to few cells.
     """
     n, _, h, w = shaped.shape
-    z = (guide_map(shaped, guide) * DEPTH - 0.5).clamp(0.0, DEPTH - 1.0)
-    levels = torch.arange(DEPTH, device=z.device).view(1, DEPTH, 1, 1)
-    weights = (1 - (z - levels).abs()).clamp_min(0.0)
-    homogeneous = torch.cat([shaped, torch.ones_like(z)], 1)
+    weights = level_weights(guide_map(shaped, guide))
+    homogeneous = torch.cat([shaped, torch.ones_like(shaped[:, :1])], 1)
     weighted = (weights[:, :, None] * homogeneous[:, None]).flatten(1, 2)
-    rows, columns = linear_weights(h, CELLS, z.device), linear_weights(w, CELLS, z.device)
+    rows, columns = linear_weights(h, CELLS, shaped.device), linear_weights(w, CELLS, shaped.device)
     matrices = grid.reshape(n, CELLS, CELLS, DEPTH, 3, 4).permute(0, 4, 3, 5, 1, 2)
     maps = (rows @ (matrices @ columns.T)).view(n, 3, DEPTH * 4, h, w)
     return (maps * weighted[:, None]).sum(2)
@@ -139,7 +168,7 @@ def histogram(low: torch.Tensor) -> torch.Tensor:
 
 
 class Coefficients(nn.Module):
-    """(N,3,256,256) shaped low-resolution colour -> (N,16,16,8,12) grid of affine colour matrices."""
+    """(N,3,256,256) shaped low-resolution colour -> (N,96,16,16): 8 guide levels of 3x4 affine colour matrices."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -174,8 +203,7 @@ class Coefficients(nn.Module):
             g = layer(g) if i == 2 else F.relu(layer(g))
         g = g + self.histogram_dense[1](F.relu(self.histogram_dense[0](histogram(low))))
         local = self.local[1](F.relu(self.local[0](x)))
-        grid = self.head(F.relu(local + g[:, :, None, None]))
-        return keep_greys(grid.unflatten(1, (DEPTH, COEFFICIENTS)).permute(0, 3, 4, 1, 2))
+        return self.head(F.relu(local + g[:, :, None, None]))
 
 
 class Guide(nn.Module):
@@ -209,7 +237,9 @@ class HDRNet(nn.Module):
         self.cube = nn.Parameter(cube, requires_grad=False)
 
     def forward(self, low: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        return self.coefficients(low), self.guide(), self.cube
+        guide = self.guide()
+        grid = borrow(self.coefficients(low), low, guide).unflatten(1, (DEPTH, COEFFICIENTS)).permute(0, 3, 4, 1, 2)
+        return keep_greys(grid), guide, self.cube
 
     def render(self, colour: torch.Tensor, shaper: Shaper) -> torch.Tensor:
         """Scene-linear (N,3,H,W) -> display (N,3,H,W) in [0,1], as the run-time does it."""
