@@ -99,7 +99,9 @@ def test_lock_of_a_living_process_is_waited_for(lock, holder):
     assert lock.exists()
 
 
-@pytest.mark.parametrize("content", [json.dumps(ELSEWHERE.as_dict()), "", "{", "[]"])
+@pytest.mark.parametrize(
+    "content", [json.dumps(ELSEWHERE.as_dict()), "", "{", "[]"], ids=("whole", "empty", "cut", "list")
+)
 def test_old_lock_of_another_machine_is_taken_over(lock, content):
     lock.write_text(content)
     long_ago = time.time() - OLD - 10
