@@ -1,6 +1,7 @@
 """Kernels in float32 against their own definitions in float64: errors have bounds, which docs/reliability.md shows.
 
-Three ways to compute them: compiled rows, portable definitions by ONNX Runtime, and CUDA sources, run on the host.
+Four ways to compute them: compiled rows, portable definitions by ONNX Runtime, and CUDA sources, run on the host and,
+where there is one, on a GPU.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ BOUNDS = {
 """Kernel -> largest error of an element by the largest value of what is written."""
 PORTABLE_HISTORY = 1e-5
 """That of the portable `denoise_history`: ONNX takes positions from -1 to 1 over the picture, which are rounded."""
-WAYS = ("compiled", "portable", "CUDA")
+WAYS = ("compiled", "portable", "CUDA", "GPU")
 Arrays = dict[str, np.ndarray]
 HELD = [kernel for kernel in denoise_cases.KERNELS if kernel is not REFLECTIONS]
 """Without the one that does nothing on random planes, and has a scene of its own."""
@@ -106,10 +107,10 @@ def way(request: pytest.FixtureRequest, device: Device, portable: Device) -> tup
         shapes = {name: denoise_cases.shape(kernel, name, case) for name in kernel.writes}
         return denoise_cases.in_frame(kernel, by_cuda(kernel, inputs, shapes), case)
 
-    devices = {"compiled": device, "portable": portable}
     if request.param == "CUDA":
         return request.param, by_source
-    return request.param, lambda kernel, *rest: denoise_cases.run(kernel, devices[request.param], *rest)
+    chosen = {"compiled": device, "portable": portable}.get(request.param) or request.getfixturevalue("gpu")
+    return request.param, lambda kernel, *rest: denoise_cases.run(kernel, chosen, *rest)
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
