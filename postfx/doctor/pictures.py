@@ -15,6 +15,7 @@ from postfx.exposure.views import shown
 from postfx.frame import Frame, Role
 from postfx.io.srgb import srgb_encode
 from postfx.report.pictures import png
+from postfx.roles import ERROR_ROLES
 
 MAGENTA, RED, MISS = (255, 0, 255), (255, 0, 0), (24, 24, 96)
 BRIGHTEST = 99  # percentile
@@ -41,7 +42,8 @@ def picture(plane: np.ndarray, role: Role) -> np.ndarray:
 
     Light is exposed, compressed by x / (1 + x) and sRGB-encoded; reflectance is sRGB-encoded, red above 1; normals are
     (n + 1) / 2; depth is black far away and white near, dark blue at misses; motion has the hue of its direction and
-    the brightness of its length; masks and roughness are grey.
+    the brightness of its length; distances, variances and numbers of samples are x / (x + their median); masks and
+    roughness are grey.
     """
     shown = _MAPPINGS[role](finite(plane))
     pixels = np.rint(255 * np.clip(shown, 0, 1)).astype(np.uint8)
@@ -82,7 +84,7 @@ def _direction(plane: np.ndarray) -> np.ndarray:
     return colour * length / max(float(np.percentile(length, BRIGHTEST)), 1e-6)
 
 
-def _distance(plane: np.ndarray) -> np.ndarray:
+def _over_median(plane: np.ndarray) -> np.ndarray:
     used = plane[plane > 0]
     middle = float(np.median(used)) if used.size else 1.0
     return np.maximum(plane, 0) / (np.maximum(plane, 0) + middle)
@@ -97,6 +99,6 @@ _MAPPINGS: Mapping = {
     Role.NORMAL: lambda plane: plane / 2 + 0.5,
     Role.DEPTH: _near,
     Role.MOTION: _direction,
-    Role.SPECULAR_HIT_DISTANCE: _distance,
+    **dict.fromkeys((Role.SPECULAR_HIT_DISTANCE, *ERROR_ROLES), _over_median),
     **{role: lambda plane: plane for role in (Role.ALPHA, Role.ROUGHNESS, Role.STRENGTH, Role.REACTIVE)},
 }

@@ -54,7 +54,7 @@ def test_networks_are_looked_into_on_request(postfx, shot, tmp_path):
     shot(1)
     assert postfx(*RUN, "--capture", "look", "--capture-network").code == 0
     (network,) = [command["network"] for command in commands_of(tmp_path / "look") if command["network"]]
-    assert len(network["nodes"]) == 55 and network["difference"] < 1e-3
+    assert len(network["nodes"]) > 50 and network["difference"] < 1e-3
     assert all(node["ms"] > 0 and node["outputs"][0]["statistics"] for node in network["nodes"])
     assert postfx(*RUN, "--overwrite", "--capture", "plain").code == 0
     assert not any(command["network"] for command in commands_of(tmp_path / "plain"))
