@@ -33,11 +33,18 @@ def quantise(codes: np.ndarray, bits: int, dither: Dither, number: int = 1, firs
     top = np.float32(2**bits - 1)
     if bits != 8 or dither is Dither.NONE:
         return np.rint(np.clip(np.nan_to_num(codes), 0, 1) * top).astype(np.uint8 if bits == 8 else np.uint16)
-    turns = np.arange(codes.shape[2]) + (3 * number if dither is Dither.MOVING else 0)
-    shifts = (turns[:, None] * _STEP % 1 * SIDE).astype(np.int64) + [first_row, 0]
-    whole = np.empty(codes.shape, np.uint8)
-    dither_rows(np.ascontiguousarray(codes, np.float32), top, blue_noise(), shifts, whole)
-    return whole
+    height, width, channels = codes.shape
+    turns = range(0, channels) if dither is Dither.STATIC else range(3 * number, 3 * number + channels)
+    whole = np.empty((height, width * channels), np.uint8)
+    flat = np.ascontiguousarray(codes, np.float32).reshape(whole.shape)
+    dither_rows(flat, top, np.stack([_thresholds(first_row, turn) for turn in turns], 2).reshape(SIDE, -1), whole)
+    return whole.reshape(codes.shape)
+
+
+def _thresholds(first_row: int, turn: int) -> np.ndarray:
+    """Blue noise (64, 64) with another pixel first in each turn."""
+    down, right = (turn * _STEP % 1 * SIDE).astype(int)
+    return np.roll(blue_noise(), (-down - first_row, -right), (0, 1))
 
 
 @cache

@@ -10,22 +10,19 @@ ZERO, ONE = np.float32(0), np.float32(1)
 
 
 @compiled
-def dither_rows(codes, top, thresholds, shifts, output):
-    """output (height, width, channels) uint8 = the whole part of top * codes, cut to 0..1, plus a threshold.
+def dither_rows(codes, top, thresholds, output):
+    """output (height, values) uint8 = the whole part of top * codes, cut to 0..1, plus a threshold.
 
-    codes: float32, NaN counts as 0; thresholds (side, side) float32 in (0, 1), repeated; shifts (channels, 2): row
-    and column of the thresholds that a channel's first pixel gets.
+    codes: (height, values) float32, NaN counts as 0; thresholds (rows, columns) float32 in (0, 1), repeated.
     """
-    height, width, channels = codes.shape
-    side = thresholds.shape[0]
+    height, values = codes.shape
+    rows, columns = thresholds.shape
     for y in range(height):
-        for c in range(channels):
-            row, right = thresholds[(y + shifts[c, 0]) % side], shifts[c, 1]
-            for start in range(0, width, side):
-                count = min(side, width - start)
-                for i in range(count):
-                    value = codes[y, start + i, c]
-                    value = value if value == value else ZERO
-                    at = i + right
-                    at = at if at < side else at - side
-                    output[y, start + i, c] = np.uint8(min(max(value, ZERO), ONE) * top + row[at])
+        row = thresholds[y % rows]
+        for start in range(0, values, columns):
+            # pieces with an index from 0: otherwise the compiler finds no vector instructions for them
+            some, found = codes[y, start : start + columns], output[y, start : start + columns]
+            for i in range(some.size):
+                value = some[i] if some[i] > ZERO else ZERO  # NaN, too
+                value = value if value < ONE else ONE
+                found[i] = np.uint8(np.int32(value * top + row[i]))
