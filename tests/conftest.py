@@ -10,6 +10,14 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Tests of minutes run only when asked for."""
+    if "soak" not in config.option.markexpr:
+        for item in items:
+            if item.get_closest_marker("soak"):
+                item.add_marker(pytest.mark.skip("some minutes: give -m soak"))
+
+
 @pytest.fixture(scope="session")
 def shared_dir() -> Path:
     """Folder `shared` beside the checkout, with sequences that other software rendered; skips where it is absent."""

@@ -50,7 +50,5 @@ def test_soak_of_200_frames(tmp_path, capsys):
 
 
 @pytest.mark.soak
-def test_soak_of_1000_frames(tmp_path, capsys, request):
-    if "soak" not in request.config.option.markexpr:
-        pytest.skip("a minute and a half: give -m soak")
+def test_soak_of_1000_frames(tmp_path, capsys):
     soak(tmp_path, frames=1000, kills=12, capsys=capsys)

@@ -66,13 +66,13 @@ def test_192_frames(speed: int, noise: float, device: Device) -> None:
 @pytest.mark.parametrize("model", ["s.fp32", "s.int8"])
 @SPEEDS
 @NOISES
-def test_2016_frames(model: str, speed: int, noise: float, device: Device, soak: None) -> None:
+def test_2016_frames(model: str, speed: int, noise: float, device: Device) -> None:
     assert_steady(rounds(model, device, speed, noise, 42), model, noise)
 
 
 @pytest.mark.soak
 @SPEEDS
-def test_1968_frames_of_fresh_noise(speed: int, device: Device, soak: None) -> None:
+def test_1968_frames_of_fresh_noise(speed: int, device: Device) -> None:
     """Means over 480 frames, each by the light that came in."""
     frames = [sliding(number, speed, SLIGHT) for number in range(PERIOD + 4 * WINDOW)]
     given = np.array([frame[Role.COLOUR].mean(dtype=np.float64) for frame in frames])
@@ -90,9 +90,3 @@ def test_one_colour_stays_that_colour(model: str, moved: float, device: Device) 
         frame = flat(number, 0.3)
         frame.planes[Role.MOTION][:] = moved
         np.testing.assert_allclose(chain(frame)[Role.COLOUR], 0.3, rtol=CONSTANT)
-
-
-@pytest.fixture
-def soak(request: pytest.FixtureRequest) -> None:
-    if "soak" not in request.config.option.markexpr:
-        pytest.skip("some minutes: give -m soak")
