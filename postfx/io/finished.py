@@ -15,7 +15,9 @@ from postfx.errors import WriteError
 PARTIAL = ".part"
 """Suffix of files that are being written; no frame pattern matches it."""
 _NAME_BYTES = 120  # of the final name within the temporary one, so that file systems take it
-_LEFT = re.compile(rf"\.(?P<name>.+)\.(?P<host>[\w-]+)-(?P<process>\d{{1,9}})-\d+{re.escape(PARTIAL)}", re.DOTALL)
+_LEFT = re.compile(
+    rf"\.(?P<name>.+)\.(?P<host>[\w-]+)-(?P<process>\d{{1,9}})-\d+(-[a-z]+)?{re.escape(PARTIAL)}", re.DOTALL
+)
 _numbers = count()
 
 
@@ -41,6 +43,11 @@ def finished_file(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def beside(temporary: Path, word: str) -> Path:
+    """A second temporary name, for a writer of two steps; left behind, it is removed like the first."""
+    return temporary.with_name(f"{temporary.name.removesuffix(PARTIAL)}-{word}{PARTIAL}")
 
 
 def remove_left_over(folder: Path, names: Iterable[str], anyones: bool = False) -> None:

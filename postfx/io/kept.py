@@ -25,7 +25,7 @@ from postfx.io.container.header import PIXEL_BYTES, SCANLINES, TILES, Header, pa
 from postfx.io.container.scanlines import ZIP, ZIP_LINES, Rows, zip_chunks
 from postfx.io.container.write import NewPart, write_container
 from postfx.io.exr import ImageFile
-from postfx.io.finished import PARTIAL
+from postfx.io.finished import beside
 from postfx.io.metadata import is_outdated
 from postfx.io.part import PICTURE
 from postfx.stored import Stored
@@ -47,7 +47,7 @@ def add_rest(path: Path, frame: Frame) -> None:
     """
     if frame.source is None or Path(frame.source).suffix.lower() != ".exr":
         return
-    together = path.with_name(path.name.removesuffix(PARTIAL) + "-all" + PARTIAL)
+    together = beside(path, "all")
     try:
         with ExitStack() as stack:
             picture = stack.enter_context(ExrContainer(path))

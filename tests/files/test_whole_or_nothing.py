@@ -15,7 +15,7 @@ import pytest
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
 from postfx.io import finished
-from postfx.io.finished import PARTIAL, finished_file
+from postfx.io.finished import PARTIAL, beside, finished_file
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import is_complete, write_frame
 from tests.files.conftest import names
@@ -161,6 +161,19 @@ def test_a_killed_process_leaves_whole_files_only(tmp_path: Path, moment: float)
     for number in range(3):
         write_frame(out / f"a.{number:04d}.exr", next(iter(read_sequence(source))))
     assert names(out) == [f"a.{number:04d}.exr" for number in range(3)]
+
+
+def test_both_partial_files_of_a_dead_process_are_removed(tmp_path: Path) -> None:
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    with finished_file(tmp_path / "a.exr") as own:
+        left = tmp_path / own.name.replace(f"-{os.getpid()}-", f"-{dead.pid}-")
+        own.write_text("mine")
+    for path in (left, beside(left, "all")):
+        path.write_text("half a frame")
+    with finished_file(tmp_path / "a.exr") as own:
+        own.write_text("mine")
+    assert names(tmp_path) == ["a.exr"]
 
 
 def test_files_of_processes_that_still_run_are_not_removed(tmp_path: Path) -> None:
