@@ -23,6 +23,7 @@ SHIM = """
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <cstring>
 #define __global__
 #define __device__
 #define __shared__ static
@@ -34,6 +35,11 @@ struct Index { int x, y, z; };
 static Index blockIdx, threadIdx, blockDim = {1, 1, 1}, gridDim = {1, 1, 1};
 static inline void __syncthreads() {}
 template <class T> static inline T __ldg(const T* at) { return *at; }
+static inline float __int_as_float(int bits) { float value; std::memcpy(&value, &bits, 4); return value; }
+// Macros of the standard library that the GPU's compiler does not know.
+#undef INFINITY
+#undef NAN
+#undef HUGE_VALF
 """
 
 

@@ -9,14 +9,15 @@ extern "C" __global__ void overlay_enlarge(View image, View rows, View columns, 
     const float alpha = clamped(result[3], 0.0f, 1.0f);
     result[3] = alpha;
     for (int c = 0; c < 3; c++) {
-        float low = INFINITY, high = -INFINITY;
+        const float ENDLESS = __int_as_float(0x7f800000);  // the GPU's compiler has no <cmath>
+        float low = ENDLESS, high = -ENDLESS;
 #pragma unroll
         for (int i = 0; i < 4; i++) {
             const int row = i < 2 ? down.index[1] : down.index[2], column = i % 2 ? across.index[2] : across.index[1];
             const float* const pixel = image.at + 4 * (size_t(row) * image.size[1] + column);
             const float light = known(pixel[c]), covered = known(pixel[3]);
             if (covered <= 0.0f && light == 0.0f) continue;  // nothing there
-            const float own = covered > 0.0f ? light / covered : light > 0.0f ? INFINITY : -INFINITY;
+            const float own = covered > 0.0f ? light / covered : light > 0.0f ? ENDLESS : -ENDLESS;
             low = fminf(low, own);
             high = fmaxf(high, own);
         }
