@@ -13,10 +13,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from postfx.backwards import Backwards
     from postfx.errors import PostfxError
     from postfx.frame import ROLES, Frame, FrameSpec, Role
     from postfx.io.sequence import Sequence, read_sequence
     from postfx.io.writer import write_frame
+    from postfx.passes.both_ways import BothWays
     from postfx.passes.denoise_upscale import DenoiseUpscale
     from postfx.passes.overlay import Overlay
     from postfx.passes.tonemap import ToneMap
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Backwards": "postfx.backwards",
+    "BothWays": "postfx.passes.both_ways",
     "DenoiseUpscale": "postfx.passes.denoise_upscale",
     "Device": "postfx.runtime",
     "Frame": "postfx.frame",

@@ -25,7 +25,7 @@ ENCODINGS = (*LINEAR, *KINDS)
 GUIDE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH)
 """Planes at output size that make edges exact."""
 
-OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY)
+OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)
 """Planes that may come at output size: guides, in the widest sense."""
 
 

@@ -98,11 +98,11 @@ class Plan:
 
     def _guides_text(self) -> list[str]:
         """Whether planes at output size are used; nothing where there are none and no pass asks for any."""
-        offered = self.available.guides
-        if offered is None:
+        offered, read = self.available.guides, from_files(self.guides)
+        if offered is None or not from_files(offered.roles):
             wanted = any(step.reflection.may_read_guides for step in self.steps)
             return ["none: planes at output size would make edges exact (--guides)"] if wanted else []
-        used = f"used: {_names(self.guides)}" if self.guides else "not used"
+        used = f"used: {_names(read)}" if read else "not used"
         return [f"{offered.width}x{offered.height}, {used}"]
 
 
@@ -199,7 +199,7 @@ def _step_text(step: Step) -> str:
     changes = changes if (before.width, before.height) != (after.width, after.height) else []
     changes += [f"{before.encoding} -> {after.encoding}"] if before.encoding != after.encoding else []
     text = f"{step.name}: reads {_names(step.uses)}; writes {_names(step.reflection.writes)}"
-    changes += ["uses the guides"] if step.uses_guides else []
+    changes += ["uses the guides"] if from_files(step.uses_guides) else []
     return "; ".join([text, *changes, *step.reflection.notes])
 
 
@@ -219,6 +219,11 @@ def _spec_dict(spec: FrameSpec) -> dict[str, Any]:
     planes, guides = [str(role) for role in spec.roles], spec.guides
     size = guides and {"width": guides.width, "height": guides.height, "planes": [str(role) for role in guides.roles]}
     return {"width": spec.width, "height": spec.height, "encoding": spec.encoding, "planes": planes, "guides": size}
+
+
+def from_files(guides: Iterable[Role]) -> tuple[Role, ...]:
+    """Guides without the one that is made of the sequence itself."""
+    return tuple(role for role in guides if role is not Role.LATER)
 
 
 def _names(roles: Iterable[Role]) -> str:

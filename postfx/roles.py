@@ -23,6 +23,7 @@ class Role(StrEnum):
     REACTIVE = "reactive"
     OPAQUE_COLOUR = "opaque_colour"
     OVERLAY = "overlay"
+    LATER = "later"
     VARIANCE_OF_MEAN = "variance_of_mean"
     SAMPLE_VARIANCE = "sample_variance"
     SECOND_MOMENT = "second_moment"
@@ -56,6 +57,7 @@ ROLES: Mapping[Role, RoleInfo] = {
     Role.REACTIVE: RoleInfo(1, "none", "none", "0..1", "0 use the history, 1 ignore it"),
     Role.OPAQUE_COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "colour before transparency"),
     Role.OVERLAY: RoleInfo(4, "radiance and coverage", "scene-linear Rec.709", "0..inf", "RGBA, premultiplied"),
+    Role.LATER: RoleInfo(4, "radiance and weight", "scene-linear Rec.709", "0..inf", "RGBA, times weight"),
     Role.VARIANCE_OF_MEAN: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "squared standard error of the pixel"),
     Role.SAMPLE_VARIANCE: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "of a pixel's samples"),
     Role.SECOND_MOMENT: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "mean of a pixel's squared samples"),

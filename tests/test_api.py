@@ -8,6 +8,8 @@ import pytest
 import postfx
 
 PUBLIC = [
+    "Backwards",
+    "BothWays",
     "DenoiseUpscale",
     "Device",
     "Frame",

@@ -9,7 +9,9 @@ from collections import Counter
 from functools import partial
 from typing import Any
 
+from postfx.backwards import Backwards
 from postfx.cli.books import options_of
+from postfx.cli.both_ways import BothWays
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
 from postfx.cli.faults import Faults, OnError, Standin, check_sizes, first_readable, without_denoising
@@ -29,7 +31,7 @@ from postfx.kernels.numeric import is_first_run
 from postfx.passes.base import Pass, PassOptionError
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
-from postfx.plan import Skipped
+from postfx.plan import Skipped, from_files
 from postfx.runs.provenance import provenance_of
 from postfx.runs.retry import read_patiently
 from postfx.runs.run import Run
@@ -65,10 +67,12 @@ class Job:
         exposure = SmoothExposure(colours_of(self.sequence, policy is not OnError.STOP)) if self._smooth \
             else ExposureMeter(arguments.exposure)
         cuts = "auto" if arguments.cuts == "auto" else "none"
+        self._both = BothWays(arguments, lambda: Backwards(
+            self.sequence, device, exposure if self._smooth else arguments.exposure, cuts, **_denoising(arguments)))
         self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts)
         with self.sequence.open(first_readable(self.sequence, policy)) as files:
             self.left_out += left_out_for(arguments, files)
-            self.plan = self.pipeline.explain(files.spec())
+            self.plan = self.pipeline.explain(self._both.spec(files.spec()))
         said = len(self.left_out)
         plain = self._passes(without_denoising(arguments, self.plan)) if policy is OnError.COPY else None
         del self.left_out[said:]
@@ -156,6 +160,7 @@ class Job:
                 if work.checkpoint:
                     run.recall(work, frame)
                     continue
+                frame = frame and self._both(frame, work.write, stop.check, progress.note)
                 with self._capture.around(work.number):
                     result = self._process(work, frame)
                 if work.write and result:
@@ -168,7 +173,7 @@ class Job:
         return self._faults.read(work.number, work.write, partial(self._checked, run, work.number))
 
     def _checked(self, run: Run, number: int) -> Frame:
-        read = partial(self.sequence.read, number, self.plan.planes, self.plan.guides)
+        read = partial(self.sequence.read, number, self.plan.planes, from_files(self.plan.guides))
         frame = read_patiently(read, partial(run.failed, number))
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame
@@ -187,8 +192,8 @@ class Job:
 
     def _note(self, milliseconds: float) -> None:
         """Keep what the last frame took and what was chosen for it."""
-        self._frame_ms.append(milliseconds)
-        for name, elapsed in self.pipeline.timings.items():
+        self._frame_ms.append(milliseconds + sum(self._both.took().values()))
+        for name, elapsed in {**self._both.took(), **self.pipeline.timings}.items():
             self._pass_ms.setdefault(name, []).append(elapsed)
         for role, pixels in self.pipeline.broken.items():
             found = self._broken.setdefault(str(role), {"pixels": 0, "frames": 0})
@@ -223,8 +228,7 @@ class Job:
             self._refuse_denoise_options(arguments)
             self.left_out.append(Skipped("denoise_upscale", "--no-denoise"))
         else:
-            options = {name: getattr(arguments, name) for name in DENOISE_OPTIONS}
-            passes.append(create("denoise_upscale", **_given(options)))
+            passes += [create("denoise_upscale", **_denoising(arguments)), *map(create, self._both.passes)]
         passes += [create("overlay")] if arguments.overlay == "composite" else []
         shown, left_out = display_passes(arguments, self.outputs is not None and self.outputs.display)
         self.left_out += left_out
@@ -246,5 +250,7 @@ def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles |
     return OutputFiles(arguments.output, sequence, existing) if arguments.output else None
 
 
-def _given(options: dict[str, Any]) -> dict[str, Any]:
+def _denoising(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The denoiser's options that are given."""
+    options = {name: getattr(arguments, name) for name in DENOISE_OPTIONS}
     return {name: value for name, value in options.items() if value is not None}

@@ -8,6 +8,7 @@ import sys
 
 from postfx.cli import books, looks
 from postfx.cli.arguments import add_depth, add_report
+from postfx.cli.both_ways import add_argument as add_both_ways
 from postfx.errors import PostfxError
 
 HELP = "denoise, upscale and tone-map a sequence"
@@ -29,6 +30,7 @@ examples:
   postfx run shot/ -o out/ --skip-existing --scale 1.5
   postfx run shot/dynamic.####.exr -o out/clean.####.exr --size 1920x1080
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --both-ways
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
   postfx run shot/adaptive.####.exr -o out/clean.####.exr --leave converged:0.01
@@ -144,6 +146,7 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
         "--budget", type=float, metavar="MS",
         help="milliseconds that denoising a frame may take: networks smaller than --model take turns with it",
     )
+    add_both_ways(group)
     group.add_argument(
         "--strength", type=float, metavar="S",
         help="of denoising, 0 (only resample) to 1 (fully), times the plane 'strength' if there is one (default: 1)",

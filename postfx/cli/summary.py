@@ -8,7 +8,7 @@ from typing import Any
 
 from postfx.cli.faults import LEFT_OUT, Fault
 from postfx.frame import Role
-from postfx.plan import Plan, Skipped
+from postfx.plan import Plan, Skipped, from_files
 from postfx.strength.shares import Shares
 
 SHOWN_FRAMES = 3
@@ -137,10 +137,10 @@ class Report:
 def guides_in(plan: Plan, sized: bool) -> dict[str, Any] | None:
     """Size of the guides, which are used, and whether the output's size, unless it is given, follows from them."""
     guides, output = plan.available.guides, plan.output
-    if guides is None:
+    if guides is None or not from_files(guides.roles):
         return None
     follows = not sized and (output.width, output.height) == (guides.width, guides.height)
-    used = [str(role) for role in plan.guides]
+    used = [str(role) for role in from_files(plan.guides)]
     return {"width": guides.width, "height": guides.height, "used": used, "output_follows": follows}
 
 

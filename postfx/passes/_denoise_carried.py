@@ -1,4 +1,5 @@
-"""What the denoised upscaler only brings to output size, beside the colour: alpha, and a transparency overlay."""
+"""What the denoised upscaler only brings to output size, beside the colour: alpha, and a transparency overlay; and what
+it hands on, as the plane has that size."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ CENTRED = (0.0, 0.0)
 
 def carried_roles(spec: FrameSpec) -> tuple[Role, ...]:
     """Those of them that a frame has; an overlay may come at output size."""
-    return tuple(role for role in (Role.ALPHA, Role.OVERLAY) if spec.has(role) or role in spec.guide_roles)
+    kept = tuple(role for role in (Role.ALPHA, Role.OVERLAY) if spec.has(role) or role in spec.guide_roles)
+    return (*kept, Role.LATER) if Role.LATER in spec.guide_roles else kept
 
 
 class Carried:
@@ -27,12 +29,14 @@ class Carried:
         self._device, self._output, self._render = device, output, Size(spec.height, spec.width)
         self._overlay_is_guide = Role.OVERLAY in spec.guide_roles
         self._resamplers = {role: Resampler(device, str(role), role, self._size(role), output)
-                            for role in carried_roles(spec)}
+                            for role in carried_roles(spec) if role is not Role.LATER}
         self._nothing: Tensor | None = None
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         """Record the work; the frame's planes are then those of the output's size."""
         given = frame.given_guides if self._overlay_is_guide else frame.given
+        if Role.LATER in frame.guides:
+            frame.set(Role.LATER, frame.guides[Role.LATER])
         blank = Role.OVERLAY in given and not given[Role.OVERLAY].any()
         for role, resampler in self._resamplers.items():
             plane, jitter = self._source(role, frame)

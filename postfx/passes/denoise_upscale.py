@@ -48,7 +48,8 @@ class DenoiseUpscale(Pass):
             plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto', the first of
             the two that the frame has; 'none'. Then perhaps scale= and threshold=, as in 'auto,scale=4,threshold=0.05'.
 
-    Alpha and a transparency overlay are only resampled; the pass `overlay` composites.
+    Alpha and a transparency overlay are only resampled; the pass `overlay` composites. The plane `later` is handed on
+    to the pass `both_ways`.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. Without a
     motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a
@@ -242,7 +243,7 @@ class DenoiseUpscale(Pass):
         return self._output_size(spec) == (spec.height, spec.width)
 
     def _guide_remarks(self, spec: FrameSpec) -> list[str]:
-        if spec.guides is None or spec.guide_roles == (Role.OVERLAY,):
+        if spec.guides is None or set(spec.guide_roles) <= {Role.OVERLAY, Role.LATER}:
             return []
         if not self._has_guided_model():
             return [f"model '{self.options['model']}' does not read guides: they only stand in for missing planes"]

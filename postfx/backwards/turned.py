@@ -1,0 +1,69 @@
+"""Frames as a run in reverse order sees them, and how far back their pixels are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from postfx.frame import Frame, Role
+from postfx.kernels.turning import FAR, LOST, follow, mend, splat
+
+ROUNDS = 2
+"""Pixels by which what the next frame shows stretched is filled from its sides."""
+MOST = 8
+"""Frames in a row that count: more history makes a result hardly better."""
+
+
+def turned(frame: Frame, after: Frame | None) -> Frame:
+    """The frame with motion that leads to the frame after it; None, or a cut there, makes it a first frame.
+
+    A pixel that the frame after does not show has motion that leads out of the picture. Without a motion plane it is
+    only marked as a first frame or not.
+    """
+    if after is None or after.reset or Role.MOTION not in after or Role.MOTION not in frame:
+        return replace(frame, reset=True)
+    return replace(frame, planes={**frame.planes, Role.MOTION: motion_to_next(frame, after)}, reset=False)
+
+
+def motion_to_next(frame: Frame, after: Frame) -> np.ndarray:
+    """Motion (h, w, 2), position in the frame after minus that in this one, in pixels of this one; x right, y down.
+
+    Made from the motion of the frame after: each of its pixels says where it came from, and the nearest one counts.
+    """
+    height, width = frame[Role.MOTION].shape[:2]
+    nearest = np.full((height, width), 2 * FAR, np.float32)
+    motion = np.full((height, width, 2), LOST, np.float32)
+    splat(after[Role.MOTION], _depth(after), nearest, motion)
+    depth, filled = _depth(frame), np.empty((height, width), np.bool_)
+    for _ in range(ROUNDS):
+        mend(nearest, depth, motion, filled)
+        nearest[filled] = 0
+    return motion
+
+
+class Followed:
+    """How many frames in a row show what each pixel shows, in the order in which it is called with them."""
+
+    def __init__(self) -> None:
+        self._before: tuple[np.ndarray, np.ndarray] | None = None
+
+    def reset(self) -> None:
+        """The next frame is taken as the first."""
+        self._before = None
+
+    def __call__(self, frame: Frame) -> np.ndarray:
+        """Counts (h, w), uint8, from 1 to MOST."""
+        count = np.ones(next(iter(frame.planes.values())).shape[:2], np.uint8)
+        depth = _depth(frame)
+        if self._before and not frame.reset and Role.MOTION in frame:
+            follow(frame[Role.MOTION], depth, *self._before, MOST, count)
+        self._before = depth, count
+        return count
+
+
+def _depth(frame: Frame) -> np.ndarray:
+    """Depth (h, w, 1), alike everywhere where the frame has none."""
+    if Role.DEPTH in frame:
+        return frame[Role.DEPTH]
+    return np.ones((*next(iter(frame.planes.values())).shape[:2], 1), np.float32)
