@@ -26,7 +26,7 @@ from postfx.runtime import Device, Library  # noqa: E402
 ROOM = Path(__file__).parent.parent / "samples" / "room"
 OURS = {method.name: method for method in catalogue(Library().names(), "cpu", guides=True, motion=True).methods
         if method.model}
-SHIPPED = [method for method in OURS.values() if not method.alone]
+SHIPPED = [method for method in OURS.values() if not (method.alone or method.both)]
 SHIPPED += [Method("s-fp16", "s fp16", "ours", "s.fp16", "fp16")]  # one is enough: it has the weights of s
 PLAIN = [method for method in OTHERS if method.family == "plain"]
 
@@ -65,7 +65,7 @@ def with_guides(frame: Frame) -> Frame:
 
 def results(material: Material, method: Method) -> Iterator[tuple[Frame, np.ndarray]]:
     """Noisy frames, and what a method makes of them."""
-    chain = make(method, Device("cpu"), material.scale, material.size)
+    chain = make(method, Device("cpu"), material.scale, material.size, material.noisy)
     for frame in material.noisy:
         result = chain(with_guides(frame) if method.guides else frame)
         assert np.isfinite(result).all()
@@ -155,6 +155,22 @@ def test_history_never_harms_the_garage(shared_dir):
     garage = shared_dir / "sequences" / "garage"
     kept, dropped = ([row["psnr"] for row in scored(garage, name).frames] for name in ("m", "m-alone"))
     assert all(one >= other for one, other in zip(kept, dropped, strict=True)), (kept, dropped)
+
+
+@pytest.mark.parametrize("name", ["s-int8", "m"])
+def test_both_ways_first_frames_gain_most_and_none_loses(name):
+    causal, both = ([row["psnr"] for row in scored(ROOM, each).frames] for each in (name, f"{name}-both-ways"))
+    gains = np.subtract(both, causal)
+    assert gains[:4].mean() >= 0.6, gains
+    assert gains.min() >= -0.05, gains
+
+
+@pytest.mark.slow
+def test_both_ways_better_in_the_mean_over_the_sequences(shared_dir):
+    found = {name: late(shared_dir / "sequences" / name, "m-both-ways") for name in BARS}
+    assert np.mean([found[name]["psnr"] - bar.psnr for name, bar in BARS.items()]) >= 2.2
+    assert np.mean([found[name]["flip"] / bar.flip for name, bar in BARS.items()]) <= 0.82
+    assert np.mean([found[name]["flicker"] / bar.flicker for name, bar in BARS.items()]) <= 0.84
 
 
 BEHIND = pytest.mark.xfail(strict=True, reason="0.84 dB behind there: the small network is too small for it")

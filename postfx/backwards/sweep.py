@@ -46,6 +46,7 @@ class Backwards:
         sequence: the frames; they are read once more by a copy, so who iterates it is not disturbed.
         device: where to run; default: that of pipelines without one.
         exposure, cuts: as for a `Pipeline`.
+        prepare: what is done to the frames that are read before they are run, as to those in order.
         options: of `DenoiseUpscale`, the same as for the frames in order.
 
     The sequence is run in parts of PART frames, each from its last one to its first, beginning RUN_UP frames after it:
@@ -57,13 +58,14 @@ class Backwards:
 
     def __init__(self, sequence: Sequence, device: Device | None = None,
                  exposure: str | float | ExposureMeter | SmoothExposure = "auto", cuts: str = "auto",
-                 **options: Any) -> None:
+                 prepare: Callable[[Frame], Frame] = lambda frame: frame, **options: Any) -> None:
         self._sequence = copy.copy(sequence)
         self._sequence.left_alone = Shares()
         self._numbers = self._sequence.numbers
         self._at = {number: index for index, number in enumerate(self._numbers)}
         self._pass = DenoiseUpscale(**options)
         self._pipeline = Pipeline([self._pass], device, exposure, cuts)
+        self._prepare = prepare
         self._ahead, self._last = Followed(), -1
         self._found: dict[int, Result] = {}
         self._took: dict[int, float] = {}
@@ -161,7 +163,7 @@ class Backwards:
             self._sequence.rewind()
             with self._sequence.open(number) as files:
                 plan = self._pipeline.explain(files.spec())
-            frame = self._sequence.read(number, plan.planes, plan.guides)
+            frame = self._prepare(self._sequence.read(number, plan.planes, plan.guides))
         except PostfxError:
             return None
         follows = index > 0 and self._sequence.before(number, 1) == [self._numbers[index - 1]]

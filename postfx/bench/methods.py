@@ -27,6 +27,7 @@ class Method:
         precision: of the network's weights and arithmetic.
         guides: whether planes at output size are read.
         alone: whether the history is dropped at every frame.
+        both: whether frames profit from those after them, too.
         quality: of OIDN; '' where it is not used.
         accumulated: whether frames are accumulated at output size along the motion.
         without: names of planes that the frames have and the network is not given; empty in all but ablations.
@@ -39,6 +40,7 @@ class Method:
     precision: str = "fp32"
     guides: bool = False
     alone: bool = False
+    both: bool = False
     quality: str = ""
     accumulated: bool = False
     without: tuple[str, ...] = ()
@@ -111,15 +113,16 @@ def select(found: Catalogue, names: str | None, models: str | None) -> Catalogue
 
 
 def _of_model(name: str, motion: bool) -> list[Method]:
-    """A network with its history and, where frames have motion, without."""
+    """A network with its history and, where frames have motion, without, and in both directions."""
     parts = name.split(".")
     guides, kept = GUIDES in parts, [part for part in parts if part != GUIDES]
     precision = next((part for part in kept if part in PRECISIONS), "fp32")
     words = [*kept, *([GUIDES] if guides else [])]
     plain = Method("-".join(words), " ".join([kept[0], precision, *words[len(kept) :]]), "ours",
                    ".".join(kept), precision, guides)
-    alone = Method(f"{plain.name}-alone", f"{plain.title}, no history", "ours", plain.model, precision, guides, True)
-    return [plain, alone] if motion else [plain]
+    alone = replace(plain, name=f"{plain.name}-alone", title=f"{plain.title}, no history", alone=True)
+    both = replace(plain, name=f"{plain.name}-both-ways", title=f"{plain.title}, both ways", both=True)
+    return [plain, alone, both] if motion else [plain]
 
 
 def _ablations(method: Method, lost: Sequence[str]) -> list[Method]:

@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from postfx.backwards import Backwards
 from postfx.bench.accumulate import Accumulator
 from postfx.bench.host_kernels import HostKernels
 from postfx.bench.methods import Method
 from postfx.bench.oidn import Oidn
 from postfx.frame import Frame, Role
+from postfx.io.sequence import Sequence
 from postfx.passes._denoise_models import exact
+from postfx.passes.both_ways import BothWays
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
@@ -20,23 +23,33 @@ from postfx.runtime import Device
 class Network:
     """The project's denoised upscaler."""
 
-    def __init__(self, method: Method, device: Device, scale: float) -> None:
+    def __init__(self, method: Method, device: Device, scale: float, sequence: Sequence | None) -> None:
         self._method = method
         self._lost = frozenset(map(Role, method.without))
-        self._pipeline = Pipeline([DenoiseUpscale(model=exact(method.model), scale=scale)], device)
+        options = {"model": exact(method.model), "scale": scale}
+        self._pipeline = Pipeline([DenoiseUpscale(**options), BothWays()], device)
+        self._backwards = Backwards(sequence, device, prepare=self._given, **options) if method.both else None
         self.device_ms = 0.0
 
     def reset(self) -> None:
         """Drop the history."""
         self._pipeline.reset()
+        if self._backwards:
+            self._backwards.reset()
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Colour (H, W, 3) of a frame."""
-        guides = frame.guides if self._method.guides else {}
-        planes = {role: plane for role, plane in frame.planes.items() if role not in self._lost}
-        result = self._pipeline(replace(frame, reset=frame.reset or self._method.alone, guides=guides, planes=planes))
+        frame = self._given(frame)
+        frame = self._backwards(frame) if self._backwards else frame
+        result = self._pipeline(replace(frame, reset=frame.reset or self._method.alone))
         self.device_ms += sum(self._pipeline.timings.values())
+        self.device_ms += (self._backwards.milliseconds or 0.0) if self._backwards else 0.0
         return result[Role.COLOUR]
+
+    def _given(self, frame: Frame) -> Frame:
+        """The frame with what the method is given of it."""
+        planes = {role: plane for role, plane in frame.planes.items() if role not in self._lost}
+        return replace(frame, guides=frame.guides if self._method.guides else {}, planes=planes)
 
 
 class Chain:
@@ -69,6 +82,7 @@ class Chain:
         return self._accumulator(large, frame) if self._accumulator else large
 
 
-def make(method: Method, device: Device, scale: float, size: tuple[int, int]) -> Network | Chain:
-    """What carries out a method, for outputs of `size` (height, width)."""
-    return Network(method, device, scale) if method.model else Chain(method, device, size)
+def make(method: Method, device: Device, scale: float, size: tuple[int, int],
+         sequence: Sequence | None = None) -> Network | Chain:
+    """What carries out a method, for outputs of `size` (height, width). The `sequence` is needed for both ways."""
+    return Network(method, device, scale, sequence) if method.model else Chain(method, device, size)

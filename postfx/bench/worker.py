@@ -72,14 +72,15 @@ def measure(task: Task) -> dict | None:
     kept = _compiled_kernels()
     device = Device(task.device, task.threads)
     sequence = Sequence(task.noisy, task.frames, task.profile, guides=task.guides)
-    method = make(task.method, device, task.scale, task.size)
+    method = make(task.method, device, task.scale, task.size, sequence)
     first = _timed(method, next(iter(sequence)))
     if _compiled_kernels() != kept:
         return None
     runs = []
     for index in range(task.runs):
         method.reset()
-        runs.append([_frame(task, method, frame, index == task.runs - 1) for frame in sequence])
+        rows = [_frame(task, method, frame, index == task.runs - 1) for frame in sequence]
+        runs.append(_evened(rows) if task.method.both else rows)
         _say(run=index + 1)
     columns = {key: [[row[key] for row in run] for run in runs] for key in ("wall_ms", "cpu_s", "device_ms")}
     return {**columns, "first_ms": first["wall_ms"], "peak_mb": peak_memory()}
@@ -112,6 +113,11 @@ def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> di
         path = task.output.replace("{number}", f"{frame.number:04d}")
         write_frame(path, replace(frame, planes={Role.COLOUR: result}, guides={}, jitter=(0.0, 0.0)))
     return row
+
+
+def _evened(rows: list[dict]) -> list[dict]:
+    """Each frame's share of what all took: those of a part wait for its first, before which they run in reverse."""
+    return [{key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}] * len(rows)
 
 
 def _timed(method: Network | Chain, frame: Frame) -> dict:

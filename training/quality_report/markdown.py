@@ -43,7 +43,8 @@ def titled(name: str) -> str:
         return known[name]
     tag, *words = name.split("-")
     text = " ".join(["postfx", tag, *(word for word in words if word in PRECISIONS)])
-    return text + (" with guides" if "guides" in words else "") + (", no history" if "alone" in words else "")
+    said = {"guides": " with guides", "alone": ", no history", "both": ", both ways"}
+    return text + "".join(more for word, more in said.items() if word in words)
 
 
 def is_network(row: dict[str, Any], name: str = "name") -> bool:

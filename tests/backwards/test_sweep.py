@@ -1,0 +1,153 @@
+"""Frames with what the frames after them make of them: which are run, in what order, and what comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.backwards import Backwards, sweep
+from postfx.frame import Frame, Role
+from postfx.io.sequence import Sequence
+from postfx.passes.both_ways import BothWays
+from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+
+SIZE = 32, 48
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    return Device("cpu", threads=2)
+
+
+@pytest.fixture
+def noisy(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Sequence]:
+    """Writes frames of one grey wall at rest, each with noise of its own, and gives them as a sequence."""
+
+    def write(count: int, cut: int = 0, level: float = 0.5) -> Sequence:
+        rng = np.random.default_rng(count)
+        for number in range(1, count + 1):
+            light = level if not cut or number < cut else 8 * level
+            planes = {name: light * rng.exponential(size=SIZE) for name in "RGB"}
+            planes |= {f"albedo.{name}": np.full(SIZE, 0.5) for name in "RGB"}
+            planes |= {"depth.Z": np.full(SIZE, 3.0), "motion.X": np.zeros(SIZE), "motion.Y": np.zeros(SIZE)}
+            write_exr(f"in/shot.{number:04d}.exr", planes, **({"postfx__reset": 1} if number == cut else {}))
+        return Sequence(tmp_path / "in/shot.####.exr")
+
+    return write
+
+
+def results(sequence: Sequence, device: Device, both: bool = True, numbers: tuple[int, ...] = ()) -> dict:
+    """Colour by frame number, of all frames or of those that are wanted."""
+    backwards = Backwards(sequence, device, 0.0, model="s") if both else lambda frame: frame
+    passes = Pipeline([DenoiseUpscale(model="s"), BothWays()], device, 0.0)
+    return {frame.number: passes(backwards(frame))[Role.COLOUR] for frame in sequence
+            if not numbers or frame.number in numbers}
+
+
+def spread(colour: np.ndarray) -> float:
+    return float(colour.std())
+
+
+def test_first_frames_profit_from_those_after_them(noisy, device):
+    sequence = noisy(8)
+    causal, both = results(sequence, device, both=False), results(sequence, device)
+    assert spread(both[1]) < 0.7 * spread(causal[1])
+    assert spread(both[4]) < spread(causal[4])
+    assert abs(both[1].mean() / causal[8].mean() - 1) < 0.02
+
+
+def test_the_last_frame_has_nothing_after_it(noisy, device):
+    """Its run in reverse order begins with it: a first frame, which counts for a ninth beside eight."""
+    sequence = noisy(8)
+    later = Backwards(sequence, device, 0.0, model="s")
+    planes = [later(frame).guides[Role.LATER] for frame in sequence]
+    assert np.allclose(planes[7][..., 3], 1 / 9, atol=1e-6)
+    assert np.allclose(planes[0][..., 3], 8 / 9, atol=1e-6)
+
+
+def test_light_after_a_cut_does_not_come_before_it(noisy, device):
+    both = results(noisy(8, cut=5), device)
+    assert both[4].mean() < 1.1 * both[1].mean() < 0.25 * both[5].mean()
+
+
+def test_a_frame_does_not_depend_on_which_are_asked_for(noisy, device, monkeypatch):
+    monkeypatch.setattr(sweep, "PART", 3)
+    monkeypatch.setattr(sweep, "RUN_UP", 2)
+    sequence = noisy(8)
+    backwards = Backwards(sequence, device, 0.0, model="s")
+    whole = {frame.number: backwards(frame).guides[Role.LATER] for frame in sequence}
+    for number in (2, 5, 8):
+        fresh = Backwards(sequence, device, 0.0, model="s")
+        sequence.rewind()
+        np.testing.assert_array_equal(fresh(sequence.read(number)).guides[Role.LATER], whole[number])
+
+
+def test_parts_are_run_from_behind_with_a_run_up(noisy, device, monkeypatch):
+    monkeypatch.setattr(sweep, "PART", 3)
+    monkeypatch.setattr(sweep, "RUN_UP", 2)
+    sequence, order = noisy(7), []
+    backwards = Backwards(sequence, device, 0.0, model="s")
+    read = Backwards._read
+    monkeypatch.setattr(Backwards, "_read", lambda self, index: order.append(index + 1) or read(self, index))
+    for frame in sequence:
+        assert (backwards.part(frame.number) is not None) == (frame.number in (1, 4, 7))
+        backwards(frame)
+        assert backwards.milliseconds > 0
+    assert order == [5, 4, 3, 2, 1, 7, 6, 5, 4, 7]
+
+
+def test_a_frame_that_is_not_wanted_is_only_followed(noisy, device, monkeypatch):
+    sequence = noisy(3)
+    backwards = Backwards(sequence, device, 0.0, model="s")
+    monkeypatch.setattr(backwards, "_run", lambda *_: pytest.fail("nothing is to be run"))
+    assert not backwards(sequence.read(1), wanted=False).guides[Role.LATER].any()
+    assert backwards.milliseconds is None
+
+
+def test_a_frame_that_cannot_be_read_leaves_the_others_as_they_are(noisy, device, tmp_path):
+    sequence = noisy(5)
+    (tmp_path / "in/shot.0003.exr").write_bytes(b"no picture")
+    backwards = Backwards(sequence, device, 0.0, model="s")
+    weights = [float(backwards(sequence.read(number)).guides[Role.LATER][0, 0, 3]) for number in (1, 2, 4, 5)]
+    np.testing.assert_allclose(weights, [2 / 3, 1 / 3, 2 / 3, 1 / 3], atol=1e-6)
+
+
+def test_asking_may_be_stopped_between_two_frames(noisy, device):
+    calls = []
+
+    def check() -> None:
+        calls.append(None)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+
+    sequence = noisy(6)
+    with pytest.raises(KeyboardInterrupt):
+        Backwards(sequence, device, 0.0, model="s")(sequence.read(1), check=check)
+
+
+def test_whoever_iterates_the_sequence_is_not_disturbed(noisy, device):
+    sequence = noisy(4)
+    backwards = Backwards(sequence, device, 0.0, model="s")
+    assert [backwards(frame).reset for frame in sequence] == [False] * 4
+    assert sequence.warnings == []
+
+
+def test_without_motion_both_runs_are_of_single_frames(device, write_exr, tmp_path):
+    rng = np.random.default_rng(1)
+    for number in (1, 2, 3):
+        write_exr(f"still/a.{number:04d}.exr", {name: rng.exponential(size=SIZE) for name in "RGB"})
+    sequence = Sequence(tmp_path / "still/a.####.exr")
+    causal, both = results(sequence, device, both=False), results(sequence, device)
+    np.testing.assert_allclose(both[2], causal[2], rtol=2e-3, atol=1e-4)
+
+
+def test_results_of_another_size_are_not_mixed_in(noisy, device):
+    sequence = noisy(2)
+    backwards = Backwards(sequence, device, 0.0, model="s")
+    small = Frame({Role.COLOUR: np.ones((16, 24, 3), np.float32)}, 1)
+    assert not backwards(small).guides[Role.LATER].any()

@@ -1,0 +1,87 @@
+"""`postfx run --both-ways`."""
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+RUN = ("run", "in/shot.####.exr", "--model", "s", "--both-ways")
+
+
+@pytest.fixture
+def noise(write_exr, tmp_path):
+    """Six frames of a wall at rest under noise of their own."""
+    rng = np.random.default_rng(8)
+    for number in range(1, 7):
+        planes = {name: rng.exponential(size=(32, 48)) for name in "RGB"}
+        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)), "motion.Y": np.zeros((32, 48))}
+        write_exr(f"in/shot.{number:04d}.exr", planes)
+    return tmp_path
+
+
+def pixels(path):
+    return oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT)[..., :3]
+
+
+def spread(path):
+    return pixels(path).std()
+
+
+def test_first_frames_are_as_clean_as_later_ones(postfx, noise):
+    assert postfx("run", "in/shot.####.exr", "--model", "s", "-o", "one/a.####.exr").code == 0
+    done = postfx(*RUN, "-o", "both/a.####.exr", "--json")
+    assert done.code == 0, done.err
+    assert set(done.json["passes"]) == {"denoise_upscale backwards", "denoise_upscale", "both_ways"}
+    assert done.json["guides"] is None
+    assert "frames 6 to 1, backwards first" in done.err
+    assert spread(noise / "both/a.0001.exr") < 0.7 * spread(noise / "one/a.0001.exr")
+
+
+def test_pictures_are_tone_mapped_after_mixing(postfx, noise):
+    explained = postfx(*RUN, "-o", "out/a.####.png", "--explain").out
+    assert explained.index("both_ways: reads colour, later") < explained.index("tonemap: reads")
+    assert "guides  none" in explained
+    assert postfx(*RUN, "-o", "out/a.####.png").code == 0
+
+
+def test_frames_that_were_missing_come_out_as_in_an_unbroken_run(postfx, noise):
+    assert postfx(*RUN, "-o", "out/a.####.exr").code == 0
+    whole = {number: (noise / f"out/a.{number:04d}.exr").read_bytes() for number in (2, 5)}
+    for number in whole:
+        (noise / f"out/a.{number:04d}.exr").unlink()
+    done = postfx(*RUN, "-o", "out/a.####.exr", "--skip-existing", "--json")
+    assert done.json["frames"] == 2
+    for number, content in whole.items():
+        np.testing.assert_array_equal(pixels(noise / f"out/a.{number:04d}.exr"), read(noise, content))
+
+
+def read(folder, content):
+    path = folder / "before.exr"
+    path.write_bytes(content)
+    return pixels(path)
+
+
+def test_a_frame_that_cannot_be_read_is_skipped_or_named(postfx, noise):
+    (noise / "in/shot.0004.exr").write_bytes(b"no picture")
+    done = postfx(*RUN, "-o", "out/a.####.exr", "--on-error", "skip", "--json")
+    assert (done.code, done.json["frames"]) == (3, 5)
+    stopped = postfx(*RUN, "-o", "stop/a.####.exr")
+    assert stopped.code == 2
+    assert "shot.0004.exr" in stopped.err
+    assert len(list((noise / "stop").glob("*.exr"))) == 3
+
+
+@pytest.mark.parametrize(("option", "why"), [
+    (("--no-denoise",), "--both-ways is for the denoiser, which --no-denoise leaves out: give one of them"),
+    (("--budget", "50"), "--both-ways runs every frame twice, --budget keeps to a time: give one of them"),
+])
+def test_options_that_do_not_go_together(postfx, noise, option, why):
+    arguments = [word for word in RUN if not (option[0] == "--no-denoise" and word in ("--model", "s"))]
+    done = postfx(*arguments, *option, "-o", "out/a.####.exr")
+    assert done.code == 2
+    assert why in done.err
+
+
+def test_without_strength_there_is_nothing_to_do(postfx, noise):
+    done = postfx(*RUN, "--strength", "0", "-o", "out/a.####.exr", "--json")
+    assert done.code == 0
+    assert "both_ways" not in done.json["passes"]
