@@ -1,0 +1,48 @@
+"""Denoise the sample sequence forwards, and in both directions in time: PSNR of every frame, and a picture of the first.
+
+python samples/both_ways.py [PICTURE.png] [--model s]
+
+The picture: the first frame as it was rendered, denoised forwards, in both directions, and the reference.
+"""
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import postfx
+from postfx import Frame, Role
+
+ROOM = Path(__file__).parent / "room"
+CROP = slice(120, 300), slice(60, 260)  # of the output: boards and a corner with little light
+
+
+def seen(colour: np.ndarray, exposure: float) -> np.ndarray:
+    """Within [0, 1], as a display shows it."""
+    light = np.maximum(colour, 0) * exposure
+    return (light / (1 + light)) ** (1 / 2.2)
+
+
+def psnr(colour: np.ndarray, reference: Frame) -> float:
+    pictures = (seen(light, reference.exposure) for light in (colour, reference[Role.COLOUR]))
+    return float(-10 * np.log10(np.square(np.subtract(*pictures)).mean()))
+
+
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("picture", nargs="?", type=Path, default=Path("out/both_ways.png"))
+parser.add_argument("--model", default="m")
+args = parser.parse_args()
+
+shot = postfx.read_sequence(ROOM / "noisy.####.exr")
+references = postfx.read_sequence(ROOM / "reference.####.exr")
+later = postfx.Backwards(shot, model=args.model)
+forwards = postfx.Pipeline([postfx.DenoiseUpscale(model=args.model)])
+both = postfx.Pipeline([postfx.DenoiseUpscale(model=args.model), postfx.BothWays()])
+print("frame  forwards  both ways (PSNR, dB)")
+for frame, reference in zip(shot, references, strict=True):
+    results = [forwards(frame)[Role.COLOUR], both(later(frame))[Role.COLOUR]]
+    print(f"{frame.number:5d}  {psnr(results[0], reference):8.2f}  {psnr(results[1], reference):9.2f}")
+    if frame.number == 1:
+        columns = [frame[Role.COLOUR].repeat(2, 0).repeat(2, 1), *results, reference[Role.COLOUR]]
+        row = np.concatenate([seen(column[CROP], reference.exposure) for column in columns], 1)
+        sheet = Frame({Role.COLOUR: row.repeat(2, 0).repeat(2, 1).astype(np.float32)}, encoding="srgb")
+print("wrote", postfx.write_frame(args.picture, sheet))
