@@ -17,6 +17,7 @@ from postfx.io.sequence import Sequence
 from postfx.kernels.turning import shared, weighted
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
+from postfx.plan import Plan
 from postfx.runtime import Device
 from postfx.strength.shares import Shares
 
@@ -67,6 +68,7 @@ class Backwards:
         self._pipeline = Pipeline([self._pass], device, exposure, cuts)
         self._prepare = prepare
         self._ahead, self._last = Followed(), -1
+        self._plan: Plan | None = None
         self._found: dict[int, Result] = {}
         self._took: dict[int, float] = {}
         self.milliseconds: float | None = None
@@ -156,14 +158,17 @@ class Backwards:
         np.clip(colour, -65504, 65504, out=kept, casting="unsafe")
         return kept
 
+    def _explained(self, number: int) -> Plan:
+        with self._sequence.open(number) as files:
+            return self._pipeline.explain(files.spec())
+
     def _read(self, index: int) -> Frame | None:
         """A frame, marked where it does not follow the one before it; None where it cannot be read."""
         number = self._numbers[index]
         try:
+            self._plan = self._plan or self._explained(number)
             self._sequence.rewind()
-            with self._sequence.open(number) as files:
-                plan = self._pipeline.explain(files.spec())
-            frame = self._prepare(self._sequence.read(number, plan.planes, plan.guides))
+            frame = self._prepare(self._sequence.read(number, self._plan.planes, self._plan.guides))
         except PostfxError:
             return None
         follows = index > 0 and self._sequence.before(number, 1) == [self._numbers[index - 1]]
