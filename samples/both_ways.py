@@ -1,4 +1,4 @@
-"""Denoise the sample sequence forwards, and in both directions in time: PSNR of every frame, and a picture of the first.
+"""Denoise the sample sequence forwards and in both directions: PSNR of every frame, and a picture of the first.
 
 python samples/both_ways.py [PICTURE.png] [--model s]
 
