@@ -26,6 +26,9 @@ PART = 32
 RUN_UP = 8
 """Frames after a part with which its run begins, for their history."""
 
+LARGEST = np.float32(65504)
+"""What half precision holds."""
+
 
 class Result(NamedTuple):
     """Of a frame in reverse order: its colour (H, W, 3) in half precision, and how far ahead its pixels are known."""
@@ -67,7 +70,8 @@ class Backwards:
         self._pass = DenoiseUpscale(**options)
         self._pipeline = Pipeline([self._pass], device, exposure, cuts)
         self._prepare = prepare
-        self._ahead, self._last = Followed(), -1
+        self._find_cuts = cuts == "auto"
+        self._ahead, self._last = Followed(self._find_cuts), -1
         self._plan: Plan | None = None
         self._found: dict[int, Result] = {}
         self._took: dict[int, float] = {}
@@ -135,7 +139,7 @@ class Backwards:
     def _run(self, first: int, check: Callable[[], None]) -> None:
         """Run a part from behind, down to a frame."""
         end, begin = self._ends(first)
-        self._found, self._took, back, after = {}, {}, Followed(), None
+        self._found, self._took, back, after = {}, {}, Followed(self._find_cuts), None
         self._pipeline.reset()
         for index in range(begin - 1, first - 1, -1):
             check()
@@ -153,10 +157,7 @@ class Backwards:
             colour = self._pipeline(frame)[Role.COLOUR]
         except PostfxError:
             return None
-        scratch = self._pipeline.device.scratch
-        kept = scratch.empty(colour.shape, "float16") if scratch else np.empty(colour.shape, np.float16)
-        np.clip(colour, -65504, 65504, out=kept, casting="unsafe")
-        return kept
+        return np.clip(colour, -LARGEST, LARGEST).astype(np.float16)
 
     def _explained(self, number: int) -> Plan:
         with self._sequence.open(number) as files:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from postfx.cuts import CutDetector
 from postfx.frame import Frame, Role
 from postfx.kernels.turning import FAR, LOST, follow, mend, splat
 
@@ -43,20 +44,27 @@ def motion_to_next(frame: Frame, after: Frame) -> np.ndarray:
 
 
 class Followed:
-    """How many frames in a row show what each pixel shows, in the order in which it is called with them."""
+    """How many frames in a row show what each pixel shows, in the order in which it is called with them.
 
-    def __init__(self) -> None:
+    `find_cuts`: frames that are unrelated to the one before are taken as first ones, as a `Pipeline` takes them.
+    """
+
+    def __init__(self, find_cuts: bool = False) -> None:
+        self._detector = CutDetector() if find_cuts else None
         self._before: tuple[np.ndarray, np.ndarray] | None = None
 
     def reset(self) -> None:
         """The next frame is taken as the first."""
         self._before = None
+        if self._detector:
+            self._detector.reset()
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Counts (h, w), uint8, from 1 to MOST."""
         count = np.ones(next(iter(frame.planes.values())).shape[:2], np.uint8)
         depth = _depth(frame)
-        if self._before and not frame.reset and Role.MOTION in frame:
+        cut = self._detector is not None and self._detector(frame)
+        if self._before and not (cut or frame.reset) and Role.MOTION in frame:
             follow(frame[Role.MOTION], depth, *self._before, MOST, count)
         self._before = depth, count
         return count

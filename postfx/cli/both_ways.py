@@ -66,4 +66,6 @@ def _fits(arguments: argparse.Namespace) -> bool:
         raise PassOptionError("--both-ways is for the denoiser, which --no-denoise leaves out: give one of them")
     if arguments.budget is not None:
         raise PassOptionError("--both-ways runs every frame twice, --budget keeps to a time: give one of them")
+    if arguments.memory is not None:
+        raise PassOptionError("--both-ways keeps results of 32 frames, --memory keeps to a size: give one of them")
     return arguments.strength != 0

@@ -105,6 +105,18 @@ def test_what_something_nearer_had_hidden_counts_from_one():
     assert (count[14:] == 2).all()
 
 
+def test_a_cut_that_only_the_pictures_tell_counts_from_one():
+    """Both pictures have one depth and no motion, but nothing else in common."""
+    pictures = [moving((0, 0), size=(64, 96)) for _ in range(2)]
+    for picture, seed in zip(pictures, (1, 2), strict=True):
+        blocks = np.random.default_rng(seed).random((8, 12, 1)).repeat(8, 0).repeat(8, 1)
+        picture[Role.COLOUR][:] = 0.05 + blocks**3
+    for find_cuts, expected in ((True, 1), (False, 2)):
+        followed = Followed(find_cuts)
+        followed(pictures[0])
+        assert (followed(pictures[1]) == expected).all()
+
+
 def test_a_cut_counts_from_one():
     followed = Followed()
     followed(moving((0, 0)))

@@ -72,6 +72,7 @@ def test_a_frame_that_cannot_be_read_is_skipped_or_named(postfx, noise):
 
 @pytest.mark.parametrize(("option", "why"), [
     (("--no-denoise",), "--both-ways is for the denoiser, which --no-denoise leaves out: give one of them"),
+    (("--memory", "4G"), "--both-ways keeps results of 32 frames, --memory keeps to a size: give one of them"),
     (("--budget", "50"), "--both-ways runs every frame twice, --budget keeps to a time: give one of them"),
 ])
 def test_options_that_do_not_go_together(postfx, noise, option, why):
