@@ -59,7 +59,7 @@ class Mapper:
     def grid(self, frame: Frame) -> np.ndarray:
         """The smoothed grid (1,16,16,8,12) of the next frame of a sequence, exposed already."""
         self.follow(frame)
-        return self._pipelines[frame[Role.COLOUR].shape].passes[0].history()["grid"]
+        return self._pipelines[frame[Role.COLOUR].shape].passes[0].history()["grid"].copy()
 
     def held(self, grid: np.ndarray) -> Render:
         """The look with a grid that does not change."""

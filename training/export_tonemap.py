@@ -15,13 +15,26 @@ import torch
 from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD
 from postfx.kernels.encode_display import ENCODE_DISPLAY
+from postfx.kernels.follow import FOLLOW
+from postfx.kernels.light import LIGHT
+from postfx.kernels.smooth import SMOOTH
 from training.export import OPSET, export, export_kernel, parity, parser, read_quality, write_card
 from training.networks.cube import CUBE, SHAPER, TO_WORKING, TOE, WHITE, default_shaper
 from training.networks.hdrnet import SIDE, HDRNet
-from training.networks.tonemap_kernels import ApplyCube, Checkerboard, EncodeDisplay, Lowres, SliceApply, Smooth
+from training.networks.tonemap_kernels import (
+    ApplyCube,
+    Checkerboard,
+    EncodeDisplay,
+    Follow,
+    Light,
+    Lowres,
+    SliceApply,
+    Smooth,
+)
 
 IMAGE = {0: torch.export.Dim("height", min=1), 1: torch.export.Dim("width", min=1)}
-KEEP, KEEP_EXPOSURE = 0.6, 0.9  # of the last frame's grid: 90 % of a change after 5 frames, and 22 where it is exposure
+STEADY = {"keep": 0.998, "follow": 0.6}  # see `postfx.kernels.follow`
+STEADY_EXPOSURE = {"keep": 0.98, "follow": 0.18}  # where the grid is exposure
 IR_VERSION = 10  # the newest that ONNX Runtime 1.20 reads
 
 
@@ -36,9 +49,9 @@ def export_kernels(folder: Path) -> None:
     free = [*free, None, None, {0: size, 1: size, 2: size}]
     arguments, names = (colour, *shaper, guide, grid, cube), [*reads, "guide", "grid", "cube"]
     export(SliceApply(), arguments, names, ["output"], folder / "slice_apply.onnx", free)
-    reads = ["previous", "current", "keep"]
-    # Two tensors, not one twice: the exporter would take equal arguments for one and the same.
-    export(Smooth(), (grid, grid.clone(), torch.ones(1)), reads, ["result"], folder / "smooth.onnx")
+    export_kernel(LIGHT, Light(), {}, folder)
+    export_kernel(FOLLOW, Follow(), {}, folder)
+    export_kernel(SMOOTH, Smooth(), {}, folder)
     export_kernel(ENCODE_DISPLAY, EncodeDisplay(), {"height": 9, "width": 16}, folder)
     export_kernel(APPLY_CUBE, ApplyCube(), {"height": 9, "width": 16, "size": 5}, folder)
     export_kernel(CHECKERBOARD, Checkerboard(), {"height": 9, "width": 16}, folder)
@@ -113,7 +126,7 @@ def card(checkpoint: dict[str, Any], tag: str, quality: dict[str, Any]) -> dict[
         **common,
         "summary": f"Look {tag}: HDRNet (Gharbi et al. 2017) and a cube",
         "parameters": sum(p.numel() for name, p in net.named_parameters() if name != "cube"),
-        "keep": KEEP_EXPOSURE if checkpoint["look"].get("key") else KEEP,
+        **(STEADY_EXPOSURE if checkpoint["look"].get("key") else STEADY),
         "inputs": {"lowres": {"shape": [1, 3, SIDE, SIDE], "meaning": "shaped colour, area average, 0..1"}},
         "outputs": {
             "grid": {"shape": [1, 16, 16, 8, 12], "meaning": "y, x, guide level, 3x4 affine matrix row-major"},

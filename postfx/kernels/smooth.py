@@ -1,7 +1,8 @@
 """Exponential smoothing over time: result = current + keep * (previous - current).
 
-Bindings (float32): previous, current and result (1, 16, 16, 8, 12); keep (1,), 0 at the first frame and at cuts.
-The torch definition is `training.networks.hdrnet.smooth`.
+Bindings (float32): previous, current and result (1, 16, 16, 8, 12); keep (1, 4), of which the first number counts: see
+`postfx.kernels.follow`. It is 0 at the first frame and at cuts. The torch definition is
+`training.networks.following.smooth`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ BROKEN = np.float32(1e4)
 @compiled
 def rows(y0, y1, previous, current, keep, result):
     """Grid rows y0..y1-1; with keep 0 `previous` is not looked at, so it may hold anything."""
-    weight = np.float32(keep[0])
+    weight = np.float32(keep[0, 0])
     for y in range(y0, y1):
         for x in range(current.shape[2]):
             for level in range(current.shape[3]):
@@ -37,5 +38,5 @@ SMOOTH = Kernel(
     writes=("result",),
     rows=rows,
     row_axis=("result", 1),
-    shapes={"previous": GRID, "current": GRID, "keep": (1,), "result": GRID},
+    shapes={"previous": GRID, "current": GRID, "keep": (1, 4), "result": GRID},
 )

@@ -10,7 +10,7 @@ import numpy as np
 
 from postfx.runtime import Library, ModelError
 
-KEEP = 0.6  # where a look's card says nothing
+KEEP, FOLLOW = 0.6, 0.6  # where a look's card says nothing
 _MOST = 1e6  # so that no sum of a few products overflows
 _SHAPER = "toe and scale above 0, and a matrix of 9 numbers"
 
@@ -46,9 +46,22 @@ def shaper(library: Library, model: str) -> Shaper:
 def keep_of(library: Library, model: str) -> float:
     """Part of the last frame's grid that a look keeps, from its card. ModelError when it is not from 0 to below 1."""
     given = library.card(model).get("keep", KEEP)
-    if isinstance(given, bool) or not isinstance(given, int | float) or not 0 <= given < 1:
+    if not _is_number(given) or not 0 <= given < 1:
         raise ModelError(f"card of model '{model}' keeps {given!r} of the last grid, not 0 to below 1")
     return float(given)
+
+
+def follow_of(library: Library, model: str) -> float:
+    """Part of the way that the grid goes in a frame when light changes, from a look's card. ModelError when it is not
+    from 0 to 1."""
+    given = library.card(model).get("follow", FOLLOW)
+    if not _is_number(given) or not 0 <= given <= 1:
+        raise ModelError(f"card of model '{model}' follows {given!r} of a change of light, not 0 to 1")
+    return float(given)
+
+
+def _is_number(given: object) -> bool:
+    return isinstance(given, int | float) and not isinstance(given, bool)
 
 
 def check_constants(model: str, constants: Mapping[str, np.ndarray], has_grid: bool) -> None:

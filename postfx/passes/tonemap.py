@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from postfx.frame import FrameSpec, Role
 from postfx.kernels.apply_cube import APPLY_CUBE
+from postfx.kernels.follow import FOLLOW
+from postfx.kernels.light import LIGHT
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
 from postfx.kernels.smooth import SMOOTH
-from postfx.passes._tonemap_look import check_constants, find_model, keep_of, shaper
+from postfx.passes._tonemap_look import check_constants, find_model, follow_of, keep_of, shaper
 from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, PipelineState, Tensor
+
+
+class _History(NamedTuple):
+    """What a frame leaves to the next: the smoothed grid, and the light that it is made for."""
+
+    grid: Tensor
+    light: Tensor
 
 
 class ToneMap(Pass):
@@ -24,8 +33,9 @@ class ToneMap(Pass):
 
     Options:
         tag: the look, as in ``tonemap.<tag>``, or the file of a model: ``looks/tonemap.mine.onnx``.
-        keep: part of the last frame's grid that is kept, 0 up to (not including) 1, by default as the look's card
-            says; the grid of a still picture does not change. It is dropped at the first frame and at cuts.
+        keep: part of the last frame's grid that is kept while the light stays as it is, 0 up to (not including) 1, by
+            default as the look's card says; less is kept while light changes (``postfx.kernels.follow``), and none at
+            the first frame and at cuts. The grid of a still picture does not change; with 0 no frame has a past.
 
     Colour comes out sRGB-encoded in [0, 1]. Raises PassOptionError for a keep outside [0, 1).
     """
@@ -52,7 +62,8 @@ class ToneMap(Pass):
         self._has_grid = "grid" in {binding.name for binding in network.bindings}
         check_constants(model, network.constants, self._has_grid)
         self._shaper, given = shaper(library, model), self.options["keep"]
-        self._share = keep_of(library, model) if given is None else float(given)
+        keep = keep_of(library, model) if given is None else float(given)
+        self._following = keep, follow_of(library, model)
         self._params, matrix = device.heap.tensor("tonemap params", (3,)), device.heap.tensor("tonemap matrix", (9,))
         matrix.upload(self._shaper.matrix)
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
@@ -69,14 +80,19 @@ class ToneMap(Pass):
         shapes = {binding.name: binding.shape for binding in network.bindings}
         shaping = {name: common[name] for name in ("params", "matrix")}
         lowres, grid = (device.heap.transient(name, shapes[name]) for name in ("lowres", "grid"))
-        self._keep = device.heap.tensor("tonemap keep", (1,))
-        self._history = [device.heap.tensor("smoothed grid", shapes["grid"]) for _ in range(2)]
-        for history in self._history:
-            history.fill(0)
+        light = device.heap.transient("tonemap light", LIGHT.shapes["light"])
+        self._pace = device.heap.tensor("tonemap pace", FOLLOW.shapes["params"])
+        self._history = [_History(*(device.heap.tensor(name, shape) for name, shape in
+                                    (("smoothed grid", shapes["grid"]), ("light followed", FOLLOW.shapes["after"]))))
+                         for _ in range(2)]
+        for tensor in (*self._history[0], *self._history[1]):
+            tensor.fill(0)
         self._tables = {
             "lowres": ArgumentTable(device.compute_state(LOWRES), {**shaping, "lowres": lowres}),
             "network": ArgumentTable(network, {"lowres": lowres, "grid": grid}),
-            "smooth": ArgumentTable(device.compute_state(SMOOTH), {"current": grid, "keep": self._keep}),
+            "light": ArgumentTable(device.compute_state(LIGHT), {"lowres": lowres, "light": light}),
+            "follow": ArgumentTable(device.compute_state(FOLLOW), {"light": light, "params": self._pace}),
+            "smooth": ArgumentTable(device.compute_state(SMOOTH), {"current": grid}),
             "slice": ArgumentTable(device.compute_state(SLICE_APPLY), common),
         }
 
@@ -84,12 +100,13 @@ class ToneMap(Pass):
         self._fresh = False
 
     def history(self) -> dict[str, np.ndarray]:
-        return {"grid": self._history[1].content()} if self._fresh else {}
+        return {name: tensor.content() for name, tensor in self._history[1]._asdict().items()} if self._fresh else {}
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)
         if self._fresh:
-            self._history[1].upload(history["grid"])
+            for name, tensor in self._history[1]._asdict().items():
+                tensor.upload(history[name])
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -104,12 +121,16 @@ class ToneMap(Pass):
         frame.set(Role.COLOUR, self._output)
 
     def _encode_grid(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
-        keep = self._share if self._fresh and not frame.reset else 0.0
-        self._keep.upload(np.array([keep], np.float32))
+        past = self._fresh and not frame.reset
+        self._pace.upload(np.array([*self._following, past, self._shaper.scale], np.float32))
         self._bind(frame[Role.COLOUR])
         with commands.compute_encoder("lowres") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._tables["lowres"].state, self._tables["lowres"])
+            encoder.barrier()
+            encoder.dispatch(self._tables["light"].state, self._tables["light"])
+            encoder.barrier()
+            encoder.dispatch(self._tables["follow"].state, self._tables["follow"])
         with commands.machine_learning_encoder("coefficients") as encoder:
             encoder.barrier(after="compute", before="machine-learning")
             encoder.dispatch_network(self._tables["network"].state, self._tables["network"])
@@ -121,9 +142,11 @@ class ToneMap(Pass):
         self._fresh = True
 
     def _bind(self, colour: Tensor) -> None:
-        """Bind the frame's colour, and swap the two grids of the history."""
+        """Bind the frame's colour, and swap the two halves of the history."""
         self._history.reverse()
         previous, result = self._history
         self._tables["lowres"]["colour"] = colour
-        self._tables["smooth"]["previous"], self._tables["smooth"]["result"] = previous, result
-        self._tables["slice"]["colour"], self._tables["slice"]["grid"] = colour, result
+        self._tables["follow"]["before"], self._tables["follow"]["after"] = previous.light, result.light
+        self._tables["smooth"]["previous"], self._tables["smooth"]["result"] = previous.grid, result.grid
+        self._tables["smooth"]["keep"] = result.light
+        self._tables["slice"]["colour"], self._tables["slice"]["grid"] = colour, result.grid

@@ -52,6 +52,13 @@ def test_kernels_of_the_tone_mapper_compute_what_the_compiled_rows_do(kernel: Ke
     assert_same(by_cuda(kernel, inputs, {name: size}), {name: wanted})
 
 
+@pytest.mark.parametrize("case", tonemap_cases.PACES, ids=lambda case: case.name)
+def test_how_much_is_kept(case: tonemap_cases.Pace) -> None:
+    inputs = dict(zip(tonemap_cases.FOLLOW.reads, case.arguments(), strict=True))
+    found = by_cuda(tonemap_cases.FOLLOW, inputs, {"after": (1, 4)})
+    np.testing.assert_allclose(found["after"], [case.after], atol=1e-6)
+
+
 def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
     inputs = tonemap_cases.arguments(tonemap_cases.SMOOTH, 1, 1)
     inputs["previous"][:], inputs["keep"][:] = np.nan, 0.0

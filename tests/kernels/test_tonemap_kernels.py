@@ -9,12 +9,14 @@ import pytest
 from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD
 from postfx.kernels.encode_display import ENCODE_DISPLAY
+from postfx.kernels.follow import FOLLOW
 from postfx.kernels.kernel import Kernel
+from postfx.kernels.light import LIGHT
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
 from postfx.kernels.smooth import SMOOTH
 from postfx.paths import models_dir
-from tests.kernels.tonemap_cases import arguments, sizes
+from tests.kernels.tonemap_cases import PACES, Pace, arguments, sizes
 
 torch = pytest.importorskip("torch")
 
@@ -26,6 +28,8 @@ TOLERANCE = 1e-5
 DEFINITIONS = {
     SLICE_APPLY: tonemap_kernels.SliceApply,
     LOWRES: tonemap_kernels.Lowres,
+    LIGHT: tonemap_kernels.Light,
+    FOLLOW: tonemap_kernels.Follow,
     SMOOTH: tonemap_kernels.Smooth,
     ENCODE_DISPLAY: tonemap_kernels.EncodeDisplay,
     APPLY_CUBE: tonemap_kernels.ApplyCube,
@@ -105,8 +109,20 @@ def test_cube_gives_its_corners_and_greys_of_its_diagonal() -> None:
     np.testing.assert_allclose(grey, 0.8 * cube[1, 1, 1] + 0.2 * cube[2, 2, 2], atol=1e-6)
 
 
+@pytest.mark.parametrize("case", PACES, ids=lambda case: case.name)
+def test_how_much_is_kept(case: Pace) -> None:
+    """In each form; the light is 8 stops."""
+    inputs = case.arguments()
+    wanted = by_definition(FOLLOW, inputs)
+    np.testing.assert_allclose(wanted, [case.after], atol=1e-6)
+    np.testing.assert_allclose(by_rows(FOLLOW, inputs, wanted, 1), wanted, rtol=2e-7)
+    session = onnxruntime.InferenceSession(models_dir() / "kernels" / "follow.onnx")
+    found = session.run(["after"], dict(zip(FOLLOW.reads, inputs, strict=True)))[0]
+    np.testing.assert_allclose(found, wanted, rtol=2e-7)
+
+
 def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
     current = np.random.default_rng(0).normal(size=(1, 16, 16, 8, 12)).astype(np.float32)
     result = np.empty_like(current)
-    SMOOTH.rows(0, 16, np.full_like(current, np.nan), current, np.zeros(1, np.float32), result)
+    SMOOTH.rows(0, 16, np.full_like(current, np.nan), current, np.zeros((1, 4), np.float32), result)
     np.testing.assert_array_equal(result, current)

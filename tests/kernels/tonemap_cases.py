@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,16 +12,51 @@ from postfx.colour.primaries import REC709, REC2020, matrix_between
 from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD, turns
 from postfx.kernels.encode_display import ENCODE_DISPLAY
+from postfx.kernels.follow import FOLLOW
 from postfx.kernels.kernel import Kernel
+from postfx.kernels.light import LIGHT
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import KNOTS, SLICE_APPLY
 from postfx.kernels.smooth import GRID, SMOOTH
 from postfx.passes.display import decoding, encoding, parameters
 
-KERNELS = (SLICE_APPLY, LOWRES, SMOOTH, ENCODE_DISPLAY, APPLY_CUBE, CHECKERBOARD)
+KERNELS = (SLICE_APPLY, LOWRES, LIGHT, FOLLOW, SMOOTH, ENCODE_DISPLAY, APPLY_CUBE, CHECKERBOARD)
 HLG = parse_display("hlg")
 SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
 SHAPER = (2.0**-8, 1.0 / math.log2(1.0 + 2.0**16))  # toe, and the scale by which 2^8 becomes 1
+PARAMS = {ENCODE_DISPLAY: parameters(None, HLG, 1.7), FOLLOW: np.array([0.98, 0.6, 1.0, SHAPER[1]])}
+
+
+@dataclass(frozen=True)
+class Pace:
+    """What `follow` makes of a past and of light of 8 stops, where 0.98 is kept of steady light and 0.6 followed."""
+
+    name: str
+    made_for: float
+    last: float
+    share: float
+    after: tuple[float, float, float, float]
+    past: float = 1.0
+
+    def arguments(self) -> list[np.ndarray]:
+        light = np.full(LIGHT.shapes["light"], 8 * SHAPER[1])
+        params, before = [0.98, 0.6, self.past, SHAPER[1]], [[0.5, self.made_for, self.last, self.share]]
+        return [np.array(values, np.float32) for values in (light, params, before)]
+
+
+NONE = (0.0, 8.0, 8.0, 0.0)
+PACES = (
+    Pace("first", 8.0, 8.0, 0.02, NONE, past=0.0),
+    Pace("steady", 8.0, 8.0, 0.0, (0.98, 8.0, 8.0, 0.02)),
+    Pace("drift", 7.75, 7.95, 0.0, (0.98, 7.755, 8.0, 0.02)),
+    Pace("half behind", 7.625, 7.95, 0.0, (0.7, 7.7375, 8.0, 0.3)),
+    Pace("far behind", 5.0, 7.95, 0.0, (0.4, 6.8, 8.0, 0.6)),
+    Pace("step", 8.0, 9.0, 0.0, (0.4, 8.0, 8.0, 0.6)),
+    Pace("after a step", 7.9, 8.0, 0.4, (0.62, 7.938, 8.0, 0.38)),
+    Pace("broken light", math.nan, 8.0, 0.0, NONE),
+    Pace("endless light", 8.0, -math.inf, 0.0, NONE),
+    Pace("broken share", 8.0, 8.0, math.nan, NONE),
+)
 
 
 def sizes(kernel: Kernel) -> tuple[tuple[int, int], ...]:
@@ -56,7 +92,7 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
     guide = plain_guide()
     values = {
         "colour": hdr(height, width),
-        "params": parameters(None, HLG, 1.7) if kernel is ENCODE_DISPLAY else np.array([1.7, *SHAPER]),
+        "params": PARAMS.get(kernel, np.array([1.7, *SHAPER])),
         "decode": decoding(parse_display("srgb")),
         "encode": encoding(HLG),
         "matrix": matrix_between(REC709, REC2020).ravel(),
@@ -65,7 +101,10 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
         "grid": random.normal(0, 0.4, GRID),
         "previous": random.normal(0, 1, GRID),
         "current": random.normal(0, 1, GRID),
-        "keep": np.array([0.3]),
+        "lowres": random.random(LOWRES.shapes["lowres"]),
+        "light": random.random(LIGHT.shapes["light"]),
+        "before": np.array([[0.9, 7.6, 7.9, 0.1]]),
+        "keep": np.array([[0.3, 7.6, 7.9, 0.7]]),
         "rows": turns(height, 6.5),
         "columns": turns(width, 6.5),
         "greys": np.array([0.15, 0.21]),

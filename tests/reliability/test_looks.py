@@ -87,6 +87,12 @@ def test_card_that_keeps_what_cannot_be(refused, keep):
     assert "of the last grid, not 0 to below 1" in refused(COPY, cube(), card={"shaper": SHAPER, "keep": keep})
 
 
+@pytest.mark.parametrize("follow", [1.1, -0.1, float("nan"), "x", None, True])
+def test_card_that_follows_what_cannot_be(refused, follow):
+    card = {"shaper": SHAPER, "follow": follow}
+    assert "of a change of light, not 0 to 1" in refused(COPY, cube(), card=card)
+
+
 def sized_by(operator):
     """Nodes that make 2^40 elements and more of a few, step by step or by an operator's own arithmetic."""
     if operator == "Concat":

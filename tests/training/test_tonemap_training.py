@@ -16,7 +16,7 @@ from postfx.paths import models_dir
 torch = pytest.importorskip("torch")
 
 from training.export import export  # noqa: E402
-from training.export_tonemap import export_look  # noqa: E402
+from training.export_tonemap import STEADY, STEADY_EXPOSURE, export_look  # noqa: E402
 from training.local_laplacian import compress, local_laplacian  # noqa: E402
 from training.looks import LOOKS  # noqa: E402
 from training.networks import hdrnet  # noqa: E402
@@ -102,6 +102,8 @@ def test_shipped_models_are_those_on_their_cards() -> None:
         card = json.loads(path.read_text())
         assert hashlib.sha256(path.with_suffix(".onnx").read_bytes()).hexdigest() == card["sha256"]
         assert (card["shaper"]["toe"], card["shaper"]["scale"]) == SHAPER
+        steady = STEADY_EXPOSURE if card["look"]["key"] else STEADY if card["parameters"] else {}
+        assert {name: card[name] for name in ("keep", "follow") if name in card} == steady
 
 
 def test_training_form_of_slicing_equals_the_kernels() -> None:

@@ -3,7 +3,7 @@
 The grid of colour matrices does what depends on place and picture, the cube what depends on the colour alone. The
 network also sees the picture's histogram: exposure is a function of it, and convolutions are slow to learn that. Colour
 comes in scene-linear Rec.709 and leaves sRGB-encoded in [0, 1]. Layout of all tensors here: (N, C, H, W).
-`slice_apply`, `lowres` and `smooth` are the definitions of the compute kernels of the same names in `postfx.kernels`.
+`slice_apply` and `lowres` are the definitions of the compute kernels of the same names in `postfx.kernels`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from postfx.kernels.smooth import BROKEN
 from training.networks.cube import Shaper, look_up, shape
 
 SIDE = 256  # side of the copy that the coefficients are computed on
@@ -143,13 +142,6 @@ def slice_grid_dense(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tens
     matrices = grid.reshape(n, CELLS, CELLS, DEPTH, 3, 4).permute(0, 4, 3, 5, 1, 2)
     maps = (rows @ (matrices @ columns.T)).view(n, 3, DEPTH * 4, h, w)
     return (maps * weighted[:, None]).sum(2)
-
-
-def smooth(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor) -> torch.Tensor:
-    """Exponential smoothing of the grid over time: keep[0] of the previous grid, none of it where it is broken; 0 at
-    the first frame and at cuts."""
-    change = previous - current
-    return current + keep[0] * torch.where(change.abs() <= float(BROKEN), change, 0)
 
 
 def _conv(cin: int, cout: int, stride: int = 1, bias: bool = True) -> nn.Conv2d:

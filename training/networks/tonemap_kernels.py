@@ -7,7 +7,7 @@ from torch import nn
 
 from postfx.colour.primaries import LUMA_REC2020
 from postfx.kernels.encode_display import DARK, LARGEST, STEPS
-from training.networks import hdrnet
+from training.networks import following, hdrnet
 from training.networks.cube import Shaper, look_up, shape
 
 
@@ -60,11 +60,25 @@ class Lowres(nn.Module):
         return hdrnet.lowres(to_image(colour), Shaper(params, matrix))
 
 
+class Light(nn.Module):
+    """lowres (1,3,256,256) -> light (256,3)."""
+
+    def forward(self, lowres: torch.Tensor) -> torch.Tensor:
+        return following.light(lowres)
+
+
+class Follow(nn.Module):
+    """light (256,3), params (4,), before (1,4) -> after (1,4)."""
+
+    def forward(self, light: torch.Tensor, params: torch.Tensor, before: torch.Tensor) -> torch.Tensor:
+        return following.follow(light, params, before)
+
+
 class Smooth(nn.Module):
-    """previous, current (1,16,16,8,12), keep (1,) -> result (1,16,16,8,12)."""
+    """previous, current (1,16,16,8,12), keep (1,4) -> result (1,16,16,8,12)."""
 
     def forward(self, previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor) -> torch.Tensor:
-        return hdrnet.smooth(previous, current, keep)
+        return following.smooth(previous, current, keep)
 
 
 class EncodeDisplay(nn.Module):

@@ -1,4 +1,4 @@
-// Exponential smoothing over time: previous, current (1, 16, 16, 8, 12), keep (1,) -> result (1, 16, 16, 8, 12).
+// Exponential smoothing over time: previous, current (1, 16, 16, 8, 12), keep (1, 4) -> result (1, 16, 16, 8, 12).
 const int CELL = 8 * 12;
 
 // A thread makes as many numbers as a cell has, spread over the grid, so that neighbouring threads read neighbours.
