@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,7 +87,10 @@ def before_cube(net: HDRNet | None, hdr: np.ndarray) -> torch.Tensor:
 
 
 def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device, watch: Watch) -> Checkpoint:
-    """Learn a look from examples: a cube where that explains them, else a network before one, if it does better."""
+    """Learn a look from examples: a cube where that explains them, else a network before one, if it does better.
+
+    The network that training starts from has a cube fitted to the pairs, too: few pictures may teach it no more.
+    """
     held = {name: hdr for name, (hdr, _) in pairs.held.items()}
     wanted = {name: sdr for name, (_, sdr) in pairs.held.items()}
     common = {"look": {"pairs": sorted(pairs.train)}, "pictures": list(pairs.train)}
@@ -98,11 +102,13 @@ def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device, 
     net = start_network(start, cube)
     if start != "none":
         net.cube.data = fit(net, pairs, cube)[0]
+    weights = copy.deepcopy(net.state_dict())
+    begun = {"weights": weights, "history": [], "psnr": validate(net, held, wanted)}
     learnt = run(net.to(device), PairViews(pairs, device, recipe.seed), recipe, held, wanted, watch)
     net.load_state_dict(learnt["weights"])
     net.to("cpu").cube.data = fit(net, pairs, learnt["weights"]["cube"].cpu())[0]
     again = {**learnt, "weights": net.state_dict(), "psnr": validate(net, held, wanted)}
-    found = [alone, *({**common, **one, "cube": one["weights"]["cube"]} for one in (learnt, again))]
+    found = [alone, *({**common, **one, "cube": one["weights"]["cube"]} for one in (begun, learnt, again))]
     return max(found, key=lambda one: np.mean(list(one["psnr"].values())))
 
 
