@@ -28,6 +28,7 @@ from training.tonemap_teach import Checkpoint, teach_look
 from training.views import Lut, Ocio
 
 GPU_MINUTES, CPU_MINUTES = 8.0, 45.0
+RATE, FINE_RATE = 1.5e-3, 2e-4  # the second where a CPU has few steps for a network that is near already
 SIDE = 768  # longest side of a picture
 
 
@@ -52,7 +53,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--only", nargs="+", default=[], metavar="PART", help="what changes of the network, as head")
     parser.add_argument("--minutes", type=float, help=f"default: {GPU_MINUTES:g} on a GPU, {CPU_MINUTES:g} on a CPU")
     parser.add_argument("--batch", type=int)
-    parser.add_argument("--rate", type=float, default=1.5e-3)
+    parser.add_argument("--rate", type=float, help=f"default: {RATE:g}, or {FINE_RATE:g} to fine-tune on a CPU")
     parser.add_argument("--scale", type=float, help="of the training pictures; default 1 on a GPU, 0.5 on a CPU")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--every", type=float, default=30.0, help="seconds between measurements")
@@ -70,7 +71,7 @@ def recipe_of(args: argparse.Namespace, on_gpu: bool) -> Recipe:
     return Recipe(
         seconds=60 * (args.minutes or (GPU_MINUTES if on_gpu else CPU_MINUTES)),
         batch=args.batch or (16 if on_gpu else 4),
-        rate=args.rate,
+        rate=args.rate or (RATE if on_gpu or args.start == "none" else FINE_RATE),
         scale=args.scale or (1.0 if on_gpu else 0.5),
         seed=args.seed,
         every=args.every,

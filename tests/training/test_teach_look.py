@@ -19,8 +19,12 @@ from postfx.passes.tonemap import ToneMap  # noqa: E402
 from postfx.pipeline import Pipeline  # noqa: E402
 from postfx.runtime import Device  # noqa: E402
 from training.fit_cube import fit_cube, interpolation  # noqa: E402
+from training.looks import Local, Look, exact_target  # noqa: E402
 from training.networks.cube import CUBE, default_shaper, look_up, shape  # noqa: E402
+from training.networks.hdrnet import HDRNet  # noqa: E402
+from training.tonemap_loop import Recipe  # noqa: E402
 from training.tonemap_set import expose, find_pictures  # noqa: E402
+from training.train_tonemap import parse, recipe_of  # noqa: E402
 from training.views import ACES2, exact_view  # noqa: E402
 
 LEAST = 35.0  # dB that a look of a table must be learnt to from 8 pairs
@@ -103,6 +107,33 @@ def test_a_look_of_a_config_is_baked_and_measured_on_charts(tmp_path: Path) -> N
     model, light = tmp_path / "tonemap.film.onnx", picture(1)
     assert psnr_of(model, light, exact_view(ACES2, light)) > 45
     assert min(json.loads(model.with_suffix(".json").read_text())["quality"]["held_out_psnr"].values()) > 45
+
+
+def test_training_that_spoils_the_start_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the cube cannot be fitted better, and training ends with a grid of nothing."""
+    from training import tonemap_pairs
+
+    def spoil(net: HDRNet, *rest: object) -> dict[str, object]:
+        weights = {name: value * 0 for name, value in net.state_dict().items()}
+        return {"weights": weights, "psnr": {"1": 5.0}, "history": ["spoilt"]}
+
+    monkeypatch.setattr(tonemap_pairs, "fit", lambda net, pairs, start: (start, 30.0))
+    monkeypatch.setattr(tonemap_pairs, "run", spoil)
+    monkeypatch.setattr(tonemap_pairs, "nearest_cube", lambda pairs: tonemap_pairs.shipped_cubes()["local"])
+    look = Look(ACES2, gain=0.75, local=Local(1.0, 0.95, 0.7))
+    made = [(picture(i), exact_target(picture(i), look)) for i in range(2)]
+    pairs = tonemap_pairs.Pairs({"0": made[0]}, {"1": made[1]})
+    found = tonemap_pairs.teach_pairs(pairs, "local", Recipe(1.0), torch.device("cpu"), print)
+    assert found["history"] == [] and found["weights"]["guide.matrix"].any()
+
+
+@pytest.mark.parametrize(("words", "on_gpu", "rate"), [
+    ([], False, 2e-4), ([], True, 1.5e-3), (["--start", "none"], False, 1.5e-3), (["--rate", "0.01"], False, 0.01)])
+def test_fine_tuning_on_a_cpu_takes_small_steps(
+    words: list[str], on_gpu: bool, rate: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["train_tonemap", "mine", "--target", "local", *words])
+    assert recipe_of(parse(), on_gpu).rate == rate
 
 
 @pytest.mark.slow
