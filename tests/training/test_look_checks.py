@@ -9,6 +9,7 @@ pytest.importorskip("torch")
 pytest.importorskip("PyOpenColorIO")
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 
+from postfx.frame import Frame, Role  # noqa: E402
 from postfx.io.srgb import srgb_encode  # noqa: E402
 from training.charts import hue_chart, ramp  # noqa: E402
 from training.evaluate_tonemap import Mapper  # noqa: E402
@@ -68,3 +69,12 @@ def test_shipped_looks_pass(tag: str) -> None:
     patches = np.exp2(random.normal(-2, 2, (6, 8, 3))).repeat(24, 0).repeat(24, 1).astype(np.float32)
     assert sweep(mapper, reference, patches) == {"in_range": True, "hue_flips": 0}
     assert halo(mapper, reference) < 1  # of 255 steps
+
+
+def test_grids_of_a_sequence_stay_as_they_were() -> None:
+    """Two frames later, too: the pass writes into the memory of the first one's."""
+    mapper, light = Mapper("auto"), ramp(64)
+    grids = [mapper.grid(Frame({Role.COLOUR: light * gain}, number)) for number, gain in enumerate((1, 4, 16))]
+    first = Mapper("auto").grid(Frame({Role.COLOUR: light}, 0))
+    np.testing.assert_array_equal(grids[0], first)
+    assert np.abs(grids[2] - first).max() > 1e-3
