@@ -33,7 +33,7 @@ from training.networks.tonemap_kernels import (
 )
 
 IMAGE = {0: torch.export.Dim("height", min=1), 1: torch.export.Dim("width", min=1)}
-STEADY = {"keep": 0.998, "follow": 0.6}  # see `postfx.kernels.follow`
+STEADY = {"keep": 0.6, "follow": 0.6}  # see `postfx.kernels.follow`
 STEADY_EXPOSURE = {"keep": 0.98, "follow": 0.18}  # where the grid is exposure
 IR_VERSION = 10  # the newest that ONNX Runtime 1.20 reads
 
