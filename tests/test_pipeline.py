@@ -60,7 +60,8 @@ def test_results_are_not_overwritten_by_the_next_frame(device):
     assert np.array_equal(first[Role.COLOUR], kept)
 
 
-def test_sequence_equals_frame_by_frame(device):
+def test_sequence_equals_frame_by_frame(device, monkeypatch):
+    monkeypatch.setattr("postfx.pipeline.default_device", lambda: device)  # toys have no CUDA kernels
     frames = [make_frame(number, reset=number == 3) for number in range(1, 6)]
     pipeline = Pipeline([toys.Sum()], device)
     together = [pipeline(frame) for frame in frames]

@@ -88,7 +88,7 @@ def test_all_keeps_arrays_in_files(bench, tmp_path):
 
 def test_a_capture_changes_no_bit(library, tmp_path):
     frames = [toys.make_frame(number) for number in (1, 2)]
-    plain, captured = (Pipeline([toys.Double(library=library, times=2), toys.Sum()]) for _ in range(2))
+    plain, captured = (Pipeline([toys.Double(library=library, times=2), toys.Sum()], Device("cpu")) for _ in range(2))
     for frame in frames:
         expected = plain(frame)["colour"]
         with captured.device.capture("all", tmp_path) as capture:
