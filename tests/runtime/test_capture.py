@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.pipeline import Pipeline
-from postfx.runtime import ArgumentTable, CaptureError, CommandError
+from postfx.runtime import ArgumentTable, CaptureError, CommandError, Device
 from postfx.runtime.captured import CapturedBarrier
 from postfx.runtime.snapshot import PICTURE_WIDTH, as_planes, statistics
 from tests import toys
