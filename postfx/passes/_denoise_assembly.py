@@ -9,7 +9,7 @@ import numpy as np
 from postfx.kernels import denoise_layout
 from postfx.kernels.denoise_assemble import ASSEMBLE
 from postfx.passes._denoise_layout import Band, Tile
-from postfx.passes._denoise_window import Sizes
+from postfx.passes._denoise_window import Rows, Sizes, rows_of
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
 MOST_PLACES = 64
@@ -26,7 +26,7 @@ class Assembly:
         self._stacks: dict[str, Tensor] = {}
         self._made: tuple[int, int, int] | None = None
         self._slots: list[dict[str, Tensor]] = []
-        self._places: dict[tuple[Band, bool], dict[str, Tensor]] = {}
+        self._places: dict[tuple[Band, Rows, bool], dict[str, Tensor]] = {}
         self._tables = {name: ArgumentTable(device.compute_state(ASSEMBLE)) for name in CHANNELS}
 
     def slots(self, tiles: Sequence[Tile]) -> list[dict[str, Tensor]]:
@@ -48,35 +48,34 @@ class Assembly:
         self._made, self._slots = key, slots
         return slots
 
-    def encode(self, commands: CommandBuffer, band: Band, targets: dict[str, Tensor]) -> None:
-        """Record the work that puts a band's tiles into the frame's tensors."""
+    def encode(self, commands: CommandBuffer, band: Band, targets: dict[str, Tensor], kept: Rows) -> None:
+        """Record the work that puts a band's tiles into the frame's tensors: its own rows into the output, the rows
+        `kept` into what the next frame reads."""
         with commands.compute_encoder("assemble") as encoder:
             encoder.barrier(after="compute", before="compute")
             for name, table in self._tables.items():
-                for binding, tensor in self._place(band, name in OUT).items():
+                rows = band.own if name == "output" else kept
+                for binding, tensor in self._place(band, rows, name in OUT).items():
                     table[binding] = tensor
-                table["picture"] = self._rows(targets[name], band, name in OUT)
+                table["picture"] = rows_of(targets[name], self._sized(rows, name in OUT))
                 encoder.dispatch(table.state, table)
 
-    def _rows(self, target: Tensor, band: Band, out: bool) -> Tensor:
-        first, last = (self._enlarged(row)[0] if out else row for row in (band.top, band.top + band.rows))
-        _, width, channels = target.shape
-        return target.view(target.name, (last - first, width, channels), first * width * channels)
-
-    def _place(self, band: Band, out: bool) -> dict[str, Tensor]:
-        key = band, out
+    def _place(self, band: Band, rows: Rows, out: bool) -> dict[str, Tensor]:
+        key = band, rows, out
         if key not in self._places:
             if len(self._places) == MOST_PLACES:
                 self._places.clear()
-            first, last = (self._enlarged(row)[0] if out else row for row in (band.top, band.top + band.rows))
             place = self._out_place if out else self._render_place
-            values = {"places": [place(tile) for tile in band.tiles], "frame_rows": np.arange(first, last),
+            values = {"places": [place(tile) for tile in band.tiles], "frame_rows": np.arange(*self._sized(rows, out)),
                       "frame_columns": np.arange(self._frame.width if out else self._frame.w)}
             arrays = {name: np.asarray(value, np.float32) for name, value in values.items()}
             self._places[key] = {name: self._device.heap.tensor(name, array.shape) for name, array in arrays.items()}
             for name, tensor in self._places[key].items():
                 tensor.upload(arrays[name])
         return self._places[key]
+
+    def _sized(self, rows: Rows, out: bool) -> Rows:
+        return self._frame.enlarged(rows) if out else rows
 
     def _render_place(self, tile: Tile) -> list[int]:
         """Beside the origin: what the history is known of, less a pixel at the seam to nothing, since what is read of

@@ -13,7 +13,7 @@ from postfx.passes._denoise_graph import Graph
 from postfx.passes._denoise_history import History
 from postfx.passes._denoise_layout import GAIN, Band, Shape, around, band_of, cost, halo_of, whole_sides
 from postfx.passes._denoise_memory import bands_within
-from postfx.passes._denoise_window import ALIGN, Sizes, Window
+from postfx.passes._denoise_window import ALIGN, Rows, Sizes, Window
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
 MOST_GRAPHS = 4
@@ -81,7 +81,8 @@ class Frames:
 
     def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray, keep: bool,
                still: bool, band: Band | None = None) -> Tensor:
-        """Record one frame, or the tiles of one, outside of which the output is 0; returns the output colour tensor.
+        """Record one frame, or the tiles of one, outside of whose rows the output is undefined; returns the output
+        colour tensor.
 
         Args:
             keep: whether the frame has a history.
@@ -101,12 +102,17 @@ class Frames:
         seen = {**planes, **self._common, **self._history.last}
         targets = {"output": self._output, **self._history.next}
         masked = keep and self._reactive
+        kept = self._history.cover(band.held if band else (0, self._sizes.h))
         if band is None and self._whole:
             self._whole.encode(commands, Window.whole(self._sizes), self.model, seen | targets, keep and not still,
                                masked)
         for some in [band] if band else self._bands:
-            self._encode_tiles(commands, some, seen, targets, masked)
+            self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own)
         return self._output
+
+    def rows(self, band: Band | None) -> Rows:
+        """The rows of the output that hold something, of a frame or the tiles of one."""
+        return self._sizes.enlarged(band.own if band else (0, self._sizes.h))
 
     @property
     def _band_shape(self) -> Shape:
@@ -114,12 +120,12 @@ class Frames:
         return window.rows, window.columns
 
     def _encode_tiles(self, commands: CommandBuffer, band: Band, seen: Mapping[str, Tensor],
-                      targets: dict[str, Tensor], masked: bool) -> None:
+                      targets: dict[str, Tensor], masked: bool, kept: Rows) -> None:
         window = band.tiles[0].window
         graph = self._graphs[window.rows, window.columns]
         for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles), strict=True):
             graph.encode(commands, tile.window, self.model, {**seen, **slot}, True, masked)
-        self._assembly.encode(commands, band, targets)
+        self._assembly.encode(commands, band, targets, kept)
 
     def _make(self, shape: Shape) -> Shape:
         """Make a graph ready for windows of a size, or somewhat larger ones if there were others before."""

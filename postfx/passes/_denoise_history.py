@@ -10,7 +10,7 @@ import numpy as np
 from postfx.kernels import denoise_layout
 from postfx.kernels.denoise_resize import RESIZE
 from postfx.kernels.resample import RESAMPLE, positions
-from postfx.passes._denoise_window import Sizes
+from postfx.passes._denoise_window import Rows, Sizes
 from postfx.passes.base import MOST_SIZES
 from postfx.recent import Recent
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
@@ -52,6 +52,7 @@ class History:
         self._channels = CHANNELS | ({"last_reactive": 1} if reactive else {})
         self._outputs = [_zeros(device, "history", (sizes.height, sizes.width, 3)) for _ in range(2)]
         self._rooms = self._make_rooms()
+        self._held = _anywhere(self._size)
         self._model: str | None = None
 
     def use(self, model: str) -> None:
@@ -64,6 +65,9 @@ class History:
         """Begin a frame of a render size: what was written is now the last. It is only defined if it is not kept."""
         self._outputs.reverse()
         self._rooms.reverse()
+        self._held.reverse()
+        if not keep or size != self._size:  # what a frame that failed left is not known, either
+            self._held = _anywhere(size)
         if size == self._size:
             return
         before, self._size = self._rooms[0].of(self._size), size
@@ -73,6 +77,12 @@ class History:
             self._rooms.reverse()
         if keep:
             self._resize(commands, before)
+
+    def cover(self, rows: Rows) -> Rows:
+        """Once a frame: it leaves something in these rows only. Returns the rows to write, which are more where an
+        earlier frame left something in others."""
+        before, self._held[1] = self._held[1], rows
+        return min(rows[0], before[0]), max(rows[1], before[1])
 
     @property
     def last(self) -> dict[str, Tensor]:
@@ -94,6 +104,7 @@ class History:
         self._size = tuple(map(int, kept["size"]))
         if self._size[0] * self._size[1] > self._rooms[1].pixels:
             self._rooms = self._make_rooms()
+        self._held = _anywhere(self._size)
         for name, tensor in self.next.items():
             tensor.upload(kept[name])
 
@@ -124,6 +135,11 @@ class History:
         values = state.download()
         values[..., -denoise_layout.HIDDEN:] = 0
         state.upload(values)
+
+
+def _anywhere(size: Size) -> list[Rows]:
+    """The rows in which each of the two sets may hold something: all."""
+    return [(0, size[0])] * 2
 
 
 def _zeros(device: Device, name: str, shape: tuple[int, ...]) -> Tensor:

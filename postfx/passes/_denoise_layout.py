@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from postfx.passes._denoise_window import ALIGN, Box, Sizes, Window
+from postfx.passes._denoise_window import ALIGN, Box, Rows, Sizes, Window
 
 HALO, SMALL_HALO, GUIDED_HALO = 44, 64, 128
 """Render pixels around what is active that a network must see, so that the result there differs by less than 1e-3 from
@@ -19,13 +19,13 @@ REACH = 2
 """Render pixels that a pixel's strength reaches when it is resampled."""
 
 FIXED = 4000
-"""Render pixels whose time a window takes beyond that of its own. samples/window_cost.py measures 4200 for model m at
-960x540 (9 ms), 8100 for s, and 11200 for m at 1920x1080, where it matters less."""
+"""Render pixels whose time a window takes beyond that of its own. samples/window_cost.py measures 4600 for model m at
+960x540 (8 ms), 7500 for s, and 13200 for m at 1920x1080, where it matters less."""
 
 MOST_BOXES = 6
 GAIN = 0.9
 """Windows must be expected to take at most this share of the whole frame's time: a frame with windows takes 4 % of it
-more with m and 9 % with s, measured likewise, for what is done everywhere."""
+more with m and 8 % with s, measured likewise, for what is done everywhere."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,17 @@ class Band:
     top: int
     rows: int
     tiles: tuple[Tile, ...]
+
+    @property
+    def own(self) -> Rows:
+        """Its rows."""
+        return self.top, self.top + self.rows
+
+    @property
+    def held(self) -> Rows:
+        """The rows of the frame that its windows hold, halo included."""
+        windows = [tile.window for tile in self.tiles]
+        return min(one.top for one in windows), min(max(one.top + one.rows for one in windows), windows[0].frame.h)
 
     @property
     def share(self) -> float:
@@ -180,5 +191,7 @@ def bands_of(frame: Sizes, box: Shape, shape: Shape, halo: int) -> list[Band]:
 
 
 def band_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> Band:
-    """All rows of the frame, of which only boxes are worked on."""
-    return Band(0, frame.h, tiles_of(frame, boxes, shape, halo))
+    """The rows that hold some boxes, of which only these are worked on."""
+    tiles = tiles_of(frame, boxes, shape, halo)
+    top = min(tile.inner.top for tile in tiles)
+    return Band(top, max(tile.inner.top + tile.inner.rows for tile in tiles) - top, tiles)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
 from postfx.kernels.overlay import ENLARGE
 from postfx.kernels.resample import RESAMPLE, positions
 from postfx.passes._denoise_size import Size
+from postfx.passes._denoise_window import Rows, rows_of
 from postfx.passes.base import ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
 
@@ -30,20 +31,28 @@ class Resampler:
         new = device.heap.tensor
         self._rows, self._columns = new(f"{name} rows", out_size[:1]), new(f"{name} columns", out_size[1:])
         self.output = device.heap.transient(name, (*out_size, ROLES[role].channels))
-        tensors = {"rows": self._rows, "columns": self._columns, "output": self.output}
-        self._table = ArgumentTable(device.compute_state(ENLARGE if role is Role.OVERLAY else RESAMPLE), tensors)
+        kernel = ENLARGE if role is Role.OVERLAY else RESAMPLE
+        self._table = ArgumentTable(device.compute_state(kernel), {"columns": self._columns})
 
     def encode(
-        self, encoder: ComputeEncoder, image: Tensor, jitter: tuple[float, float], out_jitter: tuple[float, float]
+        self, encoder: ComputeEncoder, image: Tensor, jitter: tuple[float, float], out_jitter: tuple[float, float],
+        parts: Sequence[tuple[Tensor, Rows]] = (),
     ) -> None:
-        """Record the work for an image whose samples are `jitter` of its own pixels off their centres."""
+        """Record the work for an image whose samples are `jitter` of its own pixels off their centres.
+
+        Args:
+            parts: rows to make, each in a tensor of the result's size; none: all rows, in `output`.
+        """
         for axis, tensor in enumerate((self._rows, self._columns)):
             size, out_size = self._size[axis], self._out_size[axis]
             shift = jitter[1 - axis] - out_jitter[1 - axis] * size / out_size
             at = positions(size, out_size, shift)
             tensor.upload(np.rint(at) if self._nearest else at)
         self._table["image"] = image
-        encoder.dispatch(self._table.state, self._table)
+        for output, rows in parts or [(self.output, (0, self._out_size.height))]:
+            if rows[0] < rows[1]:
+                self._table["rows"], self._table["output"] = rows_of(self._rows, rows), rows_of(output, rows)
+                encoder.dispatch(self._table.state, self._table)
 
 
 class Planes:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from postfx.frame import FrameSpec, Role
 from postfx.kernels.denoise_strength import STRENGTH
 from postfx.passes._denoise_planes import Resampler
 from postfx.passes._denoise_size import Size
+from postfx.passes._denoise_window import Rows, rows_of
 from postfx.passes.base import ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
@@ -17,39 +20,45 @@ class Plain:
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
         self._resampler = Resampler(device, "plain", Role.COLOUR, Size(spec.height, spec.width), output)
+        self.output = self._resampler.output
 
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
-        """Record the work; returns the colour at output size."""
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame,
+               parts: Sequence[tuple[Tensor, Rows]] = ()) -> Tensor:
+        """Record the work, for some rows of some tensors if `parts` are given; returns the colour at output size."""
         with commands.compute_encoder("plain") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            self._resampler.encode(encoder, frame[Role.COLOUR], frame.jitter, (0.0, 0.0))
-        return self._resampler.output
+            self._resampler.encode(encoder, frame[Role.COLOUR], frame.jitter, (0.0, 0.0), parts)
+        return self.output
 
 
 class Strength:
     """Goes from the input to the result by `amount` times the plane `strength`, if the frame has one."""
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float) -> None:
-        self.plain = Plain(device, spec, output).encode
+        self.plain = Plain(device, spec, output)
         self._output = device.heap.transient("strength output", (*output, 3))
-        self._table = ArgumentTable(device.compute_state(STRENGTH), {"output": self._output})
         self._amount = device.heap.tensor("amount", (1,))
         self._amount.upload([amount])
-        self._table["amount"] = self._amount
+        self._table = ArgumentTable(device.compute_state(STRENGTH), {"amount": self._amount})
         self._plane: Resampler | None = None
         if spec.has(Role.STRENGTH):
             self._plane = Resampler(device, "strength", Role.STRENGTH, Size(spec.height, spec.width), output)
-            self._table["strength"] = self._plane.output
+            self._strength = self._plane.output
         else:
-            self._table["strength"] = device.wrap("full strength", np.ones((*output, 1), np.float32))
+            self._strength = device.wrap("full strength", np.ones((*output, 1), np.float32))
 
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor) -> Tensor:
-        """Record the blend of the frame's own colour with the denoised one; returns the colour."""
-        self._table["plain"], self._table["denoised"] = self.plain(commands, frame), denoised
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows) -> Tensor:
+        """Record the blend of the frame's own colour with the denoised one in `rows`, all others have no strength;
+        returns the colour."""
+        others = (0, rows[0]), (rows[1], self._output.shape[0])
+        self.plain.encode(commands, frame, [(self.plain.output, rows), *((self._output, some) for some in others)])
+        blended = {"plain": self.plain.output, "denoised": denoised, "strength": self._strength, "output": self._output}
+        for name, tensor in blended.items():
+            self._table[name] = rows_of(tensor, rows)
         with commands.compute_encoder("strength") as encoder:
             encoder.barrier(after="compute", before="compute")
             if self._plane:
-                self._plane.encode(encoder, frame[Role.STRENGTH], frame.jitter, (0.0, 0.0))
+                self._plane.encode(encoder, frame[Role.STRENGTH], frame.jitter, (0.0, 0.0), [(self._strength, rows)])
                 encoder.barrier()
             encoder.dispatch(self._table.state, self._table)
         return self._output

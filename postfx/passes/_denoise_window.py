@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from postfx.runtime import Tensor
+
 ALIGN = 16
+
+Rows = tuple[int, int]
+"""The first of some rows, and the one after the last."""
 
 
 @dataclass(frozen=True)
@@ -19,6 +25,10 @@ class Sizes:
     w: int
     height: int
     width: int
+
+    def enlarged(self, rows: Rows) -> Rows:
+        """The output rows of some render rows."""
+        return rows[0] * self.height // self.h, rows[1] * self.height // self.h
 
 
 class Box(NamedTuple):
@@ -76,6 +86,12 @@ class Window:
             "out_rows": _counted(out.top, out.rows, frame.height),
             "out_columns": _counted(out.left, out.columns, frame.width)}
         return {name: np.asarray(value, np.float32) for name, value in values.items()}
+
+
+def rows_of(tensor: Tensor, rows: Rows) -> Tensor:
+    """Some rows of a tensor, along its first axis; no copy."""
+    one = math.prod(tensor.shape[1:])
+    return tensor.view(tensor.name, (rows[1] - rows[0], *tensor.shape[1:]), rows[0] * one)
 
 
 def _enlarged(first: int, count: int, size: int, out_size: int) -> tuple[int, int]:

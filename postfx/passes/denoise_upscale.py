@@ -188,7 +188,7 @@ class DenoiseUpscale(Pass):
         if cells is not None and not cells.any():
             self._spared.begin(0.0, False, False)
             self._fresh = False
-            return ready.strength.plain(commands, frame)
+            return ready.strength.plain.encode(commands, frame)
         band = None if cells is None else ready.frames.layout(cells)
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
@@ -204,7 +204,7 @@ class DenoiseUpscale(Pass):
         colour = ready.frames.encode(commands, planes, params, keep, still, band)
         self._fresh, self._exposure = True, frame.exposure
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
-        return ready.strength.encode(commands, frame, colour) if ready.strength else colour
+        return ready.strength.encode(commands, frame, colour, ready.frames.rows(band)) if ready.strength else colour
 
     def _active(self, frame: ResidentFrame) -> np.ndarray | None:
         """Where the frame's strength is not 0, as squares of 16 pixels; None where that is not known, or where the

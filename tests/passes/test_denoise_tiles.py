@@ -116,9 +116,11 @@ def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool, 
     for frame in frames:
         wanted, part = whole(frame)[Role.COLOUR], masked(frame, mask)
         found = tiled(part)[Role.COLOUR]
-        active = resampled(part, Role.STRENGTH, scale)[..., 0] == 1
+        share = resampled(part, Role.STRENGTH, scale)[..., 0]
+        active, without = share == 1, share == 0
         error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
         assert active.sum() > 1000 and error[active].max() < 1e-3
+        np.testing.assert_array_equal(found[without], resampled(part, Role.COLOUR, scale)[without])
     assert any("strength is 0 there" in item.why for item in tiled.explain().skipped)
 
 
@@ -146,6 +148,18 @@ def test_what_becomes_active_is_denoised_as_in_a_first_frame(device: Device, roo
     wanted = fixed(replace(masked(room[1], second), reset=True))[Role.COLOUR]
     error = np.abs(seen(found, moved.exposure) - seen(wanted, moved.exposure)).max(2)
     assert error[full(second)].max() < 1e-3
+
+
+def test_what_an_earlier_mask_left_is_forgotten(device: Device, room: list[Frame]) -> None:
+    """The two sets that hold the history in turn: each is written where a window was two frames before."""
+    tiled = chain(device, model="s")
+    for frame in room:
+        tiled(masked(frame, boxes(np.s_[:20, :])))
+    for frame in room[:2]:
+        tiled(masked(frame, boxes(np.s_[170:, :])))
+        kept = {name.rpartition("/")[2]: array for name, array in tiled.history().items()}
+        count, colour = kept["next_state"][:, 0, 3], kept["next_history"]
+        assert count[120:].all() and not count[:90].any() and not colour[:180].any()
 
 
 def test_nothing_active_runs_no_network_and_drops_the_history(device: Device, room: list[Frame]) -> None:
