@@ -10,7 +10,7 @@ from training.dataset import Batch, Stack, to_batch
 from training.networks import ops
 from training.networks.denoise_upscale import Guides, Inputs
 
-NORMAL, MOTION = 9, 14  # first channels of these planes in a stack
+NORMAL, MOTION = 9, 14  # first channels of these planes in a stack; inverse motion, if it is there, follows motion
 # What stands in for a plane that a file lacks; postfx/passes/denoise_upscale.py fills the same values.
 ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0, "motion": 0.0}
 # Planes that are missing together, and how often: renderers seldom write roughness.
@@ -60,7 +60,9 @@ class Augment:
         for names, chance in LOSSES:
             chosen = torch.rand(entries, 1, 1, 1, device=device) < chance * self.drop
             lost |= {name: lost[name] | chosen for name in names}
-        return Batch([_without(frame, lost) for frame in batch.frames], batch.references, batch.keep * ~lost["motion"])
+        inverse = batch.inverse and [torch.where(lost["motion"], ABSENT["motion"], motion) for motion in batch.inverse]
+        return replace(batch, frames=[_without(frame, lost) for frame in batch.frames],
+                       keep=batch.keep * ~lost["motion"], inverse=inverse)
 
 
 def _without(planes: Inputs | Guides, lost: dict[str, Tensor]) -> Inputs | Guides:
@@ -79,13 +81,14 @@ def _flip(stack: Stack) -> Stack:
         if random.random() < 0.5:
             planes, reference = planes.flip(-1 - axis), reference.flip(-1 - axis)
             guides = None if guides is None else guides.flip(-1 - axis)
-            signs[MOTION + axis] = -1
+            signs[MOTION + axis::2] = -1
             jitter[..., axis] *= -1
     planes = planes * signs[:, None, None]
     if random.random() < 0.5:
         planes, reference = planes.transpose(-1, -2), reference.transpose(-1, -2)
         guides = None if guides is None else guides.transpose(-1, -2)
-        planes = torch.cat((planes[:, :, :MOTION], planes[:, :, MOTION:].flip(2)), 2)
+        motions = planes[:, :, MOTION:].unflatten(2, (-1, 2)).flip(3).flatten(2, 3)
+        planes = torch.cat((planes[:, :, :MOTION], motions), 2)
         jitter = jitter.flip(-1)
     return replace(stack, planes=planes, jitter=jitter, reference=reference, guides=guides)
 
@@ -93,7 +96,8 @@ def _flip(stack: Stack) -> Stack:
 def _permute_channels(stack: Stack) -> Stack:
     """Shuffle the colour primaries and the axes of the world; neither has a preferred order."""
     rgb, xyz = random.sample(range(3), 3), random.sample(range(3), 3)
-    order = [*rgb, *(3 + i for i in rgb), *(6 + i for i in rgb), *(9 + i for i in xyz), 12, 13, 14, 15]
+    rest = range(12, stack.planes.shape[2])
+    order = [*rgb, *(3 + i for i in rgb), *(6 + i for i in rgb), *(9 + i for i in xyz), *rest]
     signs = torch.ones(len(order), device=stack.planes.device)
     signs[NORMAL:NORMAL + 3] = torch.tensor([random.choice((-1.0, 1.0)) for _ in range(3)])
     planes = stack.planes[:, :, order] * signs[:, None, None]

@@ -4,6 +4,7 @@ A clip (``training/clips.py``) is a reference and several independent noisy rend
 float16 on the device, so that a batch costs no transfer; depth is kept as its logarithm to fit the range.
 """
 import random
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from training.inverse_motion import inverse_motion
 from training.networks.denoise_upscale import Guides, Inputs
 
 PLANES = (("colour", 3), ("diffuse_albedo", 3), ("specular_albedo", 3), ("normal", 3), ("roughness", 1), ("depth", 1),
           ("motion", 2))
 GUIDES = PLANES[1:6]
+CHANNELS = sum(channels for _, channels in PLANES)
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
@@ -24,6 +27,7 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 class Clip:
     """``planes`` (V, T, 16, h, w) float16, ``jitter`` (V, T, 2), ``reference`` (T, 3, H, W) float16.
 
+    Two more channels are the motion to the next frame, if it was asked for (0 in the last frame).
     ``spread`` (V,) tells which renders spread their samples over the pixel; ``keep`` (T,) is 0 at cuts and at the
     first frame; ``guides`` (T, 11, H, W) float16 are the planes at output size, if they were asked for.
     """
@@ -42,12 +46,14 @@ class Clip:
 class Batch:
     """``frames`` are T inputs of one draw, ``references`` (T, N, 3, H, W) exposed linear colour.
 
-    ``keep`` (T, N, 1, 1, 1) is 0 where history does not continue.
+    ``keep`` (T, N, 1, 1, 1) is 0 where history does not continue. ``inverse`` are T motions to the next frame
+    (N, 2, h, w) for clips that are run backwards, too.
     """
 
     frames: list[Inputs]
     references: Tensor
     keep: Tensor
+    inverse: list[Tensor] | None = None
 
 
 @dataclass
@@ -69,8 +75,8 @@ def grey_exposure(colour: np.ndarray) -> float:
     return float(0.18 / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean() + 1e-9))))
 
 
-def load(path: Path, device: torch.device, guides: bool = False) -> Clip:
-    """Read one clip file and move it to ``device``, with its guides or without."""
+def load(path: Path, device: torch.device, guides: bool = False, inverse: bool = False) -> Clip:
+    """Read one clip file and move it to ``device``, with its guides and its inverse motion or without."""
     data = np.load(path)
     variants = sorted({k.split("_", 1)[0] for k in data.files if k.startswith("v") and k[1].isdigit()})
 
@@ -81,11 +87,15 @@ def load(path: Path, device: torch.device, guides: bool = False) -> Clip:
             values = values.clamp(1e-4, 1e10).log2()
         return values.half()
 
+    def render(variant: str) -> Tensor:
+        planes = [plane(f"{variant}_{name}") for name, _ in PLANES]
+        return torch.cat([*planes, turned(data, variant, device)] if inverse else planes, 1)
+
     reference = data["reference"]
     keep = 1 - data["reset"].astype(np.float32) if "reset" in data.files else np.ones(len(reference), np.float32)
     return Clip(
         path.stem,
-        torch.stack([torch.cat([plane(f"{v}_{name}") for name, _ in PLANES], 1) for v in variants]),
+        torch.stack([render(v) for v in variants]),
         torch.from_numpy(np.stack([data[f"{v}_jitter"] for v in variants]).astype(np.float32)).to(device),
         [str(data[f"{v}_style"]) != "realtime" for v in variants],
         torch.from_numpy(keep).to(device),
@@ -95,12 +105,19 @@ def load(path: Path, device: torch.device, guides: bool = False) -> Clip:
     )
 
 
+def turned(data: Mapping[str, np.ndarray], variant: str, device: torch.device) -> Tensor:
+    """Motion to the next frame (T, 2, h, w) float16 of one noisy render, of whole frames."""
+    motion = torch.from_numpy(data[f"{variant}_motion"]).to(device).movedim(-1, 1)
+    depth = torch.from_numpy(data[f"{variant}_depth"]).to(device)[:, None]
+    return torch.cat((inverse_motion(motion[1:], depth[1:], depth[:-1]), torch.zeros_like(motion[:1]))).half()
+
+
 class ClipPool:
     """All clips of a folder; grows while the data factory is still writing."""
 
     def __init__(self, folder: Path, device: torch.device, guides: bool = False, share: int = 0, shares: int = 1,
-                 held_out: int = 20):
-        self.folder, self.device, self.guides = folder, device, guides
+                 held_out: int = 20, inverse: bool = False):
+        self.folder, self.device, self.guides, self.inverse = folder, device, guides, inverse
         self.share, self.shares, self.held_out = share, shares, held_out
         self.seen: set[Path] = set()
         self.training: dict[tuple[int, ...], list[Clip]] = {}
@@ -112,7 +129,7 @@ class ClipPool:
         mine = [p for p in fresh if self._number(p) % self.shares == self.share]
         self.seen.update(mine)
         with ThreadPoolExecutor(8) as threads:
-            clips = list(threads.map(lambda path: load(path, self.device, self.guides), mine))
+            clips = list(threads.map(lambda path: load(path, self.device, self.guides, self.inverse), mine))
         for path, clip in zip(mine, clips, strict=True):
             if (self._number(path) // self.shares) % self.held_out == 0:
                 self.validation.append(clip)
@@ -165,10 +182,12 @@ def _window(clip: Clip, crop: int | None) -> tuple[slice, slice, slice, slice]:
 
 def to_batch(stack: Stack) -> Batch:
     guides = [None] * stack.planes.shape[1] if stack.guides is None else stack.guides.unbind(1)
+    planes, inverse = stack.planes[:, :, :CHANNELS], stack.planes[:, :, CHANNELS:]
     frames = [_inputs(p, j, g, stack.exposure)
-              for p, j, g in zip(stack.planes.unbind(1), stack.jitter.unbind(1), guides, strict=True)]
+              for p, j, g in zip(planes.unbind(1), stack.jitter.unbind(1), guides, strict=True)]
     references = (stack.reference * stack.exposure[:, None]).clamp(0, 1e4).transpose(0, 1)
-    return Batch(frames, references, stack.keep.T[..., None, None, None])
+    return Batch(frames, references, stack.keep.T[..., None, None, None],
+                 list(inverse.unbind(1)) if inverse.shape[2] else None)
 
 
 def _inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None, exposure: Tensor) -> Inputs:

@@ -1,4 +1,4 @@
-"""Forward and backward of a training step as CUDA graphs, one for each shape of batch.
+"""Forward and backward of a training step as CUDA graphs, one for each shape of batch, forwards or both ways.
 
 A recurrent step over eight frames launches some ten thousand small kernels; replayed as a graph they cost a third.
 The learning rate lives in the optimiser, outside of the graph, so it may change every step.
@@ -38,13 +38,13 @@ class GradientStep:
 
     def __init__(self, loss: Callable[[Batch], tuple[Tensor, ...]], flat: FlatGradient):
         self.loss, self.flat = loss, flat
-        self.captured: dict[torch.Size, tuple[torch.cuda.CUDAGraph, Batch, list[Tensor]]] = {}
+        self.captured: dict[tuple[torch.Size, bool], tuple[torch.cuda.CUDAGraph, Batch, list[Tensor]]] = {}
         self.pool = None
 
     def __call__(self, batch: Batch) -> list[Tensor]:
         if not batch.references.is_cuda:
             return self._run(batch)
-        shape = batch.references.shape
+        shape = batch.references.shape, batch.inverse is not None
         if shape not in self.captured:
             self.captured[shape] = self._capture(batch)
         graph, held, results = self.captured[shape]

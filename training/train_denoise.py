@@ -16,60 +16,24 @@ import os
 import random
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from training import losses
 from training.augment import Augment
+from training.clip_loss import ClipLoss
 from training.dataset import Batch, Clip, ClipPool, collate, to_batch
 from training.fuse import fuse
 from training.graphs import FlatGradient, GradientStep
-from training.networks import ops
-from training.networks.denoise_upscale import DenoiseUpscale, empty_state
+from training.networks.denoise_upscale import DenoiseUpscale
 from training.networks.trunk import TrunkConfig
 from training.restore import weights_of
 
 KEEP_MINUTES = 2.0
 WARM_STEPS = 500
-
-
-class ClipLoss(nn.Module):
-    """Run a clip through the recurrent step and sum the losses of its frames."""
-
-    def __init__(self, model: DenoiseUpscale, flicker: float, reset: float):
-        super().__init__()
-        self.model, self.flicker, self.reset = model, flicker, reset
-
-    def forward(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-        # One context for the whole clip, so that weights are cast once and not once a frame.
-        with torch.autocast(batch.references.device.type, torch.bfloat16):
-            return self._clip(batch)
-
-    def _clip(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-        """Loss, and without gradient the mean PSNR of the clip's second half and the mean flicker."""
-        height, width = batch.references.shape[-2:]
-        state = empty_state(batch.frames[0], height, width)
-        loss, quality, flicker = 0.0, [], []
-        count, previous = len(batch.frames), None
-        for t, inputs in enumerate(batch.frames):
-            keep = (torch.rand_like(batch.keep[t]) >= self.reset) * batch.keep[t]
-            output, state, _ = self.model(inputs, state.drop(keep))
-            shown, target = ops.display(output), ops.display(batch.references[t])
-            loss = loss + losses.frame_loss(shown, target)
-            if previous is not None:
-                moved = losses.reproject_reference(previous[1], inputs.motion)
-                explained = losses.explained_by_motion(target, moved) * batch.keep[t]
-                change = losses.flicker_loss(shown, losses.reproject_reference(previous[0], inputs.motion), target,
-                                             moved, explained)
-                loss = loss + self.flicker * change
-                flicker.append(change.detach())
-            previous = (shown, target)
-            if t >= count // 2:
-                quality.append(losses.psnr(shown.detach(), target).mean())
-        return loss / count, torch.stack(quality).mean(), torch.stack(flicker).mean()
 
 
 class Average:
@@ -100,6 +64,8 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--guides", action="store_true", help="read planes at output size")
     parser.add_argument("--flicker", type=float, default=4.0, help="weight of the temporal difference")
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
+    parser.add_argument("--both-ways", type=float, default=0.0, metavar="SHARE",
+                        help="part of the steps that run clips backwards, too, and rate the blend of both directions")
     parser.add_argument("--resume", type=Path, help="checkpoint.pt, or an exported denoise_upscale.<tag>.onnx")
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
     parser.add_argument("--seed", type=int, default=0)
@@ -118,19 +84,32 @@ def rate_at(progress: float, step: int, peak: float) -> float:
     return peak * min((step + 1) / WARM_STEPS, 1) * max(0.5 * (1 + math.cos(math.pi * progress)), 1e-3)
 
 
+def turns(step: int, share: float) -> bool:
+    """Whether a step is one of the ``share`` that runs both ways: evenly spread, the same on every GPU."""
+    return math.floor((step + 1) * share) > math.floor(step * share)
+
+
 @torch.no_grad()
 @torch.compiler.set_stance("force_eager")  # nothing is compiled for the sizes of validation
-def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool) -> tuple[float, float]:
-    """PSNR and flicker of the averaged weights on held-out clips, first noisy render of each, no augmentation."""
+def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, both: bool = False) -> tuple[float, float]:
+    """PSNR and flicker of the averaged weights on held-out clips, first noisy render of each, no augmentation; of the
+    blend of ``both`` directions, or of clips run forwards."""
     mine = {k: v.clone() for k, v in loss.model.state_dict().items()}
     loss.model.load_state_dict(weights)
     reset, loss.reset = loss.reset, 0.0
-    results = [torch.stack(loss(to_batch(collate(clips, [0] * len(clips))))[1:]) * len(clips)
-               for clips in by_size(pool.validation, 8)]
+    results = []
+    for clips in by_size(pool.validation, 8):
+        batch = directed(to_batch(collate(clips, [0] * len(clips))), both)
+        results.append(torch.stack(loss(batch)[1:]) * len(clips))
     loss.reset = reset
     loss.model.load_state_dict(mine)
     quality, flicker = (sum(results) / len(pool.validation)).tolist() if results else (math.nan, math.nan)
     return quality, flicker
+
+
+def directed(batch: Batch, both: bool) -> Batch:
+    """The batch for ``both`` directions, or for forwards only."""
+    return batch if both else replace(batch, inverse=None)
 
 
 def by_size(clips: list[Clip], most: int) -> Iterator[list[Clip]]:
@@ -147,7 +126,7 @@ class Trainer:
     def __init__(self, args: argparse.Namespace, rank: int, world: int, device: torch.device,
                  model: DenoiseUpscale | None = None):
         self.args, self.rank, self.world, self.device = args, rank, world, device
-        self.pool = ClipPool(args.clips, device, args.guides, rank, world)
+        self.pool = ClipPool(args.clips, device, args.guides, rank, world, inverse=args.both_ways > 0)
         while self.pool.refresh() < args.wait:
             time.sleep(2)
         model = model or DenoiseUpscale(TrunkConfig(tuple(args.widths), args.depth, args.guides))
@@ -179,7 +158,7 @@ class Trainer:
             for group in self.optimiser.param_groups:
                 group["lr"] = rate
             stack = self.pool.draw(self.args.batch, self.args.crop, self.args.seed + self.step)
-            results = self.gradient(self.augment(stack))
+            results = self.gradient(directed(self.augment(stack), turns(self.step, self.args.both_ways)))
             norm = self.flat.finish(1.0, self.world > 1)
             self.optimiser.step()
             self.average.update(self.step)
@@ -215,6 +194,9 @@ class Trainer:
         notes = {"steps": self.step, "minutes": round((time.monotonic() - self.start) / 60, 2), "gpus": self.world,
                  "batch": self.args.batch * self.world, "clips": len(self.pool) * self.world,
                  "validation_psnr": quality, "validation_flicker": flicker}
+        if self.args.both_ways:
+            both = validate(self.loss, self.average.weights, self.pool, both=True)
+            notes |= {"both_ways": self.args.both_ways, "both_psnr": both[0], "both_flicker": both[1]}
         weights = {k: v.cpu().contiguous() for k, v in self.average.weights.items()}
         partial = self.args.out / "checkpoint.tmp"
         torch.save({"config": self.config.as_dict(), "weights": weights, "notes": notes}, partial)

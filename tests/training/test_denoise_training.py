@@ -181,10 +181,11 @@ def write_clips(folder: Path, count: int) -> None:
                   [{**variant, "jitter": jitter, "spp": 1, "style": "realtime"}], facts)
 
 
-def trainer(clips: Path, out: Path, minutes: float, resume: Path | None = None) -> train_denoise.Trainer:
+def trainer(clips: Path, out: Path, minutes: float, resume: Path | None = None,
+            both_ways: float = 0.0) -> train_denoise.Trainer:
     args = argparse.Namespace(clips=clips, out=out, minutes=minutes, batch=2, rate=1e-3, widths=list(SMALL.widths),
                               depth=SMALL.depth, flicker=1.0, reset=0.1, resume=resume, wait=2, seed=0, crop=48,
-                              guides=False)
+                              guides=False, both_ways=both_ways)
     torch.manual_seed(0)
     return train_denoise.Trainer(args, 0, 1, torch.device("cpu"))
 

@@ -1,0 +1,152 @@
+"""Training on clips that are run backwards, too: motion turned round, the blend of both directions, and steps."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from tests.training.small_denoiser import one_thread, small_model  # noqa: E402, F401
+from tests.training.test_denoise_training import inner, moving_clip, trainer, write_clips  # noqa: E402
+from training import clip_loss, losses, train_denoise  # noqa: E402
+from training.augment import Augment  # noqa: E402
+from training.clip_loss import ClipLoss  # noqa: E402
+from training.dataset import Batch, Stack, collate, load, to_batch  # noqa: E402
+from training.graphs import FlatGradient, GradientStep, copy_batch, tensors  # noqa: E402
+from training.inverse_motion import OUTSIDE, inverse_motion  # noqa: E402
+from training.networks import ops  # noqa: E402
+
+
+def turned_clip() -> Stack:
+    """The picture that turns and slides, with its inverse motion."""
+    clip = moving_clip(2)
+    depth = torch.ones(1, 1, *clip.planes.shape[-2:])
+    inverse = inverse_motion(clip.planes[0, 1:, 14:16], depth, depth)
+    channels = torch.cat((inverse, torch.zeros_like(inverse)))[None]
+    return replace(clip, planes=torch.cat((clip.planes, channels), 2))
+
+
+@pytest.mark.parametrize("move", [(2.3, -1.1), (-0.5, 0.5), (4.0, 0.0), (0.0, 0.0)])
+def test_a_plane_that_slides_goes_back_exactly(move: tuple[float, float]) -> None:
+    after = torch.tensor(move)[:, None, None].expand(1, 2, 20, 30)
+    depth = torch.full((1, 1, 20, 30), 5.0)
+    inverse = inverse_motion(after, depth, depth)
+    assert torch.equal(ops.inside(inverse), ops.inside(-after))
+    seen = (ops.inside(-after) > 0).expand_as(after)
+    assert torch.equal(inverse[seen], -after[seen])
+
+
+def test_the_nearer_surface_wins_and_what_it_hides_points_out_of_the_picture() -> None:
+    depth, depth_after = torch.full((1, 1, 12, 32), 10.0), torch.full((1, 1, 12, 32), 10.0)
+    depth[..., 8:16], depth_after[..., 14:22] = 2.0, 2.0  # moves six pixels to the right
+    after = torch.zeros(1, 2, 12, 32)
+    after[:, 0, :, 14:22] = -6
+    inverse = inverse_motion(after, depth_after, depth)[0, 0]
+    assert (inverse[:, 8:16] == 6).all()
+    assert (inverse[:, :8] == 0).all() and (inverse[:, 22:] == 0).all()
+    assert (inverse[:, 16:20] == OUTSIDE).all()
+
+
+def test_what_points_out_of_the_picture_has_no_history() -> None:
+    motion = torch.full((1, 2, 16, 16), OUTSIDE).half().float()
+    assert not ops.inside(ops.dilate_motion(motion, torch.ones(1, 1, 16, 16))).any()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_augmentations_keep_inverse_motion_true(seed: int) -> None:
+    random.seed(seed)
+    torch.manual_seed(seed)
+    for batch in (to_batch(turned_clip()), Augment(drop=0.0)(turned_clip())):
+        moved = losses.reproject_reference(batch.references[1], batch.inverse[0])
+        error = inner(moved - batch.references[0]).abs().mean() / batch.references.mean()
+        assert error < 0.03 < inner(batch.references[1] - batch.references[0]).abs().mean() / batch.references.mean()
+
+
+def test_without_motion_there_is_none_either_way() -> None:
+    random.seed(0)
+    batch = Augment(drop=100.0)(turned_clip())
+    assert not any(motion.any() for motion in batch.inverse)
+
+
+def test_inverse_motion_is_made_when_a_clip_is_loaded(tmp_path: Path) -> None:
+    write_clips(tmp_path, 1)
+    clip = load(tmp_path / "clip0000.npz", torch.device("cpu"), inverse=True)
+    assert clip.planes.shape == (1, 2, 18, 48, 60)
+    with np.load(tmp_path / "clip0000.npz") as file:
+        motion, depth = (torch.from_numpy(file[f"v0_{name}"]) for name in ("motion", "depth"))
+    wanted = inverse_motion(motion[1:].movedim(-1, 1), depth[1:, None], depth[:1, None])
+    assert torch.equal(clip.planes[0, 0, 16:], wanted[0].half()) and not clip.planes[0, 1, 16:].any()
+    batch = to_batch(collate([clip], [0], 32))
+    assert batch.inverse[0].shape == batch.frames[0].motion.shape == (1, 2, 32, 32)
+
+
+class Told(torch.nn.Module):
+    """Instead of a network: the frame's motion as a grey picture."""
+
+    def forward(self, inputs, state):
+        return inputs.motion[:, :1].expand(-1, 3, -1, -1), state, None
+
+
+def told_clip(cuts: list[int]) -> Batch:
+    """Motion is 1 forwards and 2 backwards."""
+    clip = moving_clip(1)
+    planes = torch.cat((clip.planes, clip.planes[:, :, :2]), 2)[:, :1].repeat(1, len(cuts), 1, 1, 1)
+    planes[:, :, 14:16], planes[:, :, 16:] = 1, 2
+    repeated = {name: getattr(clip, name)[:, :1].repeat(1, len(cuts), *[1] * (getattr(clip, name).ndim - 2))
+                for name in ("jitter", "reference", "guides")}
+    return to_batch(replace(clip, planes=planes, keep=1 - torch.tensor([cuts], dtype=torch.float32), **repeated))
+
+
+def test_a_frame_is_blended_by_what_each_direction_has_seen_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    rated = []
+    scores = clip_loss.Truth.scores
+    monkeypatch.setattr(clip_loss.Truth, "scores", lambda *args: rated.append(args[1]) or scores(*args))
+    loss, _, _ = ClipLoss(Told(), flicker=1.0, reset=0.0)(told_clip([1, 0, 0, 1, 0]))
+    ahead, back, both = ([float(picture.mean()) for picture in outputs] for outputs in rated)
+    assert ahead == [1.0] * 5 and back == [2.0] * 5
+    assert both == pytest.approx([2 - k / 4 for k in (1, 2, 3)] + [2 - k / 3 for k in (1, 2)])
+    parts = [float(scores(clip_loss.Truth(told_clip([1, 0, 0, 1, 0])), outputs, 1.0)[0]) for outputs in rated]
+    assert float(loss) == pytest.approx(parts[0] / 4 + parts[1] / 4 + parts[2] / 2, rel=1e-4)
+
+
+def test_steps_both_ways_lower_the_loss() -> None:
+    model, clip = small_model(), turned_clip()
+    batch = to_batch(replace(clip, planes=clip.planes[..., :32, :32], reference=clip.reference[..., :64, :64]))
+    step = GradientStep(ClipLoss(model, flicker=1.0, reset=0.0), FlatGradient(list(model.parameters())))
+    optimiser = torch.optim.AdamW(model.parameters(), lr=3e-3)
+    values = []
+    for _ in range(8):
+        values.append(float(step(batch)[0]))
+        assert step.flat.finish(1.0, several=False) > 0
+        optimiser.step()
+    assert np.mean(values[-2:]) < 0.97 * values[0]
+
+
+def test_copying_a_batch_copies_its_inverse_motion() -> None:
+    one, other = (Augment()(turned_clip()) for _ in range(2))
+    assert [x.shape for x in tensors(one)] == [x.shape for x in tensors(other)]
+    other.inverse[0][:] = 7
+    copy_batch(other, one)
+    assert (one.inverse[0] == 7).all()
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.0, 0), (0.25, 25), (0.5, 50), (1.0, 100)])
+def test_steps_both_ways_are_spread_evenly(share: float, count: int) -> None:
+    chosen = [train_denoise.turns(step, share) for step in range(100)]
+    assert sum(chosen) == count
+    assert abs(sum(chosen[:10]) - 10 * share) < 1
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_a_run_both_ways_validates_the_blend(share: float, tmp_path: Path) -> None:
+    write_clips(tmp_path, 3)
+    run = trainer(tmp_path, tmp_path, minutes=2 / 60, both_ways=share)
+    run.run()
+    notes = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["notes"]
+    assert notes["steps"] > 1 and notes["both_ways"] == share
+    assert np.isfinite(notes["both_psnr"]) and notes["both_psnr"] != notes["validation_psnr"]
