@@ -31,10 +31,12 @@ LARGEST = np.float32(65504)
 
 
 class Result(NamedTuple):
-    """Of a frame in reverse order: its colour (H, W, 3) in half precision, and how far ahead its pixels are known."""
+    """Of a frame in reverse order: its exposed colour (H, W, 3) in half precision, how far ahead its pixels are known,
+    and the exposure, without which bright light would not fit."""
 
     colour: np.ndarray
     count: np.ndarray
+    exposure: float
 
 
 class Backwards:
@@ -106,7 +108,7 @@ class Backwards:
             if result and result.count.shape == ahead.shape and result.colour.shape[:2] == later.shape[:2]:
                 share = np.empty(ahead.shape, np.float32)
                 shared(ahead, result.count, share)
-                weighted(share, result.colour.astype(np.float32), later)
+                weighted(share, result.colour.astype(np.float32) / np.float32(result.exposure), later)
         return dataclasses.replace(frame, guides={**frame.guides, Role.LATER: later})
 
     def _known_ahead(self, frame: Frame) -> np.ndarray:
@@ -148,7 +150,7 @@ class Backwards:
                 reverse = turned(frame, after)
                 count, colour = back(reverse), self._colour(reverse)
                 if index < end and colour is not None:
-                    self._found[frame.number] = Result(colour, count)
+                    self._found[frame.number] = Result(colour, count, self._pipeline.exposure)
                     self._took[frame.number] = sum(self._pipeline.timings.values())
             after = frame
 
@@ -157,7 +159,7 @@ class Backwards:
             colour = self._pipeline(frame)[Role.COLOUR]
         except PostfxError:
             return None
-        return np.clip(colour, -LARGEST, LARGEST).astype(np.float16)
+        return np.clip(colour * np.float32(self._pipeline.exposure), -LARGEST, LARGEST).astype(np.float16)
 
     def _explained(self, number: int) -> Plan:
         with self._sequence.open(number) as files:

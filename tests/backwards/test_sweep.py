@@ -41,12 +41,11 @@ def noisy(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Seque
     return write
 
 
-def results(sequence: Sequence, device: Device, both: bool = True, numbers: tuple[int, ...] = ()) -> dict:
-    """Colour by frame number, of all frames or of those that are wanted."""
-    backwards = Backwards(sequence, device, 0.0, model="s") if both else lambda frame: frame
-    passes = Pipeline([DenoiseUpscale(model="s"), BothWays()], device, 0.0)
-    return {frame.number: passes(backwards(frame))[Role.COLOUR] for frame in sequence
-            if not numbers or frame.number in numbers}
+def results(sequence: Sequence, device: Device, both: bool = True, exposure: str | float = 0.0) -> dict:
+    """Colour by frame number."""
+    backwards = Backwards(sequence, device, exposure, model="s") if both else lambda frame: frame
+    passes = Pipeline([DenoiseUpscale(model="s"), BothWays()], device, exposure)
+    return {frame.number: passes(backwards(frame))[Role.COLOUR] for frame in sequence}
 
 
 def spread(colour: np.ndarray) -> float:
@@ -68,6 +67,13 @@ def test_the_last_frame_has_nothing_after_it(noisy, device):
     planes = [later(frame).guides[Role.LATER] for frame in sequence]
     assert np.allclose(planes[7][..., 3], 1 / 9, atol=1e-6)
     assert np.allclose(planes[0][..., 3], 8 / 9, atol=1e-6)
+
+
+@pytest.mark.parametrize("level", [1e-7, 1e7])
+def test_light_of_any_unit_is_kept(noisy, device, level):
+    """Beyond what half precision holds: results are kept exposed."""
+    causal, both = (results(noisy(6, level=level), device, way, exposure="auto") for way in (False, True))
+    assert abs(both[1].mean() / causal[6].mean() - 1) < 0.05
 
 
 def test_light_after_a_cut_does_not_come_before_it(noisy, device):
