@@ -125,7 +125,7 @@ class ClipPool:
 
     def refresh(self) -> int:
         """Load files that are new; one in ``held_out`` scenes is kept for validation."""
-        fresh = [p for p in sorted(self.folder.glob("*.npz")) if p not in self.seen]
+        fresh = [p for p in sorted(self.folder.glob("[!.]*.npz")) if p not in self.seen]
         mine = [p for p in fresh if self._number(p) % self.shares == self.share]
         self.seen.update(mine)
         with ThreadPoolExecutor(8) as threads:

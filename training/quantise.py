@@ -109,7 +109,7 @@ def shots(source: str, guided: bool) -> Iterator[Shot]:
     Raises ValueError when there are none.
     """
     found = 0
-    clips = sorted(Path(source).glob("*.npz")) if Path(source).is_dir() else []
+    clips = sorted(Path(source).glob("[!.]*.npz")) if Path(source).is_dir() else []
     for clip in map(load_clip, clips):
         if guided and "guide_jitter" not in clip:
             continue

@@ -99,7 +99,7 @@ def main() -> None:
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     model = DenoiseUpscale(config)
     model.load_state_dict({name: weight.float() for name, weight in checkpoint["weights"].items()})
-    paths = sorted(args.clips.glob("*.npz"))[:args.most]
+    paths = sorted(args.clips.glob("[!.]*.npz"))[:args.most]
     if not paths:
         parser.error(f"{args.clips} holds no clips: training.render_all writes them")
     clips = (load(path, device, config.guides) for path in paths)

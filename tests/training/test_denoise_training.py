@@ -16,7 +16,7 @@ from tests.training.small_denoiser import SMALL, one_thread, small_model  # noqa
 from training import losses, train_denoise  # noqa: E402
 from training.augment import Augment  # noqa: E402
 from training.clips import save_clip  # noqa: E402
-from training.dataset import Batch, Stack, load, to_batch  # noqa: E402
+from training.dataset import Batch, ClipPool, Stack, load, to_batch  # noqa: E402
 from training.graphs import FlatGradient, GradientStep, copy_batch  # noqa: E402
 from training.networks.trunk import TrunkConfig  # noqa: E402
 
@@ -188,6 +188,15 @@ def trainer(clips: Path, out: Path, minutes: float, resume: Path | None = None,
                               guides=False, both_ways=both_ways)
     torch.manual_seed(0)
     return train_denoise.Trainer(args, 0, 1, torch.device("cpu"))
+
+
+def test_a_clip_that_is_still_being_written_waits(tmp_path: Path) -> None:
+    write_clips(tmp_path, 2)
+    partial = tmp_path / ".clip0002.npz.17.partial.npz"
+    partial.write_bytes((tmp_path / "clip0001.npz").read_bytes()[:1000])
+    pool = ClipPool(tmp_path, torch.device("cpu"))
+    pool.refresh()
+    assert {path.name for path in pool.seen} == {"clip0000.npz", "clip0001.npz"}
 
 
 def test_a_checkpoint_holds_the_averaged_weights_and_can_be_resumed(tmp_path: Path) -> None:
