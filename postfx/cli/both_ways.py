@@ -6,11 +6,9 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from postfx.frame import Frame, FrameSpec
-from postfx.passes.base import PassOptionError
-
 if TYPE_CHECKING:
     from postfx.backwards import Backwards
+    from postfx.frame import Frame, FrameSpec
 
 NAME = "denoise_upscale backwards"
 """Of what it takes, in the summary."""
@@ -62,6 +60,8 @@ class BothWays:
 
 def _fits(arguments: argparse.Namespace) -> bool:
     """Whether there is something to denoise; PassOptionError beside options that it cannot go with."""
+    from postfx.passes.base import PassOptionError  # loads what --help must not wait for
+
     if arguments.no_denoise:
         raise PassOptionError("--both-ways is for the denoiser, which --no-denoise leaves out: give one of them")
     if arguments.budget is not None:

@@ -93,6 +93,7 @@ def _over_median(plane: np.ndarray) -> np.ndarray:
 _MAPPINGS: Mapping = {
     Role.COLOUR: _light,
     Role.OVERLAY: _light,
+    Role.LATER: _light,
     Role.OPAQUE_COLOUR: _light,
     Role.DIFFUSE_ALBEDO: srgb_encode,
     Role.SPECULAR_ALBEDO: srgb_encode,

@@ -243,7 +243,7 @@ class DenoiseUpscale(Pass):
         return self._output_size(spec) == (spec.height, spec.width)
 
     def _guide_remarks(self, spec: FrameSpec) -> list[str]:
-        if spec.guides is None or set(spec.guide_roles) <= {Role.OVERLAY, Role.LATER}:
+        if spec.guides is None or (spec.guide_roles and not set(spec.guide_roles) & set(GUIDE_ROLES)):
             return []
         if not self._has_guided_model():
             return [f"model '{self.options['model']}' does not read guides: they only stand in for missing planes"]
