@@ -160,7 +160,8 @@ class Job:
                 if work.checkpoint:
                     run.recall(work, frame)
                     continue
-                frame = frame and self._both(frame, work.write, stop.check, progress.note)
+                both = partial(self._both, frame, work.write, stop.check, progress.note)
+                frame = frame and self._faults.attempt(work.number, work.write, both)
                 with self._capture.around(work.number):
                     result = self._process(work, frame)
                 if work.write and result:

@@ -70,6 +70,15 @@ def test_a_frame_that_cannot_be_read_is_skipped_or_named(postfx, noise):
     assert len(list((noise / "stop").glob("*.exr"))) == 3
 
 
+def test_a_frame_of_another_aspect_is_skipped(postfx, noise, write_exr):
+    """With a size for all, frames may have others, but not that."""
+    planes = {name: np.ones((40, 20)) for name in (*"RGB", "depth.Z", "motion.X", "motion.Y")}
+    write_exr("in/shot.0003.exr", planes)
+    done = postfx(*RUN, "--size", "96x64", "-o", "out/a.####.exr", "--on-error", "skip", "--json")
+    assert (done.code, done.json["frames"]) == (3, 5)
+    assert [fault["frame"] for fault in done.json["faults"]] == [3]
+
+
 @pytest.mark.parametrize(("option", "why"), [
     (("--no-denoise",), "--both-ways is for the denoiser, which --no-denoise leaves out: give one of them"),
     (("--memory", "4G"), "--both-ways keeps results of 32 frames, --memory keeps to a size: give one of them"),
