@@ -13,6 +13,7 @@ from postfx.backwards.turned import MOST, Followed, turned
 from postfx.errors import PostfxError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import Frame, FrameSpec, GuideSpec, Role
+from postfx.io.ahead import read_ahead
 from postfx.io.sequence import Sequence
 from postfx.kernels.turning import shared, weighted
 from postfx.passes.denoise_upscale import DenoiseUpscale
@@ -143,9 +144,8 @@ class Backwards:
         end, begin = self._ends(first)
         self._found, self._took, back, after = {}, {}, Followed(self._find_cuts), None
         self._pipeline.reset()
-        for index in range(begin - 1, first - 1, -1):
+        for index, frame in read_ahead(range(begin - 1, first - 1, -1), self._read):
             check()
-            frame = self._read(index)
             if frame is not None:
                 reverse = turned(frame, after)
                 count, colour = back(reverse), self._colour(reverse)
