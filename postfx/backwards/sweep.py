@@ -73,8 +73,7 @@ class Backwards:
         self._pass = DenoiseUpscale(**options)
         self._pipeline = Pipeline([self._pass], device, exposure, cuts)
         self._prepare = prepare
-        self._find_cuts = cuts == "auto"
-        self._ahead, self._last = Followed(self._find_cuts), -1
+        self._ahead, self._last = Followed(find_cuts=cuts == "auto"), -1
         self._plan: Plan | None = None
         self._found: dict[int, Result] = {}
         self._took: dict[int, float] = {}
@@ -142,13 +141,14 @@ class Backwards:
     def _run(self, first: int, check: Callable[[], None]) -> None:
         """Run a part from behind, down to a frame."""
         end, begin = self._ends(first)
-        self._found, self._took, back, after = {}, {}, Followed(self._find_cuts), None
+        self._found, self._took, back, after = {}, {}, Followed(), None
         self._pipeline.reset()
         for index, frame in read_ahead(range(begin - 1, first - 1, -1), self._read):
             check()
             if frame is not None:
                 reverse = turned(frame, after)
-                count, colour = back(reverse), self._colour(reverse)
+                colour = self._colour(reverse)
+                count = back(dataclasses.replace(reverse, reset=reverse.reset or self._pipeline.cut))
                 if index < end and colour is not None:
                     self._found[frame.number] = Result(colour, count, self._pipeline.exposure)
                     self._took[frame.number] = sum(self._pipeline.timings.values())

@@ -46,7 +46,8 @@ def motion_to_next(frame: Frame, after: Frame) -> np.ndarray:
 class Followed:
     """How many frames in a row show what each pixel shows, in the order in which it is called with them.
 
-    `find_cuts`: frames that are unrelated to the one before are taken as first ones, as a `Pipeline` takes them.
+    `find_cuts`: frames that are unrelated to the one before are taken as first ones, as a `Pipeline` takes them; not
+    where a pipeline has found that already, and `frame.reset` says so.
     """
 
     def __init__(self, find_cuts: bool = False) -> None:

@@ -18,7 +18,7 @@ def add_argument(group: argparse._ActionsContainer) -> None:
     """Add the argument."""
     group.add_argument(
         "--both-ways", action="store_true", help="also denoise the sequence in reverse order, in parts, and mix both "
-        "results: first frames are as clean as those in the middle, and all are better; takes over twice as long",
+        "results: frames are cleaner, the first ones most; takes two to three times as long",
     )
 
 

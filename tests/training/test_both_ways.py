@@ -12,12 +12,12 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from tests.training.small_denoiser import one_thread, small_model  # noqa: E402, F401
-from tests.training.test_denoise_training import inner, moving_clip, trainer, write_clips  # noqa: E402
+from tests.training.test_denoise_training import inner, moving_clip, steps_lower_the_loss, trainer, write_clips  # noqa: E402
 from training import clip_loss, losses, train_denoise  # noqa: E402
 from training.augment import Augment  # noqa: E402
 from training.clip_loss import ClipLoss  # noqa: E402
 from training.dataset import Batch, Stack, collate, load, to_batch  # noqa: E402
-from training.graphs import FlatGradient, GradientStep, copy_batch, tensors  # noqa: E402
+from training.graphs import copy_batch, tensors  # noqa: E402
 from training.inverse_motion import OUTSIDE, inverse_motion  # noqa: E402
 from training.networks import ops  # noqa: E402
 
@@ -117,14 +117,7 @@ def test_a_frame_is_blended_by_what_each_direction_has_seen_of_it(monkeypatch: p
 def test_steps_both_ways_lower_the_loss() -> None:
     model, clip = small_model(), turned_clip()
     batch = to_batch(replace(clip, planes=clip.planes[..., :32, :32], reference=clip.reference[..., :64, :64]))
-    step = GradientStep(ClipLoss(model, flicker=1.0, reset=0.0), FlatGradient(list(model.parameters())))
-    optimiser = torch.optim.AdamW(model.parameters(), lr=3e-3)
-    values = []
-    for _ in range(8):
-        values.append(float(step(batch)[0]))
-        assert step.flat.finish(1.0, several=False) > 0
-        optimiser.step()
-    assert np.mean(values[-2:]) < 0.97 * values[0]
+    steps_lower_the_loss(model, batch)
 
 
 def test_copying_a_batch_copies_its_inverse_motion() -> None:

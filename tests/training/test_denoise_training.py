@@ -131,6 +131,10 @@ def test_a_cut_in_a_clip_drops_the_history(tmp_path: Path) -> None:
 def test_steps_lower_the_loss() -> None:
     model, clip = small_model(), moving_clip(2)
     batch = to_batch(replace(clip, planes=clip.planes[..., :32, :32], reference=clip.reference[..., :64, :64]))
+    steps_lower_the_loss(model, batch)
+
+
+def steps_lower_the_loss(model: torch.nn.Module, batch: Batch) -> None:
     step = GradientStep(train_denoise.ClipLoss(model, flicker=1.0, reset=0.0), FlatGradient(list(model.parameters())))
     optimiser = torch.optim.AdamW(model.parameters(), lr=3e-3)
     values = []
