@@ -4,11 +4,11 @@ import pytest
 
 from postfx.frame import Frame
 from postfx.runtime import Device, DeviceError
-from tests.stress.scenes import room
+from tests.stress.scenes import PROVIDERS, room
 
 
 @pytest.fixture(scope="session")
-def device() -> Device:
+def cpu() -> Device:
     return Device("cpu", threads=2)
 
 
@@ -19,6 +19,12 @@ def gpu() -> Device:
         return Device("cuda")
     except DeviceError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session", params=PROVIDERS)
+def device(request: pytest.FixtureRequest) -> Device:
+    """Each in turn: a test runs on all of them, unless it is `on` some or takes the fixture of one."""
+    return request.getfixturevalue(request.param)
 
 
 @pytest.fixture(scope="session")

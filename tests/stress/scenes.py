@@ -1,11 +1,13 @@
-"""Pictures for the stress tests: the sample and a small scene with exact motion; and pipelines of the denoiser."""
+"""Pictures for the stress tests: the sample and a small scene with exact motion; pipelines of the denoiser; devices."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
@@ -15,9 +17,8 @@ from postfx.runtime import Device
 from tests.passes.denoise_frames import flat
 
 ROOM = Path(__file__).resolve().parent.parent.parent / "samples/room"
-MODELS = ("s.fp32", "m.int8")
-
-
+PROVIDERS = ("cpu", pytest.param("gpu", marks=pytest.mark.gpu))
+"""Fixtures of devices."""
 SIZES = ((1, 1), (1, 40), (40, 1), (2, 3), (13, 17), (31, 29), (3, 257), (199, 2))
 """Heights and widths: single pixels and rows, odd and prime sides, extreme aspects."""
 
@@ -27,10 +28,44 @@ def pipeline(model: str, device: Device, exposure: str | float = 0.0, **options)
     return Pipeline([DenoiseUpscale(model=model, **options)], device, exposure, cuts="none")
 
 
-def colours(frames: list[Frame], model: str, device: Device, exposure: str | float = 0.0) -> list[np.ndarray]:
-    """What a pipeline that begins with these frames makes of them."""
-    chain = pipeline(model, device, exposure)
-    return [chain(frame)[Role.COLOUR] for frame in frames]
+@cache
+def _held(model: str, device: Device, exposure: str | float) -> Pipeline:
+    return pipeline(model, device, exposure)
+
+
+def held(model: str, device: Device, exposure: str | float = "auto") -> Pipeline:
+    """One pipeline for all tests of a process, which has forgotten all frames."""
+    chain = _held(model, device, exposure)
+    chain.reset()
+    return chain
+
+
+def colours(frames: list[Frame], model: str, device: Device, stops: float = 0.0) -> list[np.ndarray]:
+    """What a pipeline that begins with these frames makes of them. Runs of frames of one spec have one session, so that
+    they are to be compared: on a GPU two sessions may use different algorithms."""
+    chain = held(model, device, "metadata")
+    return [chain(replace(frame, exposure=2.0**stops))[Role.COLOUR] for frame in frames]
+
+
+def on(
+    cpu: tuple[str, ...] = ("s.fp32", "m.int8"), gpu: tuple[str, ...] = ("s.fp32", "s.fp16")
+) -> pytest.MarkDecorator:
+    """Runs a test with models on the device that they are made for."""
+    runs = [pytest.param("cpu", model) for model in cpu]
+    runs += [pytest.param("gpu", model, marks=pytest.mark.gpu) for model in gpu]
+    return pytest.mark.parametrize(("device", "model"), runs, indirect=["device"])
+
+
+@cache
+def portable(device: Device) -> Device:
+    """The same device with kernels by their portable definitions."""
+    return Device(device.name, threads=2, compiled_kernels=False)
+
+
+def way(kind: str, device: Device) -> tuple[str, Device]:
+    """Model and device of 's.fp32' or 's.fp32, portable'."""
+    model, _, by_definitions = kind.partition(", ")
+    return model, portable(device) if by_definitions else device
 
 
 def room() -> list[Frame]:

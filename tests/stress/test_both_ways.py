@@ -15,7 +15,7 @@ from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import flat, noisy
-from tests.stress.scenes import SIZES
+from tests.stress.scenes import SIZES, on
 
 
 class Held:
@@ -43,40 +43,49 @@ class Held:
         return next(iter(self._frames.values())).spec
 
 
-def both_ways(frames: list[Frame], device: Device, exposure: str | float = "auto") -> list[np.ndarray]:
+def both_ways(
+    frames: list[Frame], model: str, device: Device, exposure: str | float = "auto"
+) -> list[np.ndarray]:
     """Exposed colours of frames in order."""
-    later = Backwards(Held(frames), device, exposure, "none", model="s.fp32")
-    passes = Pipeline([DenoiseUpscale(model="s.fp32"), BothWays()], device, exposure, "none")
+    later = Backwards(Held(frames), device, exposure, "none", model=model)
+    passes = Pipeline([DenoiseUpscale(model=model), BothWays()], device, exposure, "none")
     return [passes(later(frame))[Role.COLOUR] * np.float32(passes.exposure) for frame in frames]
 
 
+BOTH = on(cpu=("s.fp32",))
+
+
+@BOTH
 @pytest.mark.parametrize("name", HARD)
-def test_light_is_finite_and_in_range(name: str, device: Device) -> None:
+def test_light_is_finite_and_in_range(name: str, model: str, device: Device) -> None:
     """Also in frames beside hard ones, which have them in their history or ahead."""
     hard = [HARD[name](noisy(number, 24, 32)) for number in (2, 3)]
     frames = [noisy(1, 24, 32), *hard, noisy(4, 24, 32)]
     frames = [frame for frame in frames if frame.spec == frames[1].spec]
-    for frame, colour in zip(frames, both_ways(frames, device), strict=True):
+    for frame, colour in zip(frames, both_ways(frames, model, device), strict=True):
         assert np.isfinite(colour).all() and colour.min() >= 0 and colour.max() <= BRIGHTEST, frame.number
 
 
+@BOTH
 @pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
-def test_sizes(size: tuple[int, int], device: Device) -> None:
-    for colour in both_ways([noisy(number, *size) for number in (1, 2, 3)], device):
+def test_sizes(size: tuple[int, int], model: str, device: Device) -> None:
+    for colour in both_ways([noisy(number, *size) for number in (1, 2, 3)], model, device):
         assert colour.shape == (2 * size[0], 2 * size[1], 3) and np.isfinite(colour).all()
 
 
-def test_grey_stays_grey_and_as_bright_as_it_is(device: Device) -> None:
-    for colour in both_ways([flat(number, 0.5) for number in range(1, 7)], device, 0.0):
+@BOTH
+def test_grey_stays_grey_and_as_bright_as_it_is(model: str, device: Device) -> None:
+    for colour in both_ways([flat(number, 0.5) for number in range(1, 7)], model, device, 0.0):
         np.testing.assert_allclose(colour, 0.5, rtol=5e-3)
 
 
-def test_a_bad_pixel_stays_where_it_is(device: Device) -> None:
+@BOTH
+def test_a_bad_pixel_stays_where_it_is(model: str, device: Device) -> None:
     frames = [flat(number, 0.5, 96, 128) for number in range(1, 5)]
-    clean = both_ways(frames, device, 0.0)
+    clean = both_ways(frames, model, device, 0.0)
     frames[1].planes[Role.COLOUR][40, 60] = np.nan
     frames[2].planes[Role.MOTION][40, 60] = np.inf
-    for before, after in zip(clean, both_ways(frames, device, 0.0), strict=True):
+    for before, after in zip(clean, both_ways(frames, model, device, 0.0), strict=True):
         changed = np.abs(after - before).max(-1) > 1e-3
         changed[60:100, 100:140] = False
         assert not changed.any()

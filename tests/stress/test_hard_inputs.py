@@ -18,7 +18,7 @@ from postfx.passes.view import View
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import noisy
-from tests.stress.scenes import MODELS, ROOM, SIZES, pipeline
+from tests.stress.scenes import ROOM, SIZES, held, on, pipeline
 
 DISPLAYS = {
     "tonemap": lambda: ToneMap(), "tonemap, a network": lambda: ToneMap(tag="local"),
@@ -26,11 +26,6 @@ DISPLAYS = {
     "view for HDR": lambda: View(view="reinhard", display="pq"), "display": lambda: Display(),
     "display for HDR": lambda: Display(display="hlg"),
 }
-
-
-@pytest.fixture(scope="module", params=MODELS)
-def denoiser(request: pytest.FixtureRequest, device: Device) -> Pipeline:
-    return pipeline(request.param, device, "auto")
 
 
 @pytest.fixture(scope="module", params=DISPLAYS)
@@ -43,10 +38,11 @@ def assert_light(colour: np.ndarray, exposure: float) -> None:
     assert colour.min() >= 0 and colour.max() * exposure <= BRIGHTEST
 
 
+@on()
 @pytest.mark.parametrize("name", HARD)
-def test_denoised_light_is_finite_and_in_range(name: str, denoiser: Pipeline) -> None:
+def test_denoised_light_is_finite_and_in_range(name: str, model: str, device: Device) -> None:
     """Also the frame after, which has such a history."""
-    denoiser.reset()
+    denoiser = held(model, device)
     frames = [HARD[name](noisy(number, 24, 32)) for number in (1, 2)] + [noisy(3, 24, 32)]
     for frame in frames:
         assert_light(denoiser(frame)[Role.COLOUR], denoiser.exposure)
@@ -85,17 +81,16 @@ def test_overlays_and_alpha(bad: float, device: Device) -> None:
         assert result[Role.ALPHA].min() >= 0 and result[Role.ALPHA].max() <= 1
 
 
-@pytest.mark.parametrize("model", MODELS)
+@on()
 def test_resets_in_turn(model: str, device: Device) -> None:
     """A frame that begins a shot is the same whatever came before it."""
     frames = [replace(noisy(number % 3, 24, 32), number=number, reset=number % 2 == 0) for number in range(8)]
     chain = pipeline(model, device)
+    fresh = [chain(frame)[Role.COLOUR] for frame in frames[4:6]]
     found = [chain(frame)[Role.COLOUR] for frame in frames]
     np.testing.assert_array_equal(found[0], found[6])
+    np.testing.assert_array_equal(found[4:6], fresh)
     assert all(np.isfinite(colour).all() for colour in found)
-    fresh = pipeline(model, device)
-    np.testing.assert_array_equal(found[4], fresh(frames[4])[Role.COLOUR])
-    np.testing.assert_array_equal(found[5], fresh(frames[5])[Role.COLOUR])
 
 
 def test_strength_0_keeps_hard_light(device: Device) -> None:
@@ -114,12 +109,18 @@ def test_dim_light_after_bright_light_is_not_negative(device: Device) -> None:
         assert_light(chain(frame)[Role.COLOUR], chain.exposure)
 
 
-def test_report_of_all_hard_inputs(device: Device) -> None:
-    found = list(stress([noisy(1, 12, 16), noisy(2, 12, 16)], device, ["s.int8"]))
+@on(cpu=("s.int8",), gpu=("s.fp16",))
+def test_report_of_all_hard_inputs(model: str, device: Device) -> None:
+    found = list(stress([noisy(1, 12, 16), noisy(2, 12, 16)], device, [model]))
     assert [one.case for one in found] == list(HARD) and all(one.well for one in found)
-    assert as_text(found) == f"s.int8: {len(HARD)} of {len(HARD)} hard inputs give light in range"
-    worse = [*found[:-1], Outcome("s.int8", "everything NaN", float("nan"), False)]
+    assert as_text(found) == f"{model}: {len(HARD)} of {len(HARD)} hard inputs give light in range"
+    worse = [*found[:-1], Outcome(model, "everything NaN", float("nan"), False)]
     assert as_text(worse).endswith("\n  everything NaN: not in range, largest exposed light nan")
     assert as_dict(found)["well"] and not as_dict(worse)["well"]
     assert as_dict(worse)["outcomes"][-1]["highest"] is None
-    assert {"s.fp32", "s.int8", "m.fp32", "m.int8"} <= set(tags(device))
+
+
+@pytest.mark.parametrize(("device", "fast"), [("cpu", "int8"), pytest.param("gpu", "fp16", marks=pytest.mark.gpu)],
+                         indirect=["device"])
+def test_networks_of_the_report_are_those_of_the_device(fast: str, device: Device) -> None:
+    assert sorted(tags(device)) == sorted(f"{size}.{precision}" for size in "sml" for precision in ("fp32", fast))

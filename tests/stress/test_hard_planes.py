@@ -14,16 +14,10 @@ from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes import mirror_scene
 from tests.passes.denoise_frames import guided, noisy
-from tests.stress.scenes import pipeline
+from tests.stress.scenes import held, on, pipeline, way
 
 VALUES = (0.0, 1e-42, -1.0, 65504.0, 1e10, 3.4e38, np.nan, np.inf, -np.inf)
 SIZE = (24, 32)
-
-
-@pytest.fixture(scope="module", params=["s.fp32, portable", "s.fp16", "l.int8"])
-def other(request: pytest.FixtureRequest) -> Pipeline:
-    model, _, portable = request.param.partition(", ")
-    return pipeline(model, Device("cpu", threads=2, compiled_kernels=not portable), "auto")
 
 
 def with_plane(frame: Frame, role: Role, values: np.ndarray | float) -> Frame:
@@ -34,15 +28,15 @@ def with_plane(frame: Frame, role: Role, values: np.ndarray | float) -> Frame:
 
 def assert_light(chain: Pipeline, frames: list[Frame]) -> None:
     """Finite and in range, frame after frame; a clean one comes last."""
-    chain.reset()
     for frame in frames:
         colour = chain(frame)[Role.COLOUR]
         assert np.isfinite(colour).all() and colour.min() >= 0 and colour.max() * chain.exposure <= BRIGHTEST
 
 
+@on(cpu=("s.fp32, portable", "s.fp16", "l.int8"), gpu=("s.fp32, portable", "s.fp16, portable", "m.fp16", "l.fp16"))
 @pytest.mark.parametrize("name", HARD)
-def test_other_providers_and_precisions(name: str, other: Pipeline) -> None:
-    assert_light(other, [HARD[name](noisy(1, *SIZE)), noisy(2, *SIZE)])
+def test_other_providers_and_precisions(name: str, model: str, device: Device) -> None:
+    assert_light(held(*way(model, device)), [HARD[name](noisy(1, *SIZE)), noisy(2, *SIZE)])
 
 
 @pytest.mark.parametrize("value", VALUES, ids=str)
@@ -56,17 +50,17 @@ def test_masks_of_any_values(role: Role, value: float, device: Device) -> None:
 
 
 @pytest.mark.parametrize("value", VALUES, ids=str)
-@pytest.mark.parametrize("portable", [False, True], ids=["compiled", "portable"])
-def test_hit_distances_of_any_values(value: float, portable: bool) -> None:
+@on(cpu=("s.fp32", "s.fp32, portable"), gpu=("s.fp32", "s.fp32, portable"))
+def test_hit_distances_of_any_values(value: float, model: str, device: Device) -> None:
     """A polished floor seen by a camera that moves."""
     frames = [mirror_scene.frame(number, *SIZE[::-1]) for number in (3, 4, 5)]
     for frame in frames[:2]:
         frame[Role.SPECULAR_HIT_DISTANCE][::2] = value
-    assert_light(pipeline("s.fp32", Device("cpu", threads=2, compiled_kernels=not portable), "auto"), frames)
+    assert_light(pipeline(*way(model, device), "auto"), frames)
 
 
 @pytest.mark.parametrize("value", VALUES, ids=str)
-@pytest.mark.parametrize("model", ["m.fp32", "m.int8"])
+@on(cpu=("m.fp32", "m.int8"), gpu=("m.fp32", "m.fp16"))
 def test_guides_of_any_values(model: str, value: float, device: Device) -> None:
     """All guides at once, every second row, then all over."""
     size = 2 * SIZE[0], 2 * SIZE[1]

@@ -21,6 +21,7 @@ from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
 from tests.kernels import denoise_cases, host_cuda, tonemap_cases
 from tests.passes import mirror_scene
+from tests.stress.scenes import portable
 
 torch = pytest.importorskip("torch")
 
@@ -48,7 +49,7 @@ BOUNDS = {
 """Kernel -> largest error of an element by the largest value of what is written."""
 PORTABLE_HISTORY = 1e-5
 """That of the portable `denoise_history`: ONNX takes positions from -1 to 1 over the picture, which are rounded."""
-WAYS = ("compiled", "portable", "CUDA", "GPU")
+WAYS = ("compiled", "portable", "CUDA", pytest.param("GPU", marks=pytest.mark.gpu))
 Arrays = dict[str, np.ndarray]
 HELD = [kernel for kernel in denoise_cases.KERNELS if kernel is not REFLECTIONS]
 """Without the one that does nothing on random planes, and has a scene of its own."""
@@ -93,13 +94,8 @@ def assert_near(kernel: Kernel, way: str, found: dict[str, np.ndarray], wanted: 
         assert error <= bound(kernel, way) * largest, f"{kernel.name}, {way}: {name} {error:.2g} of {largest:.2g}"
 
 
-@pytest.fixture(scope="module")
-def portable() -> Device:
-    return Device("cpu", threads=2, compiled_kernels=False)
-
-
 @pytest.fixture(params=WAYS)
-def way(request: pytest.FixtureRequest, device: Device, portable: Device) -> tuple[str, Callable[..., Arrays]]:
+def way(request: pytest.FixtureRequest, cpu: Device) -> tuple[str, Callable[..., Arrays]]:
     """Name, and what gives what a kernel writes from its inputs in a case."""
 
     def by_source(kernel: Kernel, inputs: Arrays, case: denoise_cases.Case) -> Arrays:
@@ -110,7 +106,10 @@ def way(request: pytest.FixtureRequest, device: Device, portable: Device) -> tup
 
     if request.param == "CUDA":
         return request.param, by_source
-    chosen = {"compiled": device, "portable": portable}.get(request.param) or request.getfixturevalue("gpu")
+    if request.param == "GPU":
+        chosen = request.getfixturevalue("gpu")
+    else:
+        chosen = portable(cpu) if request.param == "portable" else cpu
     return request.param, lambda kernel, *rest: denoise_cases.run(kernel, chosen, *rest)
 
 

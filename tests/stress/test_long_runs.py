@@ -15,13 +15,11 @@ import pytest
 from postfx.frame import Frame, Role
 from postfx.runtime import Device
 from tests.passes.denoise_frames import flat
-from tests.stress.scenes import pipeline, sliding
+from tests.stress.bounds import bounds
+from tests.stress.scenes import on, pipeline, sliding
 
 PERIOD = 48
 """Frames after which a scene and its noise are the same again, and within which the denoiser settles."""
-DRIFT = {"s.fp32": 1e-4, "s.int8": 5e-3}
-"""Part by which the mean of one picture differs from what it was a period or many before. In integers the least
-difference in a history makes some values fall to another step."""
 STEADY = 1e-3
 """Part by which the mean over a period changes, and by which it may exceed the scene's."""
 BIAS = {0.0: 2e-3, 1.0: 0.06}
@@ -48,26 +46,29 @@ def rounds(model: str, device: Device, speed: int, noise: float, count: int) -> 
     return means(model, device, repeated).reshape(count, PERIOD) / light
 
 
-def assert_steady(light: np.ndarray, model: str, noise: float) -> None:
+def assert_steady(model: str, device: Device, speed: int, noise: float, count: int) -> None:
+    light = rounds(model, device, speed, noise, count)
     settled = light[1:]
     drift, mean = np.ptp(settled / settled[0], axis=0).max(), settled.mean(1)
-    print(f"{model}: drift {drift:.2g}, of periods {np.ptp(mean):.2g}, light {mean.min():.5f} to {mean.max():.5f}")
-    assert drift < DRIFT[model] and np.ptp(mean) < STEADY
+    print(f"{device.name} {model}: drift {drift:.2g}, of periods {np.ptp(mean):.2g}, "
+          f"light {mean.min():.5f} to {mean.max():.5f}")
+    assert drift < bounds(device, model).drift and np.ptp(mean) < STEADY
     assert mean.max() < 1 + STEADY and mean.min() > 1 - BIAS[noise]
 
 
+@on(cpu=("s.fp32",))
 @SPEEDS
 @NOISES
-def test_192_frames(speed: int, noise: float, device: Device) -> None:
-    assert_steady(rounds("s.fp32", device, speed, noise, 4), "s.fp32", noise)
+def test_192_frames(model: str, speed: int, noise: float, device: Device) -> None:
+    assert_steady(model, device, speed, noise, 4)
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("model", ["s.fp32", "s.int8"])
+@on(cpu=("s.fp32", "s.int8"))
 @SPEEDS
 @NOISES
 def test_2016_frames(model: str, speed: int, noise: float, device: Device) -> None:
-    assert_steady(rounds(model, device, speed, noise, 42), model, noise)
+    assert_steady(model, device, speed, noise, 42)
 
 
 @pytest.mark.soak
@@ -81,7 +82,7 @@ def test_1968_frames_of_fresh_noise(speed: int, device: Device) -> None:
     assert np.ptp(found / given) < STEADY
 
 
-@pytest.mark.parametrize("model", ["s.fp32", "s.int8"])
+@on(cpu=("s.fp32", "s.int8"))
 @pytest.mark.parametrize("moved", [0.0, 0.37])
 def test_one_colour_stays_that_colour(model: str, moved: float, device: Device) -> None:
     """Frame after frame, also where the history is interpolated."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from postfx.runtime import Device
 from tests.kernels import denoise_cases, host_cuda
 from tests.kernels.test_cuda_kernels import by_cuda
 from tests.kernels.test_denoise_kernels import assert_same
-from tests.stress.scenes import colours, display_psnr, pipeline
+from tests.stress.scenes import colours, display_psnr, on, pipeline, portable, way
 
 BROKEN = (np.nan, np.inf, -np.inf, 3e38)
 AT = 3
@@ -40,14 +41,15 @@ def poisoned(chain: Pipeline, frames: list[Frame], value: float) -> Pipeline:
 
 
 @pytest.mark.parametrize("value", BROKEN, ids=str)
-@pytest.mark.parametrize("kind", ["s.fp32", "m.int8", "s.fp32, portable"])
-def test_all_of_the_history(kind: str, value: float, rooms: list[Frame], unbroken: Callable) -> None:
-    model, _, portable = kind.partition(", ")
-    device = Device("cpu", threads=2, compiled_kernels=not portable)
-    chain = poisoned(pipeline(model, device), rooms[:AT], value)
+@on(cpu=("s.fp32", "m.int8", "s.fp32, portable"), gpu=("s.fp32", "m.fp16", "s.fp32, portable"))
+def test_all_of_the_history(
+    model: str, value: float, rooms: list[Frame], device: Device, unbroken: Callable
+) -> None:
+    model, place = way(model, device)
+    chain = poisoned(pipeline(model, place), rooms[:AT], value)
     found = [chain(frame)[Role.COLOUR] for frame in rooms[AT:]]
     (fresh,) = colours(rooms[AT + 1:AT + 2], model, device)
-    wanted = unbroken(model)
+    wanted = unbroken(model, device)
     assert all(np.isfinite(colour).all() and colour.min() >= 0 for colour in found)
     assert display_psnr(found[1], wanted[AT + 1]) > display_psnr(fresh, wanted[AT + 1]) - LOST
     assert display_psnr(found[-1], wanted[-1]) > display_psnr(found[1], wanted[AT + 1])
@@ -57,16 +59,18 @@ def test_all_of_the_history(kind: str, value: float, rooms: list[Frame], unbroke
 @pytest.mark.parametrize("tag", ["local", "auto"])
 def test_the_grid_of_the_tone_mapper(tag: str, value: float, rooms: list[Frame], device: Device) -> None:
     """As if there was none before, at once."""
-    chain, fresh = (Pipeline([ToneMap(tag=tag)], device, 0.0, cuts="none") for _ in range(2))
+    chain = Pipeline([ToneMap(tag=tag)], device, 0.0, cuts="none")
     frames = [Frame({Role.COLOUR: frame[Role.COLOUR]}, number) for number, frame in enumerate(rooms[:3])]
+    fresh = chain(frames[2])[Role.COLOUR]
+    chain.reset()
     poisoned(chain, frames[:2], value)
-    np.testing.assert_array_equal(chain(frames[2])[Role.COLOUR], fresh(frames[2])[Role.COLOUR])
+    np.testing.assert_array_equal(chain(frames[2])[Role.COLOUR], fresh)
 
 
 def by_all(kernel: Kernel, inputs: dict[str, np.ndarray], device: Device) -> list[dict[str, np.ndarray]]:
-    """What compiled rows, the portable definition and, with a compiler, the CUDA source write."""
-    portable = Device("cpu", threads=2, compiled_kernels=False)
-    found = [denoise_cases.run(kernel, place, inputs, CASE) for place in (device, portable)]
+    """What the device's own way (compiled rows, or the CUDA source on a GPU), the portable definition there and, with a
+    compiler, the CUDA source on the host write."""
+    found = [denoise_cases.run(kernel, place, inputs, CASE) for place in (device, portable(device))]
     if host_cuda.COMPILER is not None:
         shapes = {written: denoise_cases.shape(kernel, written, CASE) for written in kernel.writes}
         found.append(denoise_cases.in_frame(kernel, by_cuda(kernel, inputs, shapes), CASE))
@@ -98,7 +102,6 @@ def test_a_networks_broken_answer_gives_finite_light(kernel: Kernel, device: Dev
 
 
 @pytest.fixture(scope="module")
-def unbroken(rooms: list[Frame], device: Device) -> Callable[[str], list[np.ndarray]]:
-    """What the undisturbed run of a model gives."""
-    made: dict[str, list[np.ndarray]] = {}
-    return lambda model: made.setdefault(model, []) or made[model].extend(colours(rooms, model, device)) or made[model]
+def unbroken(rooms: list[Frame]) -> Callable[[str, Device], list[np.ndarray]]:
+    """What the undisturbed run of a model on a device gives."""
+    return cache(lambda model, device: colours(rooms, model, device))

@@ -19,7 +19,8 @@ from postfx.passes.view import View
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import noisy
-from tests.stress.scenes import MODELS, colours, display_psnr, pipeline
+from tests.stress.bounds import bounds
+from tests.stress.scenes import colours, display_psnr, on, pipeline
 
 EXAMPLES = settings(max_examples=15, deadline=None, derandomize=True)
 SIDES = st.integers(1, 23)
@@ -41,11 +42,6 @@ RESAMPLED = 2e-6
 TONE = 0.06, 0.006
 """Largest and mean difference, in code values, between what a tone mapper with a network makes of a turned picture and
 what it makes of the picture, turned."""
-TURNED = {"s.fp32": 36.0, "m.int8": 37.0}
-"""Decibels between the denoiser's picture of a turned scene and its turned picture. Networks learned from turned
-pictures, but nothing makes them symmetric; what is left is the noise that they leave, about as far from the truth."""
-BRIGHTER = {"s.fp32": 120.0, "m.int8": 60.0}
-"""Decibels between pictures of a scene and of one that is brighter by any factor, exposed as much less."""
 PREROLL = {0: 30.0, 1: 33.0, 2: 35.0, 4: 41.0}
 """Frames that run before a piece of a sequence -> least decibels between it and the unbroken run."""
 
@@ -117,16 +113,18 @@ def test_tone_mapping_with_a_network_nearly_turns_with_the_picture(
 
 
 @pytest.mark.parametrize("name", TURNS)
-@pytest.mark.parametrize("model", MODELS)
+@on()
 def test_denoising_nearly_turns_with_the_picture(model: str, name: str, rooms: list[Frame], device: Device) -> None:
     picture, wanted = TURNS[name][0], colours(rooms[:4], model, device)
     found = colours([turned(frame, name) for frame in rooms[:4]], model, device)
     for one, other in zip(found, wanted, strict=True):
-        assert display_psnr(one, picture(other)) > TURNED[model]
+        near = display_psnr(one, picture(other))
+        print(f"{device.name} {model}: turned {near:.1f} dB")
+        assert near > bounds(device, model).turned
         assert one.mean() == pytest.approx(other.mean(), rel=0.02)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@on()
 @settings(EXAMPLES, max_examples=4)
 @given(stops=st.integers(-20, 20))
 def test_denoising_scales_with_light_to_the_bit(rooms, device, model, stops):
@@ -137,23 +135,25 @@ def test_denoising_scales_with_light_to_the_bit(rooms, device, model, stops):
         np.testing.assert_array_equal(one, other * np.float32(2.0**stops))
 
 
-@pytest.mark.parametrize("model", MODELS)
+@on()
 @settings(EXAMPLES, max_examples=4)
 @given(stops=st.floats(-10, 10))
 def test_denoising_scales_with_light(rooms, device, model, stops):
     wanted = colours(rooms[:3], model, device)
     found = colours([brighter(frame, 2.0**stops) for frame in rooms[:3]], model, device, -stops)
     for one, other in zip(found, wanted, strict=True):
-        assert display_psnr(one * np.float32(2.0**-stops), other) > BRIGHTER[model]
+        near = display_psnr(one * np.float32(2.0**-stops), other)
+        print(f"{device.name} {model}: brighter {near:.1f} dB")
+        assert near > bounds(device, model).brighter
 
 
 @EXAMPLES
 @given(order=st.permutations(range(5)), numbers=st.lists(st.integers(0, 4), max_size=3))
 def test_what_was_before_a_cut_does_not_matter(device, order, numbers):
     """Frames that begin shots come in any order, after any frames."""
-    chain, fresh = (pipeline("s.fp32", device) for _ in range(2))
+    chain = pipeline("s.fp32", device)
     frames = [noisy(number, 13, 17, reset=True) for number in range(5)]
-    wanted = {n: fresh(frame)[Role.COLOUR] for n, frame in enumerate(frames)}
+    wanted = {n: chain(frame)[Role.COLOUR] for n, frame in enumerate(frames)}
     for number in numbers:
         chain(noisy(number, 13, 17))
     for number in order:
@@ -161,7 +161,7 @@ def test_what_was_before_a_cut_does_not_matter(device, order, numbers):
 
 
 @pytest.mark.parametrize("preroll", PREROLL)
-@pytest.mark.parametrize("model", MODELS)
+@on()
 def test_a_piece_with_a_preroll_is_near_to_the_unbroken_run(
     model: str, preroll: int, rooms: list[Frame], device: Device
 ) -> None:
@@ -170,7 +170,7 @@ def test_a_piece_with_a_preroll_is_near_to_the_unbroken_run(
         assert display_psnr(found, wanted) > PREROLL[preroll]
 
 
-@pytest.mark.parametrize("model", MODELS)
+@on()
 @pytest.mark.parametrize("at", [1, 3])
 def test_a_piece_with_a_checkpoint_is_that_of_the_unbroken_run(
     model: str, at: int, rooms: list[Frame], device: Device
@@ -183,5 +183,7 @@ def test_a_piece_with_a_checkpoint_is_that_of_the_unbroken_run(
             kept = {name: np.array(value) for name, value in whole.history().items()}
     piece = pipeline(model, device, "auto")
     piece.recall(rooms[at], kept)
+    part = bounds(device, model).sessions
     for n in (at + 1, at + 2):
-        np.testing.assert_array_equal(piece(rooms[n])[Role.COLOUR], wanted[n])
+        found, least = piece(rooms[n])[Role.COLOUR], part * wanted[n].mean() / 20
+        np.testing.assert_allclose(found, wanted[n], rtol=part, atol=least)
