@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
 
 from postfx.kernels import (
     denoise_assemble,
@@ -19,6 +18,7 @@ from postfx.kernels import (
     denoise_guides,
     denoise_half,
     denoise_history,
+    denoise_open,
     denoise_prepare,
     denoise_reactive,
     denoise_reflections,
@@ -29,6 +29,7 @@ from postfx.kernels import (
 )
 from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
 from postfx.kernels.resample import RESAMPLE
+from postfx.passes._denoise_network import PHASED_FINE
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.networks import denoise_kernels as definitions
 from training.networks import overlay_kernels as overlay
@@ -36,25 +37,22 @@ from training.networks import reactive_kernels as reactive
 from training.networks import reflection_kernels as reflections
 from training.networks import restore_kernels as restore
 from training.networks.trunk import (
-    BLEND,
     FEATURES,
     FINE,
     GUIDES,
     HIDDEN,
     KERNEL,
-    MEMORY,
     PHASES,
     Trunk,
     TrunkConfig,
-    weights_from,
 )
 
 ALIGN = 16  # height and width of the trunk's input are multiples of this
 CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
-OUTPUTS = ("fine", "level1", "level2", "level3", "level4")
+OUTPUTS = (PHASED_FINE, "level1", "level2", "level3", "level4")
 MEANING = {
-    "fine": f"5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and sharpening at four phases "
-    f"4 + 4, mix, distrust, importance, hidden state {HIDDEN}",
+    PHASED_FINE: f"logits of 5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and sharpening at "
+    f"four phases 4 + 4, mix, distrust, importance, hidden state {HIDDEN}; of each the four phases of 2x2 pixels",
     "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
     "level4": f"5x5 kernel {KERNEL}",
 }
@@ -96,6 +94,7 @@ KERNELS = {
     denoise_half.PACK: definitions.Pack,
     denoise_half.OPEN: definitions.Open,
     denoise_half.OPEN_FINE: definitions.OpenFine,
+    denoise_open.OPEN_PHASED: definitions.OpenPhased,
 }
 
 
@@ -126,30 +125,14 @@ def inputs(config: TrunkConfig) -> dict[str, int]:
 
 
 class ExportedTrunk(Trunk):
-    """The same numbers with a fine head that ONNX Runtime computes in about half the time on a CPU.
-
-    Its 1x1 convolution and pixel shuffle are one transposed convolution for each activation: neither the shuffle,
-    which runs on one thread, nor the slices that select channels are left (measured at 960x544: 272 -> 146 ms).
-    """
+    """The same network, whose fine head ends with its convolution: `postfx.kernels.denoise_open` has the rest."""
 
     def __init__(self, trunk: Trunk):
         super().__init__(trunk.config)
         self.load_state_dict(trunk.state_dict())
-        self.parts = nn.ModuleList(map(self._part, (0, BLEND, MEMORY), (BLEND, MEMORY, FINE)))
-
-    def _part(self, first: int, last: int) -> nn.ConvTranspose2d:
-        """Channels of the head; the bias, which differs from phase to phase, is the weight of one more input."""
-        inputs = self.fine.in_channels
-        part = nn.ConvTranspose2d(inputs + 1, last - first, 2, stride=2, bias=False)
-        weight = self.fine.weight.detach().reshape(FINE, 2, 2, inputs).permute(3, 0, 1, 2)
-        bias = self.fine.bias.detach().reshape(1, FINE, 2, 2)
-        part.weight = nn.Parameter(torch.cat((weight, bias))[:, first:last].contiguous())
-        return part
 
     def _fine(self, x: torch.Tensor) -> torch.Tensor:
-        padded = torch.cat((x, torch.ones_like(x[:, :1])), 1)
-        weights, gates, memory = (part(padded) for part in self.parts)
-        return torch.cat((weights_from(weights), torch.sigmoid(gates), torch.tanh(memory)), 1)
+        return self.fine(x)
 
 
 def export_trunk(trunk: Trunk, path: Path) -> float:
@@ -161,11 +144,11 @@ def export_trunk(trunk: Trunk, path: Path) -> float:
     names |= {name: (1, _channels(name), "?", "?") for name in OUTPUTS}
     export(ExportedTrunk(trunk), example(trunk, 64, 96), list(reads), OUTPUTS, path, [free] * len(reads), names)
     height, width = CHECKED
-    return parity(trunk, path, example(trunk, height, width), {"height": height, "width": width})
+    return parity(ExportedTrunk(trunk), path, example(trunk, height, width), {"height": height, "width": width})
 
 
 def _channels(name: str) -> int:
-    return {"fine": FINE, "level4": KERNEL}.get(name, KERNEL + 1)
+    return {PHASED_FINE: 4 * FINE, "level4": KERNEL}.get(name, KERNEL + 1)
 
 
 def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, Any]) -> dict[str, Any]:
@@ -195,8 +178,8 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
 
 
 def _size(name: str) -> list[str]:
-    level = 0 if name == "fine" else int(name[-1])
-    return [f"{side}/{2**level}" if level else side for side in ("height", "width")]
+    level = 1 if name == PHASED_FINE else int(name[-1])
+    return [f"{side}/{2**level}" for side in ("height", "width")]
 
 
 def main() -> None:

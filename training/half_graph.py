@@ -12,7 +12,7 @@ import onnx
 from onnx import GraphProto, NodeProto, TensorProto, helper, numpy_helper
 
 from postfx.kernels.denoise_half import width
-from postfx.passes._denoise_network import PACKED, RAW
+from postfx.passes._denoise_network import PACKED, PHASED_FINE, RAW
 
 CHANNELS_FIRST, CHANNELS_LAST = (0, 3, 1, 2), (0, 2, 3, 1)
 
@@ -55,8 +55,9 @@ def _narrow(graph: GraphProto) -> None:
 def _leave_raw(graph: GraphProto, head: str) -> onnx.ValueInfoProto:
     """Add what a head's convolution gives, channels last, without its activation; returns the new output."""
     made = {name: node for node in graph.node for name in node.output}
-    inputs, weight, bias = _phases(graph, head, made) if head == "fine" else _last_convolution(graph, head, made)
-    raw, missing = f"{RAW}{head}", width(len(bias)) - len(bias)
+    fine = head == PHASED_FINE
+    inputs, weight, bias = (_phases if fine else _last_convolution)(graph, head, made)
+    raw, missing = f"{RAW}{'fine' if fine else head}", width(len(bias)) - len(bias)
     _add_weight(graph, f"{raw}_weight", np.pad(weight, [(0, missing), (0, 0), (0, 0), (0, 0)]))
     _add_weight(graph, f"{raw}_bias", np.pad(bias, (0, missing)))
     graph.node.append(helper.make_node("Conv", [inputs, f"{raw}_weight", f"{raw}_bias"], [f"{raw}_first"]))
@@ -73,14 +74,10 @@ def _last_convolution(graph: GraphProto, head: str, made: dict[str, NodeProto]) 
 
 
 def _phases(graph: GraphProto, head: str, made: dict[str, NodeProto]) -> tuple[str, np.ndarray, np.ndarray]:
-    """The same for the transposed ones that an export makes of the fine head, each with a plane of ones as its last
-    input in place of a bias (`export_denoise.ExportedTrunk`): all channels of a phase after those of another."""
-    parts = [made[name] for name in made[head].input]
-    while any(part.op_type != "ConvTranspose" for part in parts):
-        parts = [part if part.op_type == "ConvTranspose" else made[part.input[0]] for part in parts]
-    kernels = np.concatenate([_array(_weight(graph, part.input[1])) for part in parts], 1)
-    rows = kernels.transpose(2, 3, 1, 0).reshape(-1, len(kernels))
-    return made[parts[0].input[0]].input[0], rows[:, :-1, None, None], rows[:, -1]
+    """The same for the fine head, of which all channels of a phase come after those of another."""
+    inputs, weight, bias = _last_convolution(graph, head, made)
+    rows = np.arange(len(bias)).reshape(-1, 4).T.ravel()
+    return inputs, weight[rows], bias[rows]
 
 
 def _take_packed(graph: GraphProto, name: str, channels: int) -> onnx.ValueInfoProto:

@@ -16,10 +16,6 @@ def weights_of(path: Path) -> dict[str, Tensor]:
     """
     stored = {t.name.removesuffix(HALF): torch.from_numpy(numpy_helper.to_array(t).astype("float32"))
               for t in onnx.load(path).graph.initializer if "." in t.name}
-    parts = [stored.pop(name) for name in sorted(name for name in stored if name.startswith("parts."))]
-    if not parts:
+    if "fine.weight" not in stored:
         raise ValueError(f"{path}: no weights of the fine head: take the float32 model, as denoise_upscale.m.onnx")
-    fine = torch.cat(parts, 1)  # inputs and one for the bias, channels, 2, 2
-    stored["fine.weight"] = fine[:-1].permute(1, 2, 3, 0).reshape(-1, len(fine) - 1, 1, 1)
-    stored["fine.bias"] = fine[-1].reshape(-1)
     return {PREFIX + name: values.contiguous() for name, values in stored.items()}

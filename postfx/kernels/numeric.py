@@ -122,10 +122,9 @@ def log1p(x):
 
 
 @fast_inline
-def expm1(x):
-    """exp(x) - 1 for 0 <= x < 80, relative error below 2e-7; polynomial of Cephes ``expf`` (Moshier)."""
-    n = np.int32(x * np.float32(1.4426950408889634) + np.float32(0.5))
-    whole = np.float32(n)
+def exp_parts(x):
+    """m and 2^n with exp(x) = (1 + m) 2^n, for -80 <= x <= 80; polynomial of Cephes ``expf`` (Moshier)."""
+    whole = np.floor(x * np.float32(1.4426950408889634) + np.float32(0.5))
     r = (x - whole * np.float32(0.693359375)) + whole * np.float32(2.12194440e-4)
     p = np.float32(1.9875691500e-4)
     p = p * r + np.float32(1.3981999507e-3)
@@ -133,8 +132,21 @@ def expm1(x):
     p = p * r + np.float32(4.1665795894e-2)
     p = p * r + np.float32(1.6666665459e-1)
     p = p * r + np.float32(5.0000001201e-1)
-    power = np.int32((n + np.int32(127)) << np.int32(23)).view(np.float32)
-    return (p * r * r + r) * power + (power - np.float32(1))
+    return p * r * r + r, np.int32((np.int32(whole) + np.int32(127)) << np.int32(23)).view(np.float32)
+
+
+@fast_inline
+def exp(x):
+    """exp(x) for -80 <= x <= 80, relative error below 2e-7."""
+    more, power = exp_parts(x)
+    return (more + np.float32(1)) * power
+
+
+@fast_inline
+def expm1(x):
+    """exp(x) - 1 for 0 <= x < 80, relative error below 2e-7."""
+    more, power = exp_parts(x)
+    return more * power + (power - np.float32(1))
 
 
 @inline

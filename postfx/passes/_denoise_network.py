@@ -1,15 +1,19 @@
-"""How one network of the denoised upscaler is dispatched: alone, or in half precision between kernels of its own."""
+"""How one network of the denoised upscaler is dispatched: with kernels of its own behind it, and before it where it
+computes in half precision."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
 from postfx.kernels import denoise_half, denoise_layout
+from postfx.kernels.denoise_open import OPEN_PHASED
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import ArgumentTable, CommandBuffer, PipelineState, Tensor
 
 PACKED, RAW = "packed_", "raw_"
 """Begin the names of inputs and outputs that are in half precision, channels last."""
+PHASED_FINE = "phased_fine"
+"""The fine head in float32 without its activations, the phases of each channel one after the other."""
 CHANNELS = {"features": denoise_layout.FEATURES, "guides": denoise_layout.GUIDES}
 
 
@@ -28,7 +32,9 @@ def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
     heads = {}
     for binding in state.bindings:
         name, size = binding.name.removeprefix(RAW), binding.shape
-        if binding.access == "write":
+        if binding.name == PHASED_FINE:
+            heads["fine"] = denoise_half.opened("fine", *size[2:])
+        elif binding.access == "write":
             heads[name] = size if name == binding.name else denoise_half.opened(name, *size[1:3])
     return heads
 
@@ -38,16 +44,17 @@ class Network:
 
     def __init__(self, state: PipelineState, seen: Mapping[str, Tensor], heads: Mapping[str, Tensor],
                  new: Callable[[str, tuple[int, ...], str], Tensor]) -> None:
-        made = {b.name: new(b.name, b.shape, b.dtype) for b in state.bindings if b.name.startswith((PACKED, RAW))}
+        made = {b.name: new(b.name, b.shape, b.dtype) for b in state.bindings
+                if b.name.startswith((PACKED, RAW, PHASED_FINE))}
         self._table = ArgumentTable(state, made)
         for binding in state.bindings:
             if binding.name not in made:
                 self._table[binding.name] = (seen | heads)[binding.name]
         packed = [name for name in made if name.startswith(PACKED)]
-        raw = [name for name in made if name.startswith(RAW)]
+        closed = [name for name in made if name.startswith((RAW, PHASED_FINE))]
         self._before = [_table(state, denoise_half.PACK, planes=seen[name.removeprefix(PACKED)], packed=made[name])
                         for name in packed]
-        self._after = [_opener(state, made[name], heads[name.removeprefix(RAW)]) for name in raw]
+        self._after = [_opener(state, made[name], heads) for name in closed]
 
     def encode(self, commands: CommandBuffer) -> None:
         """Record the network's run, which waits for the kernels before it."""
@@ -60,10 +67,12 @@ class Network:
             _dispatch(commands, "open", self._after, ("compute", "machine-learning"))
 
 
-def _opener(state: PipelineState, raw: Tensor, heads: Tensor) -> ArgumentTable:
-    if raw.name == f"{RAW}fine":
-        return _table(state, denoise_half.OPEN_FINE, raw_fine=raw, fine=heads)
-    return _table(state, denoise_half.OPEN, raw=raw, heads=heads)
+def _opener(state: PipelineState, closed: Tensor, heads: Mapping[str, Tensor]) -> ArgumentTable:
+    if closed.name == PHASED_FINE:
+        return _table(state, OPEN_PHASED, phased_fine=closed, fine=heads["fine"])
+    if closed.name == f"{RAW}fine":
+        return _table(state, denoise_half.OPEN_FINE, raw_fine=closed, fine=heads["fine"])
+    return _table(state, denoise_half.OPEN, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
 
 
 def _table(state: PipelineState, kernel: Kernel, **tensors: Tensor) -> ArgumentTable:

@@ -15,6 +15,7 @@ from postfx.kernels import (
     denoise_half,
     denoise_history,
     denoise_layout,
+    denoise_open,
     denoise_prepare,
     denoise_reactive,
     denoise_reflections,
@@ -37,7 +38,7 @@ KERNELS = (
     denoise_resize.RESIZE, denoise_reflections.REFLECTIONS, denoise_restore.JUDGE, denoise_restore.DETAIL,
     denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE, denoise_reactive.REACTIVE,
     denoise_reactive.SPREAD_MASK, denoise_reactive.KEEP, ENLARGE, OVER, OVER_ALPHA, denoise_assemble.ASSEMBLE,
-    denoise_half.PACK, denoise_half.OPEN, denoise_half.OPEN_FINE,
+    denoise_half.PACK, denoise_half.OPEN, denoise_half.OPEN_FINE, denoise_open.OPEN_PHASED,
 )
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image",
@@ -113,7 +114,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.where(gates < denoise_layout.BLEND, wide, np.where(gates < denoise_layout.MEMORY, unit, 2 * unit - 1))
     if name == "params":
         return np.array([1.7, random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 0.8])
-    if name in ("raw", "raw_fine"):
+    if name in ("raw", "raw_fine", "phased_fine"):
         return random.normal(0, 4, size)
     if name == "area":
         return np.array([min(case.window.rows, case.h - case.window.top),

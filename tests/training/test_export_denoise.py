@@ -10,17 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.kernels.denoise_open import OPEN_PHASED
+from postfx.passes._denoise_network import PHASED_FINE
 from postfx.paths import models_dir
 from postfx.runtime import Device, Library, ModelError
 
 torch = pytest.importorskip("torch")
 
 import onnx  # noqa: E402
+import onnxruntime  # noqa: E402
 
 from training import export_denoise  # noqa: E402
 from training.export import PARITY, ParityError, parity, relative_error  # noqa: E402
 from training.networks.denoise_upscale import DenoiseUpscale  # noqa: E402
-from training.networks.trunk import FEATURES, GUIDES, TrunkConfig  # noqa: E402
+from training.networks.trunk import FEATURES, FINE, GUIDES, TrunkConfig  # noqa: E402
 from training.restore import weights_of  # noqa: E402
 
 TAGS = {False: "tiny", True: "tiny.guides"}
@@ -61,7 +64,19 @@ def test_file_runs_as_the_network_at_any_size(checkpoint: dict, folder: Path, na
     path = folder / f"{name}.onnx"
     for height, width in ((16, 16), (64, 96), (80, 32)):
         examples = export_denoise.example(trunk, height, width)
-        assert parity(trunk, path, examples, {"height": height, "width": width}) <= PARITY
+        exported = export_denoise.ExportedTrunk(trunk)
+        assert parity(exported, path, examples, {"height": height, "width": width}) <= PARITY
+
+
+def test_the_fine_head_is_opened_as_the_network_does(checkpoint: dict, folder: Path, name: str) -> None:
+    trunk = export_denoise.load_trunk(checkpoint)
+    examples = export_denoise.example(trunk, 48, 32)
+    session = onnxruntime.InferenceSession(folder / f"{name}.onnx", providers=["CPUExecutionProvider"])
+    reads = {value.name: example.numpy() for value, example in zip(session.get_inputs(), examples, strict=True)}
+    fine = np.empty((1, FINE, 48, 32), np.float32)
+    OPEN_PHASED.rows(0, 48, session.run([PHASED_FINE], reads)[0], fine)
+    with torch.no_grad():
+        assert relative_error(fine, trunk(*examples)[0].numpy()) <= PARITY
 
 
 def test_a_different_network_is_found_out(checkpoint: dict, folder: Path, name: str) -> None:
@@ -69,7 +84,7 @@ def test_a_different_network_is_found_out(checkpoint: dict, folder: Path, name: 
     with torch.no_grad():
         trunk.stem.weight *= 1.1
     with pytest.raises(ParityError, match="differs from torch by"):
-        parity(trunk, folder / f"{name}.onnx", export_denoise.example(trunk, 32, 32))
+        parity(export_denoise.ExportedTrunk(trunk), folder / f"{name}.onnx", export_denoise.example(trunk, 32, 32))
 
 
 def test_sizes_are_fixed_by_name(checkpoint: dict, folder: Path, name: str) -> None:

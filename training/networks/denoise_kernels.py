@@ -209,6 +209,13 @@ class OpenFine(nn.Module):
         return activated(phases.permute(0, 5, 1, 3, 2, 4).reshape(1, FINE, 2 * rows, 2 * columns))
 
 
+class OpenPhased(nn.Module):
+    """phased_fine (1, 80 * 4, hp/2, wp/2) -> fine (1, 80, hp, wp), activated."""
+
+    def forward(self, phased_fine: Tensor) -> Tensor:
+        return activated(F.pixel_shuffle(phased_fine, 2))
+
+
 class Upsample(nn.Module):
     """radiance (3, th + 2, tw + 2), fine, moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3), params,
     window, keep -> output, next_history (out_th, out_tw, 3)."""

@@ -1,4 +1,4 @@
-"""A variant's network as ONNX, built the way the shipped networks are exported."""
+"""A variant's network as ONNX, with the activations of its heads."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from training.sweep.variants import Variant
 
 
 class ExportedTrunk(BareTrunk):
-    """The same numbers; a head and its pixel shuffle are one transposed convolution for each activation, as in
-    `training.export_denoise.ExportedTrunk`."""
+    """The same numbers; a head and its pixel shuffle are one transposed convolution for each activation: neither the
+    shuffle, which runs on one thread, nor the slices that select channels are left."""
 
     def __init__(self, trunk: BareTrunk):
         super().__init__(trunk.config)
