@@ -67,6 +67,8 @@ class Execution:
         if any(tensor.allocation.lost for dispatch in dispatches for tensor in (*dispatch.reads, *dispatch.writes)):
             return None
         states = [dispatch.state for dispatch in dispatches]
+        if not all(state.capturable for state in states):  # a capture that fails leaves ONNX Runtime's session broken
+            return None
         try:
             return memory.replay(_signature(dispatches), states, lambda: _enqueue(memory, dispatches))
         except BaseException as error:

@@ -32,12 +32,14 @@ class Binding(NamedTuple):
 
 
 class State(Protocol):
-    """What an argument table is made for and an encoder dispatches; `model` is a network's file."""
+    """What an argument table is made for and an encoder dispatches; `model` is a network's file, `capturable` tells
+    whether it may become part of a CUDA graph."""
 
     device: Device
     command: str
     stage: str
     model: Path | None
+    capturable: bool
     bindings: tuple[Binding, ...]
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
@@ -55,6 +57,7 @@ class PipelineState:
     """
 
     stage = "machine-learning"
+    capturable = True
 
     def __init__(self, device: Device, name: str, session: Session, dims: dict[str, int], model: Path,
                  constants: Sequence[str] = ()) -> None:
@@ -77,6 +80,7 @@ class ComputeState:
 
     stage = "compute"
     model = None
+    capturable = True
 
     def __init__(self, device: Device, kernel: Kernel) -> None:
         self.device = device
@@ -93,7 +97,9 @@ class ComputeState:
 
 
 class PortableComputeState(ComputeState):
-    """A kernel that runs by its portable ONNX definition."""
+    """A kernel that runs by its portable ONNX definition, of which some operators wait for the GPU."""
+
+    capturable = False
 
     def __init__(self, device: Device, kernel: Kernel, session: Session) -> None:
         super().__init__(device, kernel)

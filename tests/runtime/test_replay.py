@@ -53,6 +53,18 @@ def test_timings_are_those_of_the_last_run(frame):
     assert frame.commands.timings is not first and len(first) == 2
 
 
+def test_what_cannot_be_captured_runs_one_by_one(frame, ones, monkeypatch):
+    asked, memory = [], frame.bench.device.memory
+    monkeypatch.setattr(memory, "replays", True)
+    monkeypatch.setattr(memory, "replay", lambda *arguments: asked.append(arguments), raising=False)
+    frame.run()
+    assert len(asked) == 1
+    monkeypatch.setattr(frame.tables[1][0], "capturable", False)
+    frame.x.upload(5 * ones)
+    frame.run()
+    assert len(asked) == 1 and np.array_equal(frame.total.array, 15 * ones)
+
+
 def test_search_among_its_own_commands_is_done_once(frame, monkeypatch):
     searches = []
     find = hazards.find_conflict

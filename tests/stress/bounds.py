@@ -12,7 +12,9 @@ class Bounds(NamedTuple):
 
     Attributes:
         local: most that a bad pixel changes in its own frame, by the light at the place.
-        reach: output pixels beyond which that is below a tenth of a per cent.
+        reach: output pixels beyond which that is below `far`.
+        far: most that it changes there, by the light at the place: exposures and low levels of the pyramid see it, and
+            their rounding.
         turned: decibels between the picture of a turned scene and the turned picture. Networks learned from turned
             pictures, but nothing makes them symmetric; what is left is the noise that they leave, about as far from the
             truth.
@@ -25,6 +27,7 @@ class Bounds(NamedTuple):
 
     local: float
     reach: int
+    far: float
     turned: float
     brighter: float
     drift: float
@@ -33,10 +36,10 @@ class Bounds(NamedTuple):
 
 
 BOUNDS = {
-    ("cpu", "fp32"): Bounds(0.005, 40, 36.0, 120.0, 1e-4, 1e-3, 0.0),
-    ("cpu", "int8"): Bounds(0.15, 64, 37.0, 60.0, 5e-3, 1e-3, 0.0),
-    ("cuda", "fp32"): Bounds(0.005, 40, 36.0, 80.0, 1e-3, 2e-3, 5e-3),
-    ("cuda", "fp16"): Bounds(0.01, 40, 36.0, 70.0, 1e-3, 2e-3, 5e-3),
+    ("cpu", "fp32"): Bounds(0.005, 40, 1e-3, 36.0, 120.0, 1e-4, 1e-3, 0.0),
+    ("cpu", "int8"): Bounds(0.15, 64, 1e-3, 37.0, 60.0, 5e-3, 1e-3, 0.0),
+    ("cuda", "fp32"): Bounds(0.005, 40, 2e-3, 36.0, 90.0, 1e-4, 1e-3, 1e-3),
+    ("cuda", "fp16"): Bounds(0.005, 40, 3e-3, 36.0, 80.0, 1e-4, 1e-3, 1e-3),
 }
 """A GPU multiplies in TensorFloat-32, with as many bits as a half has; its networks in fp16 also keep halves between
 their layers."""
