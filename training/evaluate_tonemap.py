@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from postfx.bench.metrics import flip, psnr, ssim
 from postfx.colour.difference import delta_e_itp
@@ -27,21 +28,26 @@ from postfx.passes._tonemap_look import find_model, shaper
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from training.fit_cube import fit_cube
 from training.look_checks import SRGB, Render, greys, halo, sweep
-from training.look_flicker import exposed, flicker
+from training.look_flicker import exposed, flicker, nearest_exposure
 from training.looks import Look, exact_target, look_from
+from training.networks.cube import default_shaper, look_up, shape
 from training.tonemap_report import strip, write_report
 from training.tonemap_set import find_pictures
-from training.views import exact_view
+from training.views import View, bake, exact_view
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
 class Mapper:
-    """A look as the run-time computes it; what it is called with comes out of a pipeline of its own size."""
+    """A look as the run-time computes it; what it is called with comes out of a pipeline of its own size.
 
-    def __init__(self, tag: str) -> None:
-        self._device, self._tag, self._pipelines = Device("cpu"), tag, {}
+    keep: part of the last grid that is kept while the light stays as it is; None as the look's card says.
+    """
+
+    def __init__(self, tag: str, keep: float | None = None) -> None:
+        self._device, self._tag, self._keep, self._pipelines = Device("cpu"), tag, keep, {}
         library, model = find_model(tag)
         self.name, self.card = model.removeprefix("tonemap."), library.card(model)
 
@@ -53,7 +59,8 @@ class Mapper:
         """The next frame of a sequence, exposed already."""
         size = frame[Role.COLOUR].shape
         if size not in self._pipelines:
-            self._pipelines[size] = Pipeline([ToneMap(tag=self._tag)], self._device, exposure=0.0, cuts="none")
+            passes = [ToneMap(tag=self._tag, keep=self._keep)]
+            self._pipelines[size] = Pipeline(passes, self._device, exposure=0.0, cuts="none")
         return self._pipelines[size](frame)[Role.COLOUR].copy()
 
     def grid(self, frame: Frame) -> np.ndarray:
@@ -85,16 +92,41 @@ def compare(out: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
     }
 
 
-def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, float]:
-    """Flicker of the look with its history, of its mean grid held still, of its view alone, of the pipeline itself."""
-    still = mapper.held(np.mean([mapper.grid(frame) for frame in exposed(folder)], 0))
-    makers = {
-        "look": mapper.follow,
-        "still": lambda frame: still(frame[Role.COLOUR]),
-        "view": lambda frame: exact_view(look.view, frame[Role.COLOUR] * np.float32(2.0**look.gain)),
-        "pipeline": lambda frame: exact_target(frame[Role.COLOUR], look),
+def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, float]]:
+    """Flicker and contrast of a look with its history, and of what it is measured by; the look's PSNR, in dB, of the
+    last frame to the pipeline.
+
+    static: the nearest static curve, the look's view behind one exposure for the whole sequence; view: the same behind
+    the look's own gain; pipeline: the look's definition, frame by frame. Of a network's grids, too: still: their mean,
+    held; cube: the colour cube that is nearest to what the look made of the sequence.
+    """
+    frames = list(exposed(folder))
+    light, shown = [frame[Role.COLOUR] for frame in frames], [mapper.follow(frame) for frame in frames]
+    static = nearest_exposure(look.view, light, shown)
+    renders: dict[str, Render] = {
+        "static": lambda rgb: exact_view(look.view, rgb * np.float32(2.0**static)),
+        "view": lambda rgb: exact_view(look.view, rgb * np.float32(2.0**look.gain)),
+        "pipeline": lambda rgb: exact_target(rgb, look),
     }
-    return flicker(folder, makers, "view")
+    if not look.is_global:
+        renders["still"] = mapper.held(np.mean([mapper.grid(frame) for frame in frames], 0))
+        renders["cube"] = nearest_cube(look.view, light, shown)
+    makers = {name: lambda frame, render=render: render(frame[Role.COLOUR]) for name, render in renders.items()}
+    figures = flicker(folder, {"look": mapper.follow} | makers, "view")
+    figures["look"]["psnr"] = round(psnr(shown[-1], exact_target(light[-1], look)), 2)
+    return figures
+
+
+def nearest_cube(view: View, light: list[np.ndarray], shown: list[np.ndarray]) -> Render:
+    """The static colour cube that is nearest, by least squares, to what a look made of frames."""
+    pairs = np.concatenate([shaped(x)[0].flatten(1).T.numpy() for x in light]), np.concatenate(shown).reshape(-1, 3)
+    cube = torch.from_numpy(fit_cube(*pairs, bake(view)))
+    return lambda rgb: look_up(shaped(rgb), cube)[0].permute(1, 2, 0).numpy()
+
+
+def shaped(rgb: np.ndarray) -> torch.Tensor:
+    """Exposed scene-linear (H,W,3) as the cube takes it: (1,3,H,W)."""
+    return shape(torch.from_numpy(rgb).permute(2, 0, 1)[None], *default_shaper())
 
 
 def examine(mapper: Mapper, look: Look, pictures: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str, Any]:
@@ -111,7 +143,7 @@ def examine(mapper: Mapper, look: Look, pictures: dict[str, np.ndarray], args: a
     checks = greys(mapper, reference) | sweep(mapper, reference, next(iter(pictures.values())))
     checks["halo"] = halo(mapper, reference)
     print(mapper.name, checks, flush=True)
-    steady = {} if look.is_global else {Path(x).name: steadiness(mapper, look, Path(x)) for x in args.sequences}
+    steady = {Path(x).name: steadiness(mapper, look, Path(x)) for x in args.sequences}
     return {"pictures": rows, "checks": checks, "flicker": steady}
 
 

@@ -6,15 +6,19 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from postfx.bench.metrics import FOLLOWED, moved
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.sampling import motion_at
+from training.views import View, exact_view
 
 Maker = Callable[[Frame], np.ndarray]
 """A clean frame, exposed, in order; the first is marked as a beginning -> sRGB code values (H,W,3)."""
+SPARSE = 4  # pixels to the next that an exposure is fitted to, along both axes
+STOPS = 6.0  # the farthest that an exposure is searched
 
 
 def exposed(folder: Path) -> Iterator[Frame]:
@@ -29,12 +33,28 @@ def motions(folder: Path) -> Iterator[np.ndarray]:
     return (given[Role.MOTION] for given in read_sequence(str(folder / "noisy.####.exr")))
 
 
-def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, float]:
-    """1000 times the mean absolute change of each look from frame to frame along the motion.
+def nearest_exposure(view: View, light: list[np.ndarray], shown: list[np.ndarray]) -> float:
+    """Stops before a view that bring it nearest to what a look made of a sequence: least squares of code values.
 
-    Counts pixels where the look named `judge` changes by less than 0.1: elsewhere the motion does not tell.
+    light: frames of exposed scene-linear (H,W,3); shown: the look's code values of them. One number for all frames.
     """
-    before, sums, count = {}, dict.fromkeys(looks, 0.0), 0
+    given, wanted = (np.stack([x[::SPARSE, ::SPARSE] for x in frames]) for frames in (light, shown))
+
+    def error(stops: float) -> float:
+        return float(np.square(exact_view(view, given * np.float32(2.0**stops)) - wanted).mean())
+
+    return float(minimize_scalar(error, bounds=(-STOPS, STOPS), method="bounded", options={"xatol": 1e-4}).x)
+
+
+def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, dict[str, float]]:
+    """Two figures of each look, over pixels where the look named `judge` changes by less than 0.1 along the motion
+    (elsewhere the motion does not tell):
+
+    flicker: 1000 times the mean absolute change from frame to frame along the motion.
+    contrast: 1000 times the mean absolute change to the next pixels, right and below, in the same frames. A static
+        curve flickers by as much as it shows of a render's noise and detail, so by as much as it has of contrast.
+    """
+    before, sums, count = {}, {name: np.zeros(2) for name in looks}, 0
     for frame, motion in zip(exposed(folder), motions(folder), strict=False):
         now = {name: make(frame) for name, make in looks.items()}
         if before:
@@ -44,6 +64,13 @@ def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, floa
             followed = change[judge].max(-1) < FOLLOWED
             count += int(followed.sum())
             for name in looks:
-                sums[name] += float(change[name].mean(-1)[followed].sum())
+                sums[name] += [x.mean(-1)[followed].sum(dtype=np.float64) for x in (change[name], contrast(now[name]))]
         before = now
-    return {name: round(1000 * total / max(1, count), 3) for name, total in sums.items()}
+    figures = {name: 1000 * both / max(1, count) for name, both in sums.items()}
+    return {name: {"flicker": round(float(x[0]), 3), "contrast": round(float(x[1]), 3)} for name, x in figures.items()}
+
+
+def contrast(picture: np.ndarray) -> np.ndarray:
+    """Mean absolute difference of each pixel (H,W,3) to the next on its right and below; 0 beyond the edges."""
+    right, below = (np.abs(np.diff(picture, axis=axis, append=picture.take([-1], axis))) for axis in (1, 0))
+    return (right + below) / 2

@@ -50,10 +50,17 @@ def checks_table(found: Found) -> str:
 
 
 def flicker_table(found: Found) -> str:
-    """How steady sequences are."""
-    heads = ["look", "sequence", "look", "its mean held still", "its view alone", "pipeline, frame by frame"]
-    return table(heads, ([f"`{look}`", name.replace("_", " "), *(number(row[key], ".2f") for key in row)]
+    """How steady sequences are: flicker of a look and of what it is measured by, and contrast of the first two."""
+    heads = ["look", "sequence", "look", "nearest static curve", "its mean held still", "its view alone",
+             "pipeline, frame by frame", "nearest cube", "contrast", "of the static curve"]
+    keys = ("look", "static", "still", "view", "pipeline", "cube")
+    return table(heads, ([f"`{look}`", name.replace("_", " "), *(_figure(row.get(key), "flicker") for key in keys),
+                          *(_figure(row[key], "contrast") for key in ("look", "static"))]
                          for look, one in found.items() for name, row in one["flicker"].items()))
+
+
+def _figure(figures: dict[str, float] | None, key: str) -> str:
+    return number(figures[key], ".2f") if figures else "-"
 
 
 def named(name: str, row: dict[str, Any]) -> str:
