@@ -7,13 +7,15 @@ import random
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from training.inverse_motion import inverse_motion
+from postfx.backwards.turned import motion_to_next
+from postfx.frame import Frame, Role
 from training.networks.denoise_upscale import Guides, Inputs
 
 PLANES = (("colour", 3), ("diffuse_albedo", 3), ("specular_albedo", 3), ("normal", 3), ("roughness", 1), ("depth", 1),
@@ -106,10 +108,11 @@ def load(path: Path, device: torch.device, guides: bool = False, inverse: bool =
 
 
 def turned(data: Mapping[str, np.ndarray], variant: str, device: torch.device) -> Tensor:
-    """Motion to the next frame (T, 2, h, w) float16 of one noisy render, of whole frames."""
-    motion = torch.from_numpy(data[f"{variant}_motion"]).to(device).movedim(-1, 1)
-    depth = torch.from_numpy(data[f"{variant}_depth"]).to(device)[:, None]
-    return torch.cat((inverse_motion(motion[1:], depth[1:], depth[:-1]), torch.zeros_like(motion[:1]))).half()
+    """Motion to the next frame (T, 2, h, w) float16 of one noisy render, of whole frames; 0 in the last."""
+    planes = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"][..., None].astype(np.float32)
+    frames = [Frame({Role.MOTION: motion, Role.DEPTH: depth}) for motion, depth in zip(*planes, strict=True)]
+    motion = [*(motion_to_next(*pair) for pair in pairwise(frames)), np.zeros_like(planes[0][-1])]
+    return torch.from_numpy(np.stack(motion)).movedim(-1, 1).to(device).half()
 
 
 class ClipPool:

@@ -11,49 +11,30 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from postfx.backwards.turned import motion_to_next  # noqa: E402
+from postfx.frame import Frame, Role  # noqa: E402
+from postfx.kernels.turning import LOST  # noqa: E402
 from tests.training.small_denoiser import one_thread, small_model  # noqa: E402, F401
 from tests.training.test_denoise_training import inner, moving_clip, steps_lower_the_loss, trainer, write_clips  # noqa: E402
 from training import clip_loss, losses, train_denoise  # noqa: E402
 from training.augment import Augment  # noqa: E402
 from training.clip_loss import ClipLoss  # noqa: E402
-from training.dataset import Batch, Stack, collate, load, to_batch  # noqa: E402
+from training.dataset import Batch, Stack, collate, load, to_batch, turned  # noqa: E402
 from training.graphs import copy_batch, tensors  # noqa: E402
-from training.inverse_motion import OUTSIDE, inverse_motion  # noqa: E402
 from training.networks import ops  # noqa: E402
 
 
 def turned_clip() -> Stack:
     """The picture that turns and slides, with its inverse motion."""
     clip = moving_clip(2)
-    depth = torch.ones(1, 1, *clip.planes.shape[-2:])
-    inverse = inverse_motion(clip.planes[0, 1:, 14:16], depth, depth)
-    channels = torch.cat((inverse, torch.zeros_like(inverse)))[None]
-    return replace(clip, planes=torch.cat((clip.planes, channels), 2))
-
-
-@pytest.mark.parametrize("move", [(2.3, -1.1), (-0.5, 0.5), (4.0, 0.0), (0.0, 0.0)])
-def test_a_plane_that_slides_goes_back_exactly(move: tuple[float, float]) -> None:
-    after = torch.tensor(move)[:, None, None].expand(1, 2, 20, 30)
-    depth = torch.full((1, 1, 20, 30), 5.0)
-    inverse = inverse_motion(after, depth, depth)
-    assert torch.equal(ops.inside(inverse), ops.inside(-after))
-    seen = (ops.inside(-after) > 0).expand_as(after)
-    assert torch.equal(inverse[seen], -after[seen])
-
-
-def test_the_nearer_surface_wins_and_what_it_hides_points_out_of_the_picture() -> None:
-    depth, depth_after = torch.full((1, 1, 12, 32), 10.0), torch.full((1, 1, 12, 32), 10.0)
-    depth[..., 8:16], depth_after[..., 14:22] = 2.0, 2.0  # moves six pixels to the right
-    after = torch.zeros(1, 2, 12, 32)
-    after[:, 0, :, 14:22] = -6
-    inverse = inverse_motion(after, depth_after, depth)[0, 0]
-    assert (inverse[:, 8:16] == 6).all()
-    assert (inverse[:, :8] == 0).all() and (inverse[:, 22:] == 0).all()
-    assert (inverse[:, 16:20] == OUTSIDE).all()
+    motion = clip.planes[0, :, 14:16].movedim(1, -1).numpy()
+    planes = {"v0_motion": motion, "v0_depth": np.ones(motion.shape[:3], np.float32)}
+    inverse = turned(planes, "v0", torch.device("cpu")).to(clip.planes.dtype)
+    return replace(clip, planes=torch.cat((clip.planes, inverse[None]), 2))
 
 
 def test_what_points_out_of_the_picture_has_no_history() -> None:
-    motion = torch.full((1, 2, 16, 16), OUTSIDE).half().float()
+    motion = torch.full((1, 2, 16, 16), float(LOST)).half().float()
     assert not ops.inside(ops.dilate_motion(motion, torch.ones(1, 1, 16, 16))).any()
 
 
@@ -78,9 +59,10 @@ def test_inverse_motion_is_made_when_a_clip_is_loaded(tmp_path: Path) -> None:
     clip = load(tmp_path / "clip0000.npz", torch.device("cpu"), inverse=True)
     assert clip.planes.shape == (1, 2, 18, 48, 60)
     with np.load(tmp_path / "clip0000.npz") as file:
-        motion, depth = (torch.from_numpy(file[f"v0_{name}"]) for name in ("motion", "depth"))
-    wanted = inverse_motion(motion[1:].movedim(-1, 1), depth[1:, None], depth[:1, None])
-    assert torch.equal(clip.planes[0, 0, 16:], wanted[0].half()) and not clip.planes[0, 1, 16:].any()
+        frames = [Frame({Role.MOTION: motion, Role.DEPTH: depth[..., None]})
+                  for motion, depth in zip(file["v0_motion"], file["v0_depth"], strict=True)]
+    wanted = torch.from_numpy(motion_to_next(*frames)).movedim(-1, 0)
+    assert torch.equal(clip.planes[0, 0, 16:], wanted.half()) and not clip.planes[0, 1, 16:].any()
     batch = to_batch(collate([clip], [0], 32))
     assert batch.inverse[0].shape == batch.frames[0].motion.shape == (1, 2, 32, 32)
 
@@ -121,7 +103,11 @@ def test_steps_both_ways_lower_the_loss() -> None:
 
 
 def test_copying_a_batch_copies_its_inverse_motion() -> None:
-    one, other = (Augment()(turned_clip()) for _ in range(2))
+    def drawn() -> Batch:
+        random.seed(0)  # all turned alike: of one shape
+        return Augment()(turned_clip())
+
+    one, other = drawn(), drawn()
     assert [x.shape for x in tensors(one)] == [x.shape for x in tensors(other)]
     other.inverse[0][:] = 7
     copy_batch(other, one)
