@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import nn
 
 from postfx.kernels import (
     denoise_assemble,
@@ -29,7 +30,7 @@ from postfx.kernels import (
 )
 from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
 from postfx.kernels.resample import RESAMPLE
-from postfx.passes._denoise_network import PHASED_FINE
+from postfx.passes._denoise_network import FEATURE_PARTS, PHASED_FINE
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.networks import denoise_kernels as definitions
 from training.networks import overlay_kernels as overlay
@@ -37,7 +38,6 @@ from training.networks import reactive_kernels as reactive
 from training.networks import reflection_kernels as reflections
 from training.networks import restore_kernels as restore
 from training.networks.trunk import (
-    FEATURES,
     FINE,
     GUIDES,
     HIDDEN,
@@ -121,15 +121,26 @@ def example(trunk: Trunk, height: int, width: int) -> tuple[torch.Tensor, ...]:
 
 def inputs(config: TrunkConfig) -> dict[str, int]:
     """Names of the network's inputs and their channels."""
-    return {"features": FEATURES} | ({"guides": GUIDES} if config.guides else {})
+    return FEATURE_PARTS | ({"guides": GUIDES} if config.guides else {})
 
 
 class ExportedTrunk(Trunk):
-    """The same network, whose fine head ends with its convolution: `postfx.kernels.denoise_open` has the rest."""
+    """The same network, which reads the features in two parts, and whose fine head ends with its convolution:
+    `postfx.kernels.denoise_open` has the rest."""
 
     def __init__(self, trunk: Trunk):
         super().__init__(trunk.config)
         self.load_state_dict(trunk.state_dict())
+        shares = self.stem.weight.detach().split(list(FEATURE_PARTS.values()), 1)
+        self.stems = nn.ModuleList(nn.Conv2d(share.shape[1], len(share), 4, 2, 1, bias=i == 0)
+                                   for i, share in enumerate(shares))
+        for stem, share in zip(self.stems, shares, strict=True):
+            stem.weight = nn.Parameter(share.contiguous())
+        self.stems[0].bias = self.stem.bias
+
+    def forward(self, first: torch.Tensor, last: torch.Tensor,
+                guides: torch.Tensor | None = None) -> tuple[torch.Tensor, ...]:
+        return self.behind(self.stems[0](first) + self.stems[1](last), guides)
 
     def _fine(self, x: torch.Tensor) -> torch.Tensor:
         return self.fine(x)

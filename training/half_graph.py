@@ -12,7 +12,7 @@ import onnx
 from onnx import GraphProto, NodeProto, TensorProto, helper, numpy_helper
 
 from postfx.kernels.denoise_half import width
-from postfx.passes._denoise_network import PACKED, PHASED_FINE, RAW
+from postfx.passes._denoise_network import CHANNELS, FEATURE_PARTS, PACKED, PHASED_FINE, RAW
 
 CHANNELS_FIRST, CHANNELS_LAST = (0, 3, 1, 2), (0, 2, 3, 1)
 
@@ -23,8 +23,10 @@ def halve(model: onnx.ModelProto) -> onnx.ModelProto:
     graph = model.graph
     _use_stored_weights(graph)
     _narrow(graph)
+    _join_features(graph)
     heads = [_leave_raw(graph, value.name) for value in graph.output]
-    inputs = [_take_packed(graph, value.name, value.type.tensor_type.shape.dim[1].dim_value) for value in graph.input]
+    reads = [name for name in CHANNELS if any(name in node.input for node in graph.node)]
+    inputs = [_take_packed(graph, name, CHANNELS[name]) for name in reads]
     del graph.output[:], graph.input[:]
     graph.output.extend(heads)
     graph.input.extend(inputs)
@@ -50,6 +52,18 @@ def _narrow(graph: GraphProto) -> None:
     for weight in graph.initializer:
         if weight.data_type == TensorProto.FLOAT and weight.name not in scales:
             weight.CopyFrom(numpy_helper.from_array(_array(weight).astype(np.float16), weight.name))
+
+
+def _join_features(graph: GraphProto) -> None:
+    """One convolution of all features in place of those of their parts and the sum."""
+    first, last = (next(node for node in graph.node if part in node.input) for part in FEATURE_PARTS)
+    total = next(node for node in graph.node if {*first.output, *last.output} == {*node.input})
+    weights = [_array(_weight(graph, node.input[1])) for node in (first, last)]
+    _add_weight(graph, "stem.weight", np.concatenate(weights, 1))
+    first.input[:2] = ["features", "stem.weight"]
+    first.output[:] = total.output
+    graph.node.remove(last)
+    graph.node.remove(total)
 
 
 def _leave_raw(graph: GraphProto, head: str) -> onnx.ValueInfoProto:

@@ -24,7 +24,7 @@ from onnx import TensorProto
 
 from postfx.kernels import denoise_half
 from postfx.kernels.denoise_open import OPEN_PHASED
-from postfx.passes._denoise_network import PACKED, PHASED_FINE, RAW
+from postfx.passes._denoise_network import FEATURE_PARTS, PACKED, PHASED_FINE, RAW
 from postfx.passes._denoise_window import ALIGN
 from postfx.runtime import Library
 from training.export import MODELS, ParityError, relative_error, write_card
@@ -82,7 +82,8 @@ def difference(model: onnx.ModelProto, wanted: onnx.ModelProto, size: tuple[int,
     random = np.random.default_rng(0)
     reads = {value.name: random.random((1, value.type.tensor_type.shape.dim[1].dim_value, *size), np.float32) * 2 - 0.5
              for value in wanted.graph.input}
-    packed = {f"{PACKED}{name}": pack(value) for name, value in reads.items()}
+    whole = {"features": np.concatenate([reads[part] for part in FEATURE_PARTS], 1), **reads}
+    packed = {f"{PACKED}{name}": pack(value) for name, value in whole.items() if name not in FEATURE_PARTS}
     found = [opened(name.removeprefix(RAW), raw) for name, raw in _run(model, packed).items()]
     exact = [opened_phases(head) if name == PHASED_FINE else head for name, head in _run(wanted, reads).items()]
     worst = max(relative_error(mine[:, :value.shape[1]], value) for mine, value in zip(found, exact, strict=True))

@@ -18,4 +18,6 @@ def weights_of(path: Path) -> dict[str, Tensor]:
               for t in onnx.load(path).graph.initializer if "." in t.name}
     if "fine.weight" not in stored:
         raise ValueError(f"{path}: no weights of the fine head: take the float32 model, as denoise_upscale.m.onnx")
+    stored["stem.bias"] = stored.pop("stems.0.bias")
+    stored["stem.weight"] = torch.cat([stored.pop(f"stems.{i}.weight") for i in range(2)], 1)
     return {PREFIX + name: values.contiguous() for name, values in stored.items()}

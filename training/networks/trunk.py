@@ -83,7 +83,10 @@ class Trunk(nn.Module):
         nn.init.constant_(self.fine.bias[4 * SHARPEN:4 * MIX], NO_SHARPENING)
 
     def forward(self, features: Tensor, guides: Tensor | None = None) -> tuple[Tensor, ...]:
-        x = self.stem(features)
+        return self.behind(self.stem(features), guides)
+
+    def behind(self, x: Tensor, guides: Tensor | None) -> tuple[Tensor, ...]:
+        """The heads from what the stem makes of the features."""
         x = F.relu(x if self.guide_stem is None else x + self.guide_stem(guides))
         skips = []
         for i, block in enumerate(self.down):
