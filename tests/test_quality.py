@@ -108,10 +108,12 @@ def test_wrong_weights_are_noticed(tmp_path, monkeypatch):
     """All taps of the finest level's filter equally strong: what a faulty conversion could make of a network."""
     onnx = pytest.importorskip("onnx")
     model = onnx.load(Library().path("denoise_upscale.s"))
-    (weights,) = (item for item in model.graph.initializer if item.name.startswith("parts.0.weight"))
-    values = onnx.numpy_helper.to_array(weights).copy()
-    values[:, :KERNEL] = 0
-    weights.CopyFrom(onnx.numpy_helper.from_array(values, weights.name))
+    head = [item for item in model.graph.initializer if item.name.startswith(("fine.weight", "fine.bias"))]
+    assert len(head) == 2
+    for weights in head:
+        values = onnx.numpy_helper.to_array(weights).copy()
+        values[:4 * KERNEL] = 0  # of each channel four phases
+        weights.CopyFrom(onnx.numpy_helper.from_array(values, weights.name))
     onnx.save(model, tmp_path / "denoise_upscale.s.onnx")
     monkeypatch.setattr(_denoise_graph, "Library", lambda: Library(tmp_path))
     with pytest.raises(AssertionError, match="s scores .* dB, was"):

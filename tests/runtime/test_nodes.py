@@ -67,8 +67,9 @@ def test_the_networks_of_each_precision(tag, tolerance):
     """Against ONNX Runtime's run of the whole, which fuses and optimises."""
     name = f"denoise_upscale.{tag}"
     state = Device("cpu", threads=2).pipeline_state(Library(), name, {"height": 32, "width": 48})
-    (source,) = (binding for binding in state.bindings if binding.access == "read")
-    inputs = {source.name: np.random.default_rng(1).random(source.shape).astype(source.dtype)}
+    random = np.random.default_rng(1)
+    inputs = {source.name: random.random(source.shape).astype(source.dtype)
+              for source in state.bindings if source.access == "read"}
     runs = list(run_nodes(models_dir() / f"{name}.onnx", CPU, inputs))
     assert all(run.error is None for run in runs)
     values = {key: array for run in runs for key, array in run.outputs.items()}
