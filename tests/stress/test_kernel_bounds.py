@@ -55,6 +55,12 @@ HELD = [kernel for kernel in denoise_cases.KERNELS if kernel is not REFLECTIONS]
 """Without the one that does nothing on random planes, and has a scene of its own."""
 CASES = (denoise_cases.Case(17, 5, 34, 10), denoise_cases.Case(20, 24, 39, 48), denoise_cases.Case(33, 47, 66, 94),
          denoise_cases.Case(64, 64, 128, 128))
+VALUES: dict[str, Callable[[np.ndarray], np.ndarray | float]] = {
+    "0": lambda plane: 0, "denormal": lambda plane: 1e-42, "-1": lambda plane: -1, "largest half": lambda plane: 65504,
+    "1e10": lambda plane: 1e10, "+40 EV": lambda plane: plane * 2.0**40, "-40 EV": lambda plane: plane * 2.0**-40,
+    "fireflies": lambda plane: np.where(np.arange(plane.size).reshape(plane.shape) % 97, plane, 1e6),
+}
+"""What a plane of the frame holds, from what it held."""
 ROW = re.compile(r"^\| (?P<bound>\S+) \| (?P<names>`\w+`(?:, `\w+`)*) \|$", re.MULTILINE)
 
 
@@ -86,11 +92,13 @@ def bound(kernel: Kernel, way: str) -> float:
     return PORTABLE_HISTORY if (kernel.name, way) == ("denoise_history", "portable") else BOUNDS[kernel.name]
 
 
-def assert_near(kernel: Kernel, way: str, found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> None:
+def assert_near(kernel: Kernel, way: str, found: dict[str, np.ndarray], wanted: dict[str, np.ndarray],
+                white: float = 0.0) -> None:
+    """Errors by the largest value of what is written, or by `white` where all of it is darker."""
     for name, value in found.items():
         assert wanted[name].dtype == (np.float64 if value.dtype == np.float32 else value.dtype)
         error = np.abs(value.astype(np.float64) - wanted[name].astype(np.float64)).max()
-        largest = np.abs(wanted[name]).max()
+        largest = max(np.abs(wanted[name]).max(), white)
         assert error <= bound(kernel, way) * largest, f"{kernel.name}, {way}: {name} {error:.2g} of {largest:.2g}"
 
 
@@ -113,11 +121,33 @@ def way(request: pytest.FixtureRequest, cpu: Device) -> tuple[str, Callable[...,
     return request.param, lambda kernel, *rest: denoise_cases.run(kernel, chosen, *rest)
 
 
+def planes_of(kernel: Kernel) -> list[str]:
+    """What a kernel reads of a frame's planes."""
+    return sorted({*denoise_cases.FRAME} & {*kernel.reads})
+
+
 @pytest.mark.parametrize("case", CASES, ids=str)
 @pytest.mark.parametrize("kernel", HELD, ids=lambda kernel: kernel.name)
 def test_error_of_the_upscalers_kernels(way, kernel: Kernel, case: denoise_cases.Case) -> None:
     found = way[1](kernel, denoise_cases.arguments(kernel, case), case)
     assert_near(kernel, way[0], found, exact_upscaler(kernel, case))
+
+
+def with_values(inputs: Arrays, name: str, values: str) -> Arrays:
+    plane = inputs[name]
+    return {**inputs, name: np.broadcast_to(VALUES[values](plane), plane.shape).astype(plane.dtype)}
+
+
+@pytest.mark.parametrize("values", VALUES)
+@pytest.mark.parametrize("kernel", [one for one in HELD if planes_of(one)], ids=lambda kernel: kernel.name)
+def test_error_on_hard_values(way, kernel: Kernel, values: str) -> None:
+    """In one plane of the frame after the other."""
+    case = CASES[1]
+    for name in planes_of(kernel):
+        inputs = with_values(denoise_cases.arguments(kernel, case), name, values)
+        wanted = exact(DENOISE[kernel], [inputs[read] for read in kernel.reads])
+        wanted = denoise_cases.in_frame(kernel, dict(zip(kernel.writes, wanted, strict=True)), case)
+        assert_near(kernel, way[0], way[1](kernel, inputs, case), wanted)
 
 
 @pytest.mark.parametrize("ball", [False, True], ids=["floor", "ball"])
@@ -138,6 +168,16 @@ def test_error_of_the_tone_mappers_kernels(way, kernel: Kernel) -> None:
         wanted = exact(TONE[kernel], list(inputs.values()))
         found = way[1](kernel, inputs, denoise_cases.Case(height, width, height, width))
         assert_near(kernel, way[0], found, dict(zip(kernel.writes, wanted, strict=True)))
+
+
+@pytest.mark.parametrize("values", VALUES)
+@pytest.mark.parametrize("kernel", [one for one in TONE if "colour" in one.reads], ids=lambda kernel: kernel.name)
+def test_error_of_the_tone_mappers_kernels_on_hard_values(way, kernel: Kernel, values: str) -> None:
+    height, width = tonemap_cases.sizes(kernel)[0]
+    inputs = with_values(tonemap_cases.arguments(kernel, height, width), "colour", values)
+    wanted = exact(TONE[kernel], list(inputs.values()))
+    found = way[1](kernel, inputs, denoise_cases.Case(height, width, height, width))
+    assert_near(kernel, way[0], found, dict(zip(kernel.writes, wanted, strict=True)), white=1.0)
 
 
 def test_the_table_has_the_bounds_that_are_asserted() -> None:
