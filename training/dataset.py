@@ -14,8 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from postfx.backwards.turned import motion_to_next
-from postfx.frame import Frame, Role
+from postfx.kernels.turning import turned_motion
 from training.networks.denoise_upscale import Guides, Inputs
 
 PLANES = (("colour", 3), ("diffuse_albedo", 3), ("specular_albedo", 3), ("normal", 3), ("roughness", 1), ("depth", 1),
@@ -109,9 +108,9 @@ def load(path: Path, device: torch.device, guides: bool = False, inverse: bool =
 
 def turned(data: Mapping[str, np.ndarray], variant: str, device: torch.device) -> Tensor:
     """Motion to the next frame (T, 2, h, w) float16 of one noisy render, of whole frames; 0 in the last."""
-    planes = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"][..., None].astype(np.float32)
-    frames = [Frame({Role.MOTION: motion, Role.DEPTH: depth}) for motion, depth in zip(*planes, strict=True)]
-    motion = [*(motion_to_next(*pair) for pair in pairwise(frames)), np.zeros_like(planes[0][-1])]
+    motion, depth = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"][..., None].astype(np.float32)
+    pairs = pairwise(zip(motion, depth, strict=True))
+    motion = [*(turned_motion(*after, shown) for (_, shown), after in pairs), np.zeros_like(motion[-1])]
     return torch.from_numpy(np.stack(motion)).movedim(-1, 1).to(device).half()
 
 

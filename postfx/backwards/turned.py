@@ -8,10 +8,8 @@ import numpy as np
 
 from postfx.cuts import CutDetector
 from postfx.frame import Frame, Role
-from postfx.kernels.turning import FAR, LOST, follow, mend, splat
+from postfx.kernels.turning import follow, turned_motion
 
-ROUNDS = 2
-"""Pixels by which what the next frame shows stretched is filled from its sides."""
 MOST = 8
 """Frames in a row that count: more history makes a result hardly better."""
 
@@ -32,15 +30,7 @@ def motion_to_next(frame: Frame, after: Frame) -> np.ndarray:
 
     Made from the motion of the frame after: each of its pixels says where it came from, and the nearest one counts.
     """
-    height, width = frame[Role.MOTION].shape[:2]
-    nearest = np.full((height, width), 2 * FAR, np.float32)
-    motion = np.full((height, width, 2), LOST, np.float32)
-    splat(after[Role.MOTION], _depth(after), nearest, motion)
-    depth, filled = _depth(frame), np.empty((height, width), np.bool_)
-    for _ in range(ROUNDS):
-        mend(nearest, depth, motion, filled)
-        nearest[filled] = 0
-    return motion
+    return turned_motion(after[Role.MOTION], _depth(after), _depth(frame))
 
 
 class Followed:

@@ -17,6 +17,24 @@ ALIKE = np.float32(0.03)
 """Part by which depths of one surface differ from pixel to pixel."""
 SAME = np.float32(0.05)
 """Part by which the depth of a point differs from frame to frame."""
+ROUNDS = 2
+"""Pixels by which what the next frame shows stretched is filled from its sides."""
+
+
+def turned_motion(motion: np.ndarray, after: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Motion (height, width, 2) to the next frame, from that frame's ``motion`` (h, w, 2) and depth ``after`` (h, w, 1),
+    and this frame's ``depth`` (height, width, 1); all float32.
+
+    In pixels of this frame, x right and y down; LOST where the next frame does not show a pixel.
+    """
+    nearest = np.full(depth.shape[:2], 2 * FAR, np.float32)
+    turned = np.full((*depth.shape[:2], 2), LOST, np.float32)
+    splat(motion, after, nearest, turned)
+    filled = np.empty(depth.shape[:2], np.bool_)
+    for _ in range(ROUNDS):
+        mend(nearest, depth, turned, filled)
+        nearest[filled] = 0
+    return turned
 
 
 @compiled

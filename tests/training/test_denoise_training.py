@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import random
+import subprocess
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -216,3 +218,10 @@ def test_a_checkpoint_holds_the_averaged_weights_and_can_be_resumed(tmp_path: Pa
     again = trainer(tmp_path, tmp_path, minutes=0, resume=tmp_path / "checkpoint.pt")
     for key, value in again.model.state_dict().items():
         torch.testing.assert_close(value, checkpoint["weights"][key])
+
+
+def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
+    """Machines with GPUs are lent bare: PyTorch, NumPy, Numba and ONNX are there, the run-time's libraries are not."""
+    absent = ("OpenImageIO", "onnxruntime", "fileseq", "colour", "mitsuba")
+    program = f"import sys; sys.modules.update(dict.fromkeys({absent})); import training.train_denoise"
+    subprocess.run([sys.executable, "-c", program], check=True)
