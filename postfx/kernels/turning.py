@@ -22,8 +22,8 @@ ROUNDS = 2
 
 
 def turned_motion(motion: np.ndarray, after: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Motion (height, width, 2) to the next frame, from that frame's ``motion`` (h, w, 2) and depth ``after`` (h, w, 1),
-    and this frame's ``depth`` (height, width, 1); all float32.
+    """Motion (height, width, 2) to the next frame, from that frame's ``motion`` (h, w, 2) and depth ``after`` (h, w, 1)
+    and this frame's ``depth`` (height, width, 1), all float32.
 
     In pixels of this frame, x right and y down; LOST where the next frame does not show a pixel.
     """

@@ -221,7 +221,7 @@ def test_a_checkpoint_holds_the_averaged_weights_and_can_be_resumed(tmp_path: Pa
 
 
 def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
-    """Machines with GPUs are lent bare: PyTorch, NumPy, Numba and ONNX are there, the run-time's libraries are not."""
+    """Such machines have PyTorch, NumPy, Numba and ONNX, but not what reads pictures and runs networks."""
     absent = ("OpenImageIO", "onnxruntime", "fileseq", "colour", "mitsuba")
     program = f"import sys; sys.modules.update(dict.fromkeys({absent})); import training.train_denoise"
     subprocess.run([sys.executable, "-c", program], check=True)
