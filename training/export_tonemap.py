@@ -15,6 +15,7 @@ import torch
 from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD
 from postfx.kernels.encode_display import ENCODE_DISPLAY
+from postfx.kernels.expose import EXPOSE
 from postfx.kernels.follow import FOLLOW
 from postfx.kernels.light import LIGHT
 from postfx.kernels.smooth import SMOOTH
@@ -25,6 +26,7 @@ from training.networks.tonemap_kernels import (
     ApplyCube,
     Checkerboard,
     EncodeDisplay,
+    Expose,
     Follow,
     Light,
     Lowres,
@@ -52,6 +54,7 @@ def export_kernels(folder: Path) -> None:
     export_kernel(LIGHT, Light(), {}, folder)
     export_kernel(FOLLOW, Follow(), {}, folder)
     export_kernel(SMOOTH, Smooth(), {}, folder)
+    export_kernel(EXPOSE, Expose(), {}, folder)
     export_kernel(ENCODE_DISPLAY, EncodeDisplay(), {"height": 9, "width": 16}, folder)
     export_kernel(APPLY_CUBE, ApplyCube(), {"height": 9, "width": 16, "size": 5}, folder)
     export_kernel(CHECKERBOARD, Checkerboard(), {"height": 9, "width": 16}, folder)
