@@ -23,6 +23,7 @@ from postfx.bench.metrics import flip, psnr, ssim
 from postfx.colour.difference import delta_e_itp
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
+from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.slice_apply import SLICE_APPLY
 from postfx.passes._tonemap_look import find_model, shaper
 from postfx.passes.tonemap import ToneMap
@@ -63,21 +64,25 @@ class Mapper:
             self._pipelines[size] = Pipeline(passes, self._device, exposure=0.0, cuts="none")
         return self._pipelines[size](frame)[Role.COLOUR].copy()
 
-    def grid(self, frame: Frame) -> np.ndarray:
-        """The smoothed grid (1,16,16,8,12) of the next frame of a sequence, exposed already."""
+    def kept(self, frame: Frame) -> np.ndarray:
+        """The smoothed grid (1,16,16,8,12), or exposure (3,) as `postfx.kernels.expose` has it, of the next frame of a
+        sequence, exposed already."""
         self.follow(frame)
-        return self._pipelines[frame[Role.COLOUR].shape].passes[0].history()["grid"].copy()
+        return self._pipelines[frame[Role.COLOUR].shape].passes[0].history()["held"].copy()
 
-    def held(self, grid: np.ndarray) -> Render:
-        """The look with a grid that does not change."""
+    def held(self, kept: np.ndarray) -> Render:
+        """The look with a grid or an exposure that does not change."""
         library, model = find_model(self._tag)
         constants, numbers = self._device.pipeline_state(library, model).constants, shaper(library, model)
         params = np.array([1.0, numbers.toe, numbers.scale], np.float32)
 
         def render(rgb: np.ndarray) -> np.ndarray:
             output = np.empty_like(rgb)
-            given = rgb, params, numbers.matrix, constants["guide"], grid, constants["cube"]
-            SLICE_APPLY.rows(0, len(rgb), *given, output)
+            if "guide" in constants:
+                given = rgb, params, numbers.matrix, constants["guide"], kept, constants["cube"]
+                SLICE_APPLY.rows(0, len(rgb), *given, output)
+            else:
+                APPLY_CUBE.rows(0, len(rgb), rgb, kept, numbers.matrix, constants["cube"], output)
             return output
 
         return render
@@ -97,7 +102,7 @@ def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, 
     last frame to the pipeline.
 
     static: the nearest static curve, the look's view behind one exposure for the whole sequence; view: the same behind
-    the look's own gain; pipeline: the look's definition, frame by frame. Of a network's grids, too: still: their mean,
+    the look's own gain; pipeline: the look's definition, frame by frame. Of what a network made, too: still: its mean,
     held; cube: the colour cube that is nearest to what the look made of the sequence.
     """
     frames = list(exposed(folder))
@@ -109,7 +114,7 @@ def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, 
         "pipeline": lambda rgb: exact_target(rgb, look),
     }
     if not look.is_global:
-        renders["still"] = mapper.held(np.mean([mapper.grid(frame) for frame in frames], 0))
+        renders["still"] = mapper.held(np.mean([mapper.kept(frame) for frame in frames], 0))
         renders["cube"] = nearest_cube(look.view, light, shown)
     makers = {name: lambda frame, render=render: render(frame[Role.COLOUR]) for name, render in renders.items()}
     figures = flicker(folder, {"look": mapper.follow} | makers, "view")

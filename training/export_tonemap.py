@@ -15,16 +15,19 @@ import torch
 from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD
 from postfx.kernels.encode_display import ENCODE_DISPLAY
+from postfx.kernels.expose import EXPOSE
 from postfx.kernels.follow import FOLLOW
 from postfx.kernels.light import LIGHT
 from postfx.kernels.smooth import SMOOTH
 from training.export import OPSET, export, export_kernel, parity, parser, read_quality, write_card
 from training.networks.cube import CUBE, SHAPER, TO_WORKING, TOE, WHITE, default_shaper
+from training.networks.exposure import Exposure
 from training.networks.hdrnet import SIDE, HDRNet
 from training.networks.tonemap_kernels import (
     ApplyCube,
     Checkerboard,
     EncodeDisplay,
+    Expose,
     Follow,
     Light,
     Lowres,
@@ -34,7 +37,16 @@ from training.networks.tonemap_kernels import (
 
 IMAGE = {0: torch.export.Dim("height", min=1), 1: torch.export.Dim("width", min=1)}
 STEADY = {"keep": 0.6, "follow": 0.6}  # see `postfx.kernels.follow`
-STEADY_EXPOSURE = {"keep": 0.98, "follow": 0.18}  # where the grid is exposure
+STEADY_EXPOSURE = {"keep": 0.98, "follow": 0.18}  # of a look that exposes
+STOPS = {"stops": {"shape": [1, 1], "meaning": "exposure to add, log2"}}
+GRID = {
+    "grid": {"shape": [1, 16, 16, 8, 12], "meaning": "y, x, guide level, 3x4 affine matrix row-major"},
+    "guide": {
+        "shape": [112],
+        "meaning": "matrix 9, bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1",
+        "constant": True,
+    },
+}
 IR_VERSION = 10  # the newest that ONNX Runtime 1.20 reads
 
 
@@ -52,16 +64,17 @@ def export_kernels(folder: Path) -> None:
     export_kernel(LIGHT, Light(), {}, folder)
     export_kernel(FOLLOW, Follow(), {}, folder)
     export_kernel(SMOOTH, Smooth(), {}, folder)
+    export_kernel(EXPOSE, Expose(), {}, folder)
     export_kernel(ENCODE_DISPLAY, EncodeDisplay(), {"height": 9, "width": 16}, folder)
     export_kernel(APPLY_CUBE, ApplyCube(), {"height": 9, "width": 16, "size": 5}, folder)
     export_kernel(CHECKERBOARD, Checkerboard(), {"height": 9, "width": 16}, folder)
 
 
-def network(checkpoint: dict[str, Any]) -> HDRNet | None:
+def network(checkpoint: dict[str, Any]) -> HDRNet | Exposure | None:
     """The network of a checkpoint, None for a global look, which has a cube only."""
     if checkpoint["weights"] is None:
         return None
-    net = HDRNet(checkpoint["cube"])
+    net = (Exposure if "dense.0.weight" in checkpoint["weights"] else HDRNet)(checkpoint["cube"])
     net.load_state_dict(checkpoint["weights"])
     return net.eval()
 
@@ -73,7 +86,8 @@ def export_look(checkpoint: dict[str, Any], tag: str, folder: Path, quality: dic
         _export_cube(checkpoint["cube"], path)
     else:
         low = torch.rand(1, 3, SIDE, SIDE)
-        export(net, (low,), ["lowres"], ["grid", "guide", "cube"], path)
+        made = ["stops"] if isinstance(net, Exposure) else ["grid", "guide"]
+        export(net, (low,), ["lowres"], [*made, "cube"], path)
         parity(net, path, (low,))
     write_card(path, card(checkpoint, tag, quality))
     return path
@@ -122,21 +136,14 @@ def card(checkpoint: dict[str, Any], tag: str, quality: dict[str, Any]) -> dict[
     if net is None:
         summary = f"Look {tag}: depends on colour alone, a cube without a network"
         return {**common, "summary": summary, "parameters": 0, "inputs": {}, "outputs": {"cube": cube}}
+    exposes = isinstance(net, Exposure)
     return {
         **common,
-        "summary": f"Look {tag}: HDRNet (Gharbi et al. 2017) and a cube",
+        "summary": f"Look {tag}: {'a learnt exposure' if exposes else 'HDRNet (Gharbi et al. 2017)'} and a cube",
         "parameters": sum(p.numel() for name, p in net.named_parameters() if name != "cube"),
         **(STEADY_EXPOSURE if checkpoint["look"].get("key") else STEADY),
         "inputs": {"lowres": {"shape": [1, 3, SIDE, SIDE], "meaning": "shaped colour, area average, 0..1"}},
-        "outputs": {
-            "grid": {"shape": [1, 16, 16, 8, 12], "meaning": "y, x, guide level, 3x4 affine matrix row-major"},
-            "guide": {
-                "shape": [112],
-                "meaning": "matrix 9, bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1",
-                "constant": True,
-            },
-            "cube": cube,
-        },
+        "outputs": {**(STOPS if exposes else GRID), "cube": cube},
     }
 
 

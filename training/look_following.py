@@ -27,9 +27,9 @@ LEFT = 0.1  # of the way
 
 def frames_of_step(mapper: Mapper, picture: np.ndarray, stops: float) -> int:
     """Frames until a tenth of the way is left, in code values, from what the look would make of the changed light with
-    its last grid to what it makes of it without a past. At most LONGEST."""
+    its last grid or exposure to what it makes of it without a past. At most LONGEST."""
     stepped = picture * np.float32(2.0**stops)
-    wanted, last = mapper(stepped), mapper.grid(_frame(picture, 0))
+    wanted, last = mapper(stepped), mapper.kept(_frame(picture, 0))
     way = np.abs(mapper.held(last)(stepped) - wanted).mean()
     for number in range(1, LONGEST):
         if np.abs(mapper.follow(_frame(stepped, number)) - wanted).mean() <= LEFT * way:

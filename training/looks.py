@@ -4,12 +4,13 @@
 
 `key` is an automatic exposure that keeps dark scenes dark and bright ones bright, `local` an operator on local
 contrast, `view` a colour pipeline; each may be absent but the last. A look with neither is global: its cube is the
-whole of it, and there is nothing for the network to do.
+whole of it, and there is nothing for the network to do. With `key` alone there is one number to be learnt.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -49,6 +50,11 @@ class Look:
     def is_global(self) -> bool:
         return self.local is None and not self.key
 
+    @property
+    def is_exposure(self) -> bool:
+        """Whether one exposure for a picture is all that there is before the view."""
+        return self.local is None and self.key
+
 
 LOOKS: dict[str, Look] = {
     "aces2": Look(ACES2),
@@ -84,7 +90,13 @@ def describe(look: Look) -> dict[str, Any]:
 
 
 def key(rgb: torch.Tensor) -> torch.Tensor:
-    """Expose (N,3,H,W) to the scene's own key: dark scenes stay dark, bright ones bright, within 2 stops of mid grey.
+    """(N,3,H,W) exposed to the scene's own key."""
+    return rgb * torch.exp2(key_stops(rgb))[:, None, None, None]
+
+
+def key_stops(rgb: torch.Tensor) -> torch.Tensor:
+    """Stops (N,) that expose (N,3,H,W) to the scene's own key: dark scenes stay dark, bright ones bright, within 2
+    stops of mid grey.
 
     The geometric mean of the luminance goes to 0.18 * 4 ** ((2 mean - low - high) / (high - low)), all in log2; low and
     high are the 1st and 99th percentile. Formula: Reinhard 2002, "Parameter estimation for photographic tone
@@ -94,8 +106,7 @@ def key(rgb: torch.Tensor) -> torch.Tensor:
     low, high = torch.quantile(log[:, :: max(1, log.shape[1] // 2**16)], log.new_tensor(ENDS), dim=1)
     mean = log.mean(1)
     share = (2 * mean - low - high) / (high - low).clamp_min(1.0)
-    gain = torch.exp2(2 * share.clamp(-1, 1) - mean) * MID_GREY
-    return rgb * gain[:, None, None, None]
+    return 2 * share.clamp(-1, 1) - mean + math.log2(MID_GREY)
 
 
 def log_luminance(rgb: torch.Tensor) -> torch.Tensor:

@@ -50,11 +50,15 @@ class Views:
 
         `scale` shrinks the shape for toy runs.
         """
-        h, w = SHAPES[self.random.integers(len(SHAPES))]
-        size_in_pixels = (int(h * scale) + SHIFT, int(w * scale) + SHIFT)
-        views = torch.stack([self._view(size_in_pixels) for _ in range(size)])
+        views = self.views(size, scale)
         shaped = shape(before_view(views, self.look), *default_shaper(self.device))
         return views, look_up(shaped, self.cube), shaped
+
+    def views(self, size: int, scale: float = 1.0) -> torch.Tensor:
+        """The exposed views of a batch alone."""
+        h, w = SHAPES[self.random.integers(len(SHAPES))]
+        size_in_pixels = (int(h * scale) + SHIFT, int(w * scale) + SHIFT)
+        return torch.stack([self._view(size_in_pixels) for _ in range(size)])
 
     def _view(self, shape: tuple[int, int]) -> torch.Tensor:
         x = self._synthetic(shape) if not self.pictures or self.chance(CHARTS) else self._picture(shape)

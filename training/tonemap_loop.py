@@ -14,6 +14,7 @@ import torch
 
 from training.losses import psnr
 from training.networks.cube import Shaper, default_shaper, look_up, shape
+from training.networks.exposure import Exposure
 from training.networks.hdrnet import HDRNet, lowres, slice_grid_dense
 
 SHIFT = 8  # largest shift, in pixels, between the two views of a consistency pair
@@ -103,13 +104,12 @@ def losses(
 
 
 @torch.no_grad()
-def validate(net: HDRNet, held: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> dict[str, float]:
+def validate(net: HDRNet | Exposure, held: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> dict[str, float]:
     """PSNR in sRGB values of each held-out picture."""
     device, scores = net.cube.device, {}
     for name, colour in held.items():
         x = torch.from_numpy(colour.astype(np.float32)).permute(2, 0, 1)[None].to(device)
-        out = render(net, x, default_shaper(device))[0].cpu()
-        scores[name] = score(out, wanted[name])
+        scores[name] = score(net.render(x, default_shaper(device)).cpu(), wanted[name])
     return scores
 
 

@@ -39,7 +39,7 @@ def weights_of(path: Path, like: STATE) -> STATE:
     """Weights of an exported network; what the exporter left out because it is zero stays as in `like`."""
     found = _initializers(path)
     if "guide" not in found:
-        raise SystemExit(f"{path}: not a look with a network: start from another, or from 'none'")
+        raise SystemExit(f"{path}: not a look with a grid: start from another, or from 'none'")
     parts = np.split(found["guide"], np.cumsum(list(GUIDE_PARTS.values()))[:-1])
     found |= {f"guide.{name}": part for name, part in zip(GUIDE_PARTS, parts, strict=True)}
     return {name: torch.from_numpy(found[name].copy()).reshape(value.shape) if name in found else value

@@ -13,6 +13,7 @@ from training.looks import describe
 from training.networks.cube import default_shaper, look_up, shape
 from training.networks.hdrnet import HDRNet
 from training.tonemap_data import Views
+from training.tonemap_exposure import teach_exposure
 from training.tonemap_loop import Recipe, Report, Source, run_of, score, train
 from training.tonemap_set import Lesson, Pictures
 from training.tonemap_start import start_network
@@ -30,8 +31,10 @@ def teach_look(
     common = {"look": describe(task.look), "cube": task.cube, "pictures": list(pictures.train)}
     if task.look.is_global:
         return {**common, "weights": None, "history": [], "psnr": cube_psnr(task.cube, pictures.held, task.wanted)}
-    net = start_network(start, task.cube).to(device)
     source = Views(pictures, task.look, task.cube, device, recipe.seed)
+    if task.look.is_exposure:
+        return {**common, **teach_exposure(source, recipe, pictures.held, task.wanted, watch)}
+    net = start_network(start, task.cube).to(device)
     return {**common, **run(net, source, recipe, pictures.held, task.wanted, watch)}
 
 

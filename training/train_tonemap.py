@@ -7,7 +7,8 @@
 
 The first word is the tag: `postfx run shot.####.exr -o out.####.png --tonemap OUT/tonemap.TAG.onnx` uses the result.
 Pairs are files of the same name, linear HDR and sRGB-encoded SDR, exposed as they are. A look that depends on colour
-alone becomes a cube; others are learnt by fine-tuning the network of --start. Held-out pictures are never trained on.
+alone becomes a cube. Of one that only exposes before its view (key) the exposure is learnt, in minutes, from nothing;
+others are learnt by fine-tuning the network of --start. Held-out pictures are never trained on.
 """
 
 from __future__ import annotations

@@ -10,7 +10,9 @@ import numpy as np
 
 from postfx.frame import FrameSpec, Role
 from postfx.kernels.apply_cube import APPLY_CUBE
+from postfx.kernels.expose import EXPOSE
 from postfx.kernels.follow import FOLLOW
+from postfx.kernels.kernel import Kernel
 from postfx.kernels.light import LIGHT
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
@@ -21,21 +23,34 @@ from postfx.runtime import ArgumentTable, CommandBuffer, Device, PipelineState, 
 
 
 class _History(NamedTuple):
-    """What a frame leaves to the next: the smoothed grid, and the light that it is made for."""
+    """What a frame leaves to the next: the smoothed grid or exposure, and the light that it is made for."""
 
-    grid: Tensor
+    held: Tensor
     light: Tensor
 
 
+class _Kind(NamedTuple):
+    """What a network makes of a frame, the kernel that holds it still, and the one that shows it, by which argument."""
+
+    made: str
+    hold: Kernel
+    show: Kernel
+    shown_by: str
+
+
+_KINDS = _Kind("grid", SMOOTH, SLICE_APPLY, "grid"), _Kind("stops", EXPOSE, APPLY_CUBE, "params")
+
+
 class ToneMap(Pass):
-    """HDRNet: a small network looks at a 256x256 copy and gives a grid of colour matrices, looked up at every pixel
-    and followed by a colour cube. Looks that depend on colour alone are a cube without a network.
+    """A small network looks at a 256x256 copy and gives a grid of colour matrices, looked up at every pixel (HDRNet),
+    or one exposure; a colour cube follows. Looks that depend on colour alone are a cube without a network.
 
     Options:
         tag: the look, as in ``tonemap.<tag>``, or the file of a model: ``looks/tonemap.mine.onnx``.
-        keep: part of the last frame's grid that is kept while the light stays as it is, 0 up to (not including) 1, by
-            default as the look's card says; less is kept while light changes (``postfx.kernels.follow``), and none at
-            the first frame and at cuts. The grid of a still picture does not change; with 0 no frame has a past.
+        keep: part of the last frame's grid or exposure that is kept while the light stays as it is, 0 up to (not
+            including) 1, by default as the look's card says; less is kept while light changes
+            (``postfx.kernels.follow``), and none at the first frame and at cuts. That of a still picture does not
+            change; with 0 no frame has a past.
 
     Colour comes out sRGB-encoded in [0, 1]. Raises PassOptionError for a keep outside [0, 1).
     """
@@ -59,8 +74,9 @@ class ToneMap(Pass):
     def compile(self, device: Device, spec: FrameSpec) -> None:
         library, model = find_model(str(self.options["tag"]))
         network = device.pipeline_state(library, model)
-        self._has_grid = "grid" in {binding.name for binding in network.bindings}
-        check_constants(model, network.constants, self._has_grid)
+        made = {binding.name for binding in network.bindings}
+        self._kind = next((kind for kind in _KINDS if kind.made in made), None)
+        check_constants(model, network.constants, "grid" in made)
         self._shaper, given = shaper(library, model), self.options["keep"]
         keep = keep_of(library, model) if given is None else float(given)
         self._following = keep, follow_of(library, model)
@@ -69,31 +85,33 @@ class ToneMap(Pass):
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
         common = {"params": self._params, "matrix": matrix, "output": self._output}
         common |= {name: device.wrap(name, values) for name, values in network.constants.items()}
-        if self._has_grid:
-            self._compile_grid(device, network, common)
+        if self._kind:
+            self._compile_network(device, network, common, self._kind)
         else:
-            self._tables = {"cube": ArgumentTable(device.compute_state(APPLY_CUBE), common)}
+            self._tables = {"show": ArgumentTable(device.compute_state(APPLY_CUBE), common)}
         super().compile(device, spec)
 
-    def _compile_grid(self, device: Device, network: PipelineState, common: Mapping[str, Tensor]) -> None:
+    def _compile_network(self, device: Device, network: PipelineState, common: Mapping[str, Tensor],
+                         kind: _Kind) -> None:
         """The network's part, and the kernels around it."""
         shapes = {binding.name: binding.shape for binding in network.bindings}
         shaping = {name: common[name] for name in ("params", "matrix")}
-        lowres, grid = (device.heap.transient(name, shapes[name]) for name in ("lowres", "grid"))
+        lowres, made = (device.heap.transient(name, shapes[name]) for name in ("lowres", kind.made))
+        holding = {"current": made} | {name: common[name] for name in kind.hold.reads if name in common}
         light = device.heap.transient("tonemap light", LIGHT.shapes["light"])
         self._pace = device.heap.tensor("tonemap pace", FOLLOW.shapes["params"])
         self._history = [_History(*(device.heap.tensor(name, shape) for name, shape in
-                                    (("smoothed grid", shapes["grid"]), ("light followed", FOLLOW.shapes["after"]))))
+                                    (("held", kind.hold.shapes["result"]), ("light followed", FOLLOW.shapes["after"]))))
                          for _ in range(2)]
         for tensor in (*self._history[0], *self._history[1]):
             tensor.fill(0)
         self._tables = {
             "lowres": ArgumentTable(device.compute_state(LOWRES), {**shaping, "lowres": lowres}),
-            "network": ArgumentTable(network, {"lowres": lowres, "grid": grid}),
+            "network": ArgumentTable(network, {"lowres": lowres, kind.made: made}),
             "light": ArgumentTable(device.compute_state(LIGHT), {"lowres": lowres, "light": light}),
             "follow": ArgumentTable(device.compute_state(FOLLOW), {"light": light, "params": self._pace}),
-            "smooth": ArgumentTable(device.compute_state(SMOOTH), {"current": grid}),
-            "slice": ArgumentTable(device.compute_state(SLICE_APPLY), common),
+            "hold": ArgumentTable(device.compute_state(kind.hold), holding),
+            "show": ArgumentTable(device.compute_state(kind.show), common),
         }
 
     def reset(self) -> None:
@@ -111,19 +129,19 @@ class ToneMap(Pass):
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         self._params.upload(np.array([frame.exposure, self._shaper.toe, self._shaper.scale], np.float32))
-        if self._has_grid:
-            self._encode_grid(commands, frame)
+        if self._kind:
+            self._encode_network(commands, frame, self._kind)
         else:
-            self._tables["cube"]["colour"] = frame[Role.COLOUR]
+            self._tables["show"]["colour"] = frame[Role.COLOUR]
             with commands.compute_encoder("cube") as encoder:
                 encoder.barrier(after=("compute", "machine-learning"), before="compute")
-                encoder.dispatch(self._tables["cube"].state, self._tables["cube"])
+                encoder.dispatch(self._tables["show"].state, self._tables["show"])
         frame.set(Role.COLOUR, self._output)
 
-    def _encode_grid(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+    def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame, kind: _Kind) -> None:
         past = self._fresh and not frame.reset
         self._pace.upload(np.array([*self._following, past, self._shaper.scale], np.float32))
-        self._bind(frame[Role.COLOUR])
+        self._bind(frame[Role.COLOUR], kind)
         with commands.compute_encoder("lowres") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._tables["lowres"].state, self._tables["lowres"])
@@ -134,19 +152,19 @@ class ToneMap(Pass):
         with commands.machine_learning_encoder("coefficients") as encoder:
             encoder.barrier(after="compute", before="machine-learning")
             encoder.dispatch_network(self._tables["network"].state, self._tables["network"])
-        with commands.compute_encoder("slice") as encoder:
+        with commands.compute_encoder("show") as encoder:
             encoder.barrier(after="machine-learning", before="compute")
-            encoder.dispatch(self._tables["smooth"].state, self._tables["smooth"])
+            encoder.dispatch(self._tables["hold"].state, self._tables["hold"])
             encoder.barrier()
-            encoder.dispatch(self._tables["slice"].state, self._tables["slice"])
+            encoder.dispatch(self._tables["show"].state, self._tables["show"])
         self._fresh = True
 
-    def _bind(self, colour: Tensor) -> None:
+    def _bind(self, colour: Tensor, kind: _Kind) -> None:
         """Bind the frame's colour, and swap the two halves of the history."""
         self._history.reverse()
         previous, result = self._history
         self._tables["lowres"]["colour"] = colour
         self._tables["follow"]["before"], self._tables["follow"]["after"] = previous.light, result.light
-        self._tables["smooth"]["previous"], self._tables["smooth"]["result"] = previous.grid, result.grid
-        self._tables["smooth"]["keep"] = result.light
-        self._tables["slice"]["colour"], self._tables["slice"]["grid"] = colour, result.grid
+        self._tables["hold"]["previous"], self._tables["hold"]["result"] = previous.held, result.held
+        self._tables["hold"]["keep"] = result.light
+        self._tables["show"]["colour"], self._tables["show"][kind.shown_by] = colour, result.held

@@ -59,6 +59,14 @@ def test_how_much_is_kept(case: tonemap_cases.Pace) -> None:
     np.testing.assert_allclose(found["after"], [case.after], atol=1e-6)
 
 
+@pytest.mark.parametrize("case", tonemap_cases.HOLDS, ids=lambda case: case.name)
+def test_exposure_that_is_held(case: tonemap_cases.Hold) -> None:
+    inputs = dict(zip(tonemap_cases.EXPOSE.reads, case.arguments(), strict=True))
+    found = by_cuda(tonemap_cases.EXPOSE, inputs, {"result": (3,)})
+    toe, scale = tonemap_cases.SHAPER
+    np.testing.assert_allclose(found["result"], np.float32([case.factor, toe / 1.5, scale]), rtol=2e-7)
+
+
 def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
     inputs = tonemap_cases.arguments(tonemap_cases.SMOOTH, 1, 1)
     inputs["previous"][:], inputs["keep"][:] = np.nan, 0.0

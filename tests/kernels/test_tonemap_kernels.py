@@ -9,6 +9,7 @@ import pytest
 from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD
 from postfx.kernels.encode_display import ENCODE_DISPLAY
+from postfx.kernels.expose import EXPOSE
 from postfx.kernels.follow import FOLLOW
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.light import LIGHT
@@ -16,7 +17,7 @@ from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
 from postfx.kernels.smooth import SMOOTH
 from postfx.paths import models_dir
-from tests.kernels.tonemap_cases import PACES, Pace, arguments, sizes
+from tests.kernels.tonemap_cases import HOLDS, PACES, SHAPER, Hold, Pace, arguments, sizes
 
 torch = pytest.importorskip("torch")
 
@@ -31,6 +32,7 @@ DEFINITIONS = {
     LIGHT: tonemap_kernels.Light,
     FOLLOW: tonemap_kernels.Follow,
     SMOOTH: tonemap_kernels.Smooth,
+    EXPOSE: tonemap_kernels.Expose,
     ENCODE_DISPLAY: tonemap_kernels.EncodeDisplay,
     APPLY_CUBE: tonemap_kernels.ApplyCube,
     CHECKERBOARD: tonemap_kernels.Checkerboard,
@@ -119,6 +121,17 @@ def test_how_much_is_kept(case: Pace) -> None:
     session = onnxruntime.InferenceSession(models_dir() / "kernels" / "follow.onnx")
     found = session.run(["after"], dict(zip(FOLLOW.reads, inputs, strict=True)))[0]
     np.testing.assert_allclose(found, wanted, rtol=2e-7)
+
+
+@pytest.mark.parametrize("case", HOLDS, ids=lambda case: case.name)
+def test_exposure_that_is_held(case: Hold) -> None:
+    """In each form: stops are mixed, and toe over exposure stands for the frame's own exposure."""
+    inputs = case.arguments()
+    wanted = np.array([case.factor, SHAPER[0] / 1.5, SHAPER[1]], np.float32)
+    session = onnxruntime.InferenceSession(models_dir() / "kernels" / "expose.onnx")
+    portable = session.run(["result"], dict(zip(EXPOSE.reads, inputs, strict=True)))[0]
+    for found in (by_definition(EXPOSE, inputs), by_rows(EXPOSE, inputs, wanted, 1), portable):
+        np.testing.assert_allclose(found, wanted, rtol=2e-7)
 
 
 def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:

@@ -12,6 +12,7 @@ from postfx.colour.primaries import REC709, REC2020, matrix_between
 from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.checkerboard import CHECKERBOARD, turns
 from postfx.kernels.encode_display import ENCODE_DISPLAY
+from postfx.kernels.expose import EXPOSE
 from postfx.kernels.follow import FOLLOW
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.light import LIGHT
@@ -20,7 +21,7 @@ from postfx.kernels.slice_apply import KNOTS, SLICE_APPLY
 from postfx.kernels.smooth import GRID, SMOOTH
 from postfx.passes.display import decoding, encoding, parameters
 
-KERNELS = (SLICE_APPLY, LOWRES, LIGHT, FOLLOW, SMOOTH, ENCODE_DISPLAY, APPLY_CUBE, CHECKERBOARD)
+KERNELS = (SLICE_APPLY, LOWRES, LIGHT, FOLLOW, SMOOTH, EXPOSE, ENCODE_DISPLAY, APPLY_CUBE, CHECKERBOARD)
 HLG = parse_display("hlg")
 SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
 SHAPER = (2.0**-8, 1.0 / math.log2(1.0 + 2.0**16))  # toe, and the scale by which 2^8 becomes 1
@@ -56,6 +57,28 @@ PACES = (
     Pace("broken light", math.nan, 8.0, 0.0, NONE),
     Pace("endless light", 8.0, -math.inf, 0.0, NONE),
     Pace("broken share", 8.0, 8.0, math.nan, NONE),
+)
+
+
+@dataclass(frozen=True)
+class Hold:
+    """What `expose` makes of a past factor where a look asks for one stop, at an exposure of 1.5."""
+
+    name: str
+    previous: float
+    keep: float
+    factor: float
+
+    def arguments(self) -> list[np.ndarray]:
+        previous, params = (self.previous, *SHAPER), (1.5, *SHAPER)
+        return [np.array(values, np.float32) for values in (previous, [[1.0]], [[self.keep, 8, 8, 0.02]], params)]
+
+
+HOLDS = (
+    Hold("nothing kept", math.nan, 0.0, 2.0),
+    Hold("half kept", 8.0, 0.5, 4.0),
+    Hold("nearly all kept", 1.0, 0.9, 2.0**0.1),
+    *(Hold(f"{value} before", value, 0.9, 2.0) for value in (math.nan, math.inf, -math.inf, 0.0, -1.0, 3e38)),
 )
 
 
@@ -109,4 +132,6 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
         "columns": turns(width, 6.5),
         "greys": np.array([0.15, 0.21]),
     }
+    if kernel is EXPOSE:
+        values |= {"previous": np.array([1.9, *SHAPER]), "current": np.array([[-0.7]])}
     return {name: np.ascontiguousarray(values[name], np.float32) for name in kernel.reads}

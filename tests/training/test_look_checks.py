@@ -71,10 +71,11 @@ def test_shipped_looks_pass(tag: str) -> None:
     assert halo(mapper, reference) < 1  # of 255 steps
 
 
-def test_grids_of_a_sequence_stay_as_they_were() -> None:
+@pytest.mark.parametrize("tag", ["local", "auto"])
+def test_what_was_kept_of_a_sequence_stays_as_it_was(tag: str) -> None:
     """Two frames later, too: the pass writes into the memory of the first one's."""
-    mapper, light = Mapper("auto"), ramp(64)
-    grids = [mapper.grid(Frame({Role.COLOUR: light * gain}, number)) for number, gain in enumerate((1, 4, 16))]
-    first = Mapper("auto").grid(Frame({Role.COLOUR: light}, 0))
-    np.testing.assert_array_equal(grids[0], first)
-    assert np.abs(grids[2] - first).max() > 1e-3
+    mapper, light = Mapper(tag), ramp(64)
+    kept = [mapper.kept(Frame({Role.COLOUR: light * gain}, number)) for number, gain in enumerate((1, 4, 16))]
+    first = Mapper(tag).kept(Frame({Role.COLOUR: light}, 0))
+    np.testing.assert_array_equal(kept[0], first)
+    assert np.abs(kept[2] - first).max() > 1e-3

@@ -20,8 +20,8 @@ from training.tonemap_report import flicker_table  # noqa: E402
 from training.views import ACES2, exact_view  # noqa: E402
 
 SEQUENCES = ("living_room", "staircase", "garage")
-SLACK = {"local": 0.98, "auto": 1.003}
-"""Of the static curve's flicker. A look that is a static curve itself comes within 1.005, through its cube."""
+MOST = {"local": 0.98, "auto": 1.0}
+"""Of the static curve's flicker."""
 
 
 def patches(seed: int = 1) -> np.ndarray:
@@ -77,13 +77,13 @@ def test_looks_flicker_no_more_than_the_nearest_static_curve(shared_dir: Path, t
     static = {name: view(name) for name in stops}
     found = {kind: figures["flicker"] for kind, figures in
              flicker(folder, static | {"look": mapper.follow}, "view").items()}
-    assert found["look"] <= SLACK[tag] * found["static"]
+    assert found["look"] <= MOST[tag] * found["static"]
     assert flicker(folder, static | {"look": flickering}, "view")["look"]["flicker"] > 1.02 * found["static"]
 
 
 @pytest.mark.slow
 def test_what_holds_a_look_still_is_measured(shared_dir: Path) -> None:
-    """`auto` has no more flicker than its own mean grid, but for 0.05 %, and is nearly a cube."""
+    """`auto` has no more flicker than with its own mean exposure, but for 0.05 %, and is nearly a cube."""
     folder = shared_dir / "sequences" / "garage"
     auto = steadiness(Mapper("auto"), LOOKS["auto"], folder)
     assert auto["look"]["flicker"] <= 1.0005 * auto["still"]["flicker"]

@@ -147,6 +147,25 @@ def test_a_local_look_is_trained_and_exported(tmp_path: Path) -> None:
     assert (tmp_path / "run" / "log.jsonl").read_text().count("\n") >= 1
 
 
+def test_an_exposure_is_learnt_and_exported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From one picture; light that is four times as bright comes out the same."""
+    from training import tonemap_exposure, train_tonemap
+
+    write(tmp_path / "hdr" / "0.exr", picture(0))
+    monkeypatch.setattr(tonemap_exposure, "VIEWS", 40)
+    monkeypatch.setattr(tonemap_exposure, "STEPS", 300)
+    words = ["mine", "--target", "auto", "--pictures", str(tmp_path / "hdr/*.exr"), "-o", str(tmp_path / "run")]
+    monkeypatch.setattr(sys, "argv", ["train_tonemap", *words])
+    train_tonemap.main()
+    model, light = tmp_path / "run" / "tonemap.mine.onnx", picture(1)
+    card = json.loads(model.with_suffix(".json").read_text())
+    assert card["outputs"]["stops"]["shape"] == [1, 1] and card["keep"] == 0.98
+    pipeline = Pipeline([ToneMap(tag=str(model), keep=0.0)], Device("cpu"), exposure=0.0)
+    dim, bright = (pipeline(Frame({Role.COLOUR: light * np.float32(gain)}))[Role.COLOUR].copy() for gain in (1, 4))
+    assert dim.std() > 0.05
+    np.testing.assert_allclose(bright, dim, atol=0.01)
+
+
 def test_pairs_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     write_pairs(tmp_path, {"a": picture(0), "b": picture(1)})
     write(tmp_path / "sdr" / "b.png", np.zeros((10, 10, 3), np.uint8))

@@ -21,7 +21,9 @@ from training.local_laplacian import compress, local_laplacian  # noqa: E402
 from training.looks import LOOKS  # noqa: E402
 from training.networks import hdrnet  # noqa: E402
 from training.networks.cube import CUBE, SHAPER, default_shaper, lattice, look_up, shape  # noqa: E402
+from training.networks.exposure import FARTHEST, SHARES, Exposure, levels  # noqa: E402
 from training.tonemap_data import Views  # noqa: E402
+from training.tonemap_exposure import examples, fit  # noqa: E402
 from training.tonemap_loop import Recipe, train  # noqa: E402
 from training.tonemap_set import LARGEST, Pictures  # noqa: E402
 from training.tonemap_start import start_network, weights_of  # noqa: E402
@@ -77,21 +79,21 @@ def test_exported_network_gives_what_torch_gives(tmp_path) -> None:
     np.testing.assert_array_equal(cube, wanted[2].numpy())
 
 
-@pytest.mark.parametrize("net", [None, random_net()], ids=["global", "local"])
+@pytest.mark.parametrize("net", [None, Exposure(RAMP.clone()), random_net()], ids=["global", "exposure", "local"])
 def test_an_exported_look_has_a_card_and_can_be_started_from(net, tmp_path) -> None:
     facts = {"look": {}, "history": [], "pictures": [], "psnr": {}}
     path = export_look({"cube": RAMP, "weights": net and net.state_dict(), **facts}, "mine", tmp_path, {})
     card = json.loads(path.with_suffix(".json").read_text())
     assert card["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert card["parameters"] == (488_352 if net else 0)
-    if net:
+    assert card["parameters"] == {type(None): 0, Exposure: 4737, hdrnet.HDRNet: 488_352}[type(net)]
+    if isinstance(net, hdrnet.HDRNet):
         again = weights_of(path, hdrnet.HDRNet(RAMP).state_dict())
         for name, value in net.state_dict().items():
             torch.testing.assert_close(again[name], value, msg=name)
         other = torch.rand(CUBE, CUBE, CUBE, 3)
         torch.testing.assert_close(start_network(str(path), other).cube.data, other)
     else:
-        with pytest.raises(SystemExit, match="not a look with a network"):
+        with pytest.raises(SystemExit, match="not a look with a grid"):
             start_network(str(path), RAMP)
 
 
@@ -216,3 +218,30 @@ def test_cells_borrow_what_they_have_no_pixels_of() -> None:
     dark = found[0, level, 0, 8]
     assert dark[:8] == pytest.approx(1.0, abs=0.01)
     assert dark[8] == pytest.approx(1.0, abs=0.02) and dark[9:] == pytest.approx(9.0, abs=0.01)
+
+
+def test_levels_are_those_of_the_light() -> None:
+    """Grey light whose logarithms are evenly spread over 8 stops about 2 ** -1."""
+    stops = torch.linspace(-5, 3, 256).expand(1, 3, 256, 256)
+    mean, found = levels(shape(torch.exp2(stops), *default_shaper()))
+    assert float(mean) == pytest.approx(-1, abs=0.03)
+    assert found[0].tolist() == pytest.approx([8 * share - 4 for share in SHARES], abs=0.04)
+
+
+def test_an_exposure_that_is_off_is_put_right() -> None:
+    torch.manual_seed(5)
+    net, light = Exposure(RAMP.clone()), torch.exp2(torch.randn(1, 3, 90, 120) * 2 - 2)
+    with torch.no_grad():
+        plain, brighter, black = (net(hdrnet.lowres(x, default_shaper()))[0] for x in (light, light * 4, light * 0))
+    torch.testing.assert_close(brighter, plain - 2, atol=0.02, rtol=0)
+    assert abs(float(black)) == FARTHEST
+
+
+def test_the_key_of_charts_is_learnt() -> None:
+    """Without any picture; most of what views differ by is explained after some hundred."""
+    torch.manual_seed(6)
+    views = Views(Pictures(), LOOKS["auto"], RAMP, torch.device("cpu"))
+    with torch.no_grad():
+        found, target = examples(views, 150)
+    net = Exposure(RAMP.clone())
+    assert fit(net, found, target, seed=1) < 0.2 * float((target - target.mean()).abs().mean())

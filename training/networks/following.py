@@ -1,9 +1,10 @@
-"""How the tone mapper's grid follows the light: definitions of the kernels `light` and `follow`, and of `smooth`."""
+"""How the tone mapper follows the light: definitions of the kernels `light`, `follow`, `smooth` and `expose`."""
 
 from __future__ import annotations
 
 import torch
 
+from postfx.kernels.expose import MOST as FARTHEST
 from postfx.kernels.follow import JUMP, LAG, MOST, RELEASE
 from postfx.kernels.smooth import BROKEN
 
@@ -31,3 +32,12 @@ def smooth(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor) ->
     """Exponential smoothing of the grid over time: keep[0,0] of the previous grid, none of it where it is broken."""
     change = previous - current
     return current + keep[0, 0] * torch.where(change.abs() <= float(BROKEN), change, 0)
+
+
+def expose(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor, params: torch.Tensor) -> torch.Tensor:
+    """(3,), (1,1), (1,4) and (3,) -> (3,), as `postfx.kernels.expose` says."""
+    stops, kept = current.double()[0, 0], keep.double()[0, 0]
+    change = torch.log2(previous.double()[0]) - stops
+    stops = stops + torch.where((kept > 0) & (change.abs() <= FARTHEST), kept * change, 0)
+    exposure, toe, scale = params.unbind()
+    return torch.stack([torch.exp2(stops).to(params.dtype), toe / exposure, scale])

@@ -81,6 +81,15 @@ class Smooth(nn.Module):
         return following.smooth(previous, current, keep)
 
 
+class Expose(nn.Module):
+    """previous (3,), current (1,1), keep (1,4), params (3,) -> result (3,)."""
+
+    def forward(
+        self, previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor, params: torch.Tensor
+    ) -> torch.Tensor:
+        return following.expose(previous, current, keep, params)
+
+
 class EncodeDisplay(nn.Module):
     """colour (H,W,3), params (12,), decode (4098,), encode (4098,) -> output (H,W,3), code values of a display."""
 
