@@ -1,7 +1,7 @@
 """Measure looks, as the run-time computes them, against the colour pipelines that they stand for.
 
-    python -m training.evaluate_tonemap aces2 local -o looks.json --photos 'hdr/*.exr' [--panoramas 'env/*.hdr']
-        [--references 'shot/reference.0001.exr'] [--sequences DIR...] [--report]
+    python -m training.evaluate_tonemap aces2 local -o looks.json --photos 'hdr/*.exr' 'shot/reference.0001.exr'
+        [--panoramas 'env/*.hdr'] [--sequences DIR...] [--report]
 
 A look is a tag, or the file of a model. Each picture is exposed by the run-time's meter and shrunk to at most --side
 pixels. Per picture: PSNR, SSIM and FLIP of sRGB code values, mean Delta E ITP (ITU-R BT.2124, white at 100 cd/m2).
