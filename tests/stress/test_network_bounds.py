@@ -24,7 +24,9 @@ BOUNDS = {"fp32": (2e-5, 5e-6), "fp16": (1e-3, 5e-4), "int8": (0.05, 1e-4), "ton
 """Precision -> largest and root mean square error of an output, by those of its values. In int8 a value between two
 steps may be rounded to either; in fp16 what comes out is rounded, and a CPU computes in float32."""
 GPU_BOUNDS = {"fp32": (5e-3, 4e-3), "fp16": (5e-3, 4e-3), "tone": (5e-4, 2e-4)}
-"""The same on a GPU, which multiplies in TensorFloat-32 where a CPU does in float32, and in halves in fp16."""
+"""The same on a GPU, which multiplies in TensorFloat-32 where a CPU does in float32, and in halves in fp16, on random
+features; LOUDER times as much on others, which make logits large."""
+LOUDER = 4
 DENOISERS = sorted(path.stem for path in models_dir().glob("denoise_upscale.*.onnx"))
 TONE_MAPPERS = ("tonemap.auto", "tonemap.local")
 SIZE = (16, 32)
@@ -96,7 +98,9 @@ def test_error_of_networks(name: str, values: str) -> None:
 @pytest.mark.parametrize("values", VALUES)
 @pytest.mark.parametrize("name", [name for name in (*DENOISERS, *TONE_MAPPERS) if kind(name) in GPU_BOUNDS])
 def test_error_of_networks_on_a_gpu(name: str, values: str, gpu: Device) -> None:
-    check(name, values, GPU_BOUNDS[kind(name)], gpu.placement.provider)
+    most, mean = GPU_BOUNDS[kind(name)]
+    more = 1 if values == "random" else LOUDER
+    check(name, values, (more * most, more * mean), gpu.placement.provider)
 
 
 def check(name: str, values: str, bounds: tuple[float, float], provider: str) -> None:
@@ -121,3 +125,11 @@ def check(name: str, values: str, bounds: tuple[float, float], provider: str) ->
 def test_the_table_has_the_bounds_that_are_asserted() -> None:
     rows = ROW.finditer(PAGE.read_text(encoding="utf-8"))
     assert {row["kind"]: (float(row["most"]), float(row["rms"])) for row in rows} == BOUNDS
+
+
+@pytest.mark.parametrize("name", [*DENOISERS, *TONE_MAPPERS])
+def test_a_gpu_can_replay_a_network(name: str) -> None:
+    """GatherND copies what the call holds in host memory, and the others may wait for the GPU: none of it may be
+    in a graph that is captured once and replayed."""
+    found = {node.op_type for node in onnx.load(models_dir() / f"{name}.onnx").graph.node}
+    assert not found & {"GatherND", "ScatterND", "NonZero", "If", "Loop", "Scan"}

@@ -34,7 +34,7 @@ def levels(low: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     log = torch.log2(luminance.clamp_min(0) + BLACK)
     mean, pixels = log.mean(2).mean(1, keepdim=True), (SIDE // 2) ** 2  # row by row: less is lost of a float32
     ranks = torch.tensor([round(share * (pixels - 1)) for share in SHARES], device=low.device)
-    return mean, log.flatten(1).sort(1).values[:, ranks] - mean
+    return mean, log.flatten(1).sort(1).values.index_select(1, ranks) - mean  # Gather: GatherND does not replay on GPUs
 
 
 class Exposure(nn.Module):
