@@ -33,6 +33,7 @@ from postfx.kernels.resample import RESAMPLE
 from postfx.passes._denoise_network import FEATURE_PARTS, PHASED_FINE
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.networks import denoise_kernels as definitions
+from training.networks import output_kernels as outputs
 from training.networks import overlay_kernels as overlay
 from training.networks import reactive_kernels as reactive
 from training.networks import reflection_kernels as reflections
@@ -77,17 +78,17 @@ KERNELS = {
     denoise_filter.MIX_LEVELS: definitions.Mix,
     denoise_filter.FILTER: definitions.Filter,
     denoise_filter.REMODULATE: definitions.Remodulate,
-    denoise_upsample.UPSAMPLE: definitions.Upsample,
-    denoise_upsample.UPSAMPLE_GUIDED: definitions.UpsampleGuided,
+    denoise_upsample.UPSAMPLE: outputs.Upsample,
+    denoise_upsample.UPSAMPLE_GUIDED: outputs.UpsampleGuided,
     denoise_restore.JUDGE: restore.Judge,
     denoise_restore.DETAIL: restore.Detail,
     denoise_restore.RESTORE: restore.Restore,
-    denoise_strength.STRENGTH: definitions.Strength,
+    denoise_strength.STRENGTH: outputs.Strength,
     denoise_reactive.REACTIVE: reactive.Reactive,
     denoise_reactive.SPREAD_MASK: reactive.Spread,
     denoise_reactive.KEEP: reactive.Keep,
-    denoise_assemble.ASSEMBLE: definitions.Assemble,
-    RESAMPLE: definitions.Resample,
+    denoise_assemble.ASSEMBLE: outputs.Assemble,
+    RESAMPLE: outputs.Resample,
     ENLARGE: overlay.Enlarge,
     OVER: overlay.Over,
     OVER_ALPHA: overlay.OverAlpha,

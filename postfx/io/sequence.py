@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
 from os import PathLike
 from pathlib import Path
@@ -11,11 +10,10 @@ from postfx.errors import MissingFrameError, SequenceError
 from postfx.frame import Frame, Role
 from postfx.io.aov import FrameFiles
 from postfx.io.area import Area
-from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.colourspace import parse_colourspace
 from postfx.io.depth import parse_depth
-from postfx.io.exr import READABLE
-from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_frames, parse_pattern, pattern_of, patterns_in
+from postfx.io.locate import locate
+from postfx.io.pattern import parse_frames
 from postfx.io.windows import scaled_windows
 from postfx.scratch import Scratch
 from postfx.strength.entries import parse_leave
@@ -55,7 +53,7 @@ class Sequence:
         without: Iterable[Role] = (),
     ) -> None:
         self._scratch = scratch
-        self.pattern, named = _locate(str(source))
+        self.pattern, named = locate(str(source))
         self.profile = profile
         self.depth = None if depth is None else parse_depth(depth)
         self.cuts = None if cuts is None else frozenset(cuts)
@@ -224,43 +222,6 @@ def read_sequence(
         pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave, colourspace=colourspace,
         without=without,
     )
-
-
-def _locate(source: str) -> tuple[Pattern, list[int] | None]:
-    """Pattern of a source, and the frame numbers where the source itself names one file."""
-    path = Path(source)
-    if os.path.isdir(source):
-        return _folder_pattern(path), None
-    pattern = parse_pattern(source)
-    if pattern.numbered or pattern.has_planes:
-        return pattern, None
-    number = number_in_name(path)
-    return pattern_of(path), None if number is None else [number]
-
-
-def _folder_pattern(folder: Path) -> Pattern:
-    patterns = patterns_in(folder, READABLE)
-    if len(patterns) == 1:
-        return patterns[0]
-    if not patterns:
-        raise SequenceError(f"{folder}: holds no OpenEXR file")
-    together = _one_file_a_plane(patterns)
-    if together is None:
-        names = ", ".join(Path(str(pattern)).name for pattern in patterns[:4])
-        raise SequenceError(f"{folder}: holds {len(patterns)} sequences ({names}): name one of them")
-    return together
-
-
-def _one_file_a_plane(patterns: list[Pattern]) -> Pattern | None:
-    """Pattern with {plane} that fits all sequences of a folder, one of them the colour; None when there is none."""
-    for pattern in patterns:
-        folder, _, name = pattern.prefix.rpartition("/")
-        for word in COLOUR_FILES:
-            prefix = f"{folder}/{name.replace(word, PLANE)}"
-            together = Pattern(prefix, pattern.suffix, pattern.digits)
-            if word in name and all(is_plane_word(together.plane_of(other) or "") for other in patterns):
-                return together
-    return None
 
 
 def _step(numbers: list[int]) -> int:
