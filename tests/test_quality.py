@@ -175,7 +175,7 @@ def test_both_ways_better_in_the_mean_over_the_sequences(shared_dir):
     assert np.mean([found[name]["flicker"] / bar.flicker for name, bar in BARS.items()]) <= 0.84
 
 
-BEHIND = pytest.mark.xfail(strict=True, reason="0.84 dB behind there, and a larger s is not nearer: docs/denoiser.md")
+BEHIND = pytest.mark.xfail(strict=True, reason="0.84 dB behind there; a larger s gained nothing: docs/denoiser.md")
 
 
 @pytest.mark.slow
