@@ -47,15 +47,18 @@ class Exposure(nn.Module):
         self.cube = nn.Parameter(cube, requires_grad=False)
 
     def key(self, levels: torch.Tensor) -> torch.Tensor:
-        """Stops (N,1) from mid grey at which the mean of (N,7) levels belongs."""
+        """Stops (...,1) from mid grey at which the mean of (...,7) levels belongs."""
         x = levels / TYPICAL
         for layer in self.dense[:-1]:
             x = F.relu(layer(x))
         return self.dense[-1](x)
 
+    def stops(self, mean: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
+        """Stops (...,1) to add where the luminance has this mean (...,1) and these levels (...,7)."""
+        return math.log2(MID_GREY) - mean + self.key(levels)
+
     def forward(self, low: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        mean, found = levels(low)
-        return (math.log2(MID_GREY) - mean + self.key(found)).clamp(-FARTHEST, FARTHEST), self.cube
+        return self.stops(*levels(low)).clamp(-FARTHEST, FARTHEST), self.cube
 
     def render(self, colour: torch.Tensor, shaper: Shaper) -> torch.Tensor:
         """Scene-linear (N,3,H,W) -> display (N,3,H,W) in [0,1], as the run-time does it."""
