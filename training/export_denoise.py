@@ -46,6 +46,7 @@ from training.networks.trunk import (
     PHASES,
     Trunk,
     TrunkConfig,
+    stem,
 )
 
 ALIGN = 16  # height and width of the trunk's input are multiples of this
@@ -133,10 +134,9 @@ class ExportedTrunk(Trunk):
         super().__init__(trunk.config)
         self.load_state_dict(trunk.state_dict())
         shares = self.stem.weight.detach().split(list(FEATURE_PARTS.values()), 1)
-        self.stems = nn.ModuleList(nn.Conv2d(share.shape[1], len(share), 4, 2, 1, bias=i == 0)
-                                   for i, share in enumerate(shares))
-        for stem, share in zip(self.stems, shares, strict=True):
-            stem.weight = nn.Parameter(share.contiguous())
+        self.stems = nn.ModuleList(stem(self.config, share.shape[1], bias=i == 0) for i, share in enumerate(shares))
+        for part, share in zip(self.stems, shares, strict=True):
+            part.weight = nn.Parameter(share.contiguous())
         self.stems[0].bias = self.stem.bias
 
     def forward(self, first: torch.Tensor, last: torch.Tensor,

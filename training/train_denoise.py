@@ -61,6 +61,8 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, default=1e-3)
     parser.add_argument("--widths", type=int, nargs="+", default=list(TrunkConfig.widths))
     parser.add_argument("--depth", type=int, default=TrunkConfig.depth)
+    parser.add_argument("--stem", type=int, help="channels of the stem; default: those of the first level")
+    parser.add_argument("--reach", type=int, default=TrunkConfig.reach, choices=(2, 4), help="side of the stem, pixels")
     parser.add_argument("--guides", action="store_true", help="read planes at output size")
     parser.add_argument("--flicker", type=float, default=4.0, help="weight of the temporal difference")
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
@@ -129,7 +131,7 @@ class Trainer:
         self.pool = ClipPool(args.clips, device, args.guides, rank, world, inverse=args.both_ways > 0)
         while self.pool.refresh() < args.wait:
             time.sleep(2)
-        model = model or DenoiseUpscale(TrunkConfig(tuple(args.widths), args.depth, args.guides))
+        model = model or DenoiseUpscale(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach))
         self.config, self.model = model.config, model.to(device, memory_format=torch.channels_last)
         if args.resume:
             self.model.load_state_dict(resumed(args.resume))

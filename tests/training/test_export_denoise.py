@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,30 +27,35 @@ from training.networks.denoise_upscale import DenoiseUpscale  # noqa: E402
 from training.networks.trunk import FEATURES, FINE, GUIDES, TrunkConfig  # noqa: E402
 from training.restore import weights_of  # noqa: E402
 
-TAGS = {False: "tiny", True: "tiny.guides"}
+TINY = TrunkConfig((16, 16, 16, 16), 1)
+CONFIGS = {"tiny": TINY, "tiny.guides": replace(TINY, guides=True), "quad": replace(TINY, stem=24, reach=2)}
 
 
-@pytest.fixture(scope="module", params=TAGS, ids=TAGS.get)
+@pytest.fixture(scope="module", params=CONFIGS)
 def checkpoint(request: pytest.FixtureRequest) -> dict:
     """A checkpoint of a small network, as train_denoise.py writes them."""
     torch.manual_seed(0)
-    model = DenoiseUpscale(TrunkConfig((16, 16, 16, 16), 1, request.param))
+    model = DenoiseUpscale(CONFIGS[request.param])
     weights = {key: value + 0.05 * torch.randn_like(value) for key, value in model.state_dict().items()}
     return {"config": model.config.as_dict(), "weights": weights, "notes": {"steps": 7}}
 
 
 @pytest.fixture(scope="module")
-def name(checkpoint: dict) -> str:
-    return f"denoise_upscale.{TAGS[checkpoint['config']['guides']]}"
+def tag(checkpoint: dict) -> str:
+    return next(tag for tag, config in CONFIGS.items() if config.as_dict() == checkpoint["config"])
 
 
 @pytest.fixture(scope="module")
-def folder(checkpoint: dict, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def name(tag: str) -> str:
+    return f"denoise_upscale.{tag}"
+
+
+@pytest.fixture(scope="module")
+def folder(checkpoint: dict, tag: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the command line leaves, without the kernels, which it would write as well."""
     folder = tmp_path_factory.mktemp("models")
     torch.save(checkpoint, folder / "checkpoint.pt")
     (folder / "quality.json").write_text('{"room": {"psnr": 30.5}}')
-    tag = TAGS[checkpoint["config"]["guides"]]
     arguments = ["export_denoise", "checkpoint.pt", "--tag", tag, "--quality", "quality.json", "--models", "."]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)

@@ -1,5 +1,5 @@
 """U-Net that looks at a frame's features and says how to filter it: the machine-learning part of the upscaler."""
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 
 import torch
 import torch.nn.functional as F
@@ -22,19 +22,28 @@ NO_SHARPENING = -3.0  # where the head's biases start
 
 @dataclass(frozen=True)
 class TrunkConfig:
-    """Channels of the levels at 1/2, 1/4, 1/8 and 1/16 of the render size, convolutions a level, guides read or not."""
+    """Channels of the levels at 1/2, 1/4, 1/8 and 1/16 of the render size, convolutions a level, guides read or not;
+    channels of the stem, the first level's if None, and its side: 4 pixels, or the 2 that each of its places holds."""
 
     widths: tuple[int, ...] = (64, 128, 192, 256)
     depth: int = 2
     guides: bool = False
+    stem: int | None = None
+    reach: int = 4
+
+    @property
+    def first(self) -> int:
+        """Channels of the stem."""
+        return self.stem or self.widths[0]
 
     def as_dict(self) -> dict:
         return asdict(self)
 
     @classmethod
     def from_dict(cls, config: dict) -> "TrunkConfig":
-        """From what a checkpoint holds; older ones say nothing of guides."""
-        return cls(tuple(config["widths"]), config["depth"], config.get("guides", False))
+        """From what a checkpoint holds; older ones do not name all."""
+        known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
+        return cls(**{**known, "widths": tuple(config["widths"])})
 
 
 def weights_from(logits: Tensor) -> Tensor:
@@ -58,6 +67,11 @@ class Block(nn.Sequential):
         super().__init__(*layers)
 
 
+def stem(config: TrunkConfig, inputs: int, bias: bool = True) -> nn.Conv2d:
+    """What reads some planes of render size and writes half as many rows and columns."""
+    return nn.Conv2d(inputs, config.first, config.reach, stride=2, padding=config.reach // 2 - 1, bias=bias)
+
+
 class Trunk(nn.Module):
     """Features (N, 35, h, w) and guides (N, 44, h, w) or none, h and w multiples of 16 -> the heads, all activated.
 
@@ -70,9 +84,10 @@ class Trunk(nn.Module):
         self.config = config or TrunkConfig()
         w, d = self.config.widths, self.config.depth
         self.align = 2 ** len(w)
-        self.stem = nn.Conv2d(FEATURES, w[0], 4, stride=2, padding=1)
-        self.guide_stem = nn.Conv2d(GUIDES, w[0], 4, stride=2, padding=1, bias=False) if self.config.guides else None
-        self.down = nn.ModuleList([Block(w[max(i - 1, 0)], w[i], 1 if i == 0 else d) for i in range(len(w))])
+        self.stem = stem(self.config, FEATURES)
+        self.guide_stem = stem(self.config, GUIDES, bias=False) if self.config.guides else None
+        above = (self.config.first, *w)
+        self.down = nn.ModuleList([Block(above[i], w[i], 1 if i == 0 else d) for i in range(len(w))])
         self.lift = nn.ModuleList([nn.Conv2d(w[i + 1], w[i], 1) for i in range(len(w) - 1)])
         self.up = nn.ModuleList([Block(w[i], w[i], d) for i in range(len(w) - 1)])
         self.heads = nn.ModuleList([nn.Conv2d(c, KERNEL + (i < len(w) - 1), 1) for i, c in enumerate(w)])
