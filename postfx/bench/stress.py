@@ -16,9 +16,9 @@ from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
 
 Change = Callable[[Frame], Frame]
-BRIGHTEST = 2e4
+BRIGHTEST = 4e4
 """Exposed light that the denoiser's output stays below: it keeps 1e4 times reflectance, which is taken to be below 2,
-and its filters do not enlarge that."""
+its filters do not enlarge that, and sharpening at most doubles it."""
 
 
 def changed(**planes: float | Callable[[np.ndarray], np.ndarray]) -> Change:

@@ -36,10 +36,10 @@ class Bounds(NamedTuple):
 
 
 BOUNDS = {
-    ("cpu", "fp32"): Bounds(0.005, 40, 1e-3, 36.0, 120.0, 1e-4, 1e-3, 0.0),
+    ("cpu", "fp32"): Bounds(0.02, 40, 1e-3, 36.0, 120.0, 1e-4, 1e-3, 0.0),
     ("cpu", "int8"): Bounds(0.15, 64, 1e-3, 37.0, 60.0, 5e-3, 1e-3, 0.0),
-    ("cuda", "fp32"): Bounds(0.005, 40, 2e-3, 36.0, 90.0, 1e-4, 1e-3, 1e-3),
-    ("cuda", "fp16"): Bounds(0.005, 40, 3e-3, 36.0, 80.0, 1e-4, 1e-3, 1e-3),
+    ("cuda", "fp32"): Bounds(0.02, 40, 2e-3, 36.0, 90.0, 1e-4, 1e-3, 1e-3),
+    ("cuda", "fp16"): Bounds(0.02, 40, 3e-3, 36.0, 80.0, 1e-4, 1e-3, 1e-3),
 }
 """A GPU multiplies in TensorFloat-32, with as many bits as a half has; its networks in fp16 also keep halves between
 their layers."""

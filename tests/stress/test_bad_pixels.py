@@ -17,7 +17,7 @@ from tests.stress.scenes import colours, display_psnr, on, pipeline
 BAD = (np.nan, np.inf, -np.inf)
 AT = 2
 """Frame that is broken."""
-LOST = 1.0
+LOST = 1.5
 """Decibels by which frames after a broken one are worse than those of a run that begins after it."""
 FIREFLY = 1e6
 
