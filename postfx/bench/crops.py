@@ -135,9 +135,11 @@ def _columns(material: Material, rows: list[dict[str, Any]], number: int) -> lis
 
 
 def _wanted(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """OIDN high, the same with accumulation, and our largest model, without and with guides; else the first ones."""
+    """OIDN high, the same with accumulation, and our largest model with the same past, without and with guides; else the
+    first ones."""
     by_name = {row["name"]: row for row in rows}
-    ours = [row for row in rows if row["family"] == "ours" and not row["alone"] and row["precision"] == "fp32"]
+    ours = [row for row in rows if row["family"] == "ours" and not (row["alone"] or row["both"])
+            and row["precision"] == "fp32"]
     chosen = [by_name.get("oidn-high"), by_name.get("oidn-high-accumulated")]
     chosen += [next((row for row in reversed(ours) if row["guides"] is guides), None) for guides in (False, True)]
     return [row for row in chosen if row] or rows[:4]

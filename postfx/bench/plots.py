@@ -78,7 +78,7 @@ def _dot(axes: Axes, x: float, y: float, row: dict[str, Any], figure: str) -> No
     value, colour = row["scores"][figure], COLOURS[row["family"]]
     marker = "v" if value < y else "^" if value > y else "D" if row["guides"] else "o"
     axes.plot([x], [y], marker, markersize=8, color=colour, markerfacecolor="white" if row["alone"] else colour,
-              markeredgewidth=1.8, zorder=3)
+              markerfacecoloralt="white", fillstyle="left" if row["both"] else "full", markeredgewidth=1.8, zorder=3)
     spread = [[max(x - row["time"]["wall_ms_min"], 0)], [max(row["time"]["wall_ms_max"] - x, 0)]]
     if row["time"]["gpu_ms"] is None:
         axes.errorbar([x], [y], xerr=spread, color=colour, linewidth=1, alpha=0.6, zorder=2)
@@ -99,6 +99,8 @@ def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure
         axes.plot([], [], "o", color=COLOURS[family], label=FAMILIES[family])
     if any(row["alone"] for row in rows):
         axes.plot([], [], "o", color=COLOURS["ours"], markerfacecolor="white", label="history reset every frame")
+    if any(row["both"] for row in rows):
+        axes.plot([], [], "o", color=COLOURS["ours"], markerfacecoloralt="white", fillstyle="left", label="both ways")
     if any(row["guides"] for row in rows):
         axes.plot([], [], "D", color=COLOURS["ours"], label="with guides at output size")
     axes.figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)

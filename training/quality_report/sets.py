@@ -99,7 +99,8 @@ def networks(results: Results) -> str:
         name = card["tag"].replace(".guides", " with guides")
         length = f"{training['steps']} of {training['batch']} windows, {training['minutes']:.0f} minutes"
         length += f", {training['gpus']} GPU{'s' if training['gpus'] > 1 else ''}"
-        channels = f"stem {config['stem']}, " * bool(config.get("stem")) + "/".join(map(str, config["widths"]))
+        stem = [f"stem {config['stem']}"] if "stem" in config and config["stem"] else []
+        channels = ", ".join([*stem, "/".join(map(str, config["widths"]))])
         rows.append([f"postfx {name}", channels, str(config["depth"]),
                      f"{card['parameters'] / 1e6:.2f} M", length, str(training["clips"]),
                      f"{training['validation_psnr']:.2f} dB", f"{1000 * training['validation_flicker']:.1f}"])
