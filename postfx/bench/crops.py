@@ -135,8 +135,8 @@ def _columns(material: Material, rows: list[dict[str, Any]], number: int) -> lis
 
 
 def _wanted(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """OIDN high, the same with accumulation, and our largest model with the same past, without and with guides; else the
-    first ones."""
+    """OIDN high, the same with accumulation, and our largest model that sees no later frames, without and with guides;
+    else the first ones."""
     by_name = {row["name"]: row for row in rows}
     ours = [row for row in rows if row["family"] == "ours" and not (row["alone"] or row["both"])
             and row["precision"] == "fp32"]
