@@ -53,6 +53,7 @@ class Examples:
 
 @torch.no_grad()
 def examples(source: Views, count: int) -> Examples:
+    """Of `count` views, as a source makes them."""
     found, shaper = [], default_shaper(source.device)
     for _ in range(count):
         view = source.views(1)

@@ -142,7 +142,8 @@ def test_failures_are_drawn_of_the_worst_frame_only_where_there_are_any(tmp_path
     spot = flat.copy()
     spot[20:34, 40:54] = 3
     rows = [{**row("l", 60, 30, family="ours"), "output": "l", "frames": [{"psnr": 30.0}, {"psnr": 24.0}]},
-            {**row("oidn-high", 60, 28, family="oidn"), "output": "oidn", "frames": [{"psnr": 25.0}, {"psnr": 26.0}]}]
+            {**row("oidn-high", 60, 28, family="oidn"), "output": "oidn", "frames": [{"psnr": 25.0}, {"psnr": 26.0}]},
+            row("l-both-ways", 120, 31, family="ours", both=True)]  # sees frames that OIDN does not
     seen, draw = [], crops._draw
     monkeypatch.setattr(crops, "_draw", lambda *arguments: seen.append(arguments[1:4]) or draw(*arguments))
     material = Sequence({"l": {3: flat, 4: spot}, "oidn": {3: spot, 4: flat * 1.01}})

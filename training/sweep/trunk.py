@@ -24,8 +24,8 @@ class BareTrunk(nn.Module):
     """Features (N, 27 + hidden, h, w) -> the heads that the variant has, activated, from fine to coarse.
 
     `fine` (N, sum of `Variant.fine_channels`, h, w); level i (N, taps^2 + 1, h / 2^i, w / 2^i), the coarsest without
-    its last channel. Names and order of the modules are those of `training.networks.trunk.Trunk`: with the options of a
-    shipped model the weights are interchangeable.
+    its last channel. Names and order of the modules are those of `training.networks.trunk.Trunk`: with the same options
+    the weights are interchangeable.
     """
 
     def __init__(self, variant: Variant):

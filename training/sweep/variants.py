@@ -74,7 +74,8 @@ VARIANTS = {
     "hidden16": replace(BASE, hidden=16),
     "no_blend": replace(BASE, blend=False),
 }
-"""Name -> network. `w32`, `w96` and `w128` are built as the models `s`, `m` and `l`; others differ from `w64`."""
+"""Name -> network. `w96` and `w128` are built as the models `m` and `l`, `w32` as `s` but for its stem; others differ
+from `w64`."""
 
 
 def chosen(names: str | None) -> dict[str, Variant]:
