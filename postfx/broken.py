@@ -32,11 +32,16 @@ def mended(frame: Frame, roles: tuple[Role, ...], scratch: Scratch | None = None
     if Role.COLOUR not in found:
         return frame, counts
     colour, bad = _copied(frame[Role.COLOUR], scratch), found[Role.COLOUR]
-    if bad.mean() > MOST:
+    if is_lost(frame, counts):
         colour[bad] = 0
     else:
         _mend(colour, bad)
     return dataclasses.replace(frame, planes={**frame.planes, Role.COLOUR: colour}), counts
+
+
+def is_lost(frame: Frame, counts: dict[Role, int]) -> bool:
+    """Whether a frame with these counts tells nothing: more than half of its colour is no number."""
+    return Role.COLOUR in counts and counts[Role.COLOUR] > MOST * frame[Role.COLOUR][..., 0].size
 
 
 def broken(plane: np.ndarray, role: Role, scratch: Scratch | None = None) -> np.ndarray | None:

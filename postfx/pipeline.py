@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.broken import mended
+from postfx.broken import is_lost, mended
 from postfx.cuts import CutDetector, CutError
 from postfx.errors import FrameError
 from postfx.exposure import ExposureMeter, SmoothExposure
@@ -92,6 +92,7 @@ class Pipeline:
         inputs = {role: self._input(role, frame[role]) for role in plan.planes}
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
         resident = _resident(frame, plan.input, inputs, guides, self.exposure)
+        resident.lost = is_lost(frame, self.broken)
         try:
             with self.device.results_lock:  # the next commit may take the memory of the results
                 self._run(plan, resident)

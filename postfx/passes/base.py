@@ -67,6 +67,7 @@ class ResidentFrame:
             output is no longer jittered sets it to (0, 0).
         exposure: multiplier actually used for this frame, > 0; colour times exposure is what the eye should see.
         reset: True when history must be dropped before this frame.
+        lost: True when most of the colour was no number and now is 0: the next frame builds better on none than on it.
         samples, world_to_camera, fov_x, metadata, guide_jitter: as in `postfx.frame.Frame`.
         guides: role -> tensor like those of `tensors`, at output size; those that passes read.
         given: role -> plane on the host, of planes that no pass replaced so far: to decide what to record.
@@ -80,6 +81,7 @@ class ResidentFrame:
     jitter: tuple[float, float] = (0.0, 0.0)
     exposure: float = 1.0
     reset: bool = False
+    lost: bool = False
     samples: int | None = None
     world_to_camera: np.ndarray | None = None
     fov_x: float | None = None

@@ -202,7 +202,7 @@ class DenoiseUpscale(Pass):
             change = self._cameras.step(frame, keep and not still, self._spared.unfollowed)
             planes = ready.reflections.encode(commands, frame, change, planes)
         colour = ready.frames.encode(commands, planes, params, keep, still, band)
-        self._fresh, self._exposure = True, frame.exposure
+        self._fresh, self._exposure = not frame.lost, frame.exposure
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
         return ready.strength.encode(commands, frame, colour, ready.frames.rows(band)) if ready.strength else colour
 
