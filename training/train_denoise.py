@@ -68,7 +68,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
     parser.add_argument("--even", action="store_true", help="clips of little noise count as much as noisy ones")
     parser.add_argument("--clean", type=float, default=Augment.clean, metavar="SHARE",
-                        help="part of the offline renders whose colour is moved towards the reference (default: %(default)s)")
+                        help="part of the offline renders whose colour is moved towards the reference (%(default)s)")
     parser.add_argument("--both-ways", type=float, default=0.0, metavar="SHARE",
                         help="part of the steps that run clips backwards, too, and rate the blend of both directions")
     parser.add_argument("--resume", type=Path, help="checkpoint.pt, or an exported denoise_upscale.<tag>.onnx")

@@ -214,7 +214,8 @@ def trainer(clips: Path, out: Path, minutes: float, resume: Path | None = None,
             both_ways: float = 0.0) -> train_denoise.Trainer:
     args = argparse.Namespace(clips=clips, out=out, minutes=minutes, batch=2, rate=1e-3, widths=list(SMALL.widths),
                               depth=SMALL.depth, flicker=1.0, reset=0.1, resume=resume, wait=2, seed=0, crop=48,
-                              guides=False, both_ways=both_ways, even=False, clean=0.0, stem=SMALL.stem, reach=SMALL.reach)
+                              guides=False, both_ways=both_ways, even=False, clean=0.0, stem=SMALL.stem,
+                              reach=SMALL.reach)
     torch.manual_seed(0)
     return train_denoise.Trainer(args, 0, 1, torch.device("cpu"))
 
