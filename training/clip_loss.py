@@ -15,10 +15,14 @@ Scores = tuple[Tensor, Tensor, Tensor]  # loss, and without gradient PSNR and fl
 
 
 class Truth:
-    """What the frames of a clip should show, and how that moves."""
+    """What the frames of a clip should show, how that moves, and by what errors are multiplied: 1, or if clips are to
+    count ``even``, the more the less noise their input has."""
 
-    def __init__(self, batch: Batch):
+    def __init__(self, batch: Batch, even: bool = False):
         self.shown = [ops.display(reference) for reference in batch.references]
+        ones = torch.ones_like(batch.keep[0])
+        self.scale = [losses.even_scale(ops.display(inputs.colour), shown) if even else ones
+                      for inputs, shown in zip(batch.frames, self.shown, strict=True)]
         self.motion = [inputs.motion for inputs in batch.frames]
         self.moved = [losses.reproject_reference(before, motion)
                       for before, motion in zip(self.shown[:-1], self.motion[1:], strict=True)]
@@ -29,7 +33,7 @@ class Truth:
         """Loss of the exposed linear ``outputs`` with a ``weight`` of flicker, the mean PSNR of the clip's second half
         and the mean flicker."""
         shown = [ops.display(output) for output in outputs]
-        pictures = sum(map(losses.frame_loss, shown, self.shown))
+        pictures = sum(map(losses.frame_loss, shown, self.shown, self.scale))
         flicker = torch.stack([self._flicker(shown, t) for t in range(1, len(shown))])
         late = range(len(shown) // 2, len(shown))
         quality = torch.stack([losses.psnr(shown[t].detach(), self.shown[t]).mean() for t in late])
@@ -37,19 +41,21 @@ class Truth:
 
     def _flicker(self, shown: list[Tensor], t: int) -> Tensor:
         moved = losses.reproject_reference(shown[t - 1], self.motion[t])
-        return losses.flicker_loss(shown[t], moved, self.shown[t], self.moved[t - 1], self.explained[t - 1])
+        return losses.flicker_loss(shown[t], moved, self.shown[t], self.moved[t - 1], self.explained[t - 1],
+                                   self.scale[t])
 
 
 class ClipLoss(nn.Module):
     """Run a clip through the recurrent step and sum the losses of its frames.
 
-    ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history. A batch
-    with inverse motion is run backwards, too: each direction has its own loss, and their blend has one.
+    ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history; ``even``
+    lets clips of little noise count as much as noisy ones. A batch with inverse motion is run backwards, too: each
+    direction has its own loss, and their blend has one.
     """
 
-    def __init__(self, model: DenoiseUpscale, flicker: float, reset: float):
+    def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: bool = False):
         super().__init__()
-        self.model, self.flicker, self.reset = model, flicker, reset
+        self.model, self.flicker, self.reset, self.even = model, flicker, reset, even
 
     def forward(self, batch: Batch) -> Scores:
         # One context for the whole clip, so that weights are cast once and not once a frame.
@@ -57,7 +63,7 @@ class ClipLoss(nn.Module):
             return self._clip(batch)
 
     def _clip(self, batch: Batch) -> Scores:
-        truth, size = Truth(batch), batch.references.shape[-2:]
+        truth, size = Truth(batch, self.even), batch.references.shape[-2:]
         ahead, counts = self._run(batch.frames, list(batch.keep), size)
         if batch.inverse is None:
             return truth.scores(ahead, self.flicker)

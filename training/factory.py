@@ -28,7 +28,7 @@ class ClipOptions:
     """Sizes and counts; `scales` and `scale_chances` say how often each upscaling factor is drawn.
 
     A reference takes as many samples as bring its error after x/(1+x) to about `reference_error`, within half and
-    four times `reference_spp`.
+    four times `reference_spp`. Noisy renders have 1 to `even_spp` samples a pixel, evenly in stops, where it is given.
     """
 
     width: int = 128
@@ -41,6 +41,7 @@ class ClipOptions:
     scale_chances: tuple[float, ...] = (0.2, 0.1, 0.6, 0.1)
     real_share: float = 0.25
     cut_share: float = 0.04
+    even_spp: int | None = None
 
 
 def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes, seed: int,
@@ -52,7 +53,7 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
     path, reset = _cut(tracer, options, drafted, built, path, gain, rng)
     scale = float(rng.choice(options.scales, p=options.scale_chances))
     pixel_filter = FILTERS[int(rng.random() < 0.35)]
-    styles = draw_styles(options.variants, options.frames, pixel_filter, rng)
+    styles = draw_styles(options.variants, options.frames, pixel_filter, rng, options.even_spp)
     size, output = (options.width, options.height), (round(options.width * scale), round(options.height * scale))
     wanted = look.samples_for(options.reference_error, gain)
     spp = int(np.clip(wanted, options.reference_spp / 2, 4 * options.reference_spp)) // 16 * 16 or 1

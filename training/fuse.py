@@ -11,7 +11,7 @@ from training.networks import denoise_upscale, ops, phases
 FUSED = ((ops, ("filter_kernels", "pool", "demodulation", "dilate_motion", "box_mean", "display")),
          (phases, ("upsample",)),
          (denoise_upscale, ("features", "guide_features", "accumulate", "demodulate")),
-         (losses, ("frame_loss", "flicker_loss", "explained_by_motion")))
+         (losses, ("frame_loss", "flicker_loss", "explained_by_motion", "even_scale")))
 
 
 def fuse() -> None:

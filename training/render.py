@@ -29,6 +29,8 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
     parser.add_argument("--variants", type=int, default=3, help="noisy renders of the same frames")
     parser.add_argument("--reference-spp", type=int, default=128, help="half to four times of it are taken, by noise")
     parser.add_argument("--reference-error", type=float, default=0.015, help="wanted error after x/(1+x)")
+    parser.add_argument("--even-spp", type=int, metavar="N", help="samples a pixel of noisy renders are drawn evenly in"
+                        " stops from 1 to N (default: mostly 1 to 8)")
     parser.add_argument("--scale", type=float, help="one scale for all clips (default: drawn)")
     return [action.dest for action in parser._actions if action.dest not in before]
 
@@ -72,7 +74,7 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
 
     fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
     options = ClipOptions(args.width, args.height, args.frames, args.variants, args.reference_spp,
-                          args.reference_error, real_share=args.real_share, **fixed)
+                          args.reference_error, real_share=args.real_share, even_spp=args.even_spp, **fixed)
     maps, real = Environments(args.real and args.real / "environments"), RealScenes(args.real)
     tracer = Tracer()
     return lambda index: make_clip(tracer, options, maps, real, args.seed, index)

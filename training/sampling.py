@@ -73,13 +73,22 @@ def draw_guide_style(frames: int, pixel_filter: str, rng: np.random.Generator) -
     return Style("realtime", 1, draw_jitter(frames, rng) if rng.random() < 0.8 else still)
 
 
-def draw_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Generator) -> list[Style]:
+def draw_spp(rng: np.random.Generator, most: int | None = None) -> int:
+    """Samples a pixel: evenly in stops from 1 to `most`; by default mostly 1 to 8, at most 256."""
+    if most is not None:
+        return round(2 ** rng.uniform(0, np.log2(most)))
+    spp = int(rng.choice([1, 2, 3, 4, 6, 8], p=[0.2, 0.25, 0.1, 0.25, 0.08, 0.12]))
+    if rng.random() < 0.25:
+        spp = int(rng.choice([16, 32, 64, 128, 256], p=[0.3, 0.25, 0.2, 0.15, 0.1]))
+    return spp
+
+
+def draw_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Generator,
+                most_spp: int | None = None) -> list[Style]:
     """Styles of a clip's variants: all share the reference's filter; real-time ones occur with the box filter only."""
     styles = []
     for _ in range(count):
-        spp = int(rng.choice([1, 2, 3, 4, 6, 8], p=[0.2, 0.25, 0.1, 0.25, 0.08, 0.12]))
-        if rng.random() < 0.25:
-            spp = int(rng.choice([16, 32, 64, 128, 256], p=[0.3, 0.25, 0.2, 0.15, 0.1]))
+        spp = draw_spp(rng, most_spp)
         if pixel_filter == "box" and rng.random() < 0.6:
             styles.append(Style("realtime", spp, draw_jitter(frames, rng)))
         else:

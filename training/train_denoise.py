@@ -66,6 +66,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--guides", action="store_true", help="read planes at output size")
     parser.add_argument("--flicker", type=float, default=4.0, help="weight of the temporal difference")
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
+    parser.add_argument("--even", action="store_true", help="clips of little noise count as much as noisy ones")
+    parser.add_argument("--clean", type=float, default=Augment.clean, metavar="SHARE",
+                        help="part of the offline renders whose colour is moved towards the reference (%(default)s)")
     parser.add_argument("--both-ways", type=float, default=0.0, metavar="SHARE",
                         help="part of the steps that run clips backwards, too, and rate the blend of both directions")
     parser.add_argument("--resume", type=Path, help="checkpoint.pt, or an exported denoise_upscale.<tag>.onnx")
@@ -136,13 +139,13 @@ class Trainer:
         if args.resume:
             self.model.load_state_dict(resumed(args.resume))
         self.average = Average(self.model, 0.9995)
-        self.loss = ClipLoss(self.model, args.flicker, args.reset)
+        self.loss = ClipLoss(self.model, args.flicker, args.reset, args.even)
         self.flat = FlatGradient(list(self.model.parameters()))
         self.gradient = GradientStep(self.loss, self.flat)
         self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,
                                            fused=device.type == "cuda")
         print(f"{len(self.pool)} clips to train on, {len(self.pool.validation)} held out", flush=True)
-        self.step, self.recent, self.augment = 0, [], Augment()
+        self.step, self.recent, self.augment = 0, [], Augment(clean=args.clean)
         self.start = self.kept = time.monotonic()
 
     def progress(self) -> float:

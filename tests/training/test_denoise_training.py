@@ -154,6 +154,29 @@ def test_learning_rate_rises_slowly_and_falls_with_the_clock() -> None:
     assert falls == sorted(falls, reverse=True) and falls[0] == 1 and 0 < falls[-1] < 0.01
 
 
+def test_clips_of_little_noise_count_as_much_as_noisy_ones() -> None:
+    """The same relative mistake costs the same, until errors would count more than MOST_SCALE times."""
+    torch.manual_seed(1)
+    reference, noise = torch.rand(1, 3, 32, 32), torch.randn(1, 3, 32, 32)
+    faint, strong, least = (float(_even_loss(reference, noise * level)) for level in (0.05, 0.2, 1e-4))
+    assert faint == pytest.approx(strong, rel=0.02)
+    assert least < 0.1 * faint
+
+
+def _even_loss(reference: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    """The loss, without its part that is not scaled, of a result that leaves a tenth of the noise."""
+    scale = losses.even_scale(reference + noise, reference)
+    output = reference + noise / 10
+    return (losses.frame_loss(output, reference, scale)
+            - losses.SEEN * losses.perception.difference(output, reference))
+
+
+def test_the_scale_of_errors_is_found_at_the_inputs_size() -> None:
+    reference = torch.rand(2, 3, 8, 12).repeat_interleave(3, 2).repeat_interleave(3, 3)
+    colour = reference[..., ::3, ::3] + torch.tensor([0.1, 0.4])[:, None, None, None]
+    assert losses.even_scale(colour, reference).flatten().tolist() == pytest.approx([2, 1])
+
+
 def test_a_non_finite_gradient_becomes_no_step() -> None:
     parameter = torch.nn.Parameter(torch.ones(3))
     flat = FlatGradient([parameter])
@@ -191,7 +214,8 @@ def trainer(clips: Path, out: Path, minutes: float, resume: Path | None = None,
             both_ways: float = 0.0) -> train_denoise.Trainer:
     args = argparse.Namespace(clips=clips, out=out, minutes=minutes, batch=2, rate=1e-3, widths=list(SMALL.widths),
                               depth=SMALL.depth, flicker=1.0, reset=0.1, resume=resume, wait=2, seed=0, crop=48,
-                              guides=False, both_ways=both_ways, stem=SMALL.stem, reach=SMALL.reach)
+                              guides=False, both_ways=both_ways, even=False, clean=0.0, stem=SMALL.stem,
+                              reach=SMALL.reach)
     torch.manual_seed(0)
     return train_denoise.Trainer(args, 0, 1, torch.device("cpu"))
 

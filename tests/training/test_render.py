@@ -25,7 +25,7 @@ mi.set_variant(_variant())
 
 from training.clips import guide_depth, half_depth, load_clip, save_clip  # noqa: E402
 from training.factory import ClipOptions, guide_frame, make_clip, noisy_frame  # noqa: E402
-from training.sampling import Style, filter_table  # noqa: E402
+from training.sampling import Style, draw_spp, filter_table  # noqa: E402
 from training.scenes import meshes  # noqa: E402
 from training.scenes.bending import bent  # noqa: E402
 from training.scenes.build import BuiltScene, Description  # noqa: E402
@@ -297,3 +297,12 @@ def test_clip_is_complete_and_repeatable(tracer: Tracer, tmp_path: Path) -> None
     assert clip["v0_jitter"].shape == (2, 2) and clip["scale"] == 1.5 and clip["scene"] == first[2]["scene"]
     assert all(np.isfinite(value).all() for value in clip.values() if isinstance(value, np.ndarray))
     assert [p.name for p in tmp_path.iterdir()] == ["clip.00001.npz"]
+
+
+def test_samples_a_pixel_are_drawn_evenly_in_stops() -> None:
+    rng = np.random.default_rng(3)
+    stops = np.log2([draw_spp(rng, 256) for _ in range(4000)])
+    assert stops.min() == 0 and stops.max() == 8
+    assert np.mean(stops > 4) == pytest.approx(0.5, abs=0.03)
+    few = np.array([draw_spp(rng) for _ in range(4000)])
+    assert np.mean(few <= 8) == pytest.approx(0.75, abs=0.03) and few.max() == 256
