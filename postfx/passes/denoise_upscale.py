@@ -13,7 +13,7 @@ import numpy as np
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_budget import Ladder, cost, family
 from postfx.passes._denoise_carried import carried_roles
-from postfx.passes._denoise_graph import has_model
+from postfx.passes._denoise_graph import has_model, name_models
 from postfx.passes._denoise_history import History
 from postfx.passes._denoise_layout import active_cells
 from postfx.passes._denoise_models import GUIDED, UNSCALED, checked_tag, model_of
@@ -108,6 +108,9 @@ class DenoiseUpscale(Pass):
             models, size = self._models(spec), self._output_size(spec)
             self._tags, costs = tuple(models), list(map(cost, models.values()))
             self._ladder = Ladder(costs, self.budget) if self.budget else None
+            if self.size:  # files tell the same of a frame wherever a run begins
+                endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
+                name_models(device, (model_of(tag, ending, device) for tag in self._tags for ending in endings))
             reactive = self._mask.role(spec) is not None
             self._history = History(device, Sizes(spec.height, spec.width, *size), reactive)
         self._sizes: Recent[ReadyNetwork | ReadyPlain] = Recent(MOST_SIZES)
