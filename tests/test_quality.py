@@ -21,6 +21,7 @@ from postfx.bench.reconstruct import make  # noqa: E402
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
 from postfx.kernels.denoise_layout import KERNEL  # noqa: E402
 from postfx.passes import _denoise_graph  # noqa: E402
+from postfx.passes._denoise_models import UNSCALED, exact, parted  # noqa: E402
 from postfx.runtime import Device, Library  # noqa: E402
 
 ROOM = Path(__file__).parent.parent / "samples" / "room"
@@ -38,6 +39,10 @@ MEASURED = {
 }
 SLACK = 0.4
 ABOVE_PLAIN = 4.0
+SLACK_AT_1X = 0.05
+FOR_1X = [exact(parted(name)[0].removeprefix("denoise_upscale.")) for name in Library().names()
+          if name.endswith(UNSCALED) and "fp16" not in name]
+"""Tags of networks that have one of their own for 1x."""
 
 
 class Bar(NamedTuple):
@@ -96,6 +101,34 @@ def check_room(found: float, name: str) -> None:
 @pytest.mark.parametrize("method", SHIPPED, ids=lambda method: method.name)
 def test_room_is_as_good_as_measured(method):
     check_room(room(method), method.name)
+
+
+def room_at_1x(tag: str) -> float:
+    """PSNR in dB over the second half of the sample, not enlarged, against the mean of every 2x2 reference pixels."""
+    sample, found = material(ROOM), []
+    chain = make(Method(tag, tag, "ours", tag), Device("cpu"), 1, sample.size, sample.noisy)
+    for frame in sample.noisy:
+        result = chain(frame)
+        if frame.number > len(sample.noisy.numbers) // 2:
+            reference = sample.reference(frame.number)
+            wanted = reference[Role.COLOUR].reshape(*result.shape[:1], 2, result.shape[1], 2, 3).mean((1, 3))
+            found.append(psnr(*(shown(colour, reference.exposure) for colour in (result, wanted))))
+    return float(np.mean(found))
+
+
+class WithoutThoseFor1x(Library):
+    """The networks that ship, but for those of outputs of the render size."""
+
+    def names(self) -> tuple[str, ...]:
+        return tuple(name for name in super().names() if not name.endswith(UNSCALED))
+
+
+@pytest.mark.parametrize("tag", FOR_1X)
+def test_at_1x_a_network_for_it_is_not_worse_than_the_plain_one(tag, monkeypatch):
+    found = room_at_1x(tag)
+    monkeypatch.setattr(_denoise_graph, "Library", WithoutThoseFor1x)
+    plain = room_at_1x(tag)
+    assert found >= plain - SLACK_AT_1X, f"{tag} scores {found:.2f} dB at 1x, the plain network {plain:.2f} dB"
 
 
 @pytest.mark.parametrize("plain", PLAIN, ids=lambda method: method.name)

@@ -1,6 +1,7 @@
 """Export the denoised upscaler: network and card to models/, its compute kernels to models/kernels/.
 
     python -m training.export_denoise checkpoint.pt --tag m [--quality quality.json]
+    python -m training.export_denoise checkpoint.pt --tag m.1x
     python -m training.export_denoise
 """
 
@@ -30,6 +31,7 @@ from postfx.kernels import (
 )
 from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
 from postfx.kernels.resample import RESAMPLE
+from postfx.passes._denoise_models import GUIDED, UNSCALED, parted
 from postfx.passes._denoise_network import FEATURE_PARTS, PHASED_FINE
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.networks import denoise_kernels as definitions
@@ -51,6 +53,8 @@ from training.networks.trunk import (
 
 ALIGN = 16  # height and width of the trunk's input are multiples of this
 CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
+SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, for 1x",
+             GUIDED: "recurrent denoised upscaler, 1x to 3x, guides at output size"}
 OUTPUTS = (PHASED_FINE, "level1", "level2", "level3", "level4")
 MEANING = {
     PHASED_FINE: f"logits of 5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and sharpening at "
@@ -169,7 +173,7 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
         "name": f"denoise_upscale.{tag}",
         "pass": "denoise_upscale",
         "tag": tag,
-        "summary": "recurrent denoised upscaler, 1x to 3x" + ", guides at output size" * tag.endswith("guides"),
+        "summary": SUMMARIES[parted(tag)[1]],
         "parameters": sum(weight.numel() for weight in checkpoint["weights"].values()),
         "inputs": {
             name: {

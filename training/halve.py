@@ -2,6 +2,7 @@
 
     python -m training.halve denoise_upscale.m
     python -m training.halve denoise_upscale.m.guides
+    python -m training.halve denoise_upscale.m.1x
 
 The exported network keeps its weights in half precision and casts them; here the arithmetic is in half precision, too,
 and the weights are references into the other file (ONNX external data), which therefore has to lie beside this one.
@@ -123,7 +124,7 @@ def _run(model: onnx.ModelProto, reads: Mapping[str, np.ndarray]) -> dict[str, n
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", help="model of the folder, as denoise_upscale.m or denoise_upscale.m.guides")
+    parser.add_argument("name", help="model of the folder, as denoise_upscale.m or denoise_upscale.m.1x")
     parser.add_argument("--models", type=Path, default=MODELS, metavar="FOLDER", help="where it is, and to write to")
     args = parser.parse_args()
     card = make_fp16(args.name, args.models)

@@ -2,6 +2,7 @@
 
     python -m training.quantise denoise_upscale.m --clips FOLDER_OF_CLIPS
     python -m training.quantise denoise_upscale.m.guides --clips 'shot/noisy.####.exr'
+    python -m training.quantise denoise_upscale.m.1x --clips FOLDER_OF_CLIPS
 
 Runs the network over the frames with its history, notes what its layers compute, rounds activations to 8 bits where
 that loses least, and compares the pictures of both variants. Needs no checkpoint. A few dozen numbers, the ranges
@@ -23,7 +24,7 @@ import onnxruntime
 import postfx
 from postfx.frame import Frame, Role
 from postfx.io.srgb import srgb_encode
-from postfx.passes._denoise_models import exact
+from postfx.passes._denoise_models import GUIDED, UNSCALED, exact, parted
 from postfx.runtime import Device, Library, PipelineState, Tensor
 from training.clips import GUIDES, PLANES, guide_depth, load_clip
 from training.export import MODELS, store_half, write_card
@@ -103,22 +104,24 @@ def best_range(values: np.ndarray) -> Range:
     return min(tried, key=lambda kept: (counts * np.square(kept.rounded(middles) - middles)).sum())
 
 
-def shots(source: str, guided: bool) -> Iterator[Shot]:
-    """Frames of a folder of clips or of a sequence; with `guided` only those with guides, else all without them.
+def shots(source: str, ending: str) -> Iterator[Shot]:
+    """Frames of a folder of clips or of a sequence, for a network whose name has this ending: with guides only those
+    that have some, else all without them; at scale 1 whatever their references have.
 
     Raises ValueError when there are none.
     """
-    found = 0
+    found, guided, unscaled = 0, ending == GUIDED, ending == UNSCALED
     clips = sorted(Path(source).glob("[!.]*.npz")) if Path(source).is_dir() else []
     for clip in map(load_clip, clips):
         if guided and "guide_jitter" not in clip:
             continue
         for variant in range(clip["variants"]):
-            yield Shot(clip["scale"], [_frame(clip, variant, t, guided) for t in range(len(clip["reference"]))])
+            frames = [_frame(clip, variant, t, guided) for t in range(len(clip["reference"]))]
+            yield Shot(1 if unscaled else clip["scale"], frames)
             found += 1
     if not clips:
         frames = postfx.read_sequence(source)
-        yield Shot(None, (frame for frame in frames if frame.guides or not guided))
+        yield Shot(1 if unscaled else None, (frame for frame in frames if frame.guides or not guided))
         found = len(frames)
     if not found:
         raise ValueError(f"{source}: no clip with guides")
@@ -139,10 +142,10 @@ def _plane(values: np.ndarray) -> np.ndarray:
 
 def pictures(found: Iterable[Shot], library: Library, name: str, look: Look = lambda reads: None) -> list[np.ndarray]:
     """Results of a network for all shots as they are seen: exposed, x/(1+x), sRGB."""
-    device, tag = WatchedDevice(library, name, look), name.removesuffix(".guides").split(".", 1)[1]
+    device, tag = WatchedDevice(library, name, look), name.split(".")[1]
     results = []
     for shot in found:
-        pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model=exact(tag.split(".")[0]), scale=shot.scale)], device)
+        pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model=exact(tag), scale=shot.scale)], device)
         for frame in shot.frames:
             light = np.maximum(pipeline(frame)[Role.COLOUR] * pipeline.exposure, 0)
             results.append(srgb_encode(light / (1 + light)).astype(np.float16))
@@ -151,23 +154,23 @@ def pictures(found: Iterable[Shot], library: Library, name: str, look: Look = la
 
 def variant_name(name: str, precision: str) -> str:
     """'denoise_upscale.m.guides' -> 'denoise_upscale.m.int8.guides'."""
-    plain = name.removesuffix(".guides")
-    return f"{plain}.{precision}{name[len(plain):]}"
+    plain, ending = parted(name)
+    return f"{plain}.{precision}{ending}"
 
 
 def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[str, Any]:
     """Write a network's int8 variant and its card to a folder; returns the card."""
     model = unfold_half(onnx.load_from_string(library.load(name)))
-    kept, guided = activations(model.graph, LAYERS), name.endswith(".guides")
+    kept, ending = activations(model.graph, LAYERS), parted(name)[1]
     statistics = Statistics(model, dict.fromkeys(kept.values()))
-    before = pictures(shots(source, guided), library, name, statistics.add)
+    before = pictures(shots(source, ending), library, name, statistics.add)
     ranges = statistics.ranges()
     small = quantise(model, LAYERS, {tensor: ranges[like] for tensor, like in kept.items()})
     store_half(small.graph)
     path = folder / f"{variant_name(name, PRECISION)}.onnx"
     path.write_bytes(small.SerializeToString(deterministic=True))
     path.with_suffix(".json").unlink(missing_ok=True)  # the card of an earlier file would not fit
-    after = pictures(shots(source, guided), Library(folder), path.stem)
+    after = pictures(shots(source, ending), Library(folder), path.stem)
     card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION}
     for measured_otherwise in ("quality", "parity"):
         card.pop(measured_otherwise, None)
@@ -187,7 +190,7 @@ def difference(found: list[np.ndarray], wanted: list[np.ndarray]) -> dict[str, f
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", help="model of the library, as denoise_upscale.m or denoise_upscale.m.guides")
+    parser.add_argument("name", help="model of the library, as denoise_upscale.m or denoise_upscale.m.1x")
     parser.add_argument("--clips", required=True, metavar="SOURCE", help="folder of clips (.npz), or a noisy sequence")
     parser.add_argument("-o", "--models", type=Path, default=MODELS, metavar="FOLDER", help="where to write")
     args = parser.parse_args()

@@ -10,7 +10,7 @@ PREFIX, HALF = "trunk.", "_half"
 
 
 def weights_of(path: Path) -> dict[str, Tensor]:
-    """Name -> float32 weights as a checkpoint holds them, from ``denoise_upscale.<tag>[.guides].onnx``.
+    """Name -> float32 weights as a checkpoint holds them, from ``denoise_upscale.<tag>[.guides|.1x].onnx``.
 
     They are rounded to half precision, as the file keeps them. Raises ValueError for variants of other precision.
     """

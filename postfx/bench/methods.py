@@ -9,7 +9,7 @@ from typing import NamedTuple
 from postfx.bench.errors import BenchError
 
 PASS = "denoise_upscale"
-GUIDES = "guides"
+GUIDES, UNSCALED = "guides", ".1x"
 PRECISIONS = {"fp32": ("cpu", "cuda"), "int8": ("cpu",), "fp16": ("cuda",)}
 """Precision -> devices that it is meant for."""
 FAMILIES = {"ours": "this project's networks", "oidn": "Open Image Denoise", "plain": "no denoiser"}
@@ -75,7 +75,8 @@ def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool, lo
 
     `lost`: planes of the frames that ablations leave out, each alone and all together.
     """
-    names = [name.removeprefix(f"{PASS}.") for name in models if name.startswith(f"{PASS}.")]
+    names = [name.removeprefix(f"{PASS}.") for name in models
+             if name.startswith(f"{PASS}.") and not name.endswith(UNSCALED)]  # the others take them
     methods: list[Method] = []
     left_out: list[LeftOut] = _absent(names, guides)
     for name in sorted(names, key=_place):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from postfx.frame import Frame, Role
-from postfx.passes._denoise_models import GUIDED, PASS, exact
+from postfx.passes._denoise_models import GUIDED, PASS, UNSCALED, exact, parted
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
@@ -76,14 +76,16 @@ class Outcome:
 
 
 def stress(frames: Sequence[Frame], device: Device, models: Sequence[str] | None = None) -> Iterator[Outcome]:
-    """Every hard input for every network, by tag (default: those for the device). All frames but the last are changed,
-    so that the last one has a history of them."""
+    """Every hard input for every network, by tag (default: those for the device); 'm.int8.1x' is what 'm.int8' runs at
+    render size. All frames but the last are changed, so that the last one has a history of them."""
     for model in models or tags(device):
-        denoise = Pipeline([DenoiseUpscale(model=model)], device, cuts="none")
+        tag, unscaled = parted(model)[0], model.endswith(UNSCALED)
+        denoise = Pipeline([DenoiseUpscale(model=tag, scale=1 if unscaled else None)], device, cuts="none")
+        given = [replace(frame, guides={}, guide_size=None) for frame in frames] if unscaled else frames
         show = Pipeline([ToneMap()], device, cuts="none")
         for case, change in HARD.items():
             denoise.reset()
-            hard = [*map(change, frames[:-1]), frames[-1]]
+            hard = [*map(change, given[:-1]), given[-1]]
             results = [(denoise(frame)[Role.COLOUR], denoise.exposure) for frame in hard]
             shown = [show(Frame({Role.COLOUR: colour}))[Role.COLOUR] for colour, _ in results]
             highest = float(np.max([colour.max() * exposure for colour, exposure in results]))
@@ -96,7 +98,8 @@ def tags(device: Device) -> list[str]:
     """Networks, each in the precisions that are made for the device."""
     names = [name.removeprefix(f"{PASS}.") for name in Library().names() if name.startswith(f"{PASS}.")]
     other = ".fp16" if device.memory.host_visible else ".int8"
-    return [exact(name) for name in names if not name.endswith((GUIDED, other))]
+    found = [parted(name) for name in names]
+    return [exact(tag) + ending for tag, ending in found if ending != GUIDED and not tag.endswith(other)]
 
 
 def as_dict(outcomes: Sequence[Outcome]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ HELP = "list the trained models"
 DESCRIPTION = """\
 List the models that are installed, with what their cards say. --model TAG takes PASS.TAG.int8 (integers) on a CPU and
 PASS.TAG.fp16 (half precision) on a GPU, where there are such, else PASS.TAG; --model TAG.fp32 takes PASS.TAG. Variants
-.guides are taken by themselves when there are planes at output size."""
+.guides are taken by themselves when there are planes at output size, variants .1x where that is the render size."""
 EXAMPLES = """\
 examples:
   postfx models

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 
 from postfx.kernels import (
@@ -28,6 +28,13 @@ MOST_PLACES = 64
 def has_model(model: str) -> bool:
     """Whether a model comes with postfx."""
     return model in Library().names()
+
+
+def name_models(device: Device, models: Iterable[str]) -> None:
+    """Name those of some models that come with postfx, which may run later."""
+    library = Library()
+    for model in set(models) & set(library.names()):
+        device.name_model(library, model)
 
 
 class Graph:

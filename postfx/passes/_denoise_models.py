@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from postfx.passes import _denoise_graph
+from postfx.passes.base import PassOptionError
 from postfx.runtime import Device
 
 PASS = "denoise_upscale"
-GUIDED = ".guides"
 EXACT = ".fp32"
 """Ends a tag that asks for the network as it was trained, in float32."""
+GUIDED, UNSCALED = ".guides", ".1x"
+SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has the render size"}
+"""Endings of the names of networks that are taken by themselves, and when."""
 
 
 def exact(tag: str) -> str:
@@ -16,17 +19,36 @@ def exact(tag: str) -> str:
     return tag if "." in tag else f"{tag}{EXACT}"
 
 
-def model_of(tag: str, guided: bool = False, device: Device | None = None) -> str:
+def parted(name: str) -> tuple[str, str]:
+    """A tag or a model's name without its special ending, and that: 'm.int8.1x' -> 'm.int8', '.1x'."""
+    ending = next((one for one in SPECIAL if name.endswith(one)), "")
+    return name.removesuffix(ending), ending
+
+
+def checked_tag(tag: str) -> str:
+    """The option `model`; PassOptionError for a network that is taken by itself."""
+    plain, ending = parted(tag)
+    if ending:
+        raise PassOptionError(f"model '{tag}' runs {SPECIAL[ending]}: give the model '{plain}'")
+    return tag
+
+
+def model_of(tag: str, ending: str = "", device: Device | None = None) -> str:
     """Name of the model for a tag: 'm.fp32' -> 'denoise_upscale.m', 'm.int8' -> 'denoise_upscale.m.int8'.
 
     A tag without a precision takes the fast one of the device where there is one, int8 on a CPU and fp16 on a GPU, else
-    float32. Without a device: the float32 model, which every tag without a precision has.
+    float32. Without a device: the float32 model, which every tag without a precision has. Where there is no network for
+    the render size, the plain one runs.
     """
-    end = GUIDED * guided
+    found = _named(tag, ending, device)
+    return found if ending != UNSCALED or _denoise_graph.has_model(found) else _named(tag, "", device)
+
+
+def _named(tag: str, ending: str, device: Device | None) -> str:
     if tag.endswith(EXACT):
-        return f"{PASS}.{tag.removesuffix(EXACT)}{end}"
+        return f"{PASS}.{tag.removesuffix(EXACT)}{ending}"
     if device is not None and "." not in tag:
-        fast = f"{PASS}.{tag}.{'int8' if device.memory.host_visible else 'fp16'}{end}"
+        fast = f"{PASS}.{tag}.{'int8' if device.memory.host_visible else 'fp16'}{ending}"
         if _denoise_graph.has_model(fast):
             return fast
-    return f"{PASS}.{tag}{end}"
+    return f"{PASS}.{tag}{ending}"

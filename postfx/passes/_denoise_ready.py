@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 from postfx.frame import FrameSpec, Role
 from postfx.passes._denoise_carried import Carried
@@ -46,21 +46,23 @@ class ReadyNetwork(Ready):
 
     Attributes:
         planes: what its kernels read.
-        frames: the networks, of which each frame takes one.
+        models: the networks of this size by tag, of which each frame takes one.
+        frames: what runs them.
         reactive: the mask of where the history is not used.
         reflections: where frames have what it needs, else None.
         restore: at render size only, else None.
         strength: None where all of the picture is fully denoised.
     """
 
-    def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Sequence[str], history: History,
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str], history: History,
                  guided: bool, strength: float, mask: ReactiveOption) -> None:
         super().__init__(device, spec, output)
         sizes = Sizes(spec.height, spec.width, *output)
+        self.models = models
         self.planes = Planes(device, spec, output, guided)
         self.reflections = Reflections(device, spec) if can_follow(spec) else None
         self.reactive = Reactive(device, spec, mask)
-        self.frames = Frames(device, sizes, models, history, guided, mask.role(spec) is not None)
+        self.frames = Frames(device, sizes, list(models.values()), history, guided, mask.role(spec) is not None)
         self.restore = Restore(device, output) if output == (spec.height, spec.width) else None
         full = strength == 1 and not spec.has(Role.STRENGTH)
         self.strength = None if full else Strength(device, spec, output, strength)

@@ -13,10 +13,10 @@ import numpy as np
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_budget import Ladder, cost, family
 from postfx.passes._denoise_carried import carried_roles
-from postfx.passes._denoise_graph import has_model
+from postfx.passes._denoise_graph import has_model, name_models
 from postfx.passes._denoise_history import History
 from postfx.passes._denoise_layout import active_cells
-from postfx.passes._denoise_models import GUIDED, model_of
+from postfx.passes._denoise_models import GUIDED, UNSCALED, checked_tag, model_of
 from postfx.passes._denoise_planes import ABSENT
 from postfx.passes._denoise_reactive import parse_reactive
 from postfx.passes._denoise_ready import ReadyNetwork, ReadyPlain
@@ -51,10 +51,12 @@ class DenoiseUpscale(Pass):
     Alpha and a transparency overlay are only resampled; the pass `overlay` composites. The plane `later` is handed on
     to the pass `both_ways`.
 
-    A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. Without a
-    motion plane every frame stands alone. Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a
-    strength outside 0 to 1, a budget that is not above 0 and a model that is only for guides, FrameError for a frame
-    that a given size is not 1 to 3 times as large as, GuideError for guides of another size than the output's.
+    A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. At render
+    size ``denoise_upscale.<tag>.1x`` runs where there is one. Without a motion plane every frame stands alone.
+
+    Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0 to 1, a budget that
+    is not above 0 and a model that is taken by itself, FrameError for a frame that a given size is not 1 to 3 times as
+    large as, GuideError for guides of another size than the output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
@@ -74,9 +76,7 @@ class DenoiseUpscale(Pass):
         self._mask = parse_reactive(str(self.options["reactive"]))
         self._used: str | None = None
         self._cameras = Cameras()
-        plain = str(self.options["model"]).removesuffix(GUIDED)
-        if plain != self.options["model"]:
-            raise PassOptionError(f"model '{plain}{GUIDED}' runs when a frame has guides: give the model '{plain}'")
+        self._tag = checked_tag(str(self.options["model"]))
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         carried = carried_roles(spec)
@@ -105,9 +105,12 @@ class DenoiseUpscale(Pass):
         self._device, self._output = device, self.reflect(spec).output
         self._spared = Spared()
         if self.strength:
-            guided, size = self._is_guided(spec), self._output_size(spec)
-            self._models = {tag: model_of(tag, guided, device) for tag in self._tags(guided)}
-            self._ladder = Ladder(list(map(cost, self._models.values())), self.budget) if self.budget else None
+            models, size = self._models(spec), self._output_size(spec)
+            self._tags, costs = tuple(models), list(map(cost, models.values()))
+            self._ladder = Ladder(costs, self.budget) if self.budget else None
+            if self.size:  # files tell the same of a frame wherever a run begins
+                endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
+                name_models(device, (model_of(tag, ending, device) for tag in self._tags for ending in endings))
             reactive = self._mask.role(spec) is not None
             self._history = History(device, Sizes(spec.height, spec.width, *size), reactive)
         self._sizes: Recent[ReadyNetwork | ReadyPlain] = Recent(MOST_SIZES)
@@ -116,9 +119,10 @@ class DenoiseUpscale(Pass):
 
     def resize(self, spec: FrameSpec) -> bool:
         before = self._spec
-        if not self.size or replace(spec, width=before.width, height=before.height) != before:
+        alike = replace(before, width=spec.width, height=spec.height, guides=spec.guides)  # at 1x fewer guides are read
+        if not self.size or spec != alike or self.reflect(spec).output != self._output:
             return False
-        if self.strength and self._is_guided(spec) != self._is_guided(before):
+        if self.strength and tuple(self._models(spec)) != self._tags:
             return False
         if self.strength:
             self._spared.resized(spec in self._sizes)
@@ -131,14 +135,15 @@ class DenoiseUpscale(Pass):
         size = self._output_size(spec)
         if not self.strength:
             return ReadyPlain(self._device, spec, size)
-        models, guided = list(self._models.values()), self._is_guided(spec)
+        models, guided = self._models(spec), self._is_guided(spec)
         return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask)
 
-    def _tags(self, guided: bool) -> tuple[str, ...]:
-        """Tags of the networks to choose from, fastest first; the one that was asked for without a budget."""
-        model = self.options["model"]
-        smaller = family(model)[:-1] if self.budget else ()
-        return (*(tag for tag in smaller if has_model(model_of(tag, guided))), model)
+    def _models(self, spec: FrameSpec) -> dict[str, str]:
+        """The networks to choose from for frames of a spec, by tag, fastest first; one without a budget."""
+        ending = UNSCALED if self._is_render_size(spec) else GUIDED * self._is_guided(spec)
+        smaller = family(self._tag)[:-1] if self.budget else ()
+        tags = (*(tag for tag in smaller if has_model(model_of(tag, ending))), self._tag)
+        return {tag: model_of(tag, ending, self._device) for tag in tags}
 
     def ran(self, milliseconds: float) -> None:
         if self.strength:
@@ -160,14 +165,14 @@ class DenoiseUpscale(Pass):
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._fresh):
             return {}
-        known = {"exposure": np.float64(self._exposure), "network": np.int64(list(self._models).index(self._used))}
+        known = {"exposure": np.float64(self._exposure), "network": np.int64(self._tags.index(self._used))}
         return known | self._cameras.kept() | self._history.kept()
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)
         if self._fresh:
-            self._exposure, self._used = float(history["exposure"]), list(self._models)[int(history["network"])]
-            self._history.use(self._models[self._used])
+            self._exposure, self._used = float(history["exposure"]), self._tags[int(history["network"])]
+            self._history.use(self._ready.models[self._used])
             self._history.recall(history)
             self._cameras.recall(history)
 
@@ -193,8 +198,8 @@ class DenoiseUpscale(Pass):
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
         params = np.array([frame.exposure, *frame.jitter, gain], np.float32)
-        self._used = list(self._models)[self._ladder.rung if self._ladder else 0]
-        ready.frames.use(self._models[self._used])
+        self._used = self._tags[self._ladder.rung if self._ladder else 0]
+        ready.frames.use(ready.models[self._used])
         still = keep and gain == 1 and self._is_still(frame)
         self._spared.begin(1.0 if band is None else band.share, keep, still)
         planes = {**ready.planes.encode(commands, frame), **ready.reactive.encode(commands, frame)}
@@ -237,7 +242,7 @@ class DenoiseUpscale(Pass):
         return bool(set(spec.guide_roles) & set(GUIDE_ROLES)) and self._reads_guides(spec)
 
     def _has_guided_model(self) -> bool:
-        return has_model(model_of(self.options["model"], guided=True))
+        return has_model(model_of(self._tag, GUIDED))
 
     def _is_render_size(self, spec: FrameSpec) -> bool:
         return self._output_size(spec) == (spec.height, spec.width)
@@ -246,7 +251,7 @@ class DenoiseUpscale(Pass):
         if spec.guides is None or (spec.guide_roles and not set(spec.guide_roles) & set(GUIDE_ROLES)):
             return []
         if not self._has_guided_model():
-            return [f"model '{self.options['model']}' does not read guides: they only stand in for missing planes"]
+            return [f"model '{self._tag}' does not read guides: they only stand in for missing planes"]
         if self._is_render_size(spec):
             return ["guides of the render size only stand in for missing planes"]
         rough = [str(role) for role in GUIDE_ROLES if spec.has(role) and role not in spec.guide_roles]

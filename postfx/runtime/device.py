@@ -49,7 +49,7 @@ class Device:
         graphs: launch commands that ran before with the same tensors as one CUDA graph.
 
     Attributes:
-        models: name -> SHA-256 of the networks that were made ready.
+        models: name -> SHA-256 of the networks that were made ready, or may be for frames of another size.
         results_lock: to hold from commit until the host has read transient results, where several threads commit.
 
     Raises DeviceError when the device is not available or an option does not fit it, MemoryBudgetError for a budget
@@ -136,8 +136,12 @@ class Device:
             if free:
                 given = ", ".join(f"{key}={size}" for key, size in fixed.items()) or "none"
                 raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' free: dims were {given}")
-        self.models[name] = library.sha256(name)
+        self.name_model(library, name)
         return PipelineState(self, name, session, fixed, library.path(name), library.constants(name))
+
+    def name_model(self, library: Library, name: str) -> None:
+        """Name a network in what is told of a run; to be called where it may be made ready later."""
+        self.models[name] = library.sha256(name)
 
     def compute_state(self, kernel: Kernel) -> State:
         """A kernel made ready, once per device: compiled rows on the CPU, its CUDA source or its

@@ -21,6 +21,11 @@ def test_networks_come_by_size_with_and_without_history():
     assert names(found)[len(ours) :] == [method.name for method in OTHERS]
 
 
+def test_networks_for_1x_are_what_the_others_run_there():
+    more = (*MODELS, "denoise_upscale.m.1x", "denoise_upscale.m.int8.1x", "denoise_upscale.m.fp16.1x")
+    assert catalogue(more, "cpu", guides=True, motion=True) == catalogue(MODELS, "cpu", guides=True, motion=True)
+
+
 def test_what_is_left_out_says_why():
     left_out = dict(catalogue(MODELS, "cpu", guides=False, motion=False).left_out)
     assert left_out["m fp16"] == "fp16 is for cuda, not for cpu"

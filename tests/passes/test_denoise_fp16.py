@@ -57,6 +57,16 @@ def test_small_file_gives_the_same_pictures(folder: Path, name: str, small_model
     assert difference(*results)["worst_psnr_db"] > 60
 
 
+def test_a_network_for_1x_shares_the_weights_of_its_own(folder: Path, tmp_path: Path) -> None:
+    name = "denoise_upscale.small.1x"
+    shutil.copy(folder / f"{NAMES[0]}.onnx", tmp_path / f"{name}.onnx")
+    card = halve.make_fp16(name, tmp_path)
+    assert (card["name"], list(card["weights"])) == ("denoise_upscale.small.fp16.1x", [f"{name}.onnx"])
+    assert Library(tmp_path).load(card["name"])
+    results = [pictures([Shot(1, [noisy(1)])], Library(tmp_path), variant) for variant in (card["name"], name)]
+    assert difference(*results)["worst_psnr_db"] > 60
+
+
 def test_card_tells_the_precision_and_nothing_measured_in_another(folder: Path) -> None:
     card = json.loads((folder / "denoise_upscale.small.fp16.json").read_text())
     assert (card["precision"], card["tag"]) == ("fp16", "small.fp16")

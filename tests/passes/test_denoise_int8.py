@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from training.qdq import Range, activations, convolutions, unfold_half  # noqa: 
 from training.qdq import quantise as quantised  # noqa: E402
 
 NAMES = ("denoise_upscale.small", "denoise_upscale.small.guides")
+ROOM = Path(__file__).parents[2] / "samples/room/noisy.####.exr"
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +74,19 @@ def test_variant_runs_in_integers_and_shows_the_same(
 def test_frames_without_guides_are_an_error_for_a_network_that_reads_them(clips: Path, tmp_path: Path) -> None:
     (tmp_path / "plain.npz").symlink_to(clips / "plain.npz")
     with pytest.raises(ValueError, match="no clip with guides"):
-        list(quantise.shots(str(tmp_path), guided=True))
+        list(quantise.shots(str(tmp_path), ".guides"))
+
+
+def test_frames_for_a_network_for_1x_are_not_enlarged(small_models: Path, clips: Path, tmp_path: Path) -> None:
+    """Whatever scale their references have."""
+    for source in (str(clips), str(ROOM)):
+        assert {shot.scale for shot in quantise.shots(source, ".1x")} == {1}
+    shutil.copy(small_models / f"{NAMES[0]}.onnx", tmp_path / "denoise_upscale.small.1x.onnx")
+    card = quantise.make_int8("denoise_upscale.small.1x", Library(tmp_path), str(clips), tmp_path)
+    assert (card["name"], card["tag"]) == ("denoise_upscale.small.int8.1x", "small.int8.1x")
+    assert card["made_from"]["name"] == "denoise_upscale.small.1x" and card["difference"]["worst_psnr_db"] > 40
+    (shot,) = [quantise.Shot(1, [noisy(1, 40, 56)])]
+    assert quantise.pictures([shot], Library(tmp_path), card["name"])[0].shape == (40, 56, 3)
 
 
 def test_zero_is_kept_exactly_and_ranges_ignore_what_is_rare() -> None:
@@ -106,7 +120,6 @@ def test_shipped_variant_is_made_from_the_shipped_network(path: Path) -> None:
 
 
 def test_shipped_variant_shows_the_room_as_the_float_network_does() -> None:
-    room = Path(__file__).parents[2] / "samples/room/noisy.####.exr"
-    shots = [quantise.Shot(2.0, list(postfx.read_sequence(room, frames="1-3")))]
+    shots = [quantise.Shot(2.0, list(postfx.read_sequence(ROOM, frames="1-3")))]
     results = [quantise.pictures(shots, Library(), f"denoise_upscale.{tag}") for tag in ("m.int8", "m")]
     assert quantise.difference(*results)["worst_psnr_db"] > 45

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import Role
-from postfx.passes._denoise_models import exact, model_of
+from postfx.passes._denoise_models import GUIDED, exact, model_of, parted
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
@@ -23,31 +23,36 @@ class Remote:
     host_visible = False
 
 
-@pytest.mark.parametrize(("tag", "guided", "model"), [
-    ("m", False, "denoise_upscale.m.int8"),
-    ("m", True, "denoise_upscale.m.int8.guides"),
-    ("m.fp32", False, "denoise_upscale.m"),
-    ("m.fp32", True, "denoise_upscale.m.guides"),
-    ("s.int8", False, "denoise_upscale.s.int8"),
-    ("mine", False, "denoise_upscale.mine"),
+@pytest.mark.parametrize(("tag", "ending", "model"), [
+    ("m", "", "denoise_upscale.m.int8"),
+    ("m", GUIDED, "denoise_upscale.m.int8.guides"),
+    ("m.fp32", "", "denoise_upscale.m"),
+    ("m.fp32", GUIDED, "denoise_upscale.m.guides"),
+    ("s.int8", "", "denoise_upscale.s.int8"),
+    ("mine", "", "denoise_upscale.mine"),
 ])
-def test_a_cpu_runs_integers_unless_asked_otherwise(tag: str, guided: bool, model: str) -> None:
-    assert model_of(tag, guided, CPU) == model
+def test_a_cpu_runs_integers_unless_asked_otherwise(tag: str, ending: str, model: str) -> None:
+    assert model_of(tag, ending, CPU) == model
 
 
 def test_a_gpu_runs_half_precision_unless_asked_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
     device = Device("cpu", threads=1)
     monkeypatch.setattr(device, "memory", Remote())
-    assert model_of("m", False, device) == "denoise_upscale.m.fp16"
-    assert model_of("m.fp32", False, device) == "denoise_upscale.m"
+    assert model_of("m", "", device) == "denoise_upscale.m.fp16"
+    assert model_of("m.fp32", "", device) == "denoise_upscale.m"
 
 
 def test_a_network_without_another_precision_runs_as_it_is(small_models: Path) -> None:
-    assert model_of("small", False, CPU) == model_of("small") == "denoise_upscale.small"
+    assert model_of("small", "", CPU) == model_of("small") == "denoise_upscale.small"
 
 
 def test_tags_of_the_float_network() -> None:
     assert [exact(tag) for tag in ("m", "m.int8", "m.fp32")] == ["m.fp32", "m.int8", "m.fp32"]
+
+
+def test_endings_of_networks_that_are_taken_by_themselves() -> None:
+    found = [parted(name) for name in ("m", "m.int8.1x", "denoise_upscale.m.fp16.guides", "m.fp32")]
+    assert found == [("m", ""), ("m.int8", ".1x"), ("denoise_upscale.m.fp16", ".guides"), ("m.fp32", "")]
 
 
 def test_both_precisions_give_nearly_the_same() -> None:

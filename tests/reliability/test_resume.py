@@ -50,10 +50,11 @@ def test_killed_and_resumed_with_the_denoiser(runs, seconds):
     assert len(runs.events("recall")) == (seconds == "0")
 
 
+@pytest.mark.parametrize("sizes", [((32, 48), (24, 36), (32, 48), (16, 24)), ((48, 72), (24, 36), (32, 48), (24, 36)),
+                                   ((24, 36), (48, 72), (24, 36), (32, 48))], ids=["enlarged", "1x last", "1x next"])
 @pytest.mark.parametrize("seconds", ["0", "none"])
-def test_killed_and_resumed_across_changing_sizes(tmp_path, capsys, seconds):
+def test_killed_and_resumed_across_changing_sizes(tmp_path, capsys, seconds, sizes):
     """The frame where it goes on is of another size than those before and after it."""
-    sizes = ((32, 48), (24, 36), (32, 48), (16, 24))
     for number in range(1, FRAMES + 1):
         write_frame(tmp_path / f"in.{number:04d}.exr", number, size=sizes[number % 4])
     shot, passes = str(tmp_path / "in.####.exr"), (*DENOISE, "--size", "72x48")

@@ -16,10 +16,12 @@ from postfx.passes.overlay import Overlay
 from postfx.passes.tonemap import ToneMap
 from postfx.passes.view import View
 from postfx.pipeline import Pipeline
-from postfx.runtime import Device
+from postfx.runtime import Device, Library
 from tests.passes.denoise_frames import noisy
 from tests.stress.scenes import ROOM, SIZES, held, on, pipeline
 
+UNSCALED = "".join(size for size in "sml" if f"denoise_upscale.{size}.1x" in Library().names())
+"""Sizes of the networks that have one of their own for 1x."""
 DISPLAYS = {
     "tonemap": lambda: ToneMap(), "tonemap, a network": lambda: ToneMap(tag="local"),
     "tonemap, a network that exposes": lambda: ToneMap(tag="auto"), "view": lambda: View(),
@@ -109,7 +111,7 @@ def test_dim_light_after_bright_light_is_not_negative(device: Device) -> None:
         assert_light(chain(frame)[Role.COLOUR], chain.exposure)
 
 
-@on(cpu=("s.int8",), gpu=("s.fp16",))
+@on(cpu=("s.int8", "s.int8.1x"), gpu=("s.fp16", "s.fp16.1x"))
 def test_report_of_all_hard_inputs(model: str, device: Device) -> None:
     found = list(stress([noisy(1, 12, 16), noisy(2, 12, 16)], device, [model]))
     assert [one.case for one in found] == list(HARD) and all(one.well for one in found)
@@ -123,4 +125,5 @@ def test_report_of_all_hard_inputs(model: str, device: Device) -> None:
 @pytest.mark.parametrize(("device", "fast"), [("cpu", "int8"), pytest.param("gpu", "fp16", marks=pytest.mark.gpu)],
                          indirect=["device"])
 def test_networks_of_the_report_are_those_of_the_device(fast: str, device: Device) -> None:
-    assert sorted(tags(device)) == sorted(f"{size}.{precision}" for size in "sml" for precision in ("fp32", fast))
+    wanted = [f"{size}.{precision}" for size in "sml" for precision in ("fp32", fast)]
+    assert sorted(tags(device)) == sorted(wanted + [f"{tag}.1x" for tag in wanted if tag[0] in UNSCALED])

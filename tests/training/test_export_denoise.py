@@ -27,6 +27,8 @@ from training.networks.denoise_upscale import DenoiseUpscale  # noqa: E402
 from training.networks.trunk import FEATURES, FINE, GUIDES, TrunkConfig  # noqa: E402
 from training.restore import weights_of  # noqa: E402
 
+EXACT = sorted(path for path in models_dir().glob("denoise_upscale.*.onnx")
+               if not {"int8", "fp16"} & {*path.stem.split(".")})
 TINY = TrunkConfig((16, 16, 16, 16), 1)
 CONFIGS = {"tiny": TINY, "tiny.guides": replace(TINY, guides=True), "quad": replace(TINY, stem=24, reach=2)}
 
@@ -126,10 +128,26 @@ def test_card_says_what_the_file_is(checkpoint: dict, folder: Path, name: str) -
     assert set(card["outputs"]) == {value.name for value in graph.output}
 
 
-def test_shipped_model_is_the_one_on_its_card() -> None:
-    card = json.loads((models_dir() / "denoise_upscale.m.json").read_text())
-    assert hashlib.sha256((models_dir() / "denoise_upscale.m.onnx").read_bytes()).hexdigest() == card["sha256"]
+@pytest.mark.parametrize("path", EXACT, ids=lambda path: path.stem)
+def test_shipped_model_is_the_one_on_its_card(path: Path) -> None:
+    card = json.loads(path.with_suffix(".json").read_text())
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == card["sha256"]
+    assert card["name"] == path.stem == f"denoise_upscale.{card['tag']}"
     assert card["parity"]["max_relative_error"] <= PARITY
+
+
+@pytest.mark.parametrize("path", [path for path in EXACT if path.stem.endswith(".1x")], ids=lambda path: path.stem)
+def test_shipped_model_for_1x_is_the_plain_one_with_other_weights(path: Path) -> None:
+    card, plain = (json.loads(each.with_suffix(".json").read_text())
+                   for each in (path, path.with_name(f"{path.stem.removesuffix('.1x')}.onnx")))
+    assert all(card[part] == plain[part] for part in ("parameters", "inputs", "outputs", "config"))
+    assert card["sha256"] != plain["sha256"]
+
+
+def test_summary_says_what_a_network_is_for(checkpoint: dict) -> None:
+    found = [export_denoise.card(checkpoint, tag, 0.0, {})["summary"] for tag in ("m", "m.1x", "m.guides")]
+    assert [text.removeprefix("recurrent denoised upscaler, ") for text in found] == [
+        "1x to 3x", "for 1x", "1x to 3x, guides at output size"]
 
 
 def test_relative_error() -> None:

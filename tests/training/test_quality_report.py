@@ -81,6 +81,9 @@ def results(tmp_path: Path) -> Path:
                    "training": {"steps": 100, "batch": 16, "minutes": 22.01, "gpus": 2, "clips": 840,
                                 "validation_psnr": 28.649, "validation_flicker": 0.0185}},
                "models/denoise_upscale.m.int8.json": {"name": "denoise_upscale.m.int8", "precision": "int8"}}
+    card = written["models/denoise_upscale.m.json"]
+    for tag in ("m.1x", "m.guides"):
+        written[f"models/denoise_upscale.{tag}.json"] = {**card, "name": f"denoise_upscale.{tag}", "tag": tag}
     for name, facts in written.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(json.dumps(facts))
@@ -174,8 +177,8 @@ def test_views_and_networks(tmp_path, results):
     equivalent, convergence, networks, detail = (cells(block)[1:] for block in written(tmp_path, results, *names))
     assert equivalent == [["room, seed 9000", "postfx m", "40.0", "over 64", "4"]]
     assert convergence == [["room, seed 9000", "1x", "postfx m", "-0.25 dB at 4", "+0.50 dB at 16"]]
-    assert networks == [["postfx m", "64/128", "2", "3.04 M", "100 of 16 windows, 22 minutes, 2 GPUs", "840",
-                         "28.65 dB", "18.5"]]
+    facts = ["64/128", "2", "3.04 M", "100 of 16 windows, 22 minutes, 2 GPUs", "840", "28.65 dB", "18.5"]
+    assert networks == [[name, *facts] for name in ("postfx m", "postfx m at 1x", "postfx m with guides")]
     assert detail == [["cubic", "20.00 dB, 0.50, 0.00"], ["postfx m, alone", "20.00 dB, 0.50, 0.00"]]
 
 

@@ -96,7 +96,7 @@ def networks(results: Results) -> str:
     rows = []
     for card in results.cards():
         config, training = card["config"], card["training"]
-        name = card["tag"].replace(".guides", " with guides")
+        name = card["tag"].replace(".guides", " with guides").replace(".1x", " at 1x")
         length = f"{training['steps']} of {training['batch']} windows, {training['minutes']:.0f} minutes"
         length += f", {training['gpus']} GPU{'s' if training['gpus'] > 1 else ''}"
         stem = [f"stem {config['stem']}"] if "stem" in config and config["stem"] else []
