@@ -39,7 +39,7 @@ MEASURED = {
 }
 SLACK = 0.4
 ABOVE_PLAIN = 4.0
-SLACK_AT_1X = 0.05
+SLACK_AT_1X = 0.2
 FOR_1X = [exact(parted(name)[0].removeprefix("denoise_upscale.")) for name in Library().names()
           if name.endswith(UNSCALED) and "fp16" not in name]
 """Tags of networks that have one of their own for 1x."""

@@ -12,6 +12,8 @@ EXACT = ".fp32"
 GUIDED, UNSCALED = ".guides", ".1x"
 SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has the render size"}
 """Endings of the names of networks that are taken by themselves, and when."""
+WITH_UNSCALED = "m"
+"""The largest network that has one for the render size beside it."""
 
 
 def exact(tag: str) -> str:
@@ -42,6 +44,13 @@ def model_of(tag: str, ending: str = "", device: Device | None = None) -> str:
     """
     found = _named(tag, ending, device)
     return found if ending != UNSCALED or _denoise_graph.has_model(found) else _named(tag, "", device)
+
+
+def unscaled_remarks(tag: str) -> list[str]:
+    """What a plan says of a network that has none for the render size beside it, where another has."""
+    if model_of(tag, UNSCALED).endswith(UNSCALED) or not _denoise_graph.has_model(model_of(WITH_UNSCALED, UNSCALED)):
+        return []
+    return [f"model '{tag}' has no network for 1x: '{WITH_UNSCALED}' is better there from some samples a pixel on"]
 
 
 def _named(tag: str, ending: str, device: Device | None) -> str:

@@ -16,7 +16,7 @@ from postfx.passes._denoise_carried import carried_roles
 from postfx.passes._denoise_graph import has_model, name_models
 from postfx.passes._denoise_history import History
 from postfx.passes._denoise_layout import active_cells
-from postfx.passes._denoise_models import GUIDED, UNSCALED, checked_tag, model_of
+from postfx.passes._denoise_models import GUIDED, UNSCALED, checked_tag, model_of, unscaled_remarks
 from postfx.passes._denoise_planes import ABSENT
 from postfx.passes._denoise_reactive import parse_reactive
 from postfx.passes._denoise_ready import ReadyNetwork, ReadyPlain
@@ -99,6 +99,7 @@ class DenoiseUpscale(Pass):
         lost = [str(role) for role in GUIDE_ROLES if role not in seen]
         found = [] if spec.has(Role.MOTION) else ["no motion plane, so every frame is denoised alone and may flicker"]
         found += [f"blurs more without the planes {', '.join(lost)}"] if lost else []
+        found += unscaled_remarks(self._tag) if self._is_render_size(spec) else []
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
     def compile(self, device: Device, spec: FrameSpec) -> None:

@@ -70,6 +70,14 @@ def ran(pipeline: Pipeline) -> set[str]:
 
 
 @pytest.mark.usefixtures("models")
+def test_a_plan_tells_that_another_network_is_better_at_1x() -> None:
+    spec = noisy(1).spec
+    (remark,) = DenoiseUpscale(model="l", scale=1).remarks(spec)
+    assert "model 'l' has no network for 1x: 'm' is better" in remark
+    assert DenoiseUpscale(model="m", scale=1).remarks(spec) == DenoiseUpscale(model="l", scale=2).remarks(spec) == ()
+
+
+@pytest.mark.usefixtures("models")
 @pytest.mark.parametrize(("model", "scale", "tag"), [
     ("m", 1, "m.1x"), ("m", 1.5, "m"), ("m", 2, "m"), ("m.fp32", 1, "m.1x"), ("s", 1, "s.1x"), ("l", 1, "l"),
 ])
