@@ -2,12 +2,11 @@
 
 python -m training.convergence VIEW.npz -o RESULTS [--model s,m] [--scales 1,2]
 
-VIEW.npz is of training.equivalent_samples. The input of n samples a pixel is the mean of its first n images; so are
-its planes, as far as the view holds
-them (the mean of all that it holds from there on). At scale 1 the reference is the view's. At scale 2 the input is
-every 2x2 pixels' mean, which has 4 n samples a pixel, and the reference stays as it is. Each input is the first frame
-of a sequence. PSNR is of what is seen, the reference's own noise taken out (see equivalent_samples). Writes
-RESULTS/convergence.csv, .json and .png, and tells by how much each method falls below its own input, at worst.
+VIEW.npz is of training.equivalent_samples. The input of n samples a pixel is the mean of its first n images; so are its
+planes, as far as the view holds them (from there on its `mean_` planes). At scale 1 the reference is the view's. At
+scale 2 the input is every 2x2 pixels' mean, which has 4 n samples a pixel, and the reference stays as it is. Each input
+is the first frame of a sequence. PSNR is of what is seen, the reference's own noise taken out (see equivalent_samples).
+Writes RESULTS/convergence.csv, .json and .png, and tells by how much each method falls below its own input, at worst.
 """
 
 from __future__ import annotations
@@ -51,9 +50,15 @@ def steps(view: dict[str, np.ndarray], scale: int) -> Iterator[Step]:
     for count, mean in zip(view["counts"], view["means"], strict=True):
         if count & (count - 1):
             continue
-        planes = {name: view[name][:count].mean(0, dtype=np.float64) for name in PLANES} | {"colour": mean}
+        planes = {name: _averaged(view, name, count) for name in PLANES} | {"colour": mean}
         small = {name: shrunk(plane, scale).astype(np.float32) for name, plane in planes.items()}
         yield Step(int(count) * scale**2, small | {"motion": small["motion"] / np.float32(scale)})
+
+
+def _averaged(view: dict[str, np.ndarray], name: str, count: int) -> np.ndarray:
+    """A plane of so many samples a pixel; of all that the view has, where it does not hold as many one by one."""
+    known = f"mean_{name}" in view and count > len(view[name])
+    return view[f"mean_{name}"] if known else view[name][:count].mean(0, dtype=np.float64)
 
 
 def shrunk(plane: np.ndarray, factor: int) -> np.ndarray:

@@ -12,7 +12,8 @@ linear light without the worst 0.1 % of the pixels. Writes RESULTS/equivalent_sa
 
 VIEW.npz: `reference_a`, `reference_b` (H, W, 3), the halves; `counts` (P,) and `means` (P, H, W, 3); of the K single
 images that the network sees, `colour`, `diffuse_albedo`, `specular_albedo`, `normal`, `roughness`, `depth`, `motion`
-(K, H, W, C), float32; `facts`, JSON.
+(K, H, W, C), float32; `mean_diffuse_albedo` and so on (H, W, C), what frames of many samples average, of `--samples`
+samples a pixel; `facts`, JSON.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ PLANES = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", 
 MEASURES = {"seen": "mean square error of what is seen", "relmse": "relMSE"}
 COLOURS = ("#0b62b8", "#c8500a", "#2a7d2a", "#8a3fb0")
 TRIMMED = 0.999
+AT_ONCE = 32  # samples a pixel whose planes are traced together
 
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
@@ -84,10 +86,25 @@ def render(args: argparse.Namespace) -> None:
             print(f"{n} of {args.samples} images", file=sys.stderr, flush=True)
     planes = {name: np.stack([single[name].reshape(args.height, args.width, -1) for single in singles])
               for name in PLANES}
+    averaged = {f"mean_{name}": plane for name, plane in many_planes(tracer, view, camera, size, args.samples).items()}
     facts = {"scene": view.name, "seed": args.seed, "half_spp": args.half_spp, "gain": view.gain, "fov": camera.fov}
     args.view.parent.mkdir(parents=True, exist_ok=True)
     np.savez(args.view, reference_a=light(args.half_spp), reference_b=light(args.half_spp), means=np.stack(means),
-             counts=np.array(counts), facts=np.str_(json.dumps(facts)), **planes)
+             counts=np.array(counts), facts=np.str_(json.dumps(facts)), **planes, **averaged)
+
+
+def many_planes(tracer: Any, view: Any, camera: Any, size: tuple[int, int], samples: int) -> dict[str, np.ndarray]:
+    """Planes (H, W, C) that renderers average over the samples of a pixel, of at least so many samples."""
+    from training.factory import AVERAGED, film_of, plane_images
+    from training.sampling import Style
+
+    style, passes = Style("box", min(samples, AT_ONCE), np.zeros((1, 2), np.float32)), -(-samples // AT_ONCE)
+    total = dict.fromkeys(AVERAGED, 0.0)
+    for _ in range(passes):
+        film = film_of(size, style.offsets(0, size[0] * size[1], view.rng))
+        planes = plane_images(tracer, view.built, (camera, camera), size, style, film)
+        total = {name: total[name] + planes[name].reshape(size[1], size[0], -1) / passes for name in AVERAGED}
+    return {name: np.float32(plane) for name, plane in total.items()}
 
 
 def prefix_counts(most: int) -> list[int]:

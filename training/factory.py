@@ -89,7 +89,7 @@ def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera
     Offline styles average the planes over the samples as renderers do, but depth is the first sample's, and so is
     motion with the box filter (an average of both sides of an edge would belong to neither).
     """
-    film = _film(size, style.offsets(frame, size[0] * size[1], rng))
+    film = film_of(size, style.offsets(frame, size[0] * size[1], rng))
     colour = tracer.noisy(built.scene, cameras[0], size[0] / size[1], film, style.spp, _seed(rng))
     result = {"colour": gain * colour.reshape(size[1], size[0], 3)}
     return result | plane_images(tracer, built, cameras, size, style, film, steps)
@@ -98,7 +98,7 @@ def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera
 def guide_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int], style: Style,
                 frame: int, rng: np.random.Generator, steps: int = 0) -> dict[str, np.ndarray]:
     """Planes (H, W, C) at output size, without motion."""
-    film = _film(size, style.offsets(frame, size[0] * size[1], rng))
+    film = film_of(size, style.offsets(frame, size[0] * size[1], rng))
     planes = plane_images(tracer, built, cameras, size, style, film, steps)
     return {name: planes[name] for name in GUIDES}
 
@@ -114,7 +114,7 @@ def plane_images(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camer
     return {name: values.reshape(size[1], size[0], *values.shape[1:]) for name, values in planes.items()}
 
 
-def _film(size: tuple[int, int], offsets: np.ndarray) -> Film:
+def film_of(size: tuple[int, int], offsets: np.ndarray) -> Film:
     """Samples at `offsets` (pixels, spp, 2) from the corners of the pixels of an image of `size`."""
     y, x = np.divmod(np.arange(size[0] * size[1], dtype=np.float32), size[0])
     u, v = (x[:, None] + offsets[..., 0]) / size[0], (y[:, None] + offsets[..., 1]) / size[1]

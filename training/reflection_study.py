@@ -98,11 +98,11 @@ class Shot:
 
     def _hit_distance(self, t: int) -> np.ndarray:
         """(h, w, 1): harmonic mean of the way along one reflected ray a sample, its microfacet drawn from GGX."""
-        from training.factory import _film
+        from training.factory import film_of
         from training.tracing import _properties, _rays
 
         (width, height), spp, random = self.size, self.style.spp, np.random.default_rng(100 + t)
-        film = _film(self.size, self.style.offsets(t, width * height, random))
+        film = film_of(self.size, self.style.offsets(t, width * height, random))
         ray = _rays(self.camera(t), width / height, film)
         si = self._built.scene.ray_intersect(ray)
         hit = si.is_valid()
