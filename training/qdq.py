@@ -52,8 +52,9 @@ def unfold_half(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def convolutions(graph: onnx.GraphProto, layers: Collection[str]) -> list[NodeProto]:
-    """Convolutions of the torch modules called `layers` ('up' is the first part of 'up.0.2.weight')."""
-    return [node for node in graph.node if node.op_type == "Conv" and node.input[1].split(".")[0] in layers]
+    """Convolutions of the torch modules called `layers` ('up.0.2.weight' is of 'up' and of 'up.0')."""
+    starts = tuple(f"{layer}." for layer in layers)
+    return [node for node in graph.node if node.op_type == "Conv" and node.input[1].startswith(starts)]
 
 
 def activations(graph: onnx.GraphProto, layers: Collection[str]) -> dict[str, str]:

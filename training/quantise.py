@@ -34,6 +34,8 @@ PRECISION = "int8"
 LAYERS = ("down", "lift", "up")
 """Modules of the trunk that are quantised: most of its time. The stems read light of any brightness and fine
 differences between guides; the heads' output is sensitive and in float is no slower."""
+FINE = "down.0"
+"""The layer that reads the stem. At 1x it stays in float: frames of many samples would lose up to a decibel by it."""
 SAMPLED = 4096
 """Values of a tensor that are noted of each frame, beside the least and the greatest."""
 SHARES = np.linspace(0.2, 1, 81)
@@ -158,14 +160,22 @@ def variant_name(name: str, precision: str) -> str:
     return f"{plain}.{precision}{ending}"
 
 
+def layers_of(graph: onnx.GraphProto, ending: str) -> list[str]:
+    """The modules of a network with this ending that are quantised, as 'up.0'."""
+    found = dict.fromkeys(".".join(node.input[1].split(".")[:2]) for node in convolutions(graph, LAYERS))
+    return [layer for layer in found if ending != UNSCALED or layer != FINE]
+
+
 def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[str, Any]:
     """Write a network's int8 variant and its card to a folder; returns the card."""
     model = unfold_half(onnx.load_from_string(library.load(name)))
-    kept, ending = activations(model.graph, LAYERS), parted(name)[1]
+    ending = parted(name)[1]
+    layers = layers_of(model.graph, ending)
+    kept = activations(model.graph, layers)
     statistics = Statistics(model, dict.fromkeys(kept.values()))
     before = pictures(shots(source, ending), library, name, statistics.add)
     ranges = statistics.ranges()
-    small = quantise(model, LAYERS, {tensor: ranges[like] for tensor, like in kept.items()})
+    small = quantise(model, layers, {tensor: ranges[like] for tensor, like in kept.items()})
     store_half(small.graph)
     path = folder / f"{variant_name(name, PRECISION)}.onnx"
     path.write_bytes(small.SerializeToString(deterministic=True))
@@ -175,7 +185,7 @@ def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[st
     for measured_otherwise in ("quality", "parity"):
         card.pop(measured_otherwise, None)
     card |= {"made_from": {"name": name, "sha256": library.card(name).get("sha256")},
-             "int8_layers": len(convolutions(model.graph, LAYERS)),
+             "int8_layers": len(convolutions(model.graph, layers)),
              "difference": {**difference(after, before), "frames": len(before)}}
     write_card(path, card)
     return card
