@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -74,14 +76,25 @@ def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
     np.testing.assert_array_equal(found["result"], inputs["current"])
 
 
+def noise_and_pattern(random: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """Noise on the left, a pattern on the right."""
+    share = np.clip((np.arange(width) - 200) / 200, 0, 1)
+    pattern = np.sin(0.9 * np.arange(width)) * np.sin(0.7 * np.arange(height))[:, None]
+    return (1 - share) * random.normal(0, 0.1, (height, width)) + share * 0.1 * pattern
+
+
+def faint_and_visible(random: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """Noise that rises from what nobody sees to what can be seen."""
+    return random.normal(0, 10 ** np.linspace(-3.5, -2, width), (height, width))
+
+
+@pytest.mark.parametrize("what", [noise_and_pattern, faint_and_visible])
 @pytest.mark.parametrize("evidence", [1.0, 0.6])
-def test_detail_is_told_from_noise_tile_by_tile(evidence: float) -> None:
-    """Noise on the left of a frame of many tiles and a pattern on the right; tiles of both kinds and between them."""
-    random, (h, w) = np.random.default_rng(0), (150, 630)
-    share = np.clip((np.arange(w) - 200) / 200, 0, 1)
-    pattern = np.sin(0.9 * np.arange(w)) * np.sin(0.7 * np.arange(h))[:, None]
+def test_detail_is_told_from_noise_tile_by_tile(evidence: float, what: Callable[..., np.ndarray]) -> None:
+    """A frame of many tiles of both kinds and between them."""
+    h, w = 150, 630
     denoised = np.full((h, w, 3), 0.5, np.float32)
-    removed = (1 - share) * random.normal(0, 0.1, (h, w)) + share * 0.1 * pattern
+    removed = what(np.random.default_rng(0), h, w)
     inputs = {"colour": (denoised + removed[..., None]).astype(np.float32), "denoised": denoised,
               "params": np.float32([1, 0, 0, 1])}
     tiles = -(-h // TILE), -(-w // TILE)

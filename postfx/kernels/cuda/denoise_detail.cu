@@ -48,7 +48,7 @@ __device__ inline float detail_of(const Tile& tile, const float common[NEAR]) {
         const float own = tile.correlation[k] - (k < NEAR ? common[k] : 0.0f);
         structure += own * own;
     }
-    const float faint = ramp(-logf(tile.power + LEAST), 4.8f * LN10, 5.6f * LN10);
+    const float faint = ramp(-logf(tile.power + LEAST), 5.6f * LN10, 6.4f * LN10);
     return fmaxf(ramp(sqrtf(fmaxf(structure, 0.0f)), 0.45f, 0.8f), faint);
 }
 
