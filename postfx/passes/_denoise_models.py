@@ -12,8 +12,8 @@ EXACT = ".fp32"
 GUIDED, UNSCALED = ".guides", ".1x"
 SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has the render size"}
 """Endings of the names of networks that are taken by themselves, and when."""
-WITH_UNSCALED = "m"
-"""The largest network that has one for the render size beside it."""
+STAND_INS = {"l": "m"}
+"""Networks that have none for the render size beside them, and whose is taken there, which is better."""
 
 
 def exact(tag: str) -> str:
@@ -40,17 +40,26 @@ def model_of(tag: str, ending: str = "", device: Device | None = None) -> str:
 
     A tag without a precision takes the fast one of the device where there is one, int8 on a CPU and fp16 on a GPU, else
     float32. Without a device: the float32 model, which every tag without a precision has. Where there is no network for
-    the render size, the plain one runs.
+    the render size, that of the tag's stand-in runs, or the plain one.
     """
-    found = _named(tag, ending, device)
-    return found if ending != UNSCALED or _denoise_graph.has_model(found) else _named(tag, "", device)
+    if ending != UNSCALED:
+        return _named(tag, ending, device)
+    found = [_named(one, UNSCALED, device) for one in (tag, _stand_in(tag))]
+    return next(filter(_denoise_graph.has_model, found), _named(tag, "", device))
 
 
 def unscaled_remarks(tag: str) -> list[str]:
-    """What a plan says of a network that has none for the render size beside it, where another has."""
-    if model_of(tag, UNSCALED).endswith(UNSCALED) or not _denoise_graph.has_model(model_of(WITH_UNSCALED, UNSCALED)):
+    """What a plan says of a network for which another stands in at the render size."""
+    other = _stand_in(tag)
+    if other == tag or model_of(tag, UNSCALED) != _named(other, UNSCALED, None):
         return []
-    return [f"model '{tag}' has no network for 1x: '{WITH_UNSCALED}' is better there from some samples a pixel on"]
+    return [f"model '{tag}' has no network for 1x: that of '{other}' stands in, which is better there"]
+
+
+def _stand_in(tag: str) -> str:
+    """'l.int8' -> 'm.int8'; a tag for which there is none is its own."""
+    size, dot, precision = tag.partition(".")
+    return f"{STAND_INS.get(size, size)}{dot}{precision}"
 
 
 def _named(tag: str, ending: str, device: Device | None) -> str:

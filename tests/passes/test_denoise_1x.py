@@ -23,10 +23,11 @@ from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
 from tests.passes.denoise_frames import guided, noisy
 
-FILES = {"s": "s", "s.1x": "s.int8", "m": "s.int8", "m.1x": "s", "m.guides": "m.guides", "l": "s"}
+FILES = {"s": "s", "s.1x": "s.int8", "m": "s.int8", "m.1x": "s", "m.guides": "m.guides", "l": "s", "own": "s"}
 """Tag -> the shipped network that stands in for it: another one at 1x."""
 SHIPPED = {f"denoise_upscale.{tag}" for tag in (
-    "m", "m.int8", "m.fp16", "m.guides", "m.1x", "m.int8.1x", "m.fp16.1x", "l", "l.int8", "l.fp16", "mine", "mine.1x")}
+    "m", "m.int8", "m.fp16", "m.guides", "m.1x", "m.int8.1x", "m.fp16.1x", "l", "l.int8", "l.fp16", "mine", "mine.1x",
+    "own")}
 OUTPUT = 96, 64
 SIZES = {1: (64, 96), 1.5: (43, 64), 2: (32, 48)}
 """Scale -> height and width of frames."""
@@ -70,16 +71,17 @@ def ran(pipeline: Pipeline) -> set[str]:
 
 
 @pytest.mark.usefixtures("models")
-def test_a_plan_tells_that_another_network_is_better_at_1x() -> None:
+def test_a_plan_tells_that_another_network_stands_in_at_1x() -> None:
     spec = noisy(1).spec
     (remark,) = DenoiseUpscale(model="l", scale=1).remarks(spec)
-    assert "model 'l' has no network for 1x: 'm' is better" in remark
+    assert "model 'l' has no network for 1x: that of 'm' stands in" in remark
     assert DenoiseUpscale(model="m", scale=1).remarks(spec) == DenoiseUpscale(model="l", scale=2).remarks(spec) == ()
 
 
 @pytest.mark.usefixtures("models")
 @pytest.mark.parametrize(("model", "scale", "tag"), [
-    ("m", 1, "m.1x"), ("m", 1.5, "m"), ("m", 2, "m"), ("m.fp32", 1, "m.1x"), ("s", 1, "s.1x"), ("l", 1, "l"),
+    ("m", 1, "m.1x"), ("m", 1.5, "m"), ("m", 2, "m"), ("m.fp32", 1, "m.1x"), ("s", 1, "s.1x"),
+    ("l", 1, "m.1x"), ("l", 2, "l"), ("own", 1, "own"),
 ])
 def test_it_runs_where_the_output_has_the_render_size(model: str, scale: float, tag: str) -> None:
     pipeline = chain(model=model, scale=scale)
@@ -96,8 +98,8 @@ def test_guides_of_the_render_size_change_nothing() -> None:
 
 @pytest.mark.parametrize(("tag", "host", "model"), [
     ("m", True, "m.int8.1x"), ("m", False, "m.fp16.1x"), ("m.fp32", True, "m.1x"), ("m.int8", True, "m.int8.1x"),
-    ("m.fp16", False, "m.fp16.1x"), ("l", True, "l.int8"), ("l", False, "l.fp16"), ("l.fp32", True, "l"),
-    ("l.int8", True, "l.int8"), ("mine", True, "mine.1x"),
+    ("m.fp16", False, "m.fp16.1x"), ("l", True, "m.int8.1x"), ("l", False, "m.fp16.1x"), ("l.fp32", True, "m.1x"),
+    ("l.int8", True, "m.int8.1x"), ("mine", True, "mine.1x"), ("own", True, "own"),
 ])
 def test_it_has_the_precision_of_the_tag(tag: str, host: bool, model: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_denoise_graph, "Library", Named)
@@ -162,10 +164,10 @@ def test_the_history_goes_on_to_the_render_size_and_back(monkeypatch: pytest.Mon
 
 @pytest.mark.usefixtures("models")
 def test_a_network_for_all_sizes_keeps_its_hidden_state() -> None:
-    pipeline = chain(size=OUTPUT, model="l")
+    pipeline = chain(size=OUTPUT, model="own")
     for frame in changing():
         pipeline(frame)
-    assert ran(pipeline) == {"l"}
+    assert ran(pipeline) == {"own"}
 
 
 @pytest.mark.usefixtures("models")
