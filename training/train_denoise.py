@@ -101,12 +101,12 @@ def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, both: b
     blend of ``both`` directions, or of clips run forwards."""
     mine = {k: v.clone() for k, v in loss.model.state_dict().items()}
     loss.model.load_state_dict(weights)
-    reset, loss.reset = loss.reset, 0.0
+    reset, even, loss.reset, loss.even = loss.reset, loss.even, 0.0, False
     results = []
     for clips in by_size(pool.validation, 8):
         batch = directed(to_batch(collate(clips, [0] * len(clips))), both)
         results.append(torch.stack(loss(batch)[1:]) * len(clips))
-    loss.reset = reset
+    loss.reset, loss.even = reset, even
     loss.model.load_state_dict(mine)
     quality, flicker = (sum(results) / len(pool.validation)).tolist() if results else (math.nan, math.nan)
     return quality, flicker

@@ -171,6 +171,16 @@ def _even_loss(reference: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
             - losses.SEEN * losses.perception.difference(output, reference))
 
 
+def test_validation_counts_what_is_seen_however_clips_count(tmp_path: Path) -> None:
+    write_clips(tmp_path, 2)
+    pool = ClipPool(tmp_path, torch.device("cpu"))
+    pool.refresh()
+    model = small_model()
+    ways = [train_denoise.ClipLoss(model, flicker=1.0, reset=0.1, even=even) for even in (True, False)]
+    even, plain = (train_denoise.validate(way, model.state_dict(), pool) for way in ways)
+    assert even == plain and [way.even for way in ways] == [True, False]
+
+
 def test_the_scale_of_errors_is_found_at_the_inputs_size() -> None:
     reference = torch.rand(2, 3, 8, 12).repeat_interleave(3, 2).repeat_interleave(3, 3)
     colour = reference[..., ::3, ::3] + torch.tensor([0.1, 0.4])[:, None, None, None]
