@@ -91,8 +91,8 @@ class Pipeline:
         self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
         inputs = {role: self._input(role, frame[role]) for role in plan.planes}
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
-        resident = _resident(frame, plan.input, inputs, guides, self.exposure)
-        resident.lost = is_lost(frame, self.broken)
+        lost = is_lost(frame, self.broken)
+        resident = _resident(frame, plan.input, inputs, guides, self.exposure, lost)
         try:
             with self.device.results_lock:  # the next commit may take the memory of the results
                 self._run(plan, resident)
@@ -207,7 +207,8 @@ class Pipeline:
 
 
 def _resident(
-    frame: Frame, spec: FrameSpec, tensors: dict[Role, Tensor], guides: dict[Role, Tensor], exposure: float
+    frame: Frame, spec: FrameSpec, tensors: dict[Role, Tensor], guides: dict[Role, Tensor], exposure: float,
+    lost: bool
 ) -> ResidentFrame:
     return ResidentFrame(
         spec=spec,
@@ -218,6 +219,7 @@ def _resident(
         jitter=frame.jitter,
         exposure=exposure,
         reset=frame.reset,
+        lost=lost,
         samples=frame.samples,
         world_to_camera=frame.world_to_camera,
         fov_x=frame.fov_x,
