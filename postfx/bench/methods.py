@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from postfx.bench.errors import BenchError
+from postfx.passes._denoise_models import PASS, UNSCALED
 
-PASS = "denoise_upscale"
-GUIDES, UNSCALED = "guides", ".1x"
+GUIDES = "guides"
 PRECISIONS = {"fp32": ("cpu", "cuda"), "int8": ("cpu",), "fp16": ("cuda",)}
 """Precision -> devices that it is meant for."""
 FAMILIES = {"ours": "this project's networks", "oidn": "Open Image Denoise", "plain": "no denoiser"}
