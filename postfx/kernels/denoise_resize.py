@@ -10,11 +10,10 @@ STATE = 4 + HIDDEN
 
 
 @compiled
-def resize_rows(y0, y1, state, last_depth, kept, at_rows, at_columns, resized, resized_depth):
+def resize_rows(y0, y1, state, last_depth, at_rows, at_columns, resized, resized_depth):
     """Bilinear at ``at_rows`` (height,) and ``at_columns`` (width,), edge repeated; depth of the nearest pixel.
 
-    Pixels whose count is 0 hold nothing and do not count; where they are half of it, nothing is held. The hidden state
-    is multiplied by ``kept``.
+    Pixels whose count is 0 hold nothing and do not count; where they are half of it, nothing is held.
     """
     h, w = state.shape[:2]
     share = np.empty(4, np.float32)
@@ -37,9 +36,9 @@ def resize_rows(y0, y1, state, last_depth, kept, at_rows, at_columns, resized, r
             scale = ONE / total if total > HALF else ZERO
             for k in range(STATE):
                 value = share[0] * a[k] + share[1] * b[k] + share[2] * c[k] + share[3] * d[k]
-                resized[y, x, k] = value * scale * (kept[0] if k > 3 else ONE)
+                resized[y, x, k] = value * scale
 
 
-RESIZE = kernel("resize", ("state", "last_depth", "kept", "at_rows", "at_columns"), ("resized", "resized_depth"),
-                resize_rows, ("resized", 0), kept=(1,), at_rows=("height",), at_columns=("width",),
+RESIZE = kernel("resize", ("state", "last_depth", "at_rows", "at_columns"), ("resized", "resized_depth"),
+                resize_rows, ("resized", 0), at_rows=("height",), at_columns=("width",),
                 resized=("height", "width", STATE), resized_depth=("height", "width", 1))

@@ -19,8 +19,6 @@ NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_de
 """What kernels read of the frame before -> what they write for the next one."""
 CHANNELS = {"state": 4 + denoise_layout.HIDDEN, "last_depth": 1}
 """Of what has render size."""
-FORGETFUL = ("s",)
-"""Sizes of networks that do better without the hidden state of frames of another size: docs/denoiser.md."""
 
 Size = tuple[int, int]
 
@@ -116,10 +114,9 @@ class History:
         after, (height, width) = self._rooms[0].of(self._size), before["last_depth"].shape[:2]
         rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
                          (("at_rows", height, self._size[0]), ("at_columns", width, self._size[1])))
-        kept = self._device.wrap("kept", np.float32([self._model.split(".")[1] not in FORGETFUL]))
         table = ArgumentTable(self._device.compute_state(RESIZE), {
-            "state": before["state"], "last_depth": before["last_depth"], "kept": kept, "at_rows": rows,
-            "at_columns": columns, "resized": after["state"], "resized_depth": after["last_depth"]})
+            "state": before["state"], "last_depth": before["last_depth"], "at_rows": rows, "at_columns": columns,
+            "resized": after["state"], "resized_depth": after["last_depth"]})
         with commands.compute_encoder("resize") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(table.state, table)

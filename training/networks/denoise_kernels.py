@@ -127,11 +127,10 @@ class Accumulate(nn.Module):
 
 
 class Resize(nn.Module):
-    """state (h, w, 12), last_depth (h, w, 1), kept (1,), at_rows (H,), at_columns (W,) -> resized (H, W, 12),
-    resized_depth (H, W, 1)."""
+    """state (h, w, 12), last_depth (h, w, 1), at_rows (H,), at_columns (W,) -> resized (H, W, 12), resized_depth
+    (H, W, 1)."""
 
-    def forward(self, state: Tensor, last_depth: Tensor, kept: Tensor, rows: Tensor,
-                columns: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, state: Tensor, last_depth: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
         (h, w), top, left = state.shape[:2], rows.floor(), columns.floor()
         total, weight = 0, 0
         for j in range(2):
@@ -141,10 +140,9 @@ class Resize(nn.Module):
                 share = torch.where(value[:, 3:4] > 0, share, torch.zeros_like(share))
                 total, weight = total + share * value, weight + share
         mean = total * torch.where(weight > 0.5, 1 / weight.clamp(min=0.5), torch.zeros_like(weight))
-        resized = torch.cat((mean[:, :4], mean[:, 4:] * kept), 1)
         depth = ops.pick(to_image(last_depth), rows.round().clamp(0, h - 1).long(),
                          columns.round().clamp(0, w - 1).long())
-        return to_picture(resized), to_picture(depth)
+        return to_picture(mean), to_picture(depth)
 
 
 class Pool(nn.Module):

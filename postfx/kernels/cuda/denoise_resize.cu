@@ -1,6 +1,6 @@
-// What a frame leaves, at another render size: state (h, w, 12), last_depth (h, w, 1), kept (1,), at_rows (height,),
+// What a frame leaves, at another render size: state (h, w, 12), last_depth (h, w, 1), at_rows (height,),
 // at_columns (width,) -> resized (height, width, 12), resized_depth (height, width, 1). Bilinear between pixels that hold
-// something, depth of the nearest; the hidden state is multiplied by `kept`.
+// something, depth of the nearest.
 
 // Four channels, weighted.
 __device__ inline Four weighted_four(const View& state, const size_t (&from)[4], const float (&share)[4], int group,
@@ -16,8 +16,8 @@ __device__ inline Four weighted_four(const View& state, const size_t (&from)[4],
     return {sum.x * scale, sum.y * scale, sum.z * scale, sum.w * scale};
 }
 
-extern "C" __global__ void denoise_resize(View state, View last_depth, View kept, View at_rows, View at_columns,
-                                          View resized, View resized_depth) {
+extern "C" __global__ void denoise_resize(View state, View last_depth, View at_rows, View at_columns, View resized,
+                                          View resized_depth) {
     PIXEL(resized.size[1], resized.size[0]);
     const int h = state.size[0], w = state.size[1];
     const float row = at_rows.at[y], column = at_columns.at[x], ty = row - floorf(row), tx = column - floorf(column);
@@ -34,8 +34,8 @@ extern "C" __global__ void denoise_resize(View state, View last_depth, View kept
     const size_t pixel = size_t(y) * resized.size[1] + x;
     const float depth = last_depth.at[size_t(within(int(rintf(row)), h)) * w + within(int(rintf(column)), w)];
     const Four mean = weighted_four(state, from, share, 0, scale);
-    const Four one = weighted_four(state, from, share, 1, scale * kept.at[0]);
-    const Four other = weighted_four(state, from, share, 2, scale * kept.at[0]);
+    const Four one = weighted_four(state, from, share, 1, scale);
+    const Four other = weighted_four(state, from, share, 2, scale);
     resized_depth.at[pixel] = depth;
     four(resized, 3 * pixel) = mean;
     four(resized, 3 * pixel + 1) = one;
