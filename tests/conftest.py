@@ -1,13 +1,24 @@
 """Fixtures shared by all tests."""
 
+from __future__ import annotations
+
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-import OpenImageIO as oiio
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Workers side by side compute on cores of their own: threads that wait for each other on one core take many times
+    as long. Libraries that start threads when they are imported must not have been by now."""
+    worker = getattr(config, "workerinput", None)
+    if worker and hasattr(os, "sched_setaffinity"):
+        number, cores = int(worker["workerid"].removeprefix("gw")), sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, cores[number::worker["workercount"]] or cores)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -30,8 +41,10 @@ def shared_dir() -> Path:
 @pytest.fixture
 def write_exr(tmp_path: Path) -> Callable[..., Path]:
     """Writes channels (name -> height x width array) as a single-part file."""
+    import numpy as np
+    import OpenImageIO as oiio
 
-    def write(name: str, channels: Mapping[str, np.ndarray], **header) -> Path:
+    def write(name: str, channels: Mapping[str, Any], **header) -> Path:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         height, width = next(iter(channels.values())).shape
