@@ -19,9 +19,11 @@ def bilinear(plane: np.ndarray, x: np.ndarray, y: np.ndarray, curve: Curve | Non
     left, top = (np.minimum(at.astype(np.int64), max(side - 2, 0)) for at, side in ((x, width), (y, height)))
     right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
     u, v = (at.astype(plane.dtype).reshape(-1, *[1] * (plane.ndim - 2)) for at in (x - left, y - top))
+    flat = plane.reshape(height * width, *plane.shape[2:])
 
     def near(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        return curve(plane[rows, columns]) if curve else plane[rows, columns]
+        values = flat.take(rows * width + columns, axis=0)  # quarter of the time of two indices
+        return curve(values) if curve else values
 
     upper = near(top, left) * (1 - u) + near(top, right) * u
     lower = near(bottom, left) * (1 - u) + near(bottom, right) * u
