@@ -28,7 +28,7 @@ DEPTH_WEIGHT, COLOUR_WEIGHT = 0.2, 0.2  # depth changes where the camera goes fo
 
 
 class Feature(NamedTuple):
-    """A plane of the earlier frame, and the pixels of the later one where it has contrast, with their values."""
+    """A plane of the earlier frame, and the pixels of the later one where it has contrast, with values and motion."""
 
     role: Role
     weight: float
@@ -36,6 +36,7 @@ class Feature(NamedTuple):
     now: np.ndarray
     rows: np.ndarray
     columns: np.ndarray
+    motion: np.ndarray
     contrast: float
 
 
@@ -78,16 +79,14 @@ class Warped:
 
 def warp_pair(before: Frame, now: Frame) -> Warped | None:
     """Scores of all variants; None without motion or where nothing has contrast."""
-    features = features_of(before, now)
-    if Role.MOTION not in now or not features:
+    features = features_of(before, now) if Role.MOTION in now else []
+    if not features:
         return None
-    result = Warped(before, now, features)
-    motion, size = finite(now[Role.MOTION]), (now.spec.width, now.spec.height)
-    result.moved = float(np.linalg.norm(motion, axis=-1).mean())
+    result, size = Warped(before, now, features), (now.spec.width, now.spec.height)
+    result.moved = float(np.linalg.norm(finite(now[Role.MOTION]), axis=-1).mean())
     for variant in VARIANTS:
         result.by_role[variant] = {
-            f.role: _error(f, variant.fix(motion[f.rows, f.columns], size, result.jitter) + result.jitter)
-            for f in features
+            f.role: _error(f, variant.fix(f.motion, size, result.jitter) + result.jitter) for f in features
         }
         result.scores[variant] = _mean(result.by_role[variant], features)
     result.unrelated = _unrelated(features)
@@ -95,11 +94,11 @@ def warp_pair(before: Frame, now: Frame) -> Warped | None:
 
 
 def features_of(before: Frame, now: Frame) -> list[Feature]:
-    """Planes that both frames hold and that have contrast."""
-    rng, found = np.random.default_rng(1), []
+    """Planes that both frames hold and that have contrast; the later one has motion."""
+    rng, motion, found = np.random.default_rng(1), finite(now[Role.MOTION]), []
     for role, weight in (*GUIDES, (Role.DEPTH, DEPTH_WEIGHT), (Role.COLOUR, COLOUR_WEIGHT)):
         if role in before and role in now:
-            feature = _feature(role, weight, prepared(before, role), prepared(now, role), rng)
+            feature = _feature(role, weight, prepared(before, role), prepared(now, role), motion, rng)
             found += [feature] if feature else []
     return found
 
@@ -116,14 +115,14 @@ def prepared(frame: Frame, role: Role) -> np.ndarray:
     return finite(plane)
 
 
-def score_offset(features: list[Feature], motion: np.ndarray, offset: np.ndarray) -> float:
-    """Score of motion (height, width, 2) plus one offset for the whole picture, in pixels."""
-    errors = {f.role: _error(f, motion[f.rows, f.columns] + np.float32(offset)) for f in features}
+def score_offset(features: list[Feature], offset: np.ndarray) -> float:
+    """Score of the motion as it is plus one offset for the whole picture, in pixels."""
+    errors = {f.role: _error(f, f.motion + np.float32(offset)) for f in features}
     return _mean(errors, features)
 
 
-def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, rng: np.random.Generator
-             ) -> Feature | None:
+def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, motion: np.ndarray,
+             rng: np.random.Generator) -> Feature | None:
     if min(now.shape[:2]) < 8:
         return None
     across = np.abs(np.diff(now, axis=1, append=now[:, -1:])).max(2)
@@ -136,7 +135,7 @@ def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, rng
     rows, columns = rows[chosen], columns[chosen]
     steepness = slope[rows, columns]
     contrast = float(np.minimum(steepness, np.quantile(steepness, 0.9)).mean())
-    return Feature(role, weight, before, now[rows, columns], rows, columns, contrast)
+    return Feature(role, weight, before, now[rows, columns], rows, columns, motion[rows, columns], contrast)
 
 
 def _error(feature: Feature, shift: np.ndarray) -> float:

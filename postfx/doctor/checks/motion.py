@@ -60,8 +60,8 @@ def _by_camera(warped: Warped) -> str:
 
 
 def _by_picture(warped: Warped) -> str:
-    motion, offsets = warped.now[Role.MOTION], list(product(range(-SEARCHED, SEARCHED + 1), repeat=2))
-    scores = {at: score_offset(warped.features, motion, np.add(at, warped.jitter)) for at in offsets}
+    offsets = list(product(range(-SEARCHED, SEARCHED + 1), repeat=2))
+    scores = {at: score_offset(warped.features, np.add(at, warped.jitter)) for at in offsets}
     best = min(scores, key=scores.get)
     if scores[best] >= min(CLEARLY_MOVED * scores[0, 0], RELATED * warped.unrelated):
         return ""

@@ -135,11 +135,11 @@ def _noise(frame: Frame) -> np.ndarray:
 
 def _shift(warped: Warped) -> tuple[float, float, float]:
     """Offset (x, y) in pixels that fits best, searched from coarse to fine, and its score."""
-    motion, best = finite(warped.now[Role.MOTION]), np.zeros(2)
+    best = np.zeros(2)
     for step, reach in zip(STEPS, (3, 1), strict=True):
         steps = np.arange(-reach, reach + 1) * step
         offsets = [best + (x, y) for x in steps for y in steps]
-        best = min(offsets, key=lambda offset: score_offset(warped.features, motion, offset))
-    return float(best[0]), float(best[1]), score_offset(warped.features, motion, best)
+        best = min(offsets, key=lambda offset: score_offset(warped.features, offset))
+    return float(best[0]), float(best[1]), score_offset(warped.features, best)
 
 
