@@ -10,6 +10,8 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.cli.main import main
+from postfx.runtime import Device, Library, ModelError
+from postfx.runtime import session as session_module
 from tests.reliability.faulty import Faulty
 
 FRAMES = 8
@@ -109,3 +111,24 @@ def unbroken(shot, tmp_path_factory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("unbroken")
     assert main(["run", shot, "-o", str(folder / "out.####.exr"), *QUICK]) == 0
     return {path.name: path.read_bytes() for path in sorted(folder.glob("out.*.exr"))}
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch):
+    """Loads a model without a card, or with one, and gives the one line with which it is refused."""
+    def touched(*_, **__):
+        raise AssertionError("ONNX Runtime was handed the model")
+
+    def load(model, card=None):
+        content = model if isinstance(model, bytes) else model.SerializeToString()
+        (tmp_path / "models").mkdir(exist_ok=True)
+        (tmp_path / "models/bad.onnx").write_bytes(content)
+        if card is not None:
+            (tmp_path / "models/bad.json").write_text(json.dumps(card))
+        monkeypatch.setattr(session_module.ort, "InferenceSession", touched)
+        with pytest.raises(ModelError) as caught:
+            Device("cpu").pipeline_state(Library(tmp_path / "models"), "bad", {"height": 4})
+        assert "models/" in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 500
+        return str(caught.value)
+
+    return load
