@@ -24,7 +24,7 @@ class Spared:
 
     def __init__(self) -> None:
         self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind()}
-        self._alone = self._still = self._resized = self._known = 0
+        self._alone = self._still = self._resized = self._known = self._full = 0
         self._now = "whole"
         self._unfollowed: Counter[str] = Counter()
 
@@ -36,6 +36,10 @@ class Spared:
         kind.share += share
         self._alone += share > 0 and not has_history
         self._still += is_still and share == 1
+
+    def unblended(self) -> None:
+        """This frame is denoised fully, though it has a plane that could say otherwise."""
+        self._full += 1
 
     def resized(self, known: bool) -> None:
         """The next frame has another size; `known` tells whether what it needs is ready."""
@@ -62,6 +66,8 @@ class Spared:
                           f"strength is 0 there; {self._saved(tiles)}"))
         if nothing.frames:
             found.append((f"network for {_count(nothing.frames)}", f"strength is 0 everywhere; {self._saved(nothing)}"))
+        if self._full:
+            found.append((f"blend with the input for {_count(self._full)}", "strength is 1 everywhere"))
         if self._alone:
             found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion plane"))
         if self._still:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -37,6 +37,7 @@ class Strength:
     def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float) -> None:
         self.plain = Plain(device, spec, output)
         self._output = device.heap.transient("strength output", (*output, 3))
+        self._is_whole = amount == 1
         self._amount = device.heap.tensor("amount", (1,))
         self._amount.upload([amount])
         self._table = ArgumentTable(device.compute_state(STRENGTH), {"amount": self._amount})
@@ -47,9 +48,13 @@ class Strength:
         else:
             self._strength = device.wrap("full strength", np.ones((*output, 1), np.float32))
 
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows) -> Tensor:
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
+               unblended: Callable[[], None]) -> Tensor:
         """Record the blend of the frame's own colour with the denoised one in `rows`, all others have no strength;
-        returns the colour."""
+        returns the colour. Where the strength is 1 everywhere that is the denoised one: `unblended` is told."""
+        if self._is_full(frame):
+            unblended()
+            return denoised
         others = (0, rows[0]), (rows[1], self._output.shape[0])
         self.plain.encode(commands, frame, [(self.plain.output, rows), *((self._output, some) for some in others)])
         blended = {"plain": self.plain.output, "denoised": denoised, "strength": self._strength, "output": self._output}
@@ -62,3 +67,6 @@ class Strength:
                 encoder.barrier()
             encoder.dispatch(self._table.state, self._table)
         return self._output
+
+    def _is_full(self, frame: ResidentFrame) -> bool:
+        return self._is_whole and Role.STRENGTH in frame.given and bool((frame.given[Role.STRENGTH] >= 1).all())

@@ -210,7 +210,9 @@ class DenoiseUpscale(Pass):
         colour = ready.frames.encode(commands, planes, params, keep, still, band)
         self._fresh, self._exposure = not frame.lost, frame.exposure
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
-        return ready.strength.encode(commands, frame, colour, ready.frames.rows(band)) if ready.strength else colour
+        if not ready.strength:
+            return colour
+        return ready.strength.encode(commands, frame, colour, ready.frames.rows(band), self._spared.unblended)
 
     def _active(self, frame: ResidentFrame) -> np.ndarray | None:
         """Where the frame's strength is not 0, as squares of 16 pixels; None where that is not known, or where the

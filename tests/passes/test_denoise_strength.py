@@ -75,6 +75,18 @@ def test_full_strength_is_the_denoised_picture_where_the_plane_says_so(device: D
     np.testing.assert_array_equal(found[:, :36], resampled(frame, Role.COLOUR, 2)[:, :36])
 
 
+@pytest.mark.parametrize(("size", "scale"), SIZES)
+def test_strength_1_everywhere_is_not_blended(size: tuple[int, int], scale: float, device: Device) -> None:
+    frames = [noisy(number, *size) for number in (1, 2, 3)]
+    pipeline = Pipeline([DenoiseUpscale(scale=scale)], device, exposure=0.0)
+    strengths = (1, np.pad([[0.5]], ((0, size[0] - 1), (0, size[1] - 1)), constant_values=1), 2)
+    found = [pipeline(masked(frame, value))[Role.COLOUR] for frame, value in zip(frames, strengths, strict=True)]
+    wanted = run(frames, device, scale=scale)
+    assert [np.array_equal(one, other) for one, other in zip(found, wanted, strict=True)] == [True, False, True]
+    told = {item.what: item.why for item in pipeline.explain().skipped}
+    assert told["denoise_upscale: blend with the input for 2 frames"] == "strength is 1 everywhere"
+
+
 def test_noise_that_is_left_in_does_not_reach_the_next_frame(device: Device) -> None:
     strengths = (0.1, 0.3, 1)
     frames = [noisy(number) for number in (1, 2, 3)]
