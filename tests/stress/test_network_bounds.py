@@ -20,9 +20,11 @@ from onnx.reference import ReferenceEvaluator  # noqa: E402
 
 from training.halve import pack  # noqa: E402
 
-BOUNDS = {"fp32": (5e-5, 2e-5), "fp16": (1e-3, 5e-4), "int8": (0.05, 1e-4), "tone": (1e-6, 1e-6)}
+BOUNDS = {"fp32": (2e-5, 5e-6), "fp16": (1e-3, 5e-4), "int8": (0.05, 1e-4), "tone": (1e-6, 1e-6)}
 """Precision -> largest and root mean square error of an output, by those of its values. In int8 a value between two
 steps may be rounded to either; in fp16 what comes out is rounded, and a CPU computes in float32."""
+WIDER = {("denoise_upscale.s.1x", "greatest"): (5e-5, 2e-5)}
+"""Network and VALUES -> the same, where sums are largest: all features at their greatest at once, as in no frame."""
 GPU_BOUNDS = {"fp32": (5e-3, 4e-3), "fp16": (5e-3, 4e-3), "tone": (5e-4, 2e-4)}
 """The same on a GPU, which multiplies in TensorFloat-32 where a CPU does in float32, and in halves in fp16, on random
 features; LOUDER times as much on others, which make logits large."""
@@ -91,7 +93,7 @@ def kind(name: str) -> str:
 @pytest.mark.parametrize("values", VALUES)
 @pytest.mark.parametrize("name", [*DENOISERS, *TONE_MAPPERS])
 def test_error_of_networks(name: str, values: str) -> None:
-    check(name, values, BOUNDS[kind(name)], "CPUExecutionProvider")
+    check(name, values, WIDER.get((name, values), BOUNDS[kind(name)]), "CPUExecutionProvider")
 
 
 @pytest.mark.gpu
