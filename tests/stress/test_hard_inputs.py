@@ -103,6 +103,22 @@ def test_strength_0_keeps_hard_light(device: Device) -> None:
         np.testing.assert_allclose(chain(frame)[Role.COLOUR], np.float32(value), rtol=1e-6)
 
 
+@on()
+def test_a_plane_of_strength_1_changes_no_bit(model: str, device: Device) -> None:
+    """Nothing is blended then; where one pixel of it is less, the rest of the frame is as it was."""
+    frames = [noisy(number, 24, 32) for number in range(4)]
+    strength = [np.ones((24, 32, 1), np.float32) for _ in frames]
+    strength[2][0, 0] = 0.5
+    masked = [replace(frame, planes={**frame.planes, Role.STRENGTH: plane})
+              for frame, plane in zip(frames, strength, strict=True)]
+    chain = pipeline(model, device)
+    wanted = [chain(frame)[Role.COLOUR] for frame in frames]
+    chain.reset()
+    found = [chain(frame)[Role.COLOUR] for frame in masked]
+    assert [np.array_equal(*pair) for pair in zip(found, wanted, strict=True)] == [True, True, False, True]
+    np.testing.assert_array_equal(found[2][8:, 8:], wanted[2][8:, 8:])
+
+
 def test_dim_light_after_bright_light_is_not_negative(device: Device) -> None:
     """Differences of logarithms of light 16 stops apart are rounded."""
     first, second, last = list(read_sequence(ROOM / "noisy.####.exr", "1-3"))
