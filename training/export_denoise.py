@@ -69,13 +69,15 @@ MEANING = {
 SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35, "width": 70, "out_th": 29,
          "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3,
          "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
-         "keep_h": 15, "keep_w": 27}
+         "keep_h": 15, "keep_w": 27,
+         "cells_h": 3, "cells_w": 5}
 KERNELS = {
     denoise_prepare.SCALE: definitions.Scale,
     denoise_prepare.DILATE: definitions.Dilate,
     denoise_history.HISTORY: definitions.History,
     denoise_features.FEATURE: definitions.Features,
     denoise_guides.GUIDE: definitions.GuideFeatures,
+    denoise_guides.TRUST: definitions.Trust,
     denoise_prepare.ACCUMULATE: definitions.Accumulate,
     denoise_resize.RESIZE: definitions.Resize,
     denoise_reflections.REFLECTIONS: reflections.Reflections,
@@ -83,6 +85,7 @@ KERNELS = {
     denoise_filter.MIX_LEVELS: definitions.Mix,
     denoise_filter.FILTER: definitions.Filter,
     denoise_filter.REMODULATE: definitions.Remodulate,
+    denoise_filter.REMODULATE_GUIDED: definitions.RemodulateGuided,
     denoise_upsample.UPSAMPLE: outputs.Upsample,
     denoise_upsample.UPSAMPLE_GUIDED: outputs.UpsampleGuided,
     denoise_restore.JUDGE: restore.Judge,

@@ -5,8 +5,8 @@ Pyramid levels are planar so that the inner loops run along rows with vector ins
 
 import numpy as np
 
-from postfx.kernels.denoise_layout import KERNEL, MIX, REFLECTANCE, kernel
-from postfx.kernels.numeric import add, add_product, compiled, demodulation, vectorised
+from postfx.kernels.denoise_layout import BOTH, KERNEL, MIX, REFLECTANCE, kernel
+from postfx.kernels.numeric import add, add_product, compiled, demodulation, inline, vectorised
 
 ZERO, TINY = np.float32(0), np.float32(1e-8)
 
@@ -78,6 +78,12 @@ def filter_rows(y0, y1, mixed, heads, area, filtered):
         kernel_row(y, 5, mixed, heads[0], area, total, filtered)
 
 
+@inline
+def repeat_edge(line, w):
+    """A row of w pixels from the second place on, its first and last ones repeated around it."""
+    line[0], line[w + 1] = line[1], line[w]
+
+
 @compiled
 def remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows, part_columns, radiance):
     """Filtered colour times reflectance: (3, th + 2, tw + 2) exposed linear, a border of repeated pixels around it."""
@@ -92,8 +98,21 @@ def remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows
             radiance[1, row, x + 1] = filtered[1, y - top, column - left] * g
             radiance[2, row, x + 1] = filtered[2, y - top, column - left] * b
         for c in range(3):
-            radiance[c, row, 0] = radiance[c, row, 1]
-            radiance[c, row, w + 1] = radiance[c, row, w]
+            repeat_edge(radiance[c, row], w)
+
+
+@compiled
+def remodulate_guided_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows, part_columns, both):
+    """Filtered colour, then the same times reflectance: (6, th + 2, tw + 2), likewise."""
+    h, w = part_rows.size, part_columns.size
+    top, left = int(part_rows[0]), int(part_columns[0])
+    remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows, part_columns, both[3:])
+    for row in range(y0, y1):
+        y = int(part_rows[min(max(row - 1, 0), h - 1)]) - top
+        for c in range(3):
+            for x in range(w):
+                both[c, row, x + 1] = filtered[c, y, int(part_columns[x]) - left]
+            repeat_edge(both[c, row], w)
 
 
 PLANAR = (3, "hp", "wp")
@@ -103,3 +122,5 @@ FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows
                 mixed=("channels", "hp", "wp"))
 REMODULATE = kernel("remodulate", ("filtered", *REFLECTANCE, "part_rows", "part_columns"), ("radiance",),
                     remodulate_rows, ("radiance", 1))
+REMODULATE_GUIDED = kernel("remodulate_guided", ("filtered", *REFLECTANCE, "part_rows", "part_columns"), ("radiance",),
+                           remodulate_guided_rows, ("radiance", 1), radiance=BOTH)

@@ -1,4 +1,5 @@
-"""Kernel that shows the upscaler's network the planes at output size, at the points where it predicts its filters.
+"""Kernels that show the upscaler's network the planes at output size, at the points where it predicts its filters, and
+that judge how far these planes are to be trusted.
 
 Channels of ``guides``, for the corners of a render pixel at top left, top right, bottom left and bottom right: diffuse
 albedo 0, specular albedo 3, normal 6, roughness 9, depth 10. The torch definition is
@@ -7,12 +8,26 @@ albedo 0, specular albedo 3, normal 6, roughness 9, depth 10. The torch definiti
 
 import numpy as np
 
-from postfx.kernels.denoise_layout import GUIDE_PLANES, GUIDES, HEIGHT, MAX_DEPTH, WIDTH, kernel
-from postfx.kernels.numeric import clamp, compiled, fused, mirrored
+from postfx.kernels.denoise_layout import (
+    DOUBT,
+    FAINT,
+    GUIDE_PLANES,
+    GUIDE_REFLECTANCE,
+    GUIDES,
+    HEIGHT,
+    LEFT,
+    MAX_DEPTH,
+    REFLECTANCE,
+    TOP,
+    TRUST_CELL,
+    WIDTH,
+    kernel,
+)
+from postfx.kernels.numeric import clamp, compiled, demodulation, fused, mirrored
 
 CORNERS = 4
 CHANNELS = GUIDES // CORNERS
-ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
+ZERO, ONE, TWO, HALF = np.float32(0), np.float32(1), np.float32(2), np.float32(0.5)
 
 
 @fused
@@ -52,3 +67,66 @@ def guide_rows(y0, y1, guide_diffuse_albedo, guide_specular_albedo, guide_normal
 
 GUIDE = kernel("guides", (*GUIDE_PLANES, "depth_scale", "window", "part_rows", "part_columns"), ("guides",), guide_rows,
                ("guides", 2))
+
+
+@compiled
+def judged_pixel(y, x, h, w, diffuse_albedo, specular_albedo, guide_diffuse_albedo, guide_specular_albedo):
+    """Squared relative difference of the guides' mean reflectance over a render pixel from that of the render size, and
+    the mean of their squared differences: how far the first goes along with the second."""
+    height, width = guide_diffuse_albedo.shape[:2]
+    own = demodulation(diffuse_albedo, specular_albedo, y, x)
+    top, bottom = y * height // h, ((y + 1) * height + h - 1) // h
+    left, right = x * width // w, ((x + 1) * width + w - 1) // w
+    mean_r = mean_g = mean_b = spread = ZERO
+    for v in range(top, bottom):
+        for u in range(left, right):
+            r, g, b = demodulation(guide_diffuse_albedo, guide_specular_albedo, v, u)
+            r, g, b = r / own[0] - ONE, g / own[1] - ONE, b / own[2] - ONE
+            mean_r, mean_g, mean_b = mean_r + r, mean_g + g, mean_b + b
+            spread += r * r + g * g + b * b
+    share = ONE / np.float32((bottom - top) * (right - left))
+    mean_r, mean_g, mean_b = mean_r * share, mean_g * share, mean_b * share
+    return mean_r * mean_r + mean_g * mean_g + mean_b * mean_b, spread * share
+
+
+@compiled
+def trust_rows(y0, y1, diffuse_albedo, specular_albedo, guide_diffuse_albedo, guide_specular_albedo, window, part_rows,
+               part_columns, trust):
+    """How much of the guides' reflectance counts, in cells of the part: all of it where their mean over a render pixel
+    is what the render size has, less where it goes with the detail, as that of one sample a pixel does."""
+    h, w = int(window[HEIGHT]), int(window[WIDTH])
+    rows, columns = min(part_rows.size, h - int(window[TOP])), min(part_columns.size, w - int(window[LEFT]))
+    for row in range(y0, y1):
+        for column in range(trust.shape[1]):
+            apart = spread = ZERO
+            count = 0
+            for i in range(TRUST_CELL * row, min(TRUST_CELL * (row + 1), rows)):
+                for j in range(TRUST_CELL * column, min(TRUST_CELL * (column + 1), columns)):
+                    found = judged_pixel(int(part_rows[i]), int(part_columns[j]), h, w, diffuse_albedo, specular_albedo,
+                                         guide_diffuse_albedo, guide_specular_albedo)
+                    apart, spread, count = apart + found[0], spread + found[1], count + 1
+            trust[row, column, 0] = ONE - DOUBT * apart / (spread + 3 * FAINT * count) if count else ONE
+
+
+@compiled
+def place_of(at, offset, size):
+    """Where a pixel's centre lies among the cells of ``size`` render pixels, from centre to centre."""
+    place = (np.float32(at) + offset + HALF) / np.float32(TRUST_CELL) - HALF
+    return min(max(place, ZERO), np.float32((size - 1) // TRUST_CELL))
+
+
+@compiled
+def trust_row(trust, place, places, row):
+    """How far each pixel of a row of the output trusts the guides, linear between cells; for all channels."""
+    upper = int(place)
+    lower, share = min(upper + 1, trust.shape[0] - 1), place - np.float32(upper)
+    for x in range(places.size):
+        i = int(places[x])
+        j, across = min(i + 1, trust.shape[1] - 1), places[x] - np.float32(i)
+        above = trust[upper, i, 0] + (trust[upper, j, 0] - trust[upper, i, 0]) * across
+        below = trust[lower, i, 0] + (trust[lower, j, 0] - trust[lower, i, 0]) * across
+        row[3 * x] = row[3 * x + 1] = row[3 * x + 2] = above + (below - above) * share
+
+
+TRUST = kernel("trust", (*REFLECTANCE, *GUIDE_REFLECTANCE, "window", "part_rows", "part_columns"), ("trust",),
+               trust_rows, ("trust", 0))

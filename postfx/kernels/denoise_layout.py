@@ -9,7 +9,8 @@ sharpening at four phases 4 each, mix, distrust, importance, hidden state 8. Pic
 levels planar (channels, h, w). Names that begin with ``guide_`` are planes at output size.
 
 Kernels work on a part of the frame, whose planes and history are read whole; what is made on the way has the part's
-size, (th, tw) at render and (out_th, out_tw) at output size, and a part may end beyond the frame. ``window`` is float32
+size, (th, tw) at render and (out_th, out_tw) at output size, and a part may end beyond the frame. With guides
+``radiance`` has the filtered colour without reflectance, then with that of the render size. ``window`` is float32
 (8,): the part's first row and column, the frame's height and width, and the same at output size. ``part_rows``,
 ``part_columns``, ``out_rows`` and ``out_columns`` are the frame's rows and columns that the part holds, the last one
 repeated beyond the frame. ``past`` (th, tw, 4) is the reprojected accumulation with its count, -1 where the history
@@ -30,6 +31,9 @@ GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter
 EXPOSURE, JITTER_X, JITTER_Y, GAIN = range(4)
 TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
 UNKNOWN = 1e-3  # share of a reprojected pixel that the history may lack
+TRUST_CELL, DOUBT, FAINT = 8, np.float32(0.7), np.float32(1e-4)
+"""Of guides: render pixels along a side of what is judged at once, how much what disagrees takes away, and the squared
+relative detail below which nothing is judged."""
 MAX_COUNT = 32.0
 MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
 MOST_LOG, MOST_STATE = np.float32(20), np.float32(3e5)
@@ -47,6 +51,8 @@ GUIDE_PLANES = {
     "guide_normal": ("height", "width", 3), "guide_roughness": ("height", "width", 1),
     "guide_depth": ("height", "width", 1),
 }
+BOTH = (6, "padded_h", "padded_w")
+"""Radiance without reflectance and with it."""
 SHAPES = PLANES | GUIDE_PLANES | {
     "depth_scale": (1,), "moved": ("th", "tw", 2), "history": ("height", "width", 3), "warped": ("out_th", "out_tw", 3),
     "params": (4,), "window": (8,), "part_rows": ("th",), "part_columns": ("tw",),
@@ -57,7 +63,7 @@ SHAPES = PLANES | GUIDE_PLANES | {
     "finer": (4, "2*hp", "2*wp"),
     "heads": (1, "heads", "hp", "wp"), "coarse": (3, "half_hp", "half_wp"), "area": (2,), "filtered": (3, "hp", "wp"),
     "radiance": (3, "padded_h", "padded_w"), "output": ("out_th", "out_tw", 3), "next_history": ("out_th", "out_tw", 3),
-    "guides": (1, GUIDES, "hp", "wp"),
+    "guides": (1, GUIDES, "hp", "wp"), "trust": ("cells_h", "cells_w", 1),
 }
 
 

@@ -5,8 +5,10 @@ Every output row is made in planar rows, where loops over few arrays become vect
 
 import numpy as np
 
+from postfx.kernels.denoise_guides import place_of, trust_row
 from postfx.kernels.denoise_layout import (
     BLEND,
+    BOTH,
     EXPOSURE,
     GUIDE_REFLECTANCE,
     HEIGHT,
@@ -76,10 +78,12 @@ def factor_row(y, left, diffuse_albedo, specular_albedo, factor):
 
 
 @vectorised
-def remodulate_row(factor, current):
-    """A log-encoded row times the reflectance."""
+def remodulate_row(factor, trust, plain, current):
+    """A log-encoded row times the guides' reflectance as far as it is trusted, else the plain row, which has that of
+    the render size."""
     for i in range(current.size):
-        current[i] = log_encode(expm1(current[i]) * factor[i])
+        own = expm1(plain[i])
+        current[i] = log_encode(own + (expm1(current[i]) * factor[i] - own) * trust[i])
 
 
 @compiled
@@ -154,11 +158,11 @@ def any_row(y, left, iy, ty, radiance, column, fine, moved, past, gauss_x, gauss
 
 
 @compiled
-def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, guided, params, window,
-                 keep, output, history):
+def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, cells, guided, params,
+                 window, keep, output, history):
     """Output pixels from 3x3 samples by predicted weight and distance, blended with the reprojected history.
 
-    The albedos have the frame's output size and are looked at only if ``guided``.
+    The albedos have the frame's output size; they and the cells of trust are looked at only if ``guided``.
     """
     frame_h, frame_w, frame_height, frame_width = (int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]),
                                                    int(window[OUT_WIDTH]))
@@ -169,10 +173,12 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
     scale = np.float32(frame_width / frame_w), np.float32(frame_height / frame_h)
     index, leans = np.empty(width, np.int64), np.empty(width, np.float32)
     gauss_x, gauss_y = np.empty((3, width), np.float32), np.empty(3, np.float32)
-    wide_x = np.empty((3, width), np.float32)
+    wide_x, places = np.empty((3, width), np.float32), np.empty(width, np.float32)
+    held_h, held_w = min(h, frame_h - int(window[TOP])), min(w, frame_w - int(window[LEFT]))
     for x in range(width):
         at, offset = centre(min(left + x, frame_width - 1), frame_w, frame_width)
         index[x] = min(max(at - int(window[LEFT]), 0), w - 1)
+        places[x] = place_of(index[x], offset, held_w)
         leans[x] = lean(offset)
         wide_x[0, x], wide_x[1, x], wide_x[2, x] = wide_gauss(params[JITTER_X] - offset)
         for i in range(3):
@@ -182,7 +188,7 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
     column, soft = np.empty((3, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
     current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
     share = np.empty(w, np.float32)
-    factor = np.empty(3 * width if guided else 0, np.float32)
+    plain, factor, trusted = np.empty((3, 3 * width if guided else 0), np.float32)
     for row in range(y0, y1):
         y = min(int(window[OUT_TOP]) + row, frame_height - 1)
         iy, offset = centre(y, frame_h, frame_height)
@@ -191,17 +197,20 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
         upper, middle, lower = wide_gauss(params[JITTER_Y] - offset)
         for j in range(3):
             gauss_y[j] = gauss(j - 1 + params[JITTER_Y] - offset)
-        for c in range(3):
-            weighted(radiance[c, iy], radiance[c, iy + 1], radiance[c, iy + 2], upper, middle, lower, column[c])
-        if double:
-            double_row(y, left, iy, y % 2, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale,
-                       share, rows, soft, current, trust)
-        else:
-            any_row(y, left, iy, lean(offset), radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size,
-                    scale, share, index, leans, corners, rows, soft, current, trust)
+        for way in range(2 if guided else 1):
+            light, shown = radiance[3 * way:3 * way + 3], plain if way else current
+            for c in range(3):
+                weighted(light[c, iy], light[c, iy + 1], light[c, iy + 2], upper, middle, lower, column[c])
+            if double:
+                double_row(y, left, iy, y % 2, light, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale,
+                           share, rows, soft, shown, trust)
+            else:
+                any_row(y, left, iy, lean(offset), light, column, fine, moved, past, gauss_x, gauss_y, wide_x, size,
+                        scale, share, index, leans, corners, rows, soft, shown, trust)
         if guided:
             factor_row(y, left, diffuse_albedo, specular_albedo, factor)
-            remodulate_row(factor, current)
+            trust_row(cells, place_of(iy, offset, held_h), places, trusted)
+            remodulate_row(factor, trusted, plain, current)
         blend_rows(current, warped[row].reshape(3 * width), trust, ONE / params[EXPOSURE],
                    history[row].reshape(3 * width), output[row].reshape(3 * width))
 
@@ -209,20 +218,21 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
 @compiled
 def upsample_rows(y0, y1, radiance, fine, moved, past, warped, params, window, keep, output, history):
     """Radiance that already holds the reflectance."""
-    resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, False, params, window, keep, output,
-                 history)
+    resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, warped, False, params, window, keep,
+                 output, history)
 
 
 @compiled
-def guided_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, params, window, keep,
-                output, history):
-    """Radiance without reflectance, which is put back at output size."""
-    resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, True, params, window,
-                 keep, output, history)
+def guided_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, trust, params, window,
+                keep, output, history):
+    """Radiance without reflectance, which is put back at output size as far as the guides are trusted; for the rest
+    that with the reflectance of the render size."""
+    resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, trust, True, params,
+                 window, keep, output, history)
 
 
 WRITES = ("output", "next_history")
 READS = ("radiance", "fine", "moved", "past", "warped")
 UPSAMPLE = kernel("upsample", (*READS, "params", "window", "keep"), WRITES, upsample_rows, ("output", 0))
-UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "params", "window", "keep"), WRITES,
-                         guided_rows, ("output", 0))
+UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "trust", "params", "window", "keep"), WRITES,
+                         guided_rows, ("output", 0), radiance=BOTH)

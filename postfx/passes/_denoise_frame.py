@@ -45,10 +45,6 @@ class Frames:
         new, between = device.heap.tensor, device.heap.transient
         self._common = {"params": new("params", (4,)), "keep": new("keep", (1, 1, 1)),
                         "depth_scale": between("depth scale", (1,))}
-        if guided:
-            black = new("no reflectance", (sizes.h, sizes.w, 3))  # makes a factor of one
-            black.fill(0)
-            self._common["no_reflectance"] = black
         self._output = between("output", (sizes.height, sizes.width, 3))
         self._assembly = Assembly(device, sizes)
         self._scale = ArgumentTable(device.compute_state(denoise_prepare.SCALE),

@@ -21,6 +21,9 @@ from postfx.passes._denoise_window import Window
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Library, PipelineState, Tensor
 
 LEVELS = 4
+ENDS = {False: (denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE),
+        True: (denoise_filter.REMODULATE_GUIDED, denoise_upsample.UPSAMPLE_GUIDED)}
+"""Kernels that put the reflectance back and enlarge, without guides and with them."""
 MOST_PLACES = 64
 """Windows of a graph's size whose places are kept on the device."""
 
@@ -40,8 +43,8 @@ def name_models(device: Device, models: Iterable[str]) -> None:
 class Graph:
     """Pipeline states, tensors and argument tables for windows of one size.
 
-    A guided graph's models read guides beside the features, and colour has no reflectance until output size. A reactive
-    one may work with masks of where the history is not used.
+    A guided graph's models read guides beside the features, and colour gets their reflectance at output size, as far
+    as they are trusted. A reactive one may work with masks of where the history is not used.
     """
 
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
@@ -98,7 +101,10 @@ class Graph:
         rows, columns, out = self._window.rows, self._window.columns, self._window.out
         self._made = {"moved": self._new("moved", (rows, columns, 2)), "past": self._new("past", (rows, columns, 4)),
                       "warped": self._new("warped", (out.rows, out.columns, 3)),
-                      "radiance": self._new("radiance", (3, rows + 2, columns + 2))}
+                      "radiance": self._new("radiance", (6 if self._guided else 3, rows + 2, columns + 2))}
+        if self._guided:
+            cells = (-(-side // denoise_layout.TRUST_CELL) for side in (rows, columns))
+            self._made["trust"] = self._new("trust", (*cells, 1))
         if self._reactive:
             self._made["keep"] = self._new("keep", (rows, columns, 1))
         self._heads = {name: self._new(name, shape) for name, shape in heads_of(network).items()}
@@ -109,16 +115,17 @@ class Graph:
         levels = [self._new(f"level {i}", (4, *level(i))) for i in range(LEVELS + 1)]
         filtered = [self._new(f"filtered {i}", (3, *level(i))) for i in range(LEVELS + 1)]
         made = self._made | self._seen | {"fine": self._heads["fine"], "level": levels[0], "filtered": filtered[0]}
-        upsample = denoise_upsample.UPSAMPLE_GUIDED if self._guided else denoise_upsample.UPSAMPLE
-        self._looks = ("features", "guides") if self._guided else ("features",)
+        remodulate, upsample = ENDS[self._guided]
+        self._looks = ("features", "guides", "trust") if self._guided else ("features",)
         for name, kernel in (("dilate", denoise_prepare.DILATE), ("history", denoise_history.HISTORY),
                              ("features", denoise_features.FEATURE), ("accumulate", denoise_prepare.ACCUMULATE),
-                             ("remodulate", denoise_filter.REMODULATE), ("upsample", upsample)):
+                             ("remodulate", remodulate), ("upsample", upsample)):
             self._table(name, kernel, **made)
         if self._reactive:
             self._table("keep", denoise_reactive.KEEP, **made)
         if self._guided:
             self._table("guides", denoise_guides.GUIDE, **made)
+            self._table("trust", denoise_guides.TRUST, **made)
         self._filter_order = ["accumulate", *(f"pool {i}" for i in range(1, LEVELS + 1))]
         for i in range(1, LEVELS + 1):
             self._table(f"pool {i}", denoise_filter.POOL, finer=levels[i - 1], level=levels[i])
@@ -158,8 +165,6 @@ class Graph:
             for binding in table.state.bindings:
                 if binding.name == "area":
                     table["area"] = tensors[name]
-                elif self._guided and name == "remodulate" and binding.name in denoise_layout.REFLECTANCE:
-                    table[binding.name] = tensors["no_reflectance"]
                 elif binding.name in tensors:
                     table[binding.name] = tensors[binding.name]
 

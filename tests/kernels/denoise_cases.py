@@ -33,7 +33,8 @@ from postfx.runtime.shapes import parse
 
 KERNELS = (
     denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_history.HISTORY, denoise_features.FEATURE,
-    denoise_guides.GUIDE, denoise_prepare.ACCUMULATE, denoise_filter.POOL, denoise_filter.MIX_LEVELS,
+    denoise_guides.GUIDE, denoise_guides.TRUST, denoise_prepare.ACCUMULATE, denoise_filter.POOL,
+    denoise_filter.MIX_LEVELS, denoise_filter.REMODULATE_GUIDED,
     denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
     denoise_resize.RESIZE, denoise_reflections.REFLECTIONS, denoise_restore.JUDGE, denoise_restore.DETAIL,
     denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE, denoise_reactive.REACTIVE,
@@ -68,6 +69,7 @@ class Case(NamedTuple):
                 "th": window.rows, "tw": window.columns, "out_th": window.out.rows, "out_tw": window.out.columns,
                 "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
                 "tiles": 3, "tile_h": window.rows, "tile_w": window.columns, "rows": self.h, "columns": self.w,
+                "cells_h": -(-window.rows // 8), "cells_w": -(-window.columns // 8),
                 "tiles_high": -(-self.h // 16), "tiles_wide": -(-self.w // 16), **self._keep(window)}
 
     def _keep(self, window: Window) -> dict[str, int]:

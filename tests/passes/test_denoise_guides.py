@@ -62,12 +62,42 @@ def test_guides_that_no_scale_leads_to_are_an_error(size: tuple[int, int]) -> No
         pipeline()(guided(noisy(1), *size))
 
 
+def grey(frame: Frame, planes: np.ndarray, guides: np.ndarray) -> Frame:
+    """White light of 2 on grey albedos (h, w) of the planes, with those (H, W) of the guides."""
+    inner, outer = (np.repeat(albedo[..., None], 3, 2).astype(np.float32) for albedo in (planes, guides))
+    black = {role: np.zeros_like(inner) for role in ALBEDOS[1:]}
+    return replace(frame, planes={**frame.planes, ALBEDOS[0]: inner, **black, Role.COLOUR: 2 * (inner + 0.01)},
+                   guides={**frame.guides, ALBEDOS[0]: outer, ALBEDOS[1]: np.zeros_like(outer)})
+
+
 def test_reflectance_of_the_guides_is_in_the_output_pixel_by_pixel() -> None:
-    """Whatever a network predicts, even light stays even, and textures are those of the guides."""
-    chain, frame = pipeline(), lit(1)
-    wanted = 2 * demodulation(*(frame.guides[role] for role in ALBEDOS))
+    """Whatever a network predicts, even light stays even, and textures are those of the guides, if the planes are
+    their means."""
+    detail = np.random.default_rng(1).uniform(0.1, 0.9, (48, 80))
+    frame = grey(lit(1), detail.reshape(24, 2, 40, 2).mean((1, 3)), detail)
+    chain = pipeline()
     for _ in range(3):
-        np.testing.assert_allclose(chain(frame)[Role.COLOUR], wanted, rtol=1e-4)
+        np.testing.assert_allclose(chain(frame)[Role.COLOUR][..., 1], 2 * (detail + 0.01), rtol=1e-4)
+
+
+@pytest.mark.parametrize("scale", [1.5, 2, 3])
+def test_guides_that_show_another_surface_count_less(scale: float) -> None:
+    """As glass does in planes of what is seen in it: 0.3 of what is apart by as much as there is detail."""
+    size = (round(24 * scale), round(40 * scale))
+    frame = grey(lit(1, size), np.full((24, 40), 0.49), np.full(size, 0.99))
+    wanted = 2 * (0.5 + 0.3 * (1 - 0.5))
+    np.testing.assert_allclose(pipeline()(frame)[Role.COLOUR], wanted, rtol=1e-3)
+
+
+def test_guides_of_one_sample_count_less_where_they_are_noise() -> None:
+    """On the left the planes are the guides' means, on the right those of what both are samples of."""
+    random = np.random.default_rng(1)
+    detail = random.choice([0.1, 0.7], (48, 80))
+    planes = detail.reshape(24, 2, 40, 2).mean((1, 3))
+    planes[:, 20:] = random.choice([0.1, 0.7], (4, 24, 20)).mean(0)
+    error = np.abs(pipeline()(grey(lit(1), planes, detail))[Role.COLOUR][..., 1] - 2 * (detail + 0.01))
+    assert error[:, :24].max() < 1e-3
+    assert np.median(error[:, 56:]) > 0.05
 
 
 def test_all_guides_matter() -> None:

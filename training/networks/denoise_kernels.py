@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from postfx.kernels.denoise_layout import MOST_STATE, UNKNOWN
 from training.networks import denoise_upscale as step
-from training.networks import ops
+from training.networks import guide_trust, ops
 from training.networks.denoise_upscale import Guides, Inputs, State
 from training.networks.trunk import DISTRUST, FINE, IMPORTANCE, KERNEL, MEMORY, MIX, activated, weights_from
 from training.networks.window import Window, part, shares, to_image, to_picture
@@ -181,6 +181,29 @@ class Remodulate(nn.Module):
         factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
         here = ops.pick(filtered[None], at[0] - at[0][:1], at[1] - at[1][:1])
         return F.pad(here * factor, (1, 1, 1, 1), mode="replicate")[0]
+
+
+class RemodulateGuided(Remodulate):
+    """The same -> radiance (6, th + 2, tw + 2): without the reflectance, and with it."""
+
+    def forward(self, filtered: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, rows: Tensor,
+                columns: Tensor) -> Tensor:
+        here = ops.pick(filtered[None], *(index.long() - index.long()[:1] for index in (rows, columns)))
+        shaded = super().forward(filtered, diffuse_albedo, specular_albedo, rows, columns)
+        return torch.cat((F.pad(here, (1, 1, 1, 1), mode="replicate")[0], shaded))
+
+
+class Trust(nn.Module):
+    """albedos (h, w, 3), those of the guides (H, W, 3), window, part_rows (th,), part_columns (tw,) -> trust
+    (cells, cells, 1)."""
+
+    def forward(self, diffuse_albedo: Tensor, specular_albedo: Tensor, guide_diffuse_albedo: Tensor,
+                guide_specular_albedo: Tensor, window: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        frame, at = Window.of(window), (rows.long(), columns.long())
+        own = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
+        guides = ops.demodulation(to_image(guide_diffuse_albedo), to_image(guide_specular_albedo))
+        valid = to_image(frame.valid(own[0, 0, :, :, None]))
+        return to_picture(guide_trust.trust(own, guides, at, frame.h, frame.w, valid))
 
 
 class Pack(nn.Module):

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from training.networks import ops, phases
+from training.networks import guide_trust, ops, phases
 from training.networks.trunk import (
     BLEND,
     DISTRUST,
@@ -199,11 +199,20 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
     return result
 
 
+@dataclass(frozen=True)
+class Reflectance:
+    """What guides say of it at output size, (N, 3, H, W), and how far they are trusted, (N, 1, H, W)."""
+
+    factor: Tensor
+    trust: Tensor
+
+
 def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, inside: Tensor,
-            factor: Tensor | None, at: phases.Centres | None = None) -> Tensor:
-    """Upsample radiance, sharpen it, multiply it by a ``factor`` (N, 3, H, W) if there is one, and blend it with the
-    reprojected history ``warped``, which is log-encoded, as is the result. ``at`` says where the output's pixels lie;
-    None: they fill the same area. What is broken, NaN or beyond what is ever kept, counts as nothing."""
+            guided: Reflectance | None, at: phases.Centres | None = None) -> Tensor:
+    """Upsample radiance, sharpen it, and blend it with the reprojected history ``warped``, which is log-encoded, as is
+    the result. ``guided`` radiance (N, 6, h, w) is without reflectance and with that of the render size: the first is
+    multiplied by the guides' and counts as far as these are trusted. ``at`` says where the output's pixels lie; None:
+    they fill the same area. What is broken, NaN or beyond what is ever kept, counts as nothing."""
     n, _, h, w = radiance.shape
     height, width = warped.shape[-2:]
     weights = fine[:, KERNEL:BLEND].reshape(n, 9, 4, h, w)
@@ -217,11 +226,20 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
     blend, sharpen = controls[:, :, None].unbind(1)
     detail, soft = (ops.log_encode(x) for x in pictures)
     current = (detail + sharpen * (detail - soft)).clamp(min=0)
-    if factor is not None:
-        current = ops.log_encode(torch.expm1(current) * factor)
+    if guided is not None:
+        exact, plain = torch.expm1(current).chunk(2, 1)
+        current = ops.log_encode(torch.lerp(plain, exact * guided.factor, guided.trust))
     current = torch.where(current <= MOST_LOG, current, 0)
     mixed = torch.lerp(warped, current, 1 - inside * (1 - blend))
     return torch.where(mixed <= MOST_LOG, mixed.clamp(min=0), current)  # rounding makes no light negative
+
+
+def reflectance(guides: Guides, own: Tensor) -> Reflectance:
+    """What guides say of the reflectance, whose ``own`` (N, 3, h, w) the render size has."""
+    factor, (h, w) = ops.demodulation(guides.diffuse_albedo, guides.specular_albedo), own.shape[-2:]
+    whole = torch.arange(h, device=own.device), torch.arange(w, device=own.device)
+    cells = guide_trust.trust(own, factor, whole, h, w, torch.ones_like(own[:, :1]))
+    return Reflectance(factor, guide_trust.trust_at(cells, phases.centres(h, w, *factor.shape[-2:], own.device), h, w))
 
 
 class DenoiseUpscale(nn.Module):
@@ -246,7 +264,6 @@ class DenoiseUpscale(nn.Module):
         seen = [features(inputs, past, factor, scale)]
         if self.config.guides:
             seen.append(guide_features(guides, h, w, scale))
-            outer = ops.demodulation(guides.diffuse_albedo, guides.specular_albedo)
         heads = self.trunk(*(aligned(x, align) if any(pad) else x for x in seen))
         fine, *levels = (head.float() for head in heads)
         here = fine[..., :h, :w]
@@ -255,7 +272,8 @@ class DenoiseUpscale(nn.Module):
         importance = F.pad(here[:, IMPORTANCE:MEMORY], pad)
         filtered = filter_pyramid(F.pad(accumulated, pad), importance, fine, tuple(levels), h, w)
         radiance = filtered[..., :h, :w]
-        inner, outer = (1, outer) if self.config.guides else (factor, None)
-        output = resolve(radiance * inner, here, inputs.jitter, past.output, past.inside, outer)
+        guided = reflectance(guides, factor) if self.config.guides else None
+        shaded = radiance * factor if guided is None else torch.cat((radiance, radiance * factor), 1)
+        output = resolve(shaded, here, inputs.jitter, past.output, past.inside, guided)
         state = State(output, accumulated, count, here[:, MEMORY:], inputs.depth, torch.ones_like(state.fresh))
         return torch.expm1(output), state, past.output

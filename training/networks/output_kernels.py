@@ -4,7 +4,7 @@ from torch import Tensor, nn
 
 from postfx.kernels.denoise_assemble import HELD, OWN
 from training.networks import denoise_upscale as step
-from training.networks import ops
+from training.networks import guide_trust, ops
 from training.networks.window import Window, part, shares, to_image, to_picture
 
 
@@ -18,19 +18,23 @@ class Upsample(nn.Module):
 
 
 class UpsampleGuided(nn.Module):
-    """The same with albedos (H, W, 3), by which the radiance is multiplied."""
+    """The same with radiance (6, th + 2, tw + 2), without and with reflectance, albedos (H, W, 3) by which the first is
+    multiplied, and trust (cells, cells, 1) in these."""
 
     def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor,
-                diffuse_albedo: Tensor, specular_albedo: Tensor, params: Tensor,
+                diffuse_albedo: Tensor, specular_albedo: Tensor, trust: Tensor, params: Tensor,
                 window: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
         frame = Window.of(window)
         at = frame.outputs(warped)
         factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
-        return resolve(radiance, fine, moved, past, warped, factor, params, frame, keep)
+        sizes = [torch.clamp(whole - first, max=size) for whole, first, size in zip(
+            (frame.h, frame.w), (frame.top, frame.left), moved.shape[:2], strict=True)]
+        trusted = guide_trust.trust_at(to_image(trust), frame.centres(at, moved), *sizes)
+        return resolve(radiance, fine, moved, past, warped, step.Reflectance(factor, trusted), params, frame, keep)
 
 
-def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor, factor: Tensor | None,
-            params: Tensor, frame: Window, keep: Tensor) -> tuple[Tensor, Tensor]:
+def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor,
+            guided: step.Reflectance | None, params: Tensor, frame: Window, keep: Tensor) -> tuple[Tensor, Tensor]:
     h, w = moved.shape[:2]
     here, place = fine[:, :, :h, :w], frame.outputs(warped)
     at = frame.centres(place, moved)
@@ -38,7 +42,7 @@ def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped:
     known = ops.pick((to_image(past)[:, 3:] >= 0).to(moved.dtype), at.rows, at.columns)
     kept = shares(keep, at.rows, at.columns)
     filtered = radiance[None, :, 1:1 + h, 1:1 + w]
-    encoded = step.resolve(filtered, here, params[None, 1:3], to_image(warped), held * known * kept, factor, at)
+    encoded = step.resolve(filtered, here, params[None, 1:3], to_image(warped), held * known * kept, guided, at)
     return to_picture(torch.expm1(encoded) / params[0]), to_picture(encoded)
 
 

@@ -90,13 +90,13 @@ def upsample(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, wid
 
 def upsample_double(radiance: Tensor, weights: Tensor, jitter: Tensor) -> tuple[Tensor, Tensor]:
     """Scale 2, where the four output pixels of a render pixel lie at its corners: all work at render size."""
-    n, _, h, w = radiance.shape
+    n, channels, h, w = radiance.shape
     taps = shifted(radiance, PHASE_TAPS, "replicate")
     corners = torch.arange(2, device=radiance.device) * 0.5 - 0.25
     blend = weights * sample_prior(jitter, corners, corners).reshape(-1, 9, 4, 1, 1)
     wide = sample_prior(jitter, corners, corners, BLUR_SIGMA).reshape(-1, 9, 4, 1, 1)
     return tuple(F.pixel_shuffle(torch.stack([weighted_mean(taps, x[:, :, p]) for p in range(4)], 2)
-                                 .reshape(n, 12, h, w), 2) for x in (blend, wide))
+                                 .reshape(n, 4 * channels, h, w), 2) for x in (blend, wide))
 
 
 def upsample_any(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:

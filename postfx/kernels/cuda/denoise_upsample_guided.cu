@@ -1,22 +1,51 @@
-// Enlarges radiance without reflectance, puts that back and blends with the past: radiance
-// (3, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3),
-// guide_diffuse_albedo, guide_specular_albedo (height, width, 3), params (4,), window (8,), keep -> output, next_history
-// (out_th, out_tw, 3).
+// Enlarges radiance without reflectance and with that of the render size, takes of the first times the guides' as much as
+// these are trusted, and blends with the past: radiance (6, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2),
+// past (th, tw, 4), warped (out_th, out_tw, 3), guide_diffuse_albedo, guide_specular_albedo (height, width, 3), trust
+// (cells, cells, 1), params (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
+const int CELL = 8;
+
+// Where an output pixel's centre lies among the cells along a side, from centre to centre.
+__device__ inline float place_of(int position, int size, int out_size, int first, int count) {
+    float offset;
+    const int at = within(centre(position, size, out_size, offset) - first, count);
+    const float place = (at + offset + 0.5f) / CELL - 0.5f;
+    return fminf(fmaxf(place, 0.0f), float((min(count, size - first) - 1) / CELL));
+}
+
+__device__ inline float trusted(const View& trust, float down, float across) {
+    const int upper = int(down), lower = min(upper + 1, trust.size[0] - 1);
+    const int left = int(across), right = min(left + 1, trust.size[1] - 1);
+    const float *const above = trust.at + upper * trust.size[1], *const below = trust.at + lower * trust.size[1];
+    const float high = above[left] + (above[right] - above[left]) * (across - left);
+    const float low = below[left] + (below[right] - below[left]) * (across - left);
+    return high + (low - high) * (down - upper);
+}
+
+__device__ inline float mixed(float exact, float plain, float factor, float share) {
+    const float own = expm1f(plain);
+    return log_encode(own + (expm1f(exact) * factor - own) * share);
+}
+
 extern "C" __global__ void denoise_upsample_guided(View radiance, View fine, View moved, View past,
                                                    View warped, View guide_diffuse_albedo, View guide_specular_albedo,
-                                                   View params, View window, View keep, View output, View next_history) {
+                                                   View trust, View params, View window, View keep, View output,
+                                                   View next_history) {
     const int height = output.size[0], width = output.size[1];
     PIXEL(width, height);
     const Window part = window_of(window);
     const int v = min(part.out_top + y, part.height - 1), u = min(part.out_left + x, part.width - 1);
     const Colour factor = demodulation(guide_diffuse_albedo, guide_specular_albedo, v, u);
-    const Enlarged found = enlarged(u, v, part, radiance, fine, moved, past, params, keep);
+    View shaded = radiance;
+    shaded.at += 3 * size_t(radiance.size[1]) * radiance.size[2];
+    const Enlarged exact = enlarged(u, v, part, radiance, fine, moved, past, params, keep);
+    const Colour plain = enlarged(u, v, part, shaded, fine, moved, past, params, keep).colour;
+    const float share = trusted(trust, place_of(v, part.h, part.height, part.top, moved.size[0]),
+                                place_of(u, part.w, part.width, part.left, moved.size[1]));
     const float darken = 1.0f / params.at[EXPOSURE];
     const int at = 3 * (y * width + x);
-    const float r = log_encode(expm1f(found.colour.r) * factor.r);
-    const float g = log_encode(expm1f(found.colour.g) * factor.g);
-    const float b = log_encode(expm1f(found.colour.b) * factor.b);
-    blend_history(r, found.kept, at, darken, warped, output, next_history);
-    blend_history(g, found.kept, at + 1, darken, warped, output, next_history);
-    blend_history(b, found.kept, at + 2, darken, warped, output, next_history);
+    blend_history(mixed(exact.colour.r, plain.r, factor.r, share), exact.kept, at, darken, warped, output, next_history);
+    blend_history(mixed(exact.colour.g, plain.g, factor.g, share), exact.kept, at + 1, darken, warped, output,
+                  next_history);
+    blend_history(mixed(exact.colour.b, plain.b, factor.b, share), exact.kept, at + 2, darken, warped, output,
+                  next_history);
 }
