@@ -74,14 +74,15 @@ def judged_pixel(y, x, h, w, diffuse_albedo, specular_albedo, guide_diffuse_albe
     """Squared relative difference of the guides' mean reflectance over a render pixel from that of the render size, and
     the mean of their squared differences: how far the first goes along with the second."""
     height, width = guide_diffuse_albedo.shape[:2]
-    own = demodulation(diffuse_albedo, specular_albedo, y, x)
+    own_r, own_g, own_b = demodulation(diffuse_albedo, specular_albedo, y, x)
+    own_r, own_g, own_b = ONE / own_r, ONE / own_g, ONE / own_b
     top, bottom = y * height // h, ((y + 1) * height + h - 1) // h
     left, right = x * width // w, ((x + 1) * width + w - 1) // w
     mean_r = mean_g = mean_b = spread = ZERO
     for v in range(top, bottom):
         for u in range(left, right):
             r, g, b = demodulation(guide_diffuse_albedo, guide_specular_albedo, v, u)
-            r, g, b = r / own[0] - ONE, g / own[1] - ONE, b / own[2] - ONE
+            r, g, b = r * own_r - ONE, g * own_g - ONE, b * own_b - ONE
             mean_r, mean_g, mean_b = mean_r + r, mean_g + g, mean_b + b
             spread += r * r + g * g + b * b
     share = ONE / np.float32((bottom - top) * (right - left))
@@ -117,7 +118,7 @@ def place_of(at, offset, size):
 
 @compiled
 def trust_row(trust, place, places, row):
-    """How far each pixel of a row of the output trusts the guides, linear between cells; for all channels."""
+    """How far each pixel of a row of the output trusts the guides, linear between cells."""
     upper = int(place)
     lower, share = min(upper + 1, trust.shape[0] - 1), place - np.float32(upper)
     for x in range(places.size):
@@ -125,7 +126,7 @@ def trust_row(trust, place, places, row):
         j, across = min(i + 1, trust.shape[1] - 1), places[x] - np.float32(i)
         above = trust[upper, i, 0] + (trust[upper, j, 0] - trust[upper, i, 0]) * across
         below = trust[lower, i, 0] + (trust[lower, j, 0] - trust[lower, i, 0]) * across
-        row[3 * x] = row[3 * x + 1] = row[3 * x + 2] = above + (below - above) * share
+        row[x] = above + (below - above) * share
 
 
 TRUST = kernel("trust", (*REFLECTANCE, *GUIDE_REFLECTANCE, "window", "part_rows", "part_columns"), ("trust",),

@@ -49,7 +49,7 @@ from postfx.kernels.numeric import (
     demodulation,
     expm1,
     fused,
-    log_encode,
+    inline,
     vectorised,
 )
 
@@ -70,20 +70,20 @@ def blend_rows(current, warped, trust, darken, history, output):
 
 
 @fused
-def factor_row(y, left, diffuse_albedo, specular_albedo, factor):
-    """Reflectance that a row of the output is multiplied by, interleaved."""
-    for x in range(factor.size // 3):
+def factor_row(y, left, diffuse_albedo, specular_albedo, guide):
+    """The guides' reflectance in a row of the output, planar."""
+    for x in range(guide.shape[1]):
         at = min(left + x, diffuse_albedo.shape[1] - 1)
-        factor[3 * x], factor[3 * x + 1], factor[3 * x + 2] = demodulation(diffuse_albedo, specular_albedo, y, at)
+        guide[0, x], guide[1, x], guide[2, x] = demodulation(diffuse_albedo, specular_albedo, y, at)
 
 
 @vectorised
-def remodulate_row(factor, trust, plain, current):
-    """A log-encoded row times the guides' reflectance as far as it is trusted, else the plain row, which has that of
-    the render size."""
-    for i in range(current.size):
-        own = expm1(plain[i])
-        current[i] = log_encode(own + (expm1(current[i]) * factor[i] - own) * trust[i])
+def guided_row(plain, factor, trust, first, step, row):
+    """A row without reflectance times that of the guides, every ``step``-th from ``first`` on, as far as these are
+    trusted; for the rest the ``plain`` row, which has the reflectance of the render size."""
+    for x in range(row.size):
+        at = first + step * x
+        row[x] = plain[x] + (row[x] * factor[at] - plain[x]) * trust[at]
 
 
 @compiled
@@ -99,29 +99,39 @@ def trust_side(first, y, size, moved, past, scale, share, trust):
         trust[x] = share[x] * (ONE - trust[x]) if kept else ZERO
 
 
+@inline
+def softened(line, wide_x, side, out):
+    """The wide Gaussian of a row of the softened picture, at one side of the render pixels."""
+    weighted(line, line[1:], line[2:], wide_x[0, side], wide_x[1, side], wide_x[2, side], out)
+
+
 @compiled
 def double_row(y, left, iy, lower, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, share,
-               rows, soft, current, trust):
+               guide, rows, soft, current, trust):
     """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps."""
-    w = rows.shape[1]
+    channels, w = radiance.shape[0], rows.shape[1]
+    total, line = rows[channels], rows[channels + 1]
     for side in range(2):
         corner = 2 * lower + side
-        rows[:4], rows[4] = ZERO, TINY
+        rows[:channels], rows[channels] = ZERO, TINY
         for tap in range(TAPS):
             j, i = tap // 3, tap % 3
-            scaled(fine[0, PHASES + 4 * tap + corner, iy], gauss_y[j] * gauss_x[i, side], rows[3])
-            add(rows[3], rows[4])
-            for c in range(3):
-                add_product(rows[3], radiance[c, iy + j, i:i + w], rows[c])
+            scaled(fine[0, PHASES + 4 * tap + corner, iy], gauss_y[j] * gauss_x[i, side], line)
+            add(line, total)
+            for c in range(channels):
+                add_product(line, radiance[c, iy + j, i:i + w], rows[c])
         for c in range(3):
-            line = column[c]
-            weighted(line, line[1:], line[2:], wide_x[0, side], wide_x[1, side], wide_x[2, side], soft)
-            encode_sharp(rows[c], rows[4], soft, fine[0, SHARPEN + corner, iy])
+            softened(column[c], wide_x, side, soft)
+            if channels > 3:
+                softened(column[3 + c], wide_x, side, line)
+                guided_row(line, guide[c], guide[3], side, 2, soft)
+                guided_row(rows[3 + c], guide[c], guide[3], side, 2, rows[c])
+            encode_sharp(rows[c], total, soft, fine[0, SHARPEN + corner, iy])
             place(rows[c], 3 * side + c, 6, current)
-        rows[3] = fine[0, BLEND + corner, iy, :w]
-        trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, rows[3])
+        line[:] = fine[0, BLEND + corner, iy, :w]
+        trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, line)
         for c in range(3):
-            place(rows[3], 3 * side + c, 6, trust)
+            place(line, 3 * side + c, 6, trust)
 
 
 @compiled
@@ -133,28 +143,35 @@ def control_row(first, iy, ty, fine, index, leans, corners, out):
 
 
 @compiled
-def any_row(y, left, iy, ty, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, share, index,
-            leans, corners, rows, soft, current, trust):
+def any_row(y, left, iy, ty, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, share, guide,
+            index, leans, corners, rows, soft, current, trust):
     """A row at any scale."""
-    w = corners.shape[1]
-    rows[:4], rows[4] = ZERO, TINY
+    channels, w = radiance.shape[0], corners.shape[1]
+    total, line, sharpen = rows[channels], rows[channels + 1], rows[channels + 2]
+    rows[:channels], rows[channels] = ZERO, TINY
     for tap in range(TAPS):
         j, i = tap // 3, tap % 3
         for side in range(2):
             corner = PHASES + 4 * tap + side
             between(fine[0, corner, iy], fine[0, corner + 2, iy], ty, gauss_y[j], corners[side])
-        add_picked(corners, radiance[:, iy + j, i:i + w], gauss_x[i], index, leans, rows[4], rows[:3])
-    control_row(SHARPEN, iy, ty, fine, index, leans, corners, rows[3])
+        add_picked(corners, radiance[:3, iy + j, i:i + w], gauss_x[i], index, leans, total, rows[:3])
+        if channels > 3:
+            add_picked(corners, radiance[3:, iy + j, i:i + w], gauss_x[i], index, leans, line, rows[3:6])
+    control_row(SHARPEN, iy, ty, fine, index, leans, corners, sharpen)
     for c in range(3):
         weighted_picked(column[c], wide_x, index, soft)
-        encode_sharp(rows[c], rows[4], soft, rows[3])
+        if channels > 3:
+            weighted_picked(column[3 + c], wide_x, index, line)
+            guided_row(line, guide[c], guide[3], 0, 1, soft)
+            guided_row(rows[3 + c], guide[c], guide[3], 0, 1, rows[c])
+        encode_sharp(rows[c], total, soft, sharpen)
         place(rows[c], c, 3, current)
-    control_row(BLEND, iy, ty, fine, index, leans, corners, rows[3])
+    control_row(BLEND, iy, ty, fine, index, leans, corners, line)
     for x in range(index.size):
         at = index[x]
         px, py = np.float32(left + x) + moved[iy, at, 0] * scale[0], np.float32(y) + moved[iy, at, 1] * scale[1]
         inside = held(px, py, size[0], size[1]) and past[iy, at, 3] >= ZERO
-        trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = share[at] * (ONE - rows[3, x]) if inside else ZERO
+        trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = share[at] * (ONE - line[x]) if inside else ZERO
 
 
 @compiled
@@ -166,7 +183,7 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
     """
     frame_h, frame_w, frame_height, frame_width = (int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]),
                                                    int(window[OUT_WIDTH]))
-    h, w = moved.shape[:2]
+    channels, (h, w) = radiance.shape[0], moved.shape[:2]
     height, width = output.shape[:2]
     left = int(window[OUT_LEFT])
     size = frame_width, frame_height
@@ -184,11 +201,11 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
         for i in range(3):
             gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
     double = frame_width == 2 * frame_w and frame_height == 2 * frame_h
-    corners, rows = np.empty((2, w), np.float32), np.empty((5, w if double else width), np.float32)
-    column, soft = np.empty((3, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
+    corners, rows = np.empty((2, w), np.float32), np.empty((channels + 3, w if double else width), np.float32)
+    column, soft = np.empty((channels, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
     current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
     share = np.empty(w, np.float32)
-    plain, factor, trusted = np.empty((3, 3 * width if guided else 0), np.float32)
+    guide = np.empty((4, width if guided else 0), np.float32)
     for row in range(y0, y1):
         y = min(int(window[OUT_TOP]) + row, frame_height - 1)
         iy, offset = centre(y, frame_h, frame_height)
@@ -197,20 +214,17 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
         upper, middle, lower = wide_gauss(params[JITTER_Y] - offset)
         for j in range(3):
             gauss_y[j] = gauss(j - 1 + params[JITTER_Y] - offset)
-        for way in range(2 if guided else 1):
-            light, shown = radiance[3 * way:3 * way + 3], plain if way else current
-            for c in range(3):
-                weighted(light[c, iy], light[c, iy + 1], light[c, iy + 2], upper, middle, lower, column[c])
-            if double:
-                double_row(y, left, iy, y % 2, light, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale,
-                           share, rows, soft, shown, trust)
-            else:
-                any_row(y, left, iy, lean(offset), light, column, fine, moved, past, gauss_x, gauss_y, wide_x, size,
-                        scale, share, index, leans, corners, rows, soft, shown, trust)
+        for c in range(channels):
+            weighted(radiance[c, iy], radiance[c, iy + 1], radiance[c, iy + 2], upper, middle, lower, column[c])
         if guided:
-            factor_row(y, left, diffuse_albedo, specular_albedo, factor)
-            trust_row(cells, place_of(iy, offset, held_h), places, trusted)
-            remodulate_row(factor, trusted, plain, current)
+            factor_row(y, left, diffuse_albedo, specular_albedo, guide)
+            trust_row(cells, place_of(iy, offset, held_h), places, guide[3])
+        if double:
+            double_row(y, left, iy, y % 2, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale,
+                       share, guide, rows, soft, current, trust)
+        else:
+            any_row(y, left, iy, lean(offset), radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size,
+                    scale, share, guide, index, leans, corners, rows, soft, current, trust)
         blend_rows(current, warped[row].reshape(3 * width), trust, ONE / params[EXPOSURE],
                    history[row].reshape(3 * width), output[row].reshape(3 * width))
 

@@ -224,11 +224,11 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
         controls = phases.interpolate_at(controls, at)
         pictures = phases.upsample_at(radiance, weights, jitter, at)
     blend, sharpen = controls[:, :, None].unbind(1)
+    if guided is not None:
+        pictures = (torch.lerp(plain, exact * guided.factor, guided.trust)
+                    for exact, plain in (picture.chunk(2, 1) for picture in pictures))
     detail, soft = (ops.log_encode(x) for x in pictures)
     current = (detail + sharpen * (detail - soft)).clamp(min=0)
-    if guided is not None:
-        exact, plain = torch.expm1(current).chunk(2, 1)
-        current = ops.log_encode(torch.lerp(plain, exact * guided.factor, guided.trust))
     current = torch.where(current <= MOST_LOG, current, 0)
     mixed = torch.lerp(warped, current, 1 - inside * (1 - blend))
     return torch.where(mixed <= MOST_LOG, mixed.clamp(min=0), current)  # rounding makes no light negative

@@ -44,9 +44,9 @@ def _differences(own: Tensor, guides: Tensor, rows: tuple[Tensor, Tensor],
     mean = spread = torch.zeros((), device=own.device)
     height, width = guides.shape[-2:]
     for k in range(ops.MAX_SPAN):
-        down = (rows[0] + k < rows[1]) / (rows[1] - rows[0])
+        down = (rows[0] + k < rows[1]).to(own.dtype) / (rows[1] - rows[0])
         for i in range(ops.MAX_SPAN):
-            share = down[:, None] * ((columns[0] + i < columns[1]) / (columns[1] - columns[0]))
+            share = down[:, None] * ((columns[0] + i < columns[1]).to(own.dtype) / (columns[1] - columns[0]))
             found = ops.pick(guides, (rows[0] + k).clamp(max=height - 1), (columns[0] + i).clamp(max=width - 1))
             apart = found / own - 1
             mean, spread = mean + share * apart, spread + share * apart.square().sum(1, keepdim=True)
@@ -60,5 +60,5 @@ def _between(cells: Tensor, at: Tensor, size: int | Tensor, axis: int) -> Tensor
     place = (place - last).clamp(max=0) + last
     before = place.floor()
     after = (before + 1).clamp(max=cells.shape[axis] - 1)
-    share = (place - before).unflatten(0, (-1, *[1] * (-1 - axis)))
+    share = (place - before).to(cells.dtype).unflatten(0, (-1, *[1] * (-1 - axis)))
     return torch.lerp(cells.index_select(axis, before.long()), cells.index_select(axis, after.long()), share)

@@ -216,10 +216,18 @@ __device__ inline float at_corner(const float* first, size_t plane, int corner, 
     return before + (after - before) * right;
 }
 
+// What guides say of an output pixel's reflectance, and how far they are trusted.
+struct Guide {
+    Colour factor;
+    float trust;
+};
+
 // An output pixel from 3x3 samples by predicted weight and distance; DOUBLED where both sides are twice the render's.
-template <bool DOUBLED>
+// GUIDED radiance is without reflectance, then with that of the render size.
+template <bool DOUBLED, bool GUIDED>
 __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
-                                    const View& moved, const View& past, const View& params, const View& keep) {
+                                    const View& moved, const View& past, const View& params, const View& keep,
+                                    const Guide& guide) {
     const int w = part.w, h = part.h, width = part.width, height = part.height;
     float u = x % 2 ? 0.25f : -0.25f, v = y % 2 ? 0.25f : -0.25f;
     const int frame_column = DOUBLED ? x / 2 : centre(x, w, width, u);
@@ -249,7 +257,13 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
             const float weight = at_corner<DOUBLED>(tap, plane, corner, right, lower) * (across * narrow[i]);
             const float even = wide_y[j] * wide_x[i];
             const float* const sample = samples + j * radiance.size[2] + i;
-            const Colour light = {sample[0], sample[picture], sample[2 * picture]};
+            Colour light = {sample[0], sample[picture], sample[2 * picture]};
+            if (GUIDED) {
+                const Colour own = {sample[3 * picture], sample[4 * picture], sample[5 * picture]};
+                light = {own.r + (light.r * guide.factor.r - own.r) * guide.trust,
+                         own.g + (light.g * guide.factor.g - own.g) * guide.trust,
+                         own.b + (light.b * guide.factor.b - own.b) * guide.trust};
+            }
             total += weight;
             sum = {sum.r + weight * light.r, sum.g + weight * light.g, sum.b + weight * light.b};
             soft = {soft.r + even * light.r, soft.g + even * light.g, soft.b + even * light.b};
@@ -269,11 +283,13 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
 }
 
 // The same at any scale; x and y count the frame's output pixels.
+template <bool GUIDED = false>
 __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
-                                    const View& moved, const View& past, const View& params, const View& keep) {
+                                    const View& moved, const View& past, const View& params, const View& keep,
+                                    const Guide& guide = {}) {
     if (part.width == 2 * part.w && part.height == 2 * part.h)
-        return enlarged<true>(x, y, part, radiance, fine, moved, past, params, keep);
-    return enlarged<false>(x, y, part, radiance, fine, moved, past, params, keep);
+        return enlarged<true, GUIDED>(x, y, part, radiance, fine, moved, past, params, keep, guide);
+    return enlarged<false, GUIDED>(x, y, part, radiance, fine, moved, past, params, keep, guide);
 }
 
 // Blends one channel with the reprojected history and decodes it; `at` counts floats.

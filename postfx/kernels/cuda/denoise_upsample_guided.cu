@@ -1,5 +1,5 @@
-// Enlarges radiance without reflectance and with that of the render size, takes of the first times the guides' as much as
-// these are trusted, and blends with the past: radiance (6, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2),
+// Enlarges radiance without reflectance times the guides', as far as these are trusted, and for the rest with that of the
+// render size; sharpens it and blends with the past: radiance (6, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2),
 // past (th, tw, 4), warped (out_th, out_tw, 3), guide_diffuse_albedo, guide_specular_albedo (height, width, 3), trust
 // (cells, cells, 1), params (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
 const int CELL = 8;
@@ -21,11 +21,6 @@ __device__ inline float trusted(const View& trust, float down, float across) {
     return high + (low - high) * (down - upper);
 }
 
-__device__ inline float mixed(float exact, float plain, float factor, float share) {
-    const float own = expm1f(plain);
-    return log_encode(own + (expm1f(exact) * factor - own) * share);
-}
-
 extern "C" __global__ void denoise_upsample_guided(View radiance, View fine, View moved, View past,
                                                    View warped, View guide_diffuse_albedo, View guide_specular_albedo,
                                                    View trust, View params, View window, View keep, View output,
@@ -34,18 +29,13 @@ extern "C" __global__ void denoise_upsample_guided(View radiance, View fine, Vie
     PIXEL(width, height);
     const Window part = window_of(window);
     const int v = min(part.out_top + y, part.height - 1), u = min(part.out_left + x, part.width - 1);
-    const Colour factor = demodulation(guide_diffuse_albedo, guide_specular_albedo, v, u);
-    View shaded = radiance;
-    shaded.at += 3 * size_t(radiance.size[1]) * radiance.size[2];
-    const Enlarged exact = enlarged(u, v, part, radiance, fine, moved, past, params, keep);
-    const Colour plain = enlarged(u, v, part, shaded, fine, moved, past, params, keep).colour;
-    const float share = trusted(trust, place_of(v, part.h, part.height, part.top, moved.size[0]),
-                                place_of(u, part.w, part.width, part.left, moved.size[1]));
+    const Guide guide = {demodulation(guide_diffuse_albedo, guide_specular_albedo, v, u),
+                         trusted(trust, place_of(v, part.h, part.height, part.top, moved.size[0]),
+                                 place_of(u, part.w, part.width, part.left, moved.size[1]))};
+    const Enlarged found = enlarged<true>(u, v, part, radiance, fine, moved, past, params, keep, guide);
     const float darken = 1.0f / params.at[EXPOSURE];
     const int at = 3 * (y * width + x);
-    blend_history(mixed(exact.colour.r, plain.r, factor.r, share), exact.kept, at, darken, warped, output, next_history);
-    blend_history(mixed(exact.colour.g, plain.g, factor.g, share), exact.kept, at + 1, darken, warped, output,
-                  next_history);
-    blend_history(mixed(exact.colour.b, plain.b, factor.b, share), exact.kept, at + 2, darken, warped, output,
-                  next_history);
+    blend_history(found.colour.r, found.kept, at, darken, warped, output, next_history);
+    blend_history(found.colour.g, found.kept, at + 1, darken, warped, output, next_history);
+    blend_history(found.colour.b, found.kept, at + 2, darken, warped, output, next_history);
 }
