@@ -230,7 +230,7 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
     detail, soft = (ops.log_encode(x) for x in pictures)
     current = (detail + sharpen * (detail - soft)).clamp(min=0)
     current = torch.where(current <= MOST_LOG, current, 0)
-    mixed = torch.lerp(warped, current, 1 - inside * (1 - blend))
+    mixed = current + inside * (1 - blend) * (warped - current)  # what is infinite stays so, whatever the share
     return torch.where(mixed <= MOST_LOG, mixed.clamp(min=0), current)  # rounding makes no light negative
 
 
