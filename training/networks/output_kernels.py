@@ -3,8 +3,8 @@ import torch
 from torch import Tensor, nn
 
 from postfx.kernels.denoise_assemble import HELD, OWN
-from training.networks import denoise_upscale as step
-from training.networks import guide_trust, ops
+from training.networks import guide_trust, ops, reconstruct
+from training.networks.reconstruct import Reflectance
 from training.networks.window import Window, part, shares, to_image, to_picture
 
 
@@ -30,11 +30,11 @@ class UpsampleGuided(nn.Module):
         sizes = [torch.clamp(whole - first, max=size) for whole, first, size in zip(
             (frame.h, frame.w), (frame.top, frame.left), moved.shape[:2], strict=True)]
         trusted = guide_trust.trust_at(to_image(trust), frame.centres(at, moved), *sizes)
-        return resolve(radiance, fine, moved, past, warped, step.Reflectance(factor, trusted), params, frame, keep)
+        return resolve(radiance, fine, moved, past, warped, Reflectance(factor, trusted), params, frame, keep)
 
 
 def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor,
-            guided: step.Reflectance | None, params: Tensor, frame: Window, keep: Tensor) -> tuple[Tensor, Tensor]:
+            guided: Reflectance | None, params: Tensor, frame: Window, keep: Tensor) -> tuple[Tensor, Tensor]:
     h, w = moved.shape[:2]
     here, place = fine[:, :, :h, :w], frame.outputs(warped)
     at = frame.centres(place, moved)
@@ -42,7 +42,7 @@ def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped:
     known = ops.pick((to_image(past)[:, 3:] >= 0).to(moved.dtype), at.rows, at.columns)
     kept = shares(keep, at.rows, at.columns)
     filtered = radiance[None, :, 1:1 + h, 1:1 + w]
-    encoded = step.resolve(filtered, here, params[None, 1:3], to_image(warped), held * known * kept, guided, at)
+    encoded = reconstruct.resolve(filtered, here, params[None, 1:3], to_image(warped), held * known * kept, guided, at)
     return to_picture(torch.expm1(encoded) / params[0]), to_picture(encoded)
 
 
