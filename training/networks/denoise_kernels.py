@@ -77,7 +77,7 @@ class Features(nn.Module):
         mean = to_image(warped)
         for axis, at, size, full, first in ((-2, place[0], frame.h, frame.height, frame.out_top),
                                             (-1, place[1], frame.w, frame.width, frame.out_left)):
-            start, end = at * full // size - first, ((at + 1) * full + size - 1) // size - first
+            start, end = (side - first for side in ops.span(at, size, full))
             mean = ops.spans_mean(mean, start, end, axis)
         return mean
 

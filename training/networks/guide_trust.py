@@ -18,7 +18,7 @@ def trust(own: Tensor, guides: Tensor, at: ops.Place, h: int | Tensor, w: int | 
     ``own`` (N, 3, h, w) is the reflectance of the render pixels ``at`` rows and columns of a frame of ``h`` by ``w``,
     ``guides`` (N, 3, H, W) that of the whole frame at output size, ``valid`` (N, 1, h, w) 1 where pixels count, else 0.
     """
-    mean, spread = _differences(own, guides, *(_span(index, size, full) for index, size, full in zip(
+    mean, spread = _differences(own, guides, *(ops.span(index, size, full) for index, size, full in zip(
         at, (h, w), guides.shape[-2:], strict=True)))
     apart = mean.square().sum(1, keepdim=True)
     cells = F.avg_pool2d(torch.cat((apart, spread, 3 * torch.ones_like(spread)), 1) * valid, TRUST_CELL, ceil_mode=True)
@@ -31,10 +31,6 @@ def trust_at(cells: Tensor, at: Centres, h: int | Tensor, w: int | Tensor) -> Te
     count."""
     across = _between(cells, at.columns + at.x, w, -1)
     return _between(across, at.rows + at.y, h, -2)
-
-
-def _span(index: Tensor, size: int | Tensor, full: int) -> tuple[Tensor, Tensor]:
-    return index * full // size, ((index + 1) * full + size - 1) // size
 
 
 def _differences(own: Tensor, guides: Tensor, rows: tuple[Tensor, Tensor],

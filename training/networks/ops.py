@@ -134,7 +134,13 @@ def span_mean(image: Tensor, size: int, axis: int) -> Tensor:
     """The same along one axis."""
     full = image.shape[axis]
     index = torch.arange(size, device=image.device)
-    return spans_mean(image, index * full // size, ((index + 1) * full + size - 1) // size, axis)
+    return spans_mean(image, *span(index, size, full), axis)
+
+
+def span(index: Tensor, size: int | Tensor, full: int | Tensor) -> tuple[Tensor, Tensor]:
+    """The first of ``full`` pixels along a line that each pixel ``index`` of ``size`` touches, and the one after the
+    last."""
+    return index * full // size, ((index + 1) * full + size - 1) // size
 
 
 def spans_mean(image: Tensor, start: Tensor, end: Tensor, axis: int) -> Tensor:

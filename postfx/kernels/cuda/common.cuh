@@ -19,6 +19,7 @@ enum { HIDDEN = 8, KERNEL = 25, PHASES = 25, BLEND = 61, SHARPEN = 65 };
 enum { MIX = 69, DISTRUST, IMPORTANCE, MEMORY, FINE = MEMORY + HIDDEN };
 enum { EXPOSURE, JITTER_X, JITTER_Y, GAIN };
 enum { TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH };
+enum { TRUST_CELL = 8 };
 
 struct Colour {
     float r, g, b;

@@ -1,7 +1,6 @@
 // How far the guides' reflectance is trusted, in cells of 8x8 render pixels: less, the more of its detail is apart from
 // the reflectance of the render size. diffuse_albedo and specular_albedo (h, w, 3), guide_diffuse_albedo and
 // guide_specular_albedo (height, width, 3), window (8,), part_rows (th,), part_columns (tw,) -> trust (cells, cells, 1).
-const int CELL = 8;
 const float DOUBT = 0.7f, FAINT = 1e-4f;
 
 extern "C" __global__ void denoise_trust(View diffuse_albedo, View specular_albedo, View guide_diffuse_albedo,
@@ -10,15 +9,15 @@ extern "C" __global__ void denoise_trust(View diffuse_albedo, View specular_albe
     const int height = trust.size[0], width = trust.size[1];
     PIXEL(width, height);
     const Window part = window_of(window);
-    const int bottom = min(min(CELL * (y + 1), part_rows.size[0]), part.h - part.top);
-    const int right = min(min(CELL * (x + 1), part_columns.size[0]), part.w - part.left);
+    const int bottom = min(min(TRUST_CELL * (y + 1), part_rows.size[0]), part.h - part.top);
+    const int right = min(min(TRUST_CELL * (x + 1), part_columns.size[0]), part.w - part.left);
     float apart = 0.0f, spread = 0.0f;
     int count = 0;
-    for (int i = CELL * y; i < bottom; i++) {
+    for (int i = TRUST_CELL * y; i < bottom; i++) {
         const int row = int(part_rows.at[i]);
         const int first = int(1LL * row * part.height / part.h);
         const int end = int((1LL * (row + 1) * part.height + part.h - 1) / part.h);
-        for (int j = CELL * x; j < right; j++, count++) {
+        for (int j = TRUST_CELL * x; j < right; j++, count++) {
             const int column = int(part_columns.at[j]);
             const int start = int(1LL * column * part.width / part.w);
             const int stop = int((1LL * (column + 1) * part.width + part.w - 1) / part.w);

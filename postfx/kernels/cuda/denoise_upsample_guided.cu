@@ -2,14 +2,13 @@
 // render size; sharpens it and blends with the past: radiance (6, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2),
 // past (th, tw, 4), warped (out_th, out_tw, 3), guide_diffuse_albedo, guide_specular_albedo (height, width, 3), trust
 // (cells, cells, 1), params (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
-const int CELL = 8;
 
 // Where an output pixel's centre lies among the cells along a side, from centre to centre.
 __device__ inline float place_of(int position, int size, int out_size, int first, int count) {
     float offset;
     const int at = within(centre(position, size, out_size, offset) - first, count);
-    const float place = (at + offset + 0.5f) / CELL - 0.5f;
-    return fminf(fmaxf(place, 0.0f), float((min(count, size - first) - 1) / CELL));
+    const float place = (at + offset + 0.5f) / TRUST_CELL - 0.5f;
+    return fminf(fmaxf(place, 0.0f), float((min(count, size - first) - 1) / TRUST_CELL));
 }
 
 __device__ inline float trusted(const View& trust, float down, float across) {
