@@ -31,43 +31,64 @@ def steps(moved, axis, scale, shift, weights):
 
 
 @fused_inline
-def across(flat, start, w0, w1, w2, w3):
-    """Weighted sum of four neighbouring pixels in a flat picture; an unsigned ``start`` needs no check for below 0."""
-    three, six, nine = np.uint64(3), np.uint64(6), np.uint64(9)
-    at, one, two = start, start + np.uint64(1), start + np.uint64(2)
-    return (w0 * flat[at] + w1 * flat[at + three] + w2 * flat[at + six] + w3 * flat[at + nine],
-            w0 * flat[one] + w1 * flat[one + three] + w2 * flat[one + six] + w3 * flat[one + nine],
-            w0 * flat[two] + w1 * flat[two + three] + w2 * flat[two + six] + w3 * flat[two + nine])
+def down(flat, start, line, d0, d1, d2, d3):
+    """Weighted sum of four pixels below one another in a flat picture; unsigned places need no check for below 0."""
+    one, two = np.uint64(1), np.uint64(2)
+    second, third = start + line, start + line + line
+    fourth = third + line
+    return (d0 * flat[start] + d1 * flat[second] + d2 * flat[third] + d3 * flat[fourth],
+            d0 * flat[start + one] + d1 * flat[second + one] + d2 * flat[third + one] + d3 * flat[fourth + one],
+            d0 * flat[start + two] + d1 * flat[second + two] + d2 * flat[third + two] + d3 * flat[fourth + two])
+
+
+@fused
+def edge_pixel(left, top, history, at, wx, wy, pixel):
+    """One pixel near the picture's edge, which is repeated."""
+    height, width = history.shape[:2]
+    pixel[:] = ZERO
+    for j in range(4):
+        for i in range(4):
+            weight = wy[j, at] * wx[i, at]
+            found = history[min(max(top + j, 0), height - 1), min(max(left + i, 0), width - 1)]
+            for c in range(3):
+                pixel[c] += weight * found[c]
 
 
 @fused
 def warp_row(y, columns, history, index, shift_x, shift_y, wx, wy, row):
-    """Row ``y`` of the history moved, at ``columns``; ``index`` is the render pixel of each output pixel."""
+    """Row ``y`` of the history moved, at ``columns``; ``index`` is the render pixel of each output pixel.
+
+    Two neighbours in one render pixel share their motion, and so three of their four columns of taps.
+    """
     height, width = history.shape[:2]
     flat = history.reshape(height * width * 3)
-    line = np.uint64(3 * width)
-    for x in range(index.size):
+    line, next_pixel = np.uint64(3 * width), np.uint64(3)
+    x = 0
+    while x < index.size:
         at = index[x]
         left, top = columns[x] + shift_x[at] - 1, y + shift_y[at] - 1
+        if not (0 <= left <= width - 4 and 0 <= top <= height - 4):
+            edge_pixel(left, top, history, at, wx, wy, row[3 * x:3 * x + 3])
+            x += 1
+            continue
         w0, w1, w2, w3 = wx[0, at], wx[1, at], wx[2, at], wx[3, at]
         d0, d1, d2, d3 = wy[0, at], wy[1, at], wy[2, at], wy[3, at]
-        if 0 <= left <= width - 4 and 0 <= top <= height - 4:
-            start = np.uint64((top * width + left) * 3)
-            r0, g0, b0 = across(flat, start, w0, w1, w2, w3)
-            r1, g1, b1 = across(flat, start + line, w0, w1, w2, w3)
-            r2, g2, b2 = across(flat, start + line + line, w0, w1, w2, w3)
-            r3, g3, b3 = across(flat, start + line + line + line, w0, w1, w2, w3)
-            row[3 * x] = d0 * r0 + d1 * r1 + d2 * r2 + d3 * r3
-            row[3 * x + 1] = d0 * g0 + d1 * g1 + d2 * g2 + d3 * g3
-            row[3 * x + 2] = d0 * b0 + d1 * b1 + d2 * b2 + d3 * b3
-        else:
-            row[3 * x] = row[3 * x + 1] = row[3 * x + 2] = ZERO
-            for j in range(4):
-                for i in range(4):
-                    weight = wy[j, at] * wx[i, at]
-                    pixel = history[min(max(top + j, 0), height - 1), min(max(left + i, 0), width - 1)]
-                    for c in range(3):
-                        row[3 * x + c] += weight * pixel[c]
+        start = np.uint64((top * width + left) * 3)
+        r0, g0, b0 = down(flat, start, line, d0, d1, d2, d3)
+        r1, g1, b1 = down(flat, start + next_pixel, line, d0, d1, d2, d3)
+        r2, g2, b2 = down(flat, start + next_pixel * np.uint64(2), line, d0, d1, d2, d3)
+        start += next_pixel * np.uint64(3)
+        r3, g3, b3 = down(flat, start, line, d0, d1, d2, d3)
+        row[3 * x] = w0 * r0 + w1 * r1 + w2 * r2 + w3 * r3
+        row[3 * x + 1] = w0 * g0 + w1 * g1 + w2 * g2 + w3 * g3
+        row[3 * x + 2] = w0 * b0 + w1 * b1 + w2 * b2 + w3 * b3
+        x += 1
+        if x < index.size and index[x] == at and columns[x] == columns[x - 1] + 1 and left < width - 4:
+            r4, g4, b4 = down(flat, start + next_pixel, line, d0, d1, d2, d3)
+            row[3 * x] = w0 * r1 + w1 * r2 + w2 * r3 + w3 * r4
+            row[3 * x + 1] = w0 * g1 + w1 * g2 + w2 * g3 + w3 * g4
+            row[3 * x + 2] = w0 * b1 + w1 * b2 + w2 * b3 + w3 * b4
+            x += 1
 
 
 @vectorised
