@@ -1,0 +1,50 @@
+"""Levels that pass nothing on are cut, and the network goes on computing what it did."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from tests.training.small_denoiser import one_thread  # noqa: E402, F401
+from tests.training.test_revive import CONFIG, batch, outputs  # noqa: E402, F401
+from training.cut import NARROW, cut, first_unused, looked_at  # noqa: E402
+from training.networks.denoise_upscale import DenoiseUpscale  # noqa: E402
+
+WIDE = replace(CONFIG, widths=(16, 24, 32, 40))
+
+
+def model_with(silent: tuple[str, ...]) -> DenoiseUpscale:
+    """A network in which a large negative bias keeps some layers at zero, and whose coarsest filters are alike."""
+    torch.manual_seed(2)
+    model = DenoiseUpscale(WIDE)
+    with torch.no_grad():
+        for name in silent:
+            model.trunk.get_parameter(f"{name}.bias")[:] = -1e4
+        model.trunk.heads[3].weight.zero_()
+        model.trunk.heads[3].bias += torch.randn(25)
+        model.trunk.heads[2].bias += torch.randn(26)
+    return model.eval()
+
+
+def test_a_silent_level_and_those_behind_it_are_cut(batch):  # noqa: F811
+    model = model_with(("up.2.2",))
+    active, means = looked_at(model, [batch])
+    assert first_unused(WIDE, active) == 2
+    smaller = DenoiseUpscale(replace(WIDE, widths=(16, 24, NARROW, NARROW)))
+    smaller.trunk.load_state_dict(cut(WIDE, model.state_dict(), 2, means).state_dict())
+    wanted, found = outputs(model, batch), outputs(smaller.eval(), batch)
+    assert float((found - wanted).abs().max()) < 1e-5 * float(wanted.abs().max())
+    assert float(wanted.std()) > 0.01, "a picture with something in it"
+
+
+def test_the_finest_of_several_silent_levels_is_found(batch):  # noqa: F811
+    active, _ = looked_at(model_with(("up.2.2", "up.1.2")), [batch])
+    assert first_unused(WIDE, active) == 1
+
+
+def test_a_network_that_uses_all_its_levels_is_left_alone(batch):  # noqa: F811
+    active, _ = looked_at(model_with(()), [batch])
+    assert first_unused(WIDE, active) is None
