@@ -22,10 +22,12 @@ from postfx.kernels import (
     denoise_history,
     denoise_open,
     denoise_prepare,
+    denoise_products,
     denoise_reactive,
     denoise_reflections,
     denoise_resize,
     denoise_restore,
+    denoise_store,
     denoise_strength,
     denoise_upsample,
 )
@@ -69,8 +71,7 @@ MEANING = {
 SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35, "width": 70, "out_th": 29,
          "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3,
          "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
-         "keep_h": 15, "keep_w": 27,
-         "cells_h": 3, "cells_w": 5}
+         "keep_h": 15, "keep_w": 27, "cells_h": 3, "cells_w": 5, "wide": 8}
 KERNELS = {
     denoise_prepare.SCALE: definitions.Scale,
     denoise_prepare.DILATE: definitions.Dilate,
@@ -104,6 +105,10 @@ KERNELS = {
     denoise_half.OPEN: definitions.Open,
     denoise_half.OPEN_FINE: definitions.OpenFine,
     denoise_open.OPEN_PHASED: definitions.OpenPhased,
+    denoise_products.OPEN_PRODUCTS: definitions.OpenProducts,
+    denoise_products.OPEN_FINE_PRODUCTS: definitions.OpenFineProducts,
+    denoise_store.STORE: definitions.Store,
+    denoise_store.STORE_RINGED: definitions.StoreRinged,
 }
 
 

@@ -2,7 +2,7 @@
 
 A run-time that knows the pattern dequantise - convolution - quantise runs it in integers; any other gets the same
 numbers in float. Activations are unsigned 8 bits with one scale a tensor; weights are signed with one scale an output
-channel and keep to 7 bits, because x86 processors without VNNI add two products in 16 bits and saturate.
+channel (`training.rounding`).
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import numpy as np
 import onnx
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
+from training.rounding import Rounded
+
 ACTIVATION_LEVELS = 255
-WEIGHT_LIMIT = 63
 BIAS_LIMIT = 2**30
 SAME_RANGE = ("MaxPool", "Resize")  # what they give are values that they were given
 
@@ -72,14 +73,16 @@ def activations(graph: onnx.GraphProto, layers: Collection[str]) -> dict[str, st
     return found
 
 
-def quantise(model: onnx.ModelProto, layers: Collection[str], ranges: Mapping[str, Range]) -> onnx.ModelProto:
+def quantise(model: onnx.ModelProto, layers: Collection[str], ranges: Mapping[str, Range],
+             weights: Mapping[str, Rounded]) -> onnx.ModelProto:
     """A float32 model with the convolutions of `layers` in int8.
 
     Args:
         ranges: for each of `activations`, how it is kept.
+        weights: for the weights of each of these convolutions, the same.
     """
     model = onnx.ModelProto.FromString(model.SerializeToString())
-    graph, rewriter = model.graph, _Rewriter(model.graph, ranges)
+    graph, rewriter = model.graph, _Rewriter(model.graph, ranges, weights)
     chosen = [node.name for node in convolutions(graph, layers)]
     for name in [value.name for value in graph.input]:
         rewriter.keep(name)
@@ -95,10 +98,10 @@ def quantise(model: onnx.ModelProto, layers: Collection[str], ranges: Mapping[st
 class _Rewriter:
     """Takes nodes in order and gives those of the quantised graph."""
 
-    def __init__(self, graph: onnx.GraphProto, ranges: Mapping[str, Range]) -> None:
+    def __init__(self, graph: onnx.GraphProto, ranges: Mapping[str, Range], rounded: Mapping[str, Rounded]) -> None:
         self.nodes: list[NodeProto] = []
         self.weights = {weight.name: weight for weight in graph.initializer}
-        self._ranges = ranges
+        self._ranges, self._rounded = ranges, rounded
         self._kept: dict[str, str] = {}
 
     def add(self, node: NodeProto, integer: bool) -> None:
@@ -125,13 +128,14 @@ class _Rewriter:
     def _quantise_weights(self, node: NodeProto) -> None:
         """Weights in 7 bits with a scale for each output channel, the bias in 32 bits as ONNX Runtime wants it."""
         read = np.float32(self._ranges[node.input[0]].scale)
+        factors, scale = self._rounded[node.input[1]]
         weight = numpy_helper.to_array(self.weights.pop(node.input[1]))
-        scale = np.abs(weight).reshape(len(weight), -1).max(1) / WEIGHT_LIMIT
         bias = numpy_helper.to_array(self.weights.pop(node.input[2])) if len(node.input) > 2 else None
         if bias is not None:  # a channel that has hardly any weight: its bias must still fit
-            scale = np.maximum(scale, np.abs(bias) / (read * BIAS_LIMIT))
-        scale = np.maximum(scale, 1e-12).astype(np.float32)
-        node.input[1] = self._constant(node.input[1], weight / scale[:, None, None, None], scale, np.int8)
+            wider = np.maximum(scale, np.abs(bias) / (read * BIAS_LIMIT)).astype(np.float32)
+            factors = np.where((wider > scale)[:, None, None, None], weight / wider[:, None, None, None], factors)
+            scale = wider
+        node.input[1] = self._constant(node.input[1], factors, scale, np.int8)
         if bias is not None:
             node.input[2] = self._constant(node.input[2], bias / (scale * read), scale * read, np.int32)
 

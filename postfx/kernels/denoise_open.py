@@ -8,34 +8,46 @@ network, each of which reads and writes 160 MB at 960x540.
 import numpy as np
 
 from postfx.kernels.denoise_layout import BLEND, FINE, MEMORY, kernel
-from postfx.kernels.numeric import compiled, exp, fused
+from postfx.kernels.numeric import compiled, exp, fused, fused_inline
 
 ONE, TWO = np.float32(1), np.float32(2)
 STEEPEST, LEAST, MOST = np.float32(8), np.float32(-80), np.float32(80)
 
 
+@fused_inline
+def weight(logit):
+    """Filter weight, with which sums stay within half precision, too."""
+    return exp(min(max(logit, -STEEPEST), STEEPEST))
+
+
+@fused_inline
+def gate(logit):
+    """Logistic function."""
+    return ONE / (ONE + exp(min(max(-logit, LEAST), MOST)))
+
+
+@fused_inline
+def state(logit):
+    """Hyperbolic tangent."""
+    return ONE - TWO / (ONE + exp(min(max(TWO * logit, LEAST), MOST)))
+
+
 @fused
 def weights(left, right, row):
-    """Filter weights, with which sums stay within half precision, too."""
     for x in range(left.size):
-        row[2 * x] = exp(min(max(left[x], -STEEPEST), STEEPEST))
-        row[2 * x + 1] = exp(min(max(right[x], -STEEPEST), STEEPEST))
+        row[2 * x], row[2 * x + 1] = weight(left[x]), weight(right[x])
 
 
 @fused
 def gates(left, right, row):
-    """Logistic function."""
     for x in range(left.size):
-        row[2 * x] = ONE / (ONE + exp(min(max(-left[x], LEAST), MOST)))
-        row[2 * x + 1] = ONE / (ONE + exp(min(max(-right[x], LEAST), MOST)))
+        row[2 * x], row[2 * x + 1] = gate(left[x]), gate(right[x])
 
 
 @fused
 def states(left, right, row):
-    """Hyperbolic tangent."""
     for x in range(left.size):
-        row[2 * x] = ONE - TWO / (ONE + exp(min(max(TWO * left[x], LEAST), MOST)))
-        row[2 * x + 1] = ONE - TWO / (ONE + exp(min(max(TWO * right[x], LEAST), MOST)))
+        row[2 * x], row[2 * x + 1] = state(left[x]), state(right[x])
 
 
 @compiled

@@ -16,7 +16,7 @@ from postfx.kernels import (
     denoise_upsample,
 )
 from postfx.kernels.kernel import Kernel
-from postfx.passes._denoise_network import Network, heads_of, seen_by
+from postfx.passes._denoise_network import Network, free_dimensions, heads_of, seen_by
 from postfx.passes._denoise_window import Window
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Library, PipelineState, Tensor
 
@@ -50,7 +50,7 @@ class Graph:
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
                  reactive: bool = False) -> None:
         self._device, self._window, self._guided, self._reactive = device, window, guided, reactive
-        dims = dict(zip(("height", "width"), window.padded, strict=True))
+        dims = free_dimensions(window.padded)
         networks = {model: device.pipeline_state(Library(), model, dims) for model in models}
         self._tables: dict[str, ArgumentTable] = {}
         self._places: dict[Window, dict[str, Tensor]] = {}

@@ -19,13 +19,13 @@ REACH = 2
 """Render pixels that a pixel's strength reaches when it is resampled."""
 
 FIXED = 4000
-"""Render pixels whose time a window takes beyond that of its own. samples/window_cost.py measures 6300 for model m at
-960x540 (9 ms), 10700 for s, and 18000 for m at 1920x1080, where it matters less."""
+"""Render pixels whose time a window takes beyond that of its own, at least. samples/window_cost.py measures 10400 for
+model m at 960x540 (12 ms), 20500 for s, and 20300 for m at 1920x1080, where it matters less."""
 
 MOST_BOXES = 6
 GAIN = 0.9
 """Windows must be expected to take at most this share of the whole frame's time: a frame with windows takes 5 % of it
-more with m and 10 % with s, measured likewise, for what is done everywhere."""
+more with m and 12 % with s, measured likewise, for what is done everywhere."""
 
 
 @dataclass(frozen=True)

@@ -81,9 +81,11 @@ class Session:
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Outputs that depend on no input, from one run on zeros. ModelError when there are none such, or they cannot
         be computed, as where they take more memory than there is."""
-        zeros = {value.name: np.zeros(value.shape, value.dtype) for value in self.inputs}
+        zeros = {value.name: np.zeros(value.shape, value.dtype) for value in self.inputs} if names else {}
+        options = ort.RunOptions()
+        options.only_execute_path_to_fetches = True
         try:
-            return dict(zip(names, self._session.run(list(names), zeros), strict=True)) if names else {}
+            return dict(zip(names, self._session.run(list(names), zeros, options), strict=True)) if names else {}
         except Exception as error:
             raise ModelError(f"model '{self._name}' cannot be run: {first_line(error)}") from error
 

@@ -17,10 +17,12 @@ from postfx.kernels import (
     denoise_layout,
     denoise_open,
     denoise_prepare,
+    denoise_products,
     denoise_reactive,
     denoise_reflections,
     denoise_resize,
     denoise_restore,
+    denoise_store,
     denoise_strength,
     denoise_upsample,
 )
@@ -40,7 +42,10 @@ KERNELS = (
     denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE, denoise_reactive.REACTIVE,
     denoise_reactive.SPREAD_MASK, denoise_reactive.KEEP, ENLARGE, OVER, OVER_ALPHA, denoise_assemble.ASSEMBLE,
     denoise_half.PACK, denoise_half.OPEN, denoise_half.OPEN_FINE, denoise_open.OPEN_PHASED,
+    denoise_products.OPEN_PRODUCTS, denoise_products.OPEN_FINE_PRODUCTS, denoise_store.STORE,
+    denoise_store.STORE_RINGED,
 )
+MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image",
          "strength", "reactive", "opaque_colour", *denoise_layout.GUIDE_PLANES)
@@ -66,7 +71,8 @@ class Case(NamedTuple):
         window = self.window
         hp, wp = -(-window.rows // 16) * 16, -(-window.columns // 16) * 16
         return {**self._asdict(), "hp": hp, "wp": wp, "half_hp": hp // 2, "half_wp": wp // 2,
-                "th": window.rows, "tw": window.columns, "out_th": window.out.rows, "out_tw": window.out.columns,
+                "ringed_hp": hp + 2, "ringed_wp": wp + 2, "th": window.rows, "tw": window.columns,
+                "out_th": window.out.rows, "out_tw": window.out.columns,
                 "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
                 "tiles": 3, "tile_h": window.rows, "tile_w": window.columns, "rows": self.h, "columns": self.w,
                 "cells_h": -(-window.rows // 8), "cells_w": -(-window.columns // 8),
@@ -118,6 +124,14 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.array([1.7, random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 0.8])
     if name in ("raw", "raw_fine", "phased_fine"):
         return random.normal(0, 4, size)
+    if name == "products":
+        return random.normal(0, 400, size)
+    if name == "scaling":
+        return np.stack([0.005 + 0.01 * unit[0], 4 * unit[1] - 2])
+    if name == "coding":  # half of the channels have negative values, too
+        return np.where(np.arange(size[1]) % 2, [[MOST_CODE // 2], [MOST_CODE // 2 + 1]], [[MOST_CODE], [0]])
+    if name == "planes":
+        return 3 * unit - 1
     if name == "area":
         return np.array([min(case.window.rows, case.h - case.window.top),
                          min(case.window.columns, case.w - case.window.left)])
@@ -175,10 +189,14 @@ def in_frame(kernel: Kernel, results: Mapping[str, np.ndarray], case: Case) -> d
     return cut
 
 
+def _unwritten(size: tuple[int, ...], dtype: str) -> np.ndarray:
+    return np.full(size, 77 if dtype == "uint8" else np.nan, dtype)
+
+
 def run(kernel: Kernel, device: Device, inputs: Mapping[str, np.ndarray], case: Case) -> dict[str, np.ndarray]:
     """What a kernel writes, on a device."""
     state = device.compute_state(kernel)
-    empty = {name: np.full(shape(kernel, name, case), np.nan, element_type(kernel, name)) for name in kernel.writes}
+    empty = {name: _unwritten(shape(kernel, name, case), element_type(kernel, name)) for name in kernel.writes}
     written = {name: device.wrap(name, array) for name, array in empty.items()}
     read = {name: device.wrap(name, value) for name, value in inputs.items()}
     commands = device.command_buffer(kernel.name)

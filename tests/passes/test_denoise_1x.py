@@ -50,7 +50,8 @@ class Remote:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("models")
     for tag, shipped in FILES.items():
-        shutil.copy(models_dir() / f"denoise_upscale.{shipped}.onnx", made / f"denoise_upscale.{tag}.onnx")
+        for ending in ("onnx", "json"):
+            shutil.copy(models_dir() / f"denoise_upscale.{shipped}.{ending}", made / f"denoise_upscale.{tag}.{ending}")
     return made
 
 

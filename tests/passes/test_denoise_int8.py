@@ -12,8 +12,9 @@ import pytest
 
 import postfx
 from postfx.frame import Role
+from postfx.kernels.denoise_store import STORE_RINGED
 from postfx.paths import models_dir
-from postfx.runtime import Library
+from postfx.runtime import Library, ModelError
 
 torch = pytest.importorskip("torch")
 
@@ -22,9 +23,13 @@ from onnx import numpy_helper  # noqa: E402
 
 from tests.passes.denoise_frames import guided, noisy  # noqa: E402
 from training import quantise  # noqa: E402
+from training.calibration import best_range  # noqa: E402
 from training.clips import GUIDES, PLANES, save_clip  # noqa: E402
+from training.graph_parts import value  # noqa: E402
+from training.integer_stem import LIMITS, Coding  # noqa: E402
 from training.qdq import Range, activations, convolutions, unfold_half  # noqa: E402
 from training.qdq import quantise as quantised  # noqa: E402
+from training.rounding import LIMIT, Moments, rounded  # noqa: E402
 
 NAMES = ("denoise_upscale.small", "denoise_upscale.small.guides")
 ROOM = Path(__file__).parents[2] / "samples/room/noisy.####.exr"
@@ -63,12 +68,20 @@ def test_variant_runs_in_integers_and_shows_the_same(
     card = quantise.make_int8(name, Library(small_models), str(clips), tmp_path)
     assert card["name"] == quantise.variant_name(name, "int8")
     path = tmp_path / f"{card['name']}.onnx"
-    assert integer_convolutions(path, tmp_path) == card["int8_layers"] == 10
+    assert integer_convolutions(path, tmp_path) == card["int8_layers"] == 11
     assert card["difference"]["frames"] == (3 if "guides" in name else 6)
     assert card["difference"]["worst_psnr_db"] > 40
     assert path.stat().st_size < Library(small_models).path(name).stat().st_size
     assert Library(tmp_path).load(card["name"])  # holds the hash against the card's
     assert json.loads(path.with_suffix(".json").read_text())["precision"] == "int8"
+
+
+def test_a_variant_without_its_card_is_refused(tmp_path: Path) -> None:
+    """The card says which outputs are constants, by which kernels code what the network reads."""
+    shutil.copy(models_dir() / "denoise_upscale.s.int8.onnx", tmp_path)
+    shots = [quantise.Shot(2.0, [noisy(1, 40, 56)])]
+    with pytest.raises(ModelError, match="'denoise_upscale.s.int8'.*card.*coding_features.*training.quantise"):
+        quantise.pictures(shots, Library(tmp_path), "denoise_upscale.s.int8")
 
 
 def test_frames_without_guides_are_an_error_for_a_network_that_reads_them(clips: Path, tmp_path: Path) -> None:
@@ -96,7 +109,39 @@ def test_zero_is_kept_exactly_and_ranges_ignore_what_is_rare() -> None:
         ends = np.array([min(low, 0), max(high, 0)])
         np.testing.assert_allclose(kept.rounded(ends), ends, atol=kept.scale)
     values = np.append(np.random.default_rng(0).random(1_000_000), 10)
-    assert quantise.best_range(values).scale * 255 < 7
+    assert best_range(values).scale * 255 < 7
+
+
+def test_rounding_makes_up_for_itself() -> None:
+    """By the moments of inputs that depend on each other; without moments it is that of each weight alone."""
+    random = np.random.default_rng(0)
+    weights = random.normal(0, 1, (8, 36))
+    reads = random.normal(0, 1, (4000, 6)) @ random.normal(0, 1, (6, 36)) + 0.1 * random.normal(0, 1, (4000, 36))
+    moments = reads.T @ reads / len(reads)
+    error = {name: np.square(reads @ (kept.factors * kept.steps[:, None] - weights).T).mean()
+             for name, kept in (("alone", rounded(weights, 0 * moments)), ("together", rounded(weights, moments)))}
+    assert error["together"] < 0.2 * error["alone"]
+    kept = rounded(weights, 0 * moments)
+    assert (kept.factors == np.rint(kept.factors)).all() and np.abs(kept.factors).max() == LIMIT
+    assert (np.abs(kept.factors * kept.steps[:, None] - weights) <= 0.501 * kept.steps[:, None]).all()
+
+
+@pytest.mark.parametrize("name", sorted(LIMITS))
+def test_codes_of_planes_are_those_of_the_kernel(name: str) -> None:
+    coding, ring = Coding.of(name), 1
+    random = np.random.default_rng(0)
+    planes = random.normal(0, 2, (1, len(LIMITS[name]), 6, 10)).astype(np.float32)
+    planes[:, :, 0, :4] = np.array([np.nan, np.inf, -np.inf, 0])
+    wanted = np.nan_to_num(planes, nan=0, posinf=1e9, neginf=-1e9)
+    stored = np.empty((1, 8, 12, len(coding.scale)), np.uint8)
+    STORE_RINGED.rows(0, 8, planes, np.stack(coding), stored)
+    found = stored - coding.zero
+    assert (found[:, [0, -1]] == 0).all() and (found[:, :, [0, -1]] == 0).all(), "the ring is zero"
+    np.testing.assert_array_equal(found[:, ring:-ring, ring:-ring].transpose(0, 3, 1, 2), coding.codes(wanted))
+    low, high = LIMITS[name].T[..., None, None]
+    step = 1 / coding.scale[:len(low), None, None]
+    held = np.clip(wanted, low - (low < 0) * step, high)
+    assert (np.abs(coding.codes(wanted)[:, :len(low)] * step - held) <= 0.51 * step).all()
 
 
 def test_a_channel_of_bias_alone_keeps_its_value(small_models: Path) -> None:
@@ -107,7 +152,13 @@ def test_a_channel_of_bias_alone_keeps_its_value(small_models: Path) -> None:
     weight[0] = 0
     weights[node.input[1]].CopyFrom(numpy_helper.from_array(weight, node.input[1]))
     ranges = dict.fromkeys(activations(model.graph, quantise.LAYERS), Range.of(-1, 1))
-    small = {w.name: numpy_helper.to_array(w) for w in quantised(model, quantise.LAYERS, ranges).graph.initializer}
+    kept = {}
+    for one in convolutions(model.graph, quantise.LAYERS):
+        moments, held = Moments.of(one), value(model.graph, one.input[1])
+        moments.add(np.random.default_rng(0).random((1, held.shape[1], 16, 16), np.float32))
+        kept[one.input[1]] = moments.rounded(held)
+    graph = quantised(model, quantise.LAYERS, ranges, kept).graph
+    small = {w.name: numpy_helper.to_array(w) for w in graph.initializer}
     name = node.input[2]
     found = small[f"{name}_quantised"][0] * small[f"{name}_scale"][0]
     assert found == pytest.approx(numpy_helper.to_array(weights[name])[0], rel=1e-5)

@@ -8,6 +8,8 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from postfx.kernels.denoise_store import STORE
+from postfx.passes._denoise_network import CODING, PACKED, PRODUCTS, RING, SCALING, STORED
 from postfx.paths import models_dir
 from postfx.runtime import Device
 from tests.stress.test_kernel_bounds import PAGE
@@ -18,6 +20,7 @@ pytest.importorskip("torch")
 from onnx import TensorProto, numpy_helper  # noqa: E402
 from onnx.reference import ReferenceEvaluator  # noqa: E402
 
+from training.graph_parts import value as constant_value  # noqa: E402
 from training.halve import pack  # noqa: E402
 
 BOUNDS = {"fp32": (2e-5, 5e-6), "fp16": (1e-3, 5e-4), "int8": (0.05, 1e-4), "tone": (1e-6, 1e-6)}
@@ -49,7 +52,8 @@ ROW = re.compile(r"^\| networks: (?P<kind>\w+)[^|]*\| (?P<most>\S+), (?P<rms>\S+
 def widened(model: onnx.ModelProto) -> onnx.ModelProto:
     """The same graph and numbers with float64 in place of all narrower floats."""
     for value in (*model.graph.input, *model.graph.output):
-        value.type.tensor_type.elem_type = TensorProto.DOUBLE
+        if value.type.tensor_type.elem_type in NARROW:
+            value.type.tensor_type.elem_type = TensorProto.DOUBLE
     for weight in model.graph.initializer:
         _widen(weight)
     for node in model.graph.node:
@@ -66,13 +70,26 @@ def _widen(tensor: onnx.TensorProto) -> None:
 
 
 def arguments(model: onnx.ModelProto, values: str) -> dict[str, np.ndarray]:
-    """Inputs of a network that hold the VALUES of that name; packed for one that reads halves."""
+    """Inputs of a network that hold the VALUES of that name; packed for one that reads halves, stored for one that
+    reads 8 bits."""
     random, found = np.random.default_rng(0), {}
     for value in model.graph.input:
-        ranges = RANGES[value.name.removeprefix("packed_")]
+        ranges = RANGES[value.name.removeprefix(PACKED).removeprefix(STORED)]
         size = (256, 256) if value.name == "lowres" else SIZE
         planes = filled(values, random, ranges[:, :1, None], ranges[:, 1:, None], (1, len(ranges), *size))
-        found[value.name] = pack(planes) if value.name.startswith("packed_") else planes
+        if value.name.startswith(STORED):
+            planes = stored(model, value, planes)
+        found[value.name] = pack(planes) if value.name.startswith(PACKED) else planes
+    return found
+
+
+def stored(model: onnx.ModelProto, value: onnx.ValueInfoProto, planes: np.ndarray) -> np.ndarray:
+    """Planes as a network reads them in 8 bits."""
+    coding = constant_value(model.graph, CODING + value.name.removeprefix(STORED))
+    dims, ring = value.type.tensor_type.shape.dim, 2 * RING
+    around = ring if dims[1].dim_param.startswith("ringed") else 0
+    found = np.empty((1, *(side + around for side in SIZE), dims[3].dim_value), np.uint8)
+    STORE.rows(0, found.shape[1], planes, coding, found)
     return found
 
 
@@ -113,15 +130,24 @@ def check(name: str, values: str, bounds: tuple[float, float], provider: str) ->
     session = onnxruntime.InferenceSession(path, providers=[provider])
     outputs = [value.name for value in session.get_outputs()]
     found = session.run(outputs, reads)
-    wide = {key: value.astype(np.float64) for key, value in reads.items()}
+    wide = {key: value if value.dtype == np.uint8 else value.astype(np.float64) for key, value in reads.items()}
     with np.errstate(invalid="ignore"):  # beyond int32, which int8 clips right after
         exact = ReferenceEvaluator(widened(model)).run(outputs, wide)
-    for output, value, wanted in zip(outputs, found, exact, strict=True):
+    for output, value, wanted in zip(outputs, scaled(outputs, found), scaled(outputs, exact), strict=True):
         assert wanted.dtype == np.float64 and np.isfinite(value).all()
         error = np.abs(value - wanted)
         largest, typical = error.max() / np.abs(wanted).max(), np.sqrt(np.mean(error**2) / np.mean(wanted**2))
         print(f"{provider} {name}, {values}: {largest:.2g}, {typical:.2g} of {output}")
         assert largest <= most and typical <= mean, f"{output} {largest:.2g}, {typical:.2g}"
+
+
+def scaled(outputs: list[str], values: list[np.ndarray]) -> list[np.ndarray]:
+    """Outputs with the logits in place of the products that they are scaled from."""
+    known = dict(zip(outputs, values, strict=True))
+    for name in [name for name in outputs if name.startswith(PRODUCTS)]:
+        scale, bias = known[SCALING + name.removeprefix(PRODUCTS)]
+        known[name] = known[name] * scale + bias
+    return list(known.values())
 
 
 def test_the_table_has_the_bounds_that_are_asserted() -> None:

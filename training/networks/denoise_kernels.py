@@ -235,3 +235,42 @@ class OpenPhased(nn.Module):
 
     def forward(self, phased_fine: Tensor) -> Tensor:
         return activated(F.pixel_shuffle(phased_fine, 2))
+
+
+class OpenProducts(nn.Module):
+    """products (1, C, hp, wp) of int32, scaling (2, C) -> heads (1, C, hp, wp), activated."""
+
+    def forward(self, products: Tensor, scaling: Tensor) -> Tensor:
+        heads = logits(products, scaling)
+        return torch.cat((weights_from(heads[:, :KERNEL]), torch.sigmoid(heads[:, KERNEL:])), 1)
+
+
+class OpenFineProducts(nn.Module):
+    """products (1, 80 * 4, hp/2, wp/2) of int32, scaling (2, 80 * 4) -> fine (1, 80, hp, wp), activated."""
+
+    def forward(self, products: Tensor, scaling: Tensor) -> Tensor:
+        return activated(F.pixel_shuffle(logits(products, scaling), 2))
+
+
+def logits(products: Tensor, scaling: Tensor) -> Tensor:
+    """What sums of 8-bit products stand for."""
+    scale, bias = scaling[:, :, None, None]
+    return products.float() * scale + bias
+
+
+class Store(nn.Module):
+    """planes (1, C, hp, wp), coding (2, wide) -> stored (1, hp, wp, wide) of uint8."""
+
+    ring = 0
+
+    def forward(self, planes: Tensor, coding: Tensor) -> Tensor:
+        ringed = F.pad(planes, 4 * [self.ring]).permute(0, 2, 3, 1)
+        held = F.pad(ringed, (0, coding.shape[1] - planes.shape[1]))
+        scaled = torch.where(held == held, held * coding[0], 0)
+        return (scaled + coding[1] + 0.5).clamp(0, 255).floor().to(torch.uint8)
+
+
+class StoreRinged(Store):
+    """The same -> stored (1, hp + 2, wp + 2, wide)."""
+
+    ring = 1
