@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import statistics
 import sys
 import time
 
@@ -30,10 +29,10 @@ def resident_bytes() -> int:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize("count", [60, pytest.param(1000, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("count", [150, pytest.param(1000, marks=pytest.mark.soak)])
 def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int) -> None:
-    """Memory within 1 % and a MiB. Processor time of the last third is that of the middle one, but for other programs'
-    use of the caches."""
+    """Memory within 1 % and a MiB. Processor time of the last third's fastest frames is that of the middle one's: what
+    grows makes all frames slower, other programs only some."""
     device = Device("cpu", threads=2)
     chain = postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()], device)
     frames, heaps, process, times = [frame(number) for number in range(4)], set(), [], []
@@ -46,7 +45,8 @@ def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int) -
             process.append(resident_bytes())
     assert len(heaps) == 1
     assert max(process) <= 1.01 * process[0] + (1 << 20)
-    middle, last = (statistics.median(times[-(part * len(times) // 3):][:len(times) // 3]) for part in (2, 1))
+    third = len(times) // 3
+    middle, last = (np.quantile(part, 0.1) for part in (times[-2 * third:-third], times[-third:]))
     assert last < 1.25 * middle
     print(f"{count} frames: {process[0] / 1e6:.1f} MB at frame {WARM + 1}, {max(process) / 1e6:.1f} MB at most; "
           f"processor time a frame {1e3 * middle:.1f} ms in the middle third, {1e3 * last:.1f} ms in the last")
