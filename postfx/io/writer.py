@@ -155,7 +155,8 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) 
     display = _display_of(frame)
     if shown:
         tag_codes(spec, display or parse_display("srgb"), path)
-        spec.attribute("CompressionQuality", 95)
+        if path.suffix.lower() in JPEG:  # TIFF would take it for a level of deflate
+            spec.attribute("CompressionQuality", 95)
         spec.attribute("png:compressionLevel", _PNG_LEVEL)
         spec.attribute("png:filter", _PNG_PAETH)
         return spec

@@ -52,6 +52,20 @@ def test_display_frames_are_decoded_for_exr(frame, tmp_path):
     np.testing.assert_allclose(written[:, :, :3], srgb_decode(frame[Role.COLOUR]), atol=1e-6)
 
 
+@pytest.mark.parametrize("suffix", [".exr", ".png", ".tif", ".jpg"])
+def test_any_number_of_threads_encodes_the_same(frame, tmp_path, suffix):
+    frame = Frame({Role.COLOUR: np.tile(frame[Role.COLOUR], (20, 20, 1))}, encoding="srgb")
+    pixels, used = [], oiio.get_int_attribute("threads")
+    try:
+        for threads in (1, 2, 8):
+            oiio.attribute("threads", threads)
+            pixels.append(pixels_of(write_frame(tmp_path / f"{threads}{suffix}", frame)))
+    finally:
+        oiio.attribute("threads", used)
+    for other in pixels[1:]:
+        np.testing.assert_array_equal(other, pixels[0])
+
+
 @pytest.mark.parametrize(("suffix", "bits"), [(".png", 8), (".tif", 16)])
 def test_display_files_hold_codes(frame, tmp_path, suffix, bits):
     frame.encoding = "srgb"
