@@ -96,8 +96,13 @@ class Display:
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
         """Code values (..., 3) to light."""
-        light = self.kind.curve.decode(codes)
-        return light * self._gain(light, self.system_gamma - 1) * self.unit
+        return self.lit(self.kind.curve.decode(codes))
+
+    def lit(self, signal: np.ndarray) -> np.ndarray:
+        """What the display makes of what its curve gives for code values (..., 3): light, 1 is white."""
+        if self.name not in HDR:
+            return signal
+        return signal * self._gain(signal, self.system_gamma - 1) * self.unit
 
     def _gain(self, light: np.ndarray, exponent: float) -> np.ndarray | float:
         """Power of the luminance, kept off zero."""

@@ -19,7 +19,7 @@ from postfx.io.guides import GuideLayout, drop_smaller_planes, larger_planes, pl
 from postfx.io.layout import Header, Layout, Match, make_layout
 from postfx.io.left_alone import LeftAlone
 from postfx.io.part import AREA
-from postfx.io.planes import assemble, read_in_pieces, read_whole
+from postfx.io.planes import read_planes
 from postfx.io.profile import load_profile
 from postfx.io.transparents import take_opaque_colour
 from postfx.scratch import Scratch
@@ -108,13 +108,8 @@ class FrameFiles:
         stored = {*wanted, *self.alone.reads} - self._made() if masked else wanted
         matches = {role: self.match(role) for role in Role if role in stored}
         guide_matches = {role: self.guide(role) for role in guiding}
-        if scratch is None:
-            pixels = read_whole([*matches.values(), *guide_matches.values()])
-            planes = {role: assemble(match, pixels, self.layout.camera) for role, match in matches.items()}
-            guides = {role: assemble(match, pixels, self.guides.camera) for role, match in guide_matches.items()}
-        else:
-            planes = read_in_pieces(matches, self.layout.camera, scratch)
-            guides = read_in_pieces(guide_matches, self.guides.camera, scratch) if guide_matches else {}
+        planes = read_planes(matches, self.layout.camera, scratch)
+        guides = read_planes(guide_matches, self.guides.camera, scratch) if guide_matches else {}
         if masked:
             planes = self._masked(planes, wanted, scratch)
         return self._frame(number, planes, guides, next(iter(matches.values())).channels[0])

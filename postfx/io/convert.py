@@ -55,8 +55,8 @@ def convert(
         return _depth(plane, rule, camera, first, height)
     plane = _affine(plane, rule)
     if rule.role is Role.MOTION:
-        moved = _motion_pixels(plane, rule.unit, *(camera.display_size or (plane.shape[1], height)))
-        plane = np.nan_to_num(moved, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        plane = _motion_pixels(plane, rule.unit, *(camera.display_size or (plane.shape[1], height)))
+        plane[~np.isfinite(plane)] = 0
     if rule.role is Role.NORMAL and rule.space == "camera":
         plane = normals_to_world(plane, camera.world_to_camera)
     if rule.clamp is not None:
@@ -104,5 +104,5 @@ def _empty(rule: PlaneRule) -> float:
 
 
 def _motion_pixels(plane: np.ndarray, unit: str, width: int, height: int) -> np.ndarray:
-    size = {"pixels": (1, 1), "uv": (width, height), "ndc": (width / 2, height / 2)}[unit]
-    return plane * np.float32(size)
+    size = {"pixels": None, "uv": (width, height), "ndc": (width / 2, height / 2)}[unit]
+    return plane if size is None else plane * np.float32(size)

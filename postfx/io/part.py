@@ -85,10 +85,10 @@ class Part:
 
 
 def to_area(pixels: np.ndarray, part: Part, fill: float) -> np.ndarray:
-    """(data height, data width) -> contiguous (area height, area width); pixels without data become `fill`."""
+    """(data height, data width) -> (area height, area width); pixels without data become `fill`."""
     data, area = part.data, part.area
     if data == area:
-        return np.ascontiguousarray(pixels)
+        return pixels
     result = np.full((area.height, area.width), fill, pixels.dtype)
     if inside := data.common(area):
         result[_slices(inside, area)] = pixels[_slices(inside, data)]

@@ -2,43 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
+from functools import partial
 
 import numpy as np
 
 from postfx.errors import ReadError
 from postfx.frame import ROLES, Role
-from postfx.io.channels import Channel, read_channels
+from postfx.io.channels import read_channels
 from postfx.io.convert import Camera, convert, fill_value
 from postfx.io.layout import Match
 from postfx.scratch import Scratch
 
-
-def read_whole(
-    matches: Iterable[Match], rows: tuple[int, int] | None = None
-) -> dict[Channel, np.ndarray]:
-    """Channels of some planes, each once."""
-    return read_channels({channel: fill_value(match.rule) for match in matches for channel in match.channels}, rows)
+_ROWS = 256
+"""Rows that are read at once: few enough to be still in the cache when they are sorted into planes, and whole chunks of
+every compression that OpenEXR has."""
 
 
-def read_in_pieces(matches: Mapping[Role, Match], camera: Camera, scratch: Scratch) -> dict[Role, np.ndarray]:
-    """Planes of one size, some rows of all at a time."""
-    width, height = next(iter(matches.values())).size
-    planes = {role: scratch.empty((height, width, ROLES[role].channels)) for role in matches}
-    # A piece is there as it is read, with channels between the wanted ones, and as it is converted.
-    row_bytes = 8 * sum(plane.nbytes for plane in planes.values()) // height
-    for rows in scratch.pieces(height, row_bytes):
-        pixels = read_whole(matches.values(), rows)
-        for role, match in matches.items():
-            planes[role][slice(*rows)] = assemble(match, pixels, camera, rows[0], height)
+def read_planes(
+    matches: Mapping[Role, Match], camera: Camera, scratch: Scratch | None = None
+) -> dict[Role, np.ndarray]:
+    """Planes at the sizes that they have, some rows of all at a time, in arrays of `scratch` if it is given."""
+    for match in matches.values():
+        _check(match)
+    new = scratch.empty if scratch else partial(np.empty, dtype=np.float32)
+    planes = {role: new((match.size[1], match.size[0], ROLES[role].channels)) for role, match in matches.items()}
+    for size in {match.size for match in matches.values()}:
+        alike = {role: match for role, match in matches.items() if match.size == size}
+        # A piece is there as it is read, with channels between the wanted ones, and as it is converted.
+        row_bytes = 8 * sum(planes[role].nbytes for role in alike) // size[1]
+        for first, last in scratch.pieces(size[1], row_bytes) if scratch else _pieces(size[1]):
+            channels = {channel: fill_value(match.rule) for match in alike.values() for channel in match.channels}
+            pixels = read_channels(channels, (first, last))
+            for role, match in alike.items():
+                piece = np.stack([pixels[channel] for channel in match.channels], axis=-1)
+                planes[role][first:last] = convert(piece, match.rule, camera, first, size[1])
     return planes
 
 
-def assemble(
-    match: Match, pixels: Mapping[Channel, np.ndarray], camera: Camera, first: int = 0, height: int | None = None
-) -> np.ndarray:
-    """A plane (height, width, channels) out of its channels; of one of another `height`, the rows from `first` on."""
-    planes = [pixels[channel] for channel in match.channels]
-    if len({plane.shape for plane in planes}) > 1:
+def _check(match: Match) -> None:
+    areas = [channel.part.area for channel in match.channels]
+    if len({(area.width, area.height) for area in areas}) > 1:
         raise ReadError(f"{match.channels[0].file.path}: channels {match.names} differ in size; write them as one part")
-    return convert(np.stack(planes, axis=-1), match.rule, camera, first, height)
+
+
+def _pieces(height: int) -> Iterator[tuple[int, int]]:
+    return ((first, min(height, first + _ROWS)) for first in range(0, height, _ROWS))

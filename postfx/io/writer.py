@@ -22,6 +22,7 @@ from postfx.io.ends import has_end
 from postfx.io.exr import reason_of
 from postfx.io.finished import finished_file
 from postfx.io.kept import add_rest
+from postfx.io.light import halves, light_of
 from postfx.io.metadata import kept_attributes, set_attributes
 from postfx.io.tags import JPEG, tag_codes, tag_light
 from postfx.io.windows import OutputWindows, Pixels, cut, output_windows
@@ -33,7 +34,6 @@ _DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays only
 _EXR_COMPRESSION = "zip:1"  # two thirds of the time of the default level for 4 % more bytes
 _PNG_LEVEL, _PNG_PAETH = 3, 128  # less than half the time of level 6 with a filter chosen for each row, for 4 % more
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
-_HALF_MAX = 65504.0
 OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 _PIECE = 16 << 20  # bytes in float32 that are converted and written at once
 
@@ -110,9 +110,9 @@ def _linear_pixels(frame: Frame, half: bool) -> Pixels:
 
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
-        colour = display.decode(colour).astype(np.float32) if display else colour
+        colour = light_of(colour, display) if display else colour
         pixels = _with_layer(_with_alpha(colour, frame, rows), frame, rows)
-        return np.clip(pixels, -_HALF_MAX, _HALF_MAX).astype(np.float16) if half else pixels
+        return halves(pixels) if half else pixels
 
     return convert
 

@@ -20,7 +20,10 @@ WATCHED = ["postfx.io", "postfx.strength", "postfx.cli.cuts", "postfx.scratch", 
            "postfx.passes._tonemap_look", "postfx.runtime.library", "postfx.runtime.model_check",
            "postfx.runtime.model_file", "postfx.runtime.wire"]
 
-with atheris.instrument_imports(include=WATCHED):
+KERNELS = Path(__file__).resolve().parents[2] / "postfx/kernels"
+COMPILED = [f"postfx.kernels.{source.stem}" for source in KERNELS.glob("*.py")]  # Numba knows no marks of coverage
+
+with atheris.instrument_imports(include=WATCHED, exclude=COMPILED):
     from tests.fuzz import targets
 
 from postfx.errors import PostfxError  # noqa: E402

@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.errors import MissingPlaneError, ProfileError
+from postfx.errors import MissingPlaneError, ProfileError, ReadError
 from postfx.frame import DEPTH_MISS, Role
 from postfx.io.aov import FrameFiles
 from postfx.io.profile import load_profile, profile_names
+from postfx.io.sequence import Sequence
+from postfx.scratch import Scratch
 
 TURN = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [1, 2, 3, 1]], np.float32)
 """A world-to-camera matrix for row vectors: a quarter turn about y and a shift."""
@@ -145,6 +147,15 @@ def test_albedo_above_one_and_broken_motion_are_mended(write_exr, ramp):
         frame = files.read(1)
     assert frame[Role.DIFFUSE_ALBEDO].max() == 1
     assert frame[Role.MOTION][0, 0, 0] == 0
+
+
+@pytest.mark.parametrize("size", [{"height": 12}, {"height": 3}, {"width": 16}], ids=str)
+@pytest.mark.parametrize("memory", [None, "1M"])
+def test_a_plane_of_channels_of_two_sizes_is_refused(write_exr, ramp, tmp_path, size, memory):
+    write_exr("beauty.0001.exr", ramp("R", "G", "B", "motion.X"))
+    write_exr("motion.0001.exr", ramp("Y", **size))
+    with pytest.raises(ReadError, match=r"0001\.exr: channels motion\.X, Y differ in size; write them as one"):
+        Sequence(tmp_path, scratch=memory and Scratch(memory)).read(1)
 
 
 def test_missing_plane_names_file_plane_and_mend(write_exr, ramp):

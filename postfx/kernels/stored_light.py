@@ -1,0 +1,49 @@
+"""Light as files store it, on the host: one walk over the picture where NumPy makes several."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postfx.kernels.numeric import compiled
+
+ZERO, ONE = np.float32(0), np.float32(1)
+LARGEST = np.int32(0x477FE000)
+"""Bits in float32 of 65504, the largest half float."""
+INFINITY, LEAST_NORMAL = np.int32(0x7F800000), np.int32(0x38800000)
+REBIAS, ROUND = np.int32(0x38000000), np.int32(0xFFF)
+SUBNORMALS = np.float32(2**24)
+"""Half floats below the least normal one are whole numbers over this."""
+
+
+@compiled
+def halve(values, bits, output):
+    """output (n,) uint16 = bits of the half floats nearest to `values` (n,) float32, ties to even, cut to +-65504.
+
+    `bits` are those of `values`, as int32. NaN stays NaN.
+    """
+    for i in range(values.size):
+        size = bits[i] & np.int32(0x7FFFFFFF)
+        cut = min(size, LARGEST)
+        normal = (cut + ROUND + ((cut >> np.int32(13)) & np.int32(1)) - REBIAS) >> np.int32(13)
+        small = np.int32(np.rint(min(abs(values[i]), ONE) * SUBNORMALS))
+        half = normal if cut >= LEAST_NORMAL else small
+        half = half if size <= INFINITY else np.int32(0x7E00)
+        output[i] = np.uint16(half | ((bits[i] >> np.int32(16)) & np.int32(0x8000)))
+
+
+@compiled
+def look_up(codes, table, output):
+    """output (n,) float32 = `table` between its entries, which lie evenly over codes (n,) float32 from 0 to 1 and end
+    with the last one twice. Returns whether all codes lie there."""
+    last = np.float32(table.size - 2)
+    beside = False
+    for i in range(codes.size):
+        code = codes[i] if codes[i] > ZERO else ZERO  # NaN, too
+        code = code if code < ONE else ONE
+        beside |= code != codes[i]
+        place = code * last
+        whole = np.int32(place)
+        entry = np.uint32(whole)  # an index that may be negative is looked at once more: three times as long
+        low = table[entry]
+        output[i] = low + (place - np.float32(whole)) * (table[entry + np.uint32(1)] - low)
+    return not beside
