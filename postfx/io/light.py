@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from postfx.colour.displays import KINDS, Display
-from postfx.kernels.stored_light import halve, look_up
+from postfx.kernels.storing import halve, look_up
 
 _STEPS = 1 << 16
 

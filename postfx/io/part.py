@@ -21,6 +21,10 @@ EXR_NAMES = {
 """OpenImageIO's names of standard OpenEXR attributes -> OpenEXR's own, which are used everywhere else here."""
 
 
+_TALL = ("dwab", "htj2k")
+"""Compressions with chunks of up to 256 rows; those of the others divide 32."""
+
+
 PICTURE = "postfx:picture"
 """Attribute of the part whose R, G, B and A are the result, so that these are read and not the render beside them."""
 
@@ -64,8 +68,8 @@ class Window(NamedTuple):
 class Part:
     """One part (sub-image) of a file.
 
-    `formats` are those of the channels: half, float or uint. Planes are read as they lie in `area`: the display window,
-    or more where there is overscan.
+    `formats` are those of the channels: half, float or uint. Whole chunks lie in every `chunk` rows. Planes are read as
+    they lie in `area`: the display window, or more where there is overscan.
     """
 
     index: int
@@ -73,6 +77,7 @@ class Part:
     view: str
     channels: tuple[str, ...]
     formats: tuple[str, ...]
+    chunk: int
     data: Window
     display: Window
     attributes: Mapping[str, Any]
@@ -132,6 +137,7 @@ def part_of(index: int, spec: oiio.ImageSpec) -> Part:
         view=str(attributes.get("view", "")),
         channels=tuple(spec.channelnames),
         formats=tuple(str(spec.channelformat(channel)) for channel in range(spec.nchannels)),
+        chunk=spec.tile_height or (256 if str(attributes.get("compression")).startswith(_TALL) else 32),
         data=_window(spec.x, spec.y, spec.width, spec.height),
         display=display,
         attributes=attributes,

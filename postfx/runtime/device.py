@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import threading
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postfx.cores import usable_cores
 from postfx.paths import models_dir
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
@@ -67,7 +67,7 @@ class Device:
     ) -> None:
         if threads is not None and threads < 1:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
-        self.threads = threads or _usable_cores()
+        self.threads = threads or usable_cores()
         self.scratch = None if memory is None else Scratch(memory)
         name = "cpu" if self.scratch and name == "auto" else name
         self.placement, self.memory = choose(name, self.threads, graphs)
@@ -206,11 +206,6 @@ def _within(scratch: Scratch, memory: Memory, name: str) -> HostMemory:
     if not memory.host_visible:
         raise DeviceError(f"a memory budget is for the CPU, not for '{name}': leave one of them out")
     return HostMemory(scratch)
-
-
-def _usable_cores() -> int:
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def _check_portable(kernel: Kernel, session: Session) -> None:

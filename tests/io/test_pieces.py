@@ -11,7 +11,9 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.frame import ROLES, Frame, Role
-from postfx.io import writer
+from postfx.io import encoders, writer
+from postfx.io import planes as planes_of_files
+from postfx.io.container import scanlines
 from postfx.io.convert import Camera, convert
 from postfx.io.profile import load_profile
 from postfx.io.sequence import Sequence
@@ -58,6 +60,24 @@ def test_tiles(tmp_path: Path) -> None:
     assert_same(one, other)
 
 
+@pytest.mark.parametrize(("name", "tile", "compression"), [
+    ("a.0001.exr", 0, "zips"), ("a.0001.exr", 0, "dwab:45"), ("a.0001.exr", 96, "zip"), ("a.0001.hdr", 0, ""),
+], ids=str)
+def test_tall_pictures_are_read_as_at_once(
+    name: str, tile: int, compression: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = oiio.ImageSpec(24, 600, 3, "half" if name.endswith(".exr") else "float")
+    spec.tile_width = spec.tile_height = tile
+    spec["compression"] = compression
+    output = oiio.ImageOutput.create(name)
+    values = np.random.default_rng(0).random((600, 24, 3), np.float32)
+    assert output.open(str(tmp_path / name), spec) and output.write_image(values) and output.close()
+    in_pieces = Sequence(tmp_path / name).read(1)[Role.COLOUR]
+    monkeypatch.setattr(planes_of_files, "_ROWS", (1024, 1024))
+    np.testing.assert_array_equal(in_pieces, Sequence(tmp_path / name).read(1)[Role.COLOUR])
+    assert in_pieces.shape == (600, 24, 3) and in_pieces.std() > 0.2
+
+
 @pytest.mark.parametrize("role", [Role.DEPTH, Role.MOTION], ids=str)
 def test_what_depends_on_the_place_in_the_picture_is_converted_alike(role: Role) -> None:
     """Distances along rays, and motion in parts of the picture's size."""
@@ -80,7 +100,8 @@ def test_files_written_in_pieces_are_the_same_bytes(
     frame = Frame(planes)
     whole = writer.write_frame(tmp_path / "whole" / name, frame)
     calls = []
-    monkeypatch.setattr(writer, "_PIECE", 1)
+    monkeypatch.setattr(encoders, "_PIECE", 1)
+    monkeypatch.setattr(scanlines, "_PIECE", 1)
     pieces = writer.write_frame(tmp_path / "pieces" / name, frame, relax=lambda: calls.append(1))
     one, other = (oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT) for path in (whole, pieces))
     np.testing.assert_array_equal(one, other)

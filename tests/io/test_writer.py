@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
@@ -174,3 +175,38 @@ def test_existing_outputs(sequence, frame, tmp_path):
         OutputFiles(f"{tmp_path}/out.####.exr", sequence).check((1, 2))
     for existing in (Existing.OVERWRITE, Existing.SKIP):
         OutputFiles(f"{tmp_path}/out.####.exr", sequence, existing).check((1, 2))
+
+
+@pytest.mark.parametrize("half", [True, False])
+@pytest.mark.parametrize("size", [(1, 1), (17, 3), (33, 40)], ids=str)
+@pytest.mark.parametrize("noisy", [False, True])
+def test_every_reader_of_exr_finds_the_pixels(tmp_path, half, size, noisy):
+    """Also where a chunk does not get smaller by compression and is stored as it is."""
+    random = np.random.default_rng(0)
+    bits = random.integers(0, 0x7BFF, (*size, 4), np.uint16).view(np.float16).astype(np.float32)
+    pixels = bits if noisy else np.float32(0.25) + np.zeros_like(bits)
+    frame = Frame({Role.COLOUR: pixels[:, :, :3], Role.ALPHA: pixels[:, :, 3:]})
+    path = write_frame(tmp_path / "a.exr", frame, half=half)
+    np.testing.assert_array_equal(pixels_of(path), pixels)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        for place, name in enumerate("RGBA"):
+            np.testing.assert_array_equal(file.channels()[name].pixels, pixels[:, :, place])
+        assert file.header()["compression"] == OpenEXR.ZIP_COMPRESSION
+
+
+def test_exr_headers_are_those_of_openimageio(tmp_path):
+    metadata = {"displayWindow": (-3, 5, 12, 16), "dataWindow": (-4, 2, 14, 20), "postfx:area": (-4, 2, 14, 20),
+                "owner": "us", "pixelAspectRatio": 2.0, "timeCode": (1, 2),
+                "cameraMatrix": tuple(map(float, range(16))), "a name of more than thirty-one bytes": 7}
+    planes = {Role.COLOUR: np.full((19, 19, 3), 0.5, np.float32)}
+    path = write_frame(tmp_path / "a.exr", Frame(planes, metadata=metadata))
+    file = oiio.ImageInput.open(str(path))
+    spec, pixels = file.spec(), file.read_image(oiio.HALF)
+    file.close()
+    spec.attribute("compression", "zip")
+    again = oiio.ImageOutput.create(str(path))
+    assert again.open(str(tmp_path / "b.exr"), spec) and again.write_image(pixels) and again.close()
+    ours, theirs = (OpenEXR.File(str(tmp_path / name), header_only=True).header() for name in ("a.exr", "b.exr"))
+    assert ours.keys() == theirs.keys() and len(ours) > 14
+    for name, value in ours.items():
+        assert np.array_equal(value, theirs[name]) or str(value) == str(theirs[name]), name

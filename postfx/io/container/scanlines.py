@@ -1,25 +1,26 @@
 """Chunks of ZIP-compressed scanlines out of channels as they are stored.
 
 The compression, as OpenEXR's ImfZip.cpp has it: bytes in even places before those in odd ones, then differences of
-neighbours, then DEFLATE; a chunk that does not get smaller is stored as it is.
+neighbours, then DEFLATE; a chunk that does not get smaller is stored as it is. DEFLATE is ISA-L's.
 """
 
 from __future__ import annotations
 
-import os
 import struct
-import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from isal import isal_zlib
 
+from postfx.cores import usable_cores
 from postfx.io.part import Window
+from postfx.kernels.storing import part
 
 ZIP = 3
 ZIP_LINES = 16
-_LEVEL = 4  # of DEFLATE, OpenEXR's own
-_PIECE = 16 << 20  # bytes that are read and compressed at once
+_LEVEL = 1  # of ISA-L: a fifth of the time of OpenEXR's level 4 for 6 % more bytes
+_PIECE = 4 << 20  # bytes that are read and compressed at once
 Rows = Callable[[int, int], list[np.ndarray]]
 
 
@@ -31,25 +32,29 @@ def zip_chunks(data: Window, pixel_bytes: int, read: Rows) -> Iterator[tuple[int
     pixel's channels.
     """
     step = max(1, _PIECE // (data.width * pixel_bytes * ZIP_LINES)) * ZIP_LINES
-    with ThreadPoolExecutor(os.cpu_count(), "postfx zip") as pool:
+    with ThreadPoolExecutor(usable_cores(), "postfx zip") as pool:
         for first in range(0, data.height, step):
             last = min(data.height, first + step)
-            lines = np.concatenate([_bytes_of(rows) for rows in read(first, last)], axis=1)
+            lines = _lines(read(first, last), data.width * pixel_bytes)
             blocks = [lines[top : top + ZIP_LINES] for top in range(0, last - first, ZIP_LINES)]
             for number, stored in enumerate(pool.map(_compressed, blocks)):
                 row = first + number * ZIP_LINES
                 yield row // ZIP_LINES, struct.pack("<2i", data.y0 + row, len(stored)) + stored
 
 
-def _bytes_of(rows: np.ndarray) -> np.ndarray:
-    """(rows, width) -> the bytes of each row."""
-    return np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)
+def _lines(channels: list[np.ndarray], line_bytes: int) -> np.ndarray:
+    """Channels (rows, width) -> the bytes of each row, (rows, bytes)."""
+    lines, at = np.empty((len(channels[0]), line_bytes), np.uint8), 0
+    for channel in channels:
+        end = at + channel.shape[1] * channel.itemsize
+        lines[:, at:end].view(channel.dtype)[:] = channel
+        at = end
+    return lines
 
 
 def _compressed(lines: np.ndarray) -> bytes:
     plain = lines.reshape(-1)
-    parted = np.concatenate([plain[0::2], plain[1::2]])
-    differences = parted.copy()
-    differences[1:] += 128 - parted[:-1]
-    packed = zlib.compress(differences.tobytes(), _LEVEL)
+    differences = np.empty_like(plain)
+    part(plain, differences)
+    packed = isal_zlib.compress(differences, _LEVEL)
     return packed if len(packed) < len(plain) else plain.tobytes()
