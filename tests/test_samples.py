@@ -51,6 +51,11 @@ def test_speed_is_compared_with_oidn():
     assert printed.count("x of OIDN high") == 5
 
 
+def test_the_time_of_the_whole_command():
+    printed = run("command_speed.py", "--width", "96", "--height", "54", "--frames", "1", "--runs", "1")
+    assert printed.count("; ratio ") == 4
+
+
 def test_the_time_of_masked_frames(tmp_path):
     printed = run("masked_speed.py", "--width", "96", "--height", "64", "--runs", "1", "-o", str(tmp_path / "a.png"))
     assert printed.count("% masked: denoised upscaler") == 6
@@ -115,5 +120,5 @@ def test_what_the_ray_caster_writes_is_right(tmp_path):
 def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
              "converged.py", "window_cost.py", "overlay_edges.py", "ghosts.py", "measure_memory.py", "ray_caster.py",
-             "integration_mistakes.py", "look_speed.py", "both_ways.py"}
+             "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named
