@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ablations", action="store_true", help="also measure networks that lack planes")
     parser.add_argument("--runs", type=_positive, default=3, metavar="N", help="runs a method (default: 3)")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
-    parser.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all cores)")
+    parser.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all usable cores)")
     parser.add_argument("--json", action="store_true", help="print one JSON object in place of the table")
 
 

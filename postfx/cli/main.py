@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from postfx import __version__
 from postfx.cli import bench, capture_compare, exposure, inspect, lut, models, run, verify
+from postfx.cores import usable_cores
 from postfx.errors import PostfxError
 
 VERBS = (run, verify, inspect, exposure, bench, models, lut, capture_compare)
@@ -19,6 +20,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code: 0 done, 1 what was checked is not well, 2 something the user can mend,
     130 interrupted by Ctrl-C, 143 ended by SIGTERM."""
     arguments = make_parser().parse_args(argv)
+    _read_and_write_by(getattr(arguments, "threads", None) or usable_cores())
     try:
         return arguments.execute(arguments)
     except PostfxError as error:
@@ -34,6 +36,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as interrupt:
         print("interrupted: finished frames are kept", file=sys.stderr)
         return getattr(interrupt, "exit_code", EXIT_INTERRUPTED)
+
+
+def _read_and_write_by(threads: int) -> None:
+    """Have files read and written by so many threads."""
+    import OpenImageIO as oiio  # here, as --help does without
+
+    for name in ("threads", "exr_threads"):
+        oiio.attribute(name, threads)
 
 
 def make_parser() -> argparse.ArgumentParser:

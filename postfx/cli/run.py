@@ -197,7 +197,7 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
         help="what the process may have in memory, e.g. 4G: frames are worked on in tiles, and what is too large lies "
         "in temporary files (TMPDIR); CPU only (default: no limit)",
     )
-    group.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all cores)")
+    group.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all usable cores)")
 
 
 def _add_capture(group: argparse._ArgumentGroup) -> None:

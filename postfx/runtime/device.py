@@ -39,7 +39,8 @@ class Device:
 
     Args:
         name: 'cpu', 'cuda', 'cuda:1', or 'auto': CUDA where ONNX Runtime can really use it, else the CPU.
-        threads: CPU threads for kernels and networks; default: the cores that this process may use.
+        threads: CPU threads for kernels and networks; default: the cores that this process may use, by its
+            affinity and its container's quota.
         compiled_kernels: run kernels by what is written for the device, where there is such: compiled rows on the CPU,
             CUDA sources on a GPU. When False, by their portable ONNX definitions.
         memory: bytes that the process may have in memory, as a number or like '4G'; tensors beyond lie in temporary

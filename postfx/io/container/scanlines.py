@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import OpenImageIO as oiio
 from isal import isal_zlib
 
-from postfx.cores import usable_cores
 from postfx.io.part import Window
 from postfx.kernels.storing import part
 
@@ -29,10 +29,10 @@ def zip_chunks(data: Window, pixel_bytes: int, read: Rows) -> Iterator[tuple[int
 
     `read(first, last)` gives the rows of all channels, counted from the window's top, last not included, in the order
     of the header: arrays (rows, width) of little-endian uint32, float16 or float32. `pixel_bytes` are those of all of a
-    pixel's channels.
+    pixel's channels. Runs on as many threads as OpenImageIO reads and writes with.
     """
     step = max(1, _PIECE // (data.width * pixel_bytes * ZIP_LINES)) * ZIP_LINES
-    with ThreadPoolExecutor(usable_cores(), "postfx zip") as pool:
+    with ThreadPoolExecutor(oiio.get_int_attribute("threads"), "postfx zip") as pool:
         for first in range(0, data.height, step):
             last = min(data.height, first + step)
             lines = _lines(read(first, last), data.width * pixel_bytes)
