@@ -114,7 +114,7 @@ def test_an_encoder_that_says_all_is_well_is_not_believed(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from postfx.io import encoders
-    name = "_write_exr" if suffix == ".exr" else "_encode"
+    name = {".exr": "_write_exr", ".png": "_write_png"}.get(suffix, "_encode")
     encode = getattr(encoders, name)
 
     def lose_the_end(path: Path, *rest: object) -> None:
