@@ -11,7 +11,7 @@ import numpy as np
 
 from postfx.passes._denoise_window import ALIGN, Box, Rows, Sizes, Window
 
-HALO, SMALL_HALO, GUIDED_HALO = 44, 64, 128
+HALO, SMALL_HALO, GUIDED_HALO = 44, 72, 104
 """Render pixels around what is active that a network must see, so that the result there differs by less than 1e-3 from
 that of the whole frame: usually, model s, and models that read guides. docs/denoiser.md has measured differences."""
 
