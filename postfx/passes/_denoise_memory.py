@@ -43,4 +43,4 @@ def bands_within(scratch: Scratch | None, frame: Sizes, models: Sequence[str]) -
 def seamless(models: Sequence[str]) -> int:
     """A halo for tiles side by side, larger than that of a mask, as all of its seams are seen: with it the networks in
     integers give the same, too, frame after frame."""
-    return halo_of(models) * 3 // 2
+    return halo_of(models) * 4 // 3
