@@ -18,14 +18,14 @@ that of the whole frame: usually, model s, and models that read guides. docs/den
 REACH = 2
 """Render pixels that a pixel's strength reaches when it is resampled."""
 
-FIXED = 4000
-"""Render pixels whose time a window takes beyond that of its own, at least. samples/window_cost.py measures 10400 for
-model m at 960x540 (12 ms), 20500 for s, and 20300 for m at 1920x1080, where it matters less."""
+FIXED = 10000
+"""Render pixels whose time a window takes beyond that of its own, at least. samples/window_cost.py measures 11200 for
+model m at 960x540 (7 ms), 23500 for s, and 27500 for m at 1920x1080, where it matters less."""
 
 MOST_BOXES = 6
 GAIN = 0.9
-"""Windows must be expected to take at most this share of the whole frame's time: a frame with windows takes 5 % of it
-more with m and 12 % with s, measured likewise, for what is done everywhere."""
+"""Windows must be expected to take at most this share of the whole frame's time: a frame with windows takes 7 % of it
+more with m and 11 % with s, measured likewise, for what is done everywhere."""
 
 
 @dataclass(frozen=True)
