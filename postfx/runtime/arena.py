@@ -66,7 +66,7 @@ class Arena:
     """Memory that the transient tensors of all command buffers share, one buffer after the other.
 
     The memory lives as long as a tensor that was placed in it. It is replaced when a plan needs more, and when tensors
-    are gone and the others need less.
+    are gone and the others need less; what it took goes back to the system.
 
     Attributes:
         plan: the plan of the last placement, None before the first.
@@ -77,6 +77,7 @@ class Arena:
         self._device = device
         self._plans: dict[tuple, Plan] = {}
         self._memory: weakref.ref[Tensor] | None = None
+        self._replaced: weakref.ref[Tensor] | None = None
         self._live: weakref.WeakSet[Transient] = weakref.WeakSet()
         self._live_lock = threading.Lock()
         self._count = 0
@@ -109,6 +110,9 @@ class Arena:
             return None
         if before is None or before.memory is not self._held():
             before = self._new(records, kept)
+        if self._replaced is not None and self._replaced() is None:
+            self._replaced = None
+            self._device.heap.trim()
         self._turn, self._label, self.plan = self._turn + 1, label, before.plan
         for (transient, allocation), taker in zip(before.places, before.plan.takers, strict=True):
             allocation.written, allocation.released = Ranges(), transient.released
@@ -162,6 +166,7 @@ class Arena:
             with self._live_lock:
                 needed = max(item.needs for item in self._live)
             if memory is None or memory.nbytes != needed:
+                self._replaced = self._memory
                 memory = self._device.heap.tensor("arena", (needed,), "uint8")
         self._memory, self._count = weakref.ref(memory), count
         return memory

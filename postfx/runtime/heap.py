@@ -120,6 +120,12 @@ class Heap:
         held = [(allocation.name, allocation.nbytes) for allocation in self._live if not allocation.released]
         return sorted(held, key=lambda item: (-item[1], item[0]))
 
+    def trim(self) -> None:
+        """Give chunks in which no tensor lives back to the system."""
+        with self._lock:
+            self._collect()
+            self._drop_idle()
+
     def _carve(self, nbytes: int) -> tuple[Chunk, int]:
         self._collect()
         self.allocations += 1
@@ -131,11 +137,13 @@ class Heap:
         return block.chunk, block.take(nbytes, found[0] if found else block.chunk.nbytes)
 
     def _grow(self, nbytes: int) -> _Block:
-        # Idle chunks were too small for this tensor; keeping them would hold the sum of all sizes ever used.
-        self._blocks = [block for block in self._blocks if not block.idle]
+        self._drop_idle()  # too small for this tensor; keeping them would hold the sum of all sizes ever used
         chunk = self._memory.allocate(max(nbytes, CHUNK))
         self._blocks.append(_Block(chunk, [(chunk.pointer, chunk.pointer + chunk.nbytes)]))
         return self._blocks[-1]
+
+    def _drop_idle(self) -> None:
+        self._blocks = [block for block in self._blocks if not block.idle]
 
     def _collect(self) -> None:
         while self._returned:
