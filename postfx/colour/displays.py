@@ -100,9 +100,7 @@ class Display:
 
     def lit(self, signal: np.ndarray) -> np.ndarray:
         """What the display makes of what its curve gives for code values (..., 3): light, 1 is white."""
-        if self.name not in HDR:
-            return signal
-        return signal * self._gain(signal, self.system_gamma - 1) * self.unit
+        return signal if not self.hdr else signal * self._gain(signal, self.system_gamma - 1) * self.unit
 
     def _gain(self, light: np.ndarray, exponent: float) -> np.ndarray | float:
         """Power of the luminance, kept off zero."""

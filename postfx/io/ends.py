@@ -10,7 +10,6 @@ from typing import BinaryIO
 from postfx.errors import ReadError
 from postfx.io.container.chunks import ExrContainer
 
-JPEG = (".jpg", ".jpeg")
 _ENDS = {".png": b"\0\0\0\0IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 _TIFF = {b"II*\0": "<HI", b"MM\0*": ">HI", b"II+\0": "<QQ", b"MM\0+": ">QQ"}
 # First bytes -> how a directory's count of entries and offsets are stored.

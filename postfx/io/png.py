@@ -29,7 +29,7 @@ def write_png(path: Path, like: bytes, size: tuple[int, int], pieces: Iterable[n
             elif kind != b"IDAT":
                 _write(file, kind, content)
             else:
-                for compressed in _compressed(pieces):
+                for compressed in filter(None, _compressed(pieces)):
                     _write(file, kind, compressed)
 
 

@@ -50,6 +50,7 @@ def test_all_that_is_said_and_all_pixels(
     ours = write_frame(tmp_path / "ours.png", frame)
     said, wanted = ([chunk for chunk in chunks(path) if chunk[0] != b"IDAT"] for path in (ours, theirs))
     assert said == wanted and len(said) > 2
+    assert all(content for kind, content in chunks(ours) if kind == b"IDAT")
     pixels, expected = (oiio.ImageBuf(str(path)).get_pixels(oiio.UINT16) for path in (ours, theirs))
     np.testing.assert_array_equal(pixels, expected)
     assert pixels.shape == (*size, 3)
