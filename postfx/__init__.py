@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from postfx.backwards import Backwards
+    from postfx.backwards import Backwards, RunUp
     from postfx.errors import PostfxError
     from postfx.frame import ROLES, Frame, FrameSpec, Role
     from postfx.io.sequence import Sequence, read_sequence
@@ -41,6 +41,7 @@ _HOMES = {
     "PostfxError": "postfx.errors",
     "ROLES": "postfx.frame",
     "Role": "postfx.frame",
+    "RunUp": "postfx.backwards",
     "Sequence": "postfx.io.sequence",
     "ToneMap": "postfx.passes.tonemap",
     "models_dir": "postfx.paths",

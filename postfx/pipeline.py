@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -13,15 +13,15 @@ from postfx.broken import is_lost, mended
 from postfx.cuts import CutDetector, CutError
 from postfx.errors import FrameError
 from postfx.exposure import ExposureMeter, SmoothExposure
-from postfx.frame import GUIDE_ROLES, Frame, FrameSpec, Role
-from postfx.passes.base import MOST_SIZES, Pass, PassContractError, ResidentFrame
+from postfx.flow import Flow
+from postfx.frame import Frame, FrameSpec, Role
+from postfx.passes.base import Pass
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skipped, Step, make_plan
-from postfx.recent import Recent
-from postfx.runtime import BindingError, CommandBuffer, Device, Tensor
+from postfx.runtime import BindingError, Device
 
-MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
-"""Planes and guides of all sizes that are kept ready."""
+RunUp = Callable[[Frame, Callable[[Frame], None]], Frame]
+"""Runs frames before one that begins a shot, by the function that it is given, and says as what that one is run."""
 
 
 @cache
@@ -40,12 +40,14 @@ class Pipeline:
             `postfx.exposure.SmoothExposure` of the whole sequence.
         cuts: 'auto' drops the history also before frames that are unrelated to the one before, as
             `postfx.cuts.CutDetector` finds them; 'none' only before frames marked with `frame.reset`.
+        run_up: what fills the history before the first frame of a shot, such as a `postfx.RunUp`; None for nothing.
 
     Where POSTFX_EXPOSURE_TOOL is 1 in the environment, `postfx.passes.exposure_tool` covers the upscaler's output.
 
     Attributes:
         plan: the plan of the last frame, None before the first.
         timings: pass name -> milliseconds on the device, of the last frame.
+        ahead: milliseconds on the device of each frame that was run up to the last one.
         exposure: multiplier used for the last frame; None before the first and when no pass ran.
         cut: whether the last frame was found to begin another shot.
         broken: how many pixels of which planes of the last frame were not finite, see `postfx.broken.mended`.
@@ -57,6 +59,7 @@ class Pipeline:
         device: Device | None = None,
         exposure: str | float | ExposureMeter | SmoothExposure = "auto",
         cuts: str = "auto",
+        run_up: RunUp | None = None,
     ) -> None:
         if cuts not in ("auto", "none"):
             raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are known")
@@ -67,9 +70,12 @@ class Pipeline:
         self.exposure: float | None = None
         self.cut = False
         self.broken: dict[Role, int] = {}
+        self.ahead: tuple[float, ...] = ()
         self._meter = exposure if callable(exposure) else ExposureMeter(exposure)
         self._detector = CutDetector() if cuts == "auto" else None
-        self._copies: Recent[Tensor] = Recent(MOST_COPIES)  # of planes, where the host does not see the device's memory
+        self._run_up = run_up
+        self._begins = True  # nothing is known of the frames before
+        self._flow = Flow(self.device)
 
     def __call__(self, frame: Frame) -> Frame:
         """The frame after all passes; the given frame is not changed.
@@ -78,7 +84,7 @@ class Pipeline:
         the frame's spec is not the last one's, which drops the history of passes that cannot go on with frames of
         another size. When a pass fails, the history is dropped and the error is raised.
         """
-        plan = self._planned(frame.spec)
+        plan, self.ahead = self._planned(frame.spec), ()
         if not plan.steps:
             self.timings, self.exposure, self.cut, self.broken = {}, None, False, {}
             return dataclasses.replace(frame)
@@ -89,20 +95,14 @@ class Pipeline:
         if frame.reset:
             self._reset_passes()
         self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
-        inputs = {role: self._input(role, frame[role]) for role in plan.planes}
-        guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
-        lost = is_lost(frame, self.broken)
-        resident = _resident(frame, plan.input, inputs, guides, self.exposure, lost)
         try:
-            with self.device.results_lock:  # the next commit may take the memory of the results
-                self._run(plan, resident)
-                return _finished(frame, plan, resident, inputs)
+            run = self._run_up_to(frame, plan)
+            result = self._flow.run(run, plan, self.exposure, is_lost(frame, self.broken), frame)
         except BaseException:
             self._reset_passes()
             raise
-        finally:
-            for tensor in (*inputs.values(), *guides.values()):
-                tensor.release()
+        self._begins, self.timings = False, self._flow.timings
+        return result
 
     def explain(self, spec: FrameSpec | None = None) -> Plan:
         """The plan for a spec, by default the last frame's, with what frames were spared so far. `print` it, or take
@@ -152,6 +152,7 @@ class Pipeline:
             for name, part in self._rememberers().items():
                 own = {key.removeprefix(f"{name}/"): a for key, a in history.items() if key.startswith(f"{name}/")}
                 part.recall(own)
+            self._begins = False
         except (KeyError, ValueError, IndexError, BindingError) as error:
             self.reset()
             raise FrameError(f"frame {frame.number}: the history does not fit the passes: {error}") from error
@@ -177,85 +178,25 @@ class Pipeline:
     def _make_ready(self, step: Step, before: FrameSpec | None) -> None:
         """Compile a pass, if it is not ready as it is, and cannot go on with frames of another size."""
         if before != step.input and not (before and step.instance.resize(step.input)):
-            self._copies.clear()
+            self._flow.forget()
             step.instance.compile(self.device, step.input)
 
-    def _input(self, name: str, array: np.ndarray) -> Tensor:
-        """A plane as a tensor of this frame. Where it is copied to the device, it always comes to the same memory."""
-        if self.device.memory.host_visible:
-            return self.device.wrap(name, array)
-        place = name, array.shape
-        return self.device.wrap(name, array, self._copies.get(place, partial(self.device.heap.tensor, *place)))
+    def _run_up_to(self, frame: Frame, plan: Plan) -> Frame:
+        """What is run for a frame: where it begins a shot and a pass profits, what the frames after it lead to."""
+        steps = plan.accumulating()
+        if self._run_up is None or not steps or not (self._begins or frame.reset):
+            return frame
+        return self._run_up(frame, partial(self._run_ahead, plan, steps))
+
+    def _run_ahead(self, plan: Plan, steps: Sequence[Step], frame: Frame) -> None:
+        """Run a frame, of which nothing but the history is wanted, as far as passes profit from it."""
+        frame, broken = mended(frame, plan.planes, self.device.scratch)
+        if frame.reset:
+            self._reset_passes()
+        self._flow.run_ahead(frame, plan, steps, self.exposure, is_lost(frame, broken))
+        self.ahead += (sum(self._flow.timings.values()),)
 
     def _reset_passes(self) -> None:
+        self._begins = True
         for instance in self.passes:
             instance.reset()
-
-    def _run(self, plan: Plan, resident: ResidentFrame) -> None:
-        commands = self.device.command_buffer(f"frame {resident.number}")
-        try:
-            for step in plan.steps:
-                _encode(step, commands, resident)
-            commands.keep(*resident.tensors.values())
-            commands.commit()
-        finally:
-            commands.discard()
-        commands.wait()
-        self.timings = {step.name: _milliseconds(commands, step.name) for step in plan.steps}
-        for step in plan.steps:
-            step.instance.ran(self.timings[step.name])
-
-
-def _resident(
-    frame: Frame, spec: FrameSpec, tensors: dict[Role, Tensor], guides: dict[Role, Tensor], exposure: float,
-    lost: bool
-) -> ResidentFrame:
-    return ResidentFrame(
-        spec=spec,
-        tensors=dict(tensors),
-        guides=dict(guides),
-        guide_jitter=frame.guide_jitter,
-        number=frame.number,
-        jitter=frame.jitter,
-        exposure=exposure,
-        reset=frame.reset,
-        lost=lost,
-        samples=frame.samples,
-        world_to_camera=frame.world_to_camera,
-        fov_x=frame.fov_x,
-        metadata=frame.metadata,
-        given={role: frame[role] for role in tensors},
-        given_guides={role: frame.guides[role] for role in guides},
-    )
-
-
-def _encode(step: Step, commands: CommandBuffer, resident: ResidentFrame) -> None:
-    """Let a pass record its work, then hold it to the output it declared."""
-    with commands.group(step.name):
-        step.instance.encode(commands, resident)
-    output = step.reflection.output
-    resident.tensors = {role: resident[role] for role in output.roles if role in resident}
-    wrong = [role for role in output.roles if role not in resident or not _fits(resident[role], role, output)]
-    if wrong:
-        raise PassContractError(f"pass '{step.name}' did not leave plane '{wrong[0]}' as its reflection declares")
-    resident.guides = {role: resident.guides[role] for role in output.guide_roles}
-    resident.spec = output
-
-
-def _fits(tensor: Tensor, role: Role, spec: FrameSpec) -> bool:
-    return tensor.shape == (spec.height, spec.width, spec.channels(role))
-
-
-def _finished(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor]) -> Frame:
-    """The frame that comes out: new planes copied from the device, the others as they came in."""
-    same_size = (plan.output.width, plan.output.height) == (plan.available.width, plan.available.height)
-    unread = [role for role in plan.available.roles if role not in plan.planes and same_size]
-    planes = {role: frame[role] for role in unread}
-    for role, tensor in resident.tensors.items():
-        planes[role] = frame[role] if tensor is inputs.get(role) else tensor.download()
-    gone = {} if same_size else {"guides": {}, "guide_size": None, "guide_jitter": (0.0, 0.0), "guide_source": None}
-    return dataclasses.replace(frame, planes=planes, encoding=plan.output.encoding, jitter=resident.jitter, **gone)
-
-
-def _milliseconds(commands: CommandBuffer, name: str) -> float:
-    return sum(elapsed for label, elapsed in commands.timings if label.startswith(f"{name}/"))

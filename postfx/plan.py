@@ -71,6 +71,11 @@ class Plan:
         """Spec of the frame once only the planes and guides that are needed were read."""
         return _restricted(self.available, self.planes, self.guides)
 
+    def accumulating(self) -> tuple[Step, ...]:
+        """The steps up to the last one that is the better the more frames came before; empty where there is none."""
+        last = max((at for at, step in enumerate(self.steps, 1) if step.instance.accumulates(step.input)), default=0)
+        return self.steps[:last]
+
     def as_dict(self) -> dict[str, Any]:
         """The plan in plain types, as `to_json` writes it."""
         return {

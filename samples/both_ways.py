@@ -1,8 +1,9 @@
-"""Denoise the sample sequence forwards and in both directions: PSNR of every frame, and a picture of the first.
+"""Denoise the sample sequence forwards, with a run-up and in both directions: PSNR of every frame, and a picture of
+the first.
 
 python samples/both_ways.py [PICTURE.png] [--model s]
 
-The picture: the first frame as it was rendered, denoised forwards, in both directions, and the reference.
+The picture: the first frame as it was rendered, denoised forwards, with a run-up, in both directions, and the reference.
 """
 import argparse
 from pathlib import Path
@@ -36,11 +37,13 @@ shot = postfx.read_sequence(ROOM / "noisy.####.exr")
 references = postfx.read_sequence(ROOM / "reference.####.exr")
 later = postfx.Backwards(shot, model=args.model)
 forwards = postfx.Pipeline([postfx.DenoiseUpscale(model=args.model)])
+run_up = postfx.Pipeline([postfx.DenoiseUpscale(model=args.model)], run_up=postfx.RunUp(shot))
 both = postfx.Pipeline([postfx.DenoiseUpscale(model=args.model), postfx.BothWays()])
-print("frame  forwards  both ways (PSNR, dB)")
+print("frame  forwards  run-up  both ways (PSNR, dB)")
 for frame, reference in zip(shot, references, strict=True):
-    results = [forwards(frame)[Role.COLOUR], both(later(frame))[Role.COLOUR]]
-    print(f"{frame.number:5d}  {psnr(results[0], reference):8.2f}  {psnr(results[1], reference):9.2f}")
+    results = [passed[Role.COLOUR] for passed in (forwards(frame), run_up(frame), both(later(frame)))]
+    one, two, three = (psnr(result, reference) for result in results)
+    print(f"{frame.number:5d}  {one:8.2f}  {two:6.2f}  {three:9.2f}")
     if frame.number == 1:
         columns = [frame[Role.COLOUR].repeat(2, 0).repeat(2, 1), *results, reference[Role.COLOUR]]
         row = np.concatenate([seen(column[CROP], reference.exposure) for column in columns], 1)

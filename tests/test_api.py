@@ -20,6 +20,7 @@ PUBLIC = [
     "PostfxError",
     "ROLES",
     "Role",
+    "RunUp",
     "Sequence",
     "ToneMap",
     "__version__",

@@ -34,8 +34,9 @@ def test_run_says_what_it_did(output):
 
 
 def test_library_frame_by_frame_gives_the_same_pixels(output, tmp_path):
-    passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.ToneMap()])
-    for frame in postfx.read_sequence(SAMPLE, frames=f"1-{FRAMES}"):
+    shot = postfx.read_sequence(SAMPLE, frames=f"1-{FRAMES}")
+    passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.ToneMap()], run_up=postfx.RunUp(shot))
+    for frame in shot:
         mine = postfx.write_frame(tmp_path / f"out.{frame.number:04d}.exr", passes(frame))
         ours, theirs = (next(iter(postfx.read_sequence(folder / mine.name))) for folder in (tmp_path, output[0]))
         assert ours.spec.width == 640 and ours.spec.height == 360

@@ -27,7 +27,7 @@ from postfx.runtime import Device, Library  # noqa: E402
 ROOM = Path(__file__).parent.parent / "samples" / "room"
 OURS = {method.name: method for method in catalogue(Library().names(), "cpu", guides=True, motion=True).methods
         if method.model}
-SHIPPED = [method for method in OURS.values() if not (method.alone or method.both)]
+SHIPPED = [method for method in OURS.values() if not (method.alone or method.run_up or method.both)]
 SHIPPED += [Method("s-fp16", "s fp16", "ours", "s.fp16", "fp16")]  # one is enough: it has the weights of s
 PLAIN = [method for method in OTHERS if method.family == "plain"]
 
@@ -190,6 +190,30 @@ def test_history_never_harms_the_garage(shared_dir):
     garage = shared_dir / "sequences" / "garage"
     kept, dropped = ([row["psnr"] for row in scored(garage, name).frames] for name in ("m", "m-alone"))
     assert all(one >= other for one, other in zip(kept, dropped, strict=True)), (kept, dropped)
+
+
+@pytest.mark.parametrize("name", ["s-int8", "m"])
+def test_first_frames_gain_by_a_run_up_and_later_ones_hardly_lose(name):
+    causal, found = ([row["psnr"] for row in scored(ROOM, each).frames] for each in (name, f"{name}-run-up"))
+    gains = np.subtract(found, causal)
+    assert gains[0] >= 0.8, gains
+    assert gains[:4].mean() >= 0.3, gains
+    assert gains.min() >= -0.15, gains
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BARS)
+def test_with_a_run_up_no_frame_is_worse_than_by_open_image_denoise(shared_dir, name):
+    pytest.importorskip("pyoidn")
+    folder, other = shared_dir / "sequences" / name, OTHERS[2]
+    assert other.quality == "high" and not other.accumulated
+    sequence, scores = material(folder), SequenceScore()
+    for frame, result in results(sequence, other):
+        scores.add(result, sequence.reference(frame.number), frame)
+    theirs = [row["psnr"] for row in scores.frames]
+    for tag in ("s-int8-run-up", "m-int8-run-up"):
+        mine = [row["psnr"] for row in scored(folder, tag).frames]
+        assert np.subtract(mine, theirs).min() > 0, (tag, mine, theirs)
 
 
 @pytest.mark.parametrize("name", ["s-int8", "m"])

@@ -33,7 +33,8 @@ def test_before_and_after_stand_side_by_side(tmp_path):
 def test_both_directions_are_better_than_one(tmp_path):
     rows = [line.split() for line in run("both_ways.py", str(tmp_path / "a.png"), "--model", "s").splitlines()[1:9]]
     assert [int(row[0]) for row in rows] == list(range(1, 9))
-    assert all(float(both) > float(forwards) for _, forwards, both in rows[:7])
+    assert all(float(both) > float(forwards) for _, forwards, _, both in rows[:7])
+    assert all(float(run_up) > float(forwards) for _, forwards, run_up, _ in rows[:3])
     assert (tmp_path / "a.png").stat().st_size > 100000
 
 

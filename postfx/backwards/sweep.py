@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from postfx.errors import PostfxError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import Frame, FrameSpec, GuideSpec, Role
 from postfx.io.ahead import read_ahead
+from postfx.io.retry import read_patiently
 from postfx.io.sequence import Sequence
 from postfx.kernels.turning import shared, weighted
 from postfx.passes.denoise_upscale import DenoiseUpscale
@@ -171,7 +173,8 @@ class Backwards:
         try:
             self._plan = self._plan or self._explained(number)
             self._sequence.rewind()
-            frame = self._prepare(self._sequence.read(number, self._plan.planes, self._plan.guides))
+            read = partial(self._sequence.read, number, self._plan.planes, self._plan.guides)
+            frame = self._prepare(read_patiently(read))
         except PostfxError:
             return None
         follows = index > 0 and self._sequence.before(number, 1) == [self._numbers[index - 1]]

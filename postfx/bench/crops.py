@@ -138,7 +138,7 @@ def _wanted(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """OIDN high, the same with accumulation, and our largest model that sees no later frames, without and with guides;
     else the first ones."""
     by_name = {row["name"]: row for row in rows}
-    ours = [row for row in rows if row["family"] == "ours" and not (row["alone"] or row["both"])
+    ours = [row for row in rows if row["family"] == "ours" and not (row["alone"] or row["run_up"] or row["both"])
             and row["precision"] == "fp32"]
     chosen = [by_name.get("oidn-high"), by_name.get("oidn-high-accumulated")]
     chosen += [next((row for row in reversed(ours) if row["guides"] is guides), None) for guides in (False, True)]

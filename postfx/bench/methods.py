@@ -28,6 +28,7 @@ class Method:
         guides: whether planes at output size are read.
         alone: whether the history is dropped at every frame.
         both: whether frames profit from those after them, too.
+        run_up: whether the first frame of a shot does.
         quality: of OIDN; '' where it is not used.
         accumulated: whether frames are accumulated at output size along the motion.
         without: names of planes that the frames have and the network is not given; empty in all but ablations.
@@ -41,6 +42,7 @@ class Method:
     guides: bool = False
     alone: bool = False
     both: bool = False
+    run_up: bool = False
     quality: str = ""
     accumulated: bool = False
     without: tuple[str, ...] = ()
@@ -114,7 +116,7 @@ def select(found: Catalogue, names: str | None, models: str | None) -> Catalogue
 
 
 def _of_model(name: str, motion: bool) -> list[Method]:
-    """A network with its history and, where frames have motion, without, and in both directions."""
+    """A network with its history and, where frames have motion, without, with a run-up, and in both directions."""
     parts = name.split(".")
     guides, kept = GUIDES in parts, [part for part in parts if part != GUIDES]
     precision = next((part for part in kept if part in PRECISIONS), "fp32")
@@ -122,8 +124,9 @@ def _of_model(name: str, motion: bool) -> list[Method]:
     plain = Method("-".join(words), " ".join([kept[0], precision, *words[len(kept) :]]), "ours",
                    ".".join(kept), precision, guides)
     alone = replace(plain, name=f"{plain.name}-alone", title=f"{plain.title}, no history", alone=True)
+    run_up = replace(plain, name=f"{plain.name}-run-up", title=f"{plain.title}, run-up", run_up=True)
     both = replace(plain, name=f"{plain.name}-both-ways", title=f"{plain.title}, both ways", both=True)
-    return [plain, alone, both] if motion else [plain]
+    return [plain, alone, run_up, both] if motion else [plain]
 
 
 def _ablations(method: Method, lost: Sequence[str]) -> list[Method]:

@@ -78,10 +78,15 @@ def _dot(axes: Axes, x: float, y: float, row: dict[str, Any], figure: str) -> No
     value, colour = row["scores"][figure], COLOURS[row["family"]]
     marker = "v" if value < y else "^" if value > y else "D" if row["guides"] else "o"
     axes.plot([x], [y], marker, markersize=8, color=colour, markerfacecolor="white" if row["alone"] else colour,
-              markerfacecoloralt="white", fillstyle="left" if row["both"] else "full", markeredgewidth=1.8, zorder=3)
+              markerfacecoloralt="white", fillstyle=_fill(row), markeredgewidth=1.8, zorder=3)
     spread = [[max(x - row["time"]["wall_ms_min"], 0)], [max(row["time"]["wall_ms_max"] - x, 0)]]
     if row["time"]["gpu_ms"] is None:
         axes.errorbar([x], [y], xerr=spread, color=colour, linewidth=1, alpha=0.6, zorder=2)
+
+
+def _fill(row: dict[str, Any]) -> str:
+    """Which part of a dot is filled."""
+    return "left" if row["both"] else "bottom" if row["run_up"] else "full"
 
 
 def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure: str, time: str) -> None:
@@ -99,8 +104,10 @@ def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure
         axes.plot([], [], "o", color=COLOURS[family], label=FAMILIES[family])
     if any(row["alone"] for row in rows):
         axes.plot([], [], "o", color=COLOURS["ours"], markerfacecolor="white", label="history reset every frame")
-    if any(row["both"] for row in rows):
-        axes.plot([], [], "o", color=COLOURS["ours"], markerfacecoloralt="white", fillstyle="left", label="both ways")
+    for kind, label in (("run_up", "with a run-up"), ("both", "both ways")):
+        if shown := next((row for row in rows if row[kind]), None):
+            axes.plot([], [], "o", color=COLOURS["ours"], markerfacecoloralt="white", fillstyle=_fill(shown),
+                      label=label)
     if any(row["guides"] for row in rows):
         axes.plot([], [], "D", color=COLOURS["ours"], label="with guides at output size")
     axes.figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from postfx.backwards import Backwards
+from postfx.backwards import Backwards, RunUp
 from postfx.bench.accumulate import Accumulator
 from postfx.bench.host_kernels import HostKernels
 from postfx.bench.methods import Method
@@ -27,7 +27,8 @@ class Network:
         self._method = method
         self._lost = frozenset(map(Role, method.without))
         options = {"model": exact(method.model), "scale": scale}
-        self._pipeline = Pipeline([DenoiseUpscale(**options), BothWays()], device)
+        run_up = RunUp(sequence, prepare=self._given) if method.run_up else None
+        self._pipeline = Pipeline([DenoiseUpscale(**options), BothWays()], device, run_up=run_up)
         self._backwards = Backwards(sequence, device, prepare=self._given, **options) if method.both else None
         self.device_ms = 0.0
 
@@ -42,7 +43,7 @@ class Network:
         frame = self._given(frame)
         frame = self._backwards(frame) if self._backwards else frame
         result = self._pipeline(replace(frame, reset=frame.reset or self._method.alone))
-        self.device_ms += sum(self._pipeline.timings.values())
+        self.device_ms += sum(self._pipeline.timings.values()) + sum(self._pipeline.ahead)
         self.device_ms += (self._backwards.milliseconds or 0.0) if self._backwards else 0.0
         return result[Role.COLOUR]
 
@@ -84,5 +85,6 @@ class Chain:
 
 def make(method: Method, device: Device, scale: float, size: tuple[int, int],
          sequence: Sequence | None = None) -> Network | Chain:
-    """What carries out a method, for outputs of `size` (height, width). The `sequence` is needed for both ways."""
+    """What carries out a method, for outputs of `size` (height, width). The `sequence` is needed where frames are
+    run ahead: for a run-up and for both ways."""
     return Network(method, device, scale, sequence) if method.model else Chain(method, device, size)

@@ -80,7 +80,7 @@ def measure(task: Task) -> dict | None:
     for index in range(task.runs):
         method.reset()
         rows = [_frame(task, method, frame, index == task.runs - 1) for frame in sequence]
-        runs.append(_evened(rows) if task.method.both else rows)
+        runs.append(_evened(rows) if task.method.both or task.method.run_up else rows)
         _say(run=index + 1)
     columns = {key: [[row[key] for row in run] for run in runs] for key in ("wall_ms", "cpu_s", "device_ms")}
     return {**columns, "first_ms": first["wall_ms"], "peak_mb": peak_memory()}
@@ -116,7 +116,7 @@ def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> di
 
 
 def _evened(rows: list[dict]) -> list[dict]:
-    """Each frame's share of what all took: those of a part wait for its first, before which they run in reverse."""
+    """Each frame's share of what all took: the first of a part waits until others have run in reverse."""
     return [{key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}] * len(rows)
 
 

@@ -16,6 +16,13 @@ def from_zero(text: str) -> float:
     return number
 
 
+def count(text: str) -> int:
+    """A whole number from 0, as argparse's `type`."""
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0")
+    return int(text)
+
+
 def add_depth(parser: argparse._ActionsContainer) -> None:
     """Add --depth, the text for `postfx.io.depth.parse_depth`."""
     parser.add_argument(

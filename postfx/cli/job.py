@@ -19,12 +19,14 @@ from postfx.cli.looks import display_passes
 from postfx.cli.overlay import left_out_for, refuse_layer, unread
 from postfx.cli.progress import FrameProgress
 from postfx.cli.report import RunReport
+from postfx.cli.run_up import ahead_text, run_up_of
 from postfx.cli.summary import Report, guides_in
 from postfx.errors import WriteError
 from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
 from postfx.frame import Frame, Role
 from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
+from postfx.io.retry import read_patiently
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
 from postfx.kernels.numeric import is_first_run
@@ -33,7 +35,6 @@ from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
 from postfx.plan import Skipped, from_files
 from postfx.runs.provenance import provenance_of
-from postfx.runs.retry import read_patiently
 from postfx.runs.run import Run
 from postfx.runs.schedule import Work
 from postfx.runs.stop import Stop
@@ -69,7 +70,8 @@ class Job:
         cuts = "auto" if arguments.cuts == "auto" else "none"
         self._both = BothWays(arguments, lambda: Backwards(
             self.sequence, device, exposure if self._smooth else arguments.exposure, cuts, **_denoising(arguments)))
-        self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts)
+        self._run_up = run_up_of(arguments, self.sequence, cuts)
+        self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts, self._run_up)
         with self.sequence.open(first_readable(self.sequence, policy)) as files:
             self.left_out += left_out_for(arguments, files)
             self.plan = self.pipeline.explain(self._both.spec(files.spec()))
@@ -83,6 +85,7 @@ class Job:
         self._page = RunReport(arguments, self.sequence, self.pipeline, self.plan)
         self._seconds = 0.0
         self._frame_ms: list[float] = []
+        self._ahead_ms: list[float] = []
         self._pass_ms: dict[str, list[float]] = {}
         self._chosen: dict[str, Counter[str]] = {}
         self._cuts: list[int] = []
@@ -95,6 +98,7 @@ class Job:
         plan["skipped"] += [dataclasses.asdict(item) for item in self.left_out]
         if alone := self._first_alone():
             plan["left_alone"] = alone.as_dict()
+        plan["ahead"] = self._first_ahead()
         return {**plan, "frames": len(self.sequence), "warnings": self.sequence.warnings}
 
     def plan_text(self) -> str:
@@ -103,6 +107,8 @@ class Job:
         lines += [f"skips   {item.what}: {item.why}" for item in self.left_out]
         if alone := self._first_alone():
             lines.append(f"leaves  of frame {self.sequence.numbers[0]}: {alone}")
+        if ahead := self._first_ahead():
+            lines.append(f"run-up  {ahead_text(ahead, self.sequence.numbers[0])}")
         return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
 
     def run(self) -> None:
@@ -127,6 +133,7 @@ class Job:
             seconds=self._seconds,
             frame_ms=self._frame_ms,
             pass_ms=self._pass_ms,
+            ahead_ms=self._ahead_ms,
             skipped=[*self.plan.skipped, *self.left_out, *self.pipeline.left_out()],
             warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings],
             chosen={name: dict(counts) for name, counts in self._chosen.items()},
@@ -185,6 +192,7 @@ class Job:
         result = frame and self._faults.attempt(work.number, work.write, partial(self.pipeline, frame))
         if result is None:
             return self._faults.instead(work.number) if work.write else None
+        self._ahead_ms += self.pipeline.ahead
         if self.pipeline.cut:
             self._cuts.append(work.number)
         if work.write:
@@ -222,6 +230,11 @@ class Job:
         """What the first frame leaves as it is, where that is asked for."""
         asked = self.sequence.leave and Role.STRENGTH in self.plan.planes
         return self.sequence.left_alone_of(self.sequence.numbers[0]) if asked else None
+
+    def _first_ahead(self) -> list[int]:
+        """Frames that are run before the first one, in the order in which they are."""
+        runs_up = self._run_up and self.plan.accumulating()
+        return self._run_up.after(self.sequence.numbers[0])[::-1] if runs_up else []
 
     def _passes(self, arguments: argparse.Namespace) -> list[Pass]:
         passes = []

@@ -7,8 +7,9 @@ import json
 import sys
 
 from postfx.cli import books, looks
-from postfx.cli.arguments import add_depth, add_report
+from postfx.cli.arguments import add_depth, add_report, count
 from postfx.cli.both_ways import add_argument as add_both_ways
+from postfx.cli.run_up import add_argument as add_run_up
 from postfx.errors import PostfxError
 
 HELP = "denoise, upscale and tone-map a sequence"
@@ -31,6 +32,7 @@ examples:
   postfx run shot/dynamic.####.exr -o out/clean.####.exr --size 1920x1080
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr -o out/clean.####.exr --both-ways
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --run-up 8
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
   postfx run shot/adaptive.####.exr -o out/clean.####.exr --leave converged:0.01
@@ -75,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preroll",
         metavar="N",
-        type=_count,
+        type=count,
         help="frames to process without writing, before the first one of the range, so that the passes have their "
         "history (default: 0)",
     )
@@ -147,6 +149,7 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
         help="milliseconds that denoising a frame may take: networks smaller than --model take turns with it",
     )
     add_both_ways(group)
+    add_run_up(group)
     group.add_argument(
         "--strength", type=float, metavar="S",
         help="of denoising, 0 (only resample) to 1 (fully), times the plane 'strength' if there is one (default: 1)",
@@ -207,7 +210,7 @@ def _add_capture(group: argparse._ArgumentGroup) -> None:
         help="write DIR/capture.html, a page on one frame's commands: times, memory, dependencies, tensors, networks",
     )
     group.add_argument(
-        "--capture-frame", metavar="N", type=_count, help="frame to capture (default: the second, which has a history)"
+        "--capture-frame", metavar="N", type=count, help="frame to capture (default: the second, which has a history)"
     )
     group.add_argument(
         "--capture-tensors",
@@ -222,12 +225,6 @@ def _add_capture(group: argparse._ArgumentGroup) -> None:
     )
 
 
-def _count(text: str) -> int:
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0")
-    return int(text)
-
-
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
     if not (width.isdigit() and height.isdigit()):
@@ -236,6 +233,6 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def _positive(text: str) -> int:
-    if _count(text) < 1:
+    if count(text) < 1:
         raise argparse.ArgumentTypeError("at least 1 is needed")
     return int(text)

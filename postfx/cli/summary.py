@@ -24,8 +24,9 @@ class Report:
         wanted: count of frames of the input.
         seconds: wall time, reading and writing included.
         frame_ms: milliseconds in the passes for each written frame, without reading and writing. The first one
-            includes the compilation.
+            includes the compilation, and that of each shot its run-up.
         pass_ms: pass name -> milliseconds on the device for each written frame.
+        ahead_ms: milliseconds on the device for each frame of the run-ups.
         skipped: passes, planes and frames that were left out, and why.
         warnings: what was odd, each once.
         outputs: paths that were written.
@@ -49,6 +50,7 @@ class Report:
     skipped: list[Skipped]
     warnings: list[str]
     outputs: list[str]
+    ahead_ms: list[float] = field(default_factory=list)
     chosen: dict[str, dict[str, int]] = field(default_factory=dict)
     guides: dict[str, Any] | None = None
     cuts: list[int] = field(default_factory=list)
@@ -66,6 +68,7 @@ class Report:
             "seconds": round(self.seconds, 3),
             "ms_per_frame": _spread(self.frame_ms),
             "passes": {name: round(median(times), 3) for name, times in self.pass_ms.items()},
+            "run_up": {"frames": len(self.ahead_ms), "ms_per_frame": _spread(self.ahead_ms)},
             "skipped": [{"what": item.what, "why": item.why} for item in self.skipped],
             "warnings": self.warnings,
             "outputs": self.outputs,
@@ -85,6 +88,9 @@ class Report:
         """The report in a few lines."""
         lines = [f"{self.frames} of {self.wanted} frames in {self.seconds:.1f} s{self._speed()}"]
         lines += [f"ran      {name}: {median(times):.1f} ms a frame" for name, times in self.pass_ms.items()]
+        if self.ahead_ms:
+            lines.append(f"ran      {_frames(len(self.ahead_ms))} in reverse order, for a history of the first ones: "
+                         f"{median(self.ahead_ms):.1f} ms a frame")
         lines += [f"chose    {name}: {_counted(counts)}" for name, counts in self.chosen.items()]
         lines += [f"guides   {self._guides_text()}"] if self.guides else []
         lines += [f"cuts     found at {_listed(self.cuts)} (--cuts says otherwise)"] if self.cuts else []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import takewhile
 from os import PathLike
 from pathlib import Path
 
@@ -90,8 +91,11 @@ class Sequence:
     def before(self, number: int, count: int) -> list[int]:
         """Up to `count` frames that lead to a frame without a hole between them, on the disk and in order."""
         earlier = [number - self._step * distance for distance in range(count, 0, -1)]
-        holes = [index for index, candidate in enumerate(earlier) if not self.holds(candidate)]
-        return earlier[max(holes) + 1 :] if holes else earlier
+        return list(takewhile(self.holds, reversed(earlier)))[::-1]
+
+    def after(self, number: int, count: int) -> list[int]:
+        """Up to `count` frames that follow a frame without a hole between them, on the disk and in order."""
+        return list(takewhile(self.holds, (number + self._step * distance for distance in range(1, count + 1))))
 
     def holds(self, number: int) -> bool:
         """Whether a frame, wanted or not, is on the disk, and its guides are."""

@@ -73,6 +73,7 @@ class ResidentFrame:
         given: role -> plane on the host, of planes that no pass replaced so far: to decide what to record.
         given_guides: likewise, of the guides.
         blank: roles of planes that a pass replaced and that are 0 everywhere.
+        wanted: False where nothing but the history of the frame is.
     """
 
     spec: FrameSpec
@@ -91,6 +92,7 @@ class ResidentFrame:
     given: dict[Role, np.ndarray] = field(default_factory=dict)
     given_guides: dict[Role, np.ndarray] = field(default_factory=dict)
     blank: set[Role] = field(default_factory=set)
+    wanted: bool = True
 
     def __getitem__(self, role: Role) -> Tensor:
         """Tensor of a plane; FrameError when the frame does not hold it."""
@@ -159,6 +161,10 @@ class Pass:
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         """What the user should know about the result for frames of `spec`, such as a plane that would better it."""
         return ()
+
+    def accumulates(self, spec: FrameSpec) -> bool:
+        """Whether results for frames of `spec` are the better the more frames of their shot were seen before."""
+        return False
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         """Make pipeline states and heap tensors for frames of `spec`, and drop the history. Not called when skipped.

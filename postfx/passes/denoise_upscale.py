@@ -102,6 +102,9 @@ class DenoiseUpscale(Pass):
         found += unscaled_remarks(self._tag) if self._is_render_size(spec) else []
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
+    def accumulates(self, spec: FrameSpec) -> bool:
+        return self.strength > 0 and spec.has(Role.MOTION)
+
     def compile(self, device: Device, spec: FrameSpec) -> None:
         self._device, self._output = device, self.reflect(spec).output
         self._spared = Spared()
@@ -191,8 +194,9 @@ class DenoiseUpscale(Pass):
     def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
         """The denoised colour, blended by strength; the history stays fully denoised."""
         ready, cells = self._ready, self._active(frame)
+        spared = self._spared if frame.wanted else Spared()
         if cells is not None and not cells.any():
-            self._spared.begin(0.0, False, False)
+            spared.begin(0.0, False, False)
             self._fresh = False
             return ready.strength.plain.encode(commands, frame)
         band = None if cells is None else ready.frames.layout(cells)
@@ -202,17 +206,17 @@ class DenoiseUpscale(Pass):
         self._used = self._tags[self._ladder.rung if self._ladder else 0]
         ready.frames.use(ready.models[self._used])
         still = keep and gain == 1 and self._is_still(frame)
-        self._spared.begin(1.0 if band is None else band.share, keep, still)
+        spared.begin(1.0 if band is None else band.share, keep, still)
         planes = {**ready.planes.encode(commands, frame), **ready.reactive.encode(commands, frame)}
         if ready.reflections:
-            change = self._cameras.step(frame, keep and not still, self._spared.unfollowed)
+            change = self._cameras.step(frame, keep and not still, spared.unfollowed)
             planes = ready.reflections.encode(commands, frame, change, planes)
         colour = ready.frames.encode(commands, planes, params, keep, still, band)
         self._fresh, self._exposure = not frame.lost, frame.exposure
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
         if not ready.strength:
             return colour
-        return ready.strength.encode(commands, frame, colour, ready.frames.rows(band), self._spared.unblended)
+        return ready.strength.encode(commands, frame, colour, ready.frames.rows(band), spared.unblended)
 
     def _active(self, frame: ResidentFrame) -> np.ndarray | None:
         """Where the frame's strength is not 0, as squares of 16 pixels; None where that is not known, or where the

@@ -16,7 +16,7 @@ def names(found):
 def test_networks_come_by_size_with_and_without_history():
     found = catalogue(MODELS, "cpu", guides=False, motion=True)
     ours = [name for name in names(found) if name[0] in "sml"]
-    kinds = ("", "-alone", "-both-ways")
+    kinds = ("", "-alone", "-run-up", "-both-ways")
     assert ours == [tag + kind for tag in ("s", "m", "m-int8", "l") for kind in kinds]
     assert names(found)[len(ours) :] == [method.name for method in OTHERS]
 
@@ -47,11 +47,11 @@ def test_a_network_that_reads_guides():
 def test_ablations_leave_each_plane_out_and_all():
     found = catalogue(MODELS, "cpu", guides=True, motion=True, lost=["depth", "specular_albedo"])
     ours = [method for method in found.methods if method.model == "m" and method.precision == "fp32"]
-    assert [method.name for method in ours] == ["m", "m-alone", "m-both-ways", "m-without-depth",
+    assert [method.name for method in ours] == ["m", "m-alone", "m-run-up", "m-both-ways", "m-without-depth",
                                                 "m-without-specular_albedo", "m-without-all", "m-guides",
-                                                "m-guides-alone", "m-guides-both-ways"]
-    assert ours[4].without == ("specular_albedo",) and ours[4].title == "m fp32, no specular albedo"
-    assert ours[5].without == ("depth", "specular_albedo") and ours[0].without == ()
+                                                "m-guides-alone", "m-guides-run-up", "m-guides-both-ways"]
+    assert ours[5].without == ("specular_albedo",) and ours[5].title == "m fp32, no specular albedo"
+    assert ours[6].without == ("depth", "specular_albedo") and ours[0].without == ()
     assert "m-int8-without-depth" not in names(found)
     assert names(catalogue(MODELS, "cpu", False, False, ["depth"]))[2:4] == ["m", "m-without-depth"]
 
@@ -59,8 +59,9 @@ def test_ablations_leave_each_plane_out_and_all():
 def test_selection_by_name_family_and_tag():
     found = catalogue(MODELS, "cpu", guides=False, motion=True)
     assert names(select(found, "bicubic,oidn-high", None)) == ["oidn-high", "bicubic"]
-    assert names(select(found, "ours", "s")) == ["s", "s-alone", "s-both-ways"]
-    assert names(select(found, "ours,plain", "l")) == ["l", "l-alone", "l-both-ways", "accumulation", "bicubic"]
+    assert names(select(found, "ours", "s")) == ["s", "s-alone", "s-run-up", "s-both-ways"]
+    assert names(select(found, "ours,plain", "l")) == ["l", "l-alone", "l-run-up", "l-both-ways", "accumulation",
+                                                         "bicubic"]
     assert select(found, None, None) == found
 
 

@@ -17,8 +17,8 @@ def row(name, time, psnr, flicker=10.0, family="plain", **facts):
     scores = {"psnr_late": psnr, "psnr": psnr, "flicker_late": flicker, "flicker": flicker, **FIGURES}
     times = {"wall_ms": time, "wall_ms_min": 0.9 * time, "wall_ms_max": 1.2 * time, "cpu_s": time / 500, "gpu_ms": None,
              "first_ms": 5 * time, "peak_mb": 300.0}
-    plain = {"title": name, "model": "", "precision": "fp32", "guides": False, "alone": False, "both": False,
-             "without": ()}
+    plain = {"title": name, "model": "", "precision": "fp32", "guides": False, "alone": False,
+             "run_up": False, "both": False, "without": ()}
     return {"name": name, "family": family, **plain, **facts, "time": times, "scores": scores,
             "frames": [{"frame": 1, "psnr": psnr}]}
 

@@ -43,7 +43,7 @@ def titled(name: str) -> str:
         return known[name]
     tag, *words = name.split("-")
     text = " ".join(["postfx", tag, *(word for word in words if word in PRECISIONS)])
-    said = {"guides": " with guides", "alone": ", no history", "both": ", both ways"}
+    said = {"guides": " with guides", "alone": ", no history", "run": ", run-up", "both": ", both ways"}
     return text + "".join(more for word, more in said.items() if word in words)
 
 

@@ -14,7 +14,7 @@ PAUSES = (0.1, 0.4)
 """Seconds before the second and the third try."""
 
 
-def read_patiently(read: Callable[[], Result], failed: Callable[[ReadError], None]) -> Result:
+def read_patiently(read: Callable[[], Result], failed: Callable[[ReadError], None] = lambda error: None) -> Result:
     """What `read` gives. A ReadError is told to `failed` and `read` called again, twice at most; then it is raised."""
     for pause in PAUSES:
         try:

@@ -1,0 +1,44 @@
+"""`--run-up`: the first frames of a shot get a history, too."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from postfx.cli.arguments import count
+
+if TYPE_CHECKING:
+    from postfx.backwards import RunUp
+    from postfx.io.sequence import Sequence
+
+NOT_WITH = {"no_denoise": "has no denoiser to run up", "both_ways": "knows the frames after the first ones anyway",
+            "budget": "keeps to a time"}
+"""Argument -> why there is no run-up beside it."""
+
+
+def add_argument(group: argparse._ActionsContainer) -> None:
+    """Add the argument."""
+    group.add_argument(
+        "--run-up", type=count, metavar="N", help="frames after the first one of each shot that are run before it, in "
+        "reverse order, so that it has a history and is as clean as the others; 0 for none (default: 4; none with "
+        "--both-ways or --budget)",
+    )
+
+
+def run_up_of(arguments: argparse.Namespace, sequence: Sequence, cuts: str) -> RunUp | None:
+    """What the arguments ask for. Raises PassOptionError beside arguments that it cannot go with."""
+    from postfx.backwards.run_up import FRAMES, RunUp  # loads what --help must not wait for
+    from postfx.passes.base import PassOptionError
+
+    given = next((name for name in NOT_WITH if getattr(arguments, name)), None)
+    if given and arguments.run_up:
+        option = f"--{given.replace('_', '-')}"
+        raise PassOptionError(f"--run-up runs frames more than once, {option} {NOT_WITH[given]}: give one of them")
+    frames = FRAMES if arguments.run_up is None else arguments.run_up
+    return RunUp(sequence, frames, cuts) if frames and not given else None
+
+
+def ahead_text(numbers: list[int], first: int) -> str:
+    """What --explain says of the frames that are run before the first one."""
+    listed = ", ".join(map(str, numbers))
+    return f"of each shot: frame{'s' * (len(numbers) > 1)} {listed} before frame {first} (--run-up 0 for none)"

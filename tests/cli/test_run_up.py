@@ -1,0 +1,77 @@
+"""`postfx run --run-up`."""
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+RUN = ("run", "in/shot.####.exr", "--model", "s")
+
+
+@pytest.fixture
+def noise(write_exr, tmp_path):
+    """Six frames of a wall at rest under noise of their own."""
+    rng = np.random.default_rng(8)
+    for number in range(1, 7):
+        planes = {name: rng.exponential(size=(32, 48)) for name in "RGB"}
+        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)), "motion.Y": np.zeros((32, 48))}
+        write_exr(f"in/shot.{number:04d}.exr", planes)
+    return tmp_path
+
+
+def pixels(path):
+    return oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT)[..., :3]
+
+
+def test_first_frames_have_a_history(postfx, noise):
+    done = postfx(*RUN, "-o", "with/a.####.exr", "--json")
+    assert done.json["run_up"]["frames"] == 4
+    assert "4 frames in reverse order, for a history of the first ones" in done.err
+    done = postfx(*RUN, "-o", "without/a.####.exr", "--run-up", "0", "--json")
+    assert done.json["run_up"] == {"frames": 0, "ms_per_frame": None}
+    assert "reverse" not in done.err
+    assert pixels(noise / "with/a.0001.exr").std() < 0.7 * pixels(noise / "without/a.0001.exr").std()
+
+
+def test_explain_names_the_frames(postfx, noise):
+    explained = postfx(*RUN, "--run-up", "3", "--explain")
+    assert "run-up  of each shot: frames 4, 3, 2 before frame 1 (--run-up 0 for none)" in explained.out
+    assert postfx(*RUN, "--explain", "--json").json["ahead"] == [5, 4, 3, 2]
+    assert postfx(*RUN, "--explain", "--json", "--run-up", "0").json["ahead"] == []
+    assert "run-up" not in postfx(*RUN, "--strength", "0", "--explain").out
+
+
+def test_cuts_that_are_known_have_one_each(postfx, noise):
+    done = postfx(*RUN, "-o", "out/a.####.exr", "--cuts", "1,4", "--json")
+    assert done.json["run_up"]["frames"] == 4
+
+
+def test_a_range_with_what_is_before_it_runs_up_to_that(postfx, noise):
+    done = postfx(*RUN, "-o", "out/a.####.exr", "--frames", "3-6", "--preroll", "2", "--json")
+    assert done.json["run_up"]["frames"] == 4
+    whole = postfx(*RUN, "-o", "whole/a.####.exr", "--json")
+    assert whole.code == 0
+    for number in range(3, 7):
+        np.testing.assert_array_equal(*(pixels(noise / f"{name}/a.{number:04d}.exr") for name in ("out", "whole")))
+
+
+@pytest.mark.parametrize("option", [("--both-ways",), ("--budget", "1000")])
+def test_there_is_none_beside_other_options(postfx, noise, option):
+    done = postfx(*RUN, "-o", "out/a.####.exr", *option, "--json")
+    assert (done.code, done.json["run_up"]["frames"]) == (0, 0)
+
+
+@pytest.mark.parametrize(("option", "why"), [
+    (("--no-denoise",), "--run-up runs frames more than once, --no-denoise has no denoiser to run up: give one of"),
+    (("--budget", "50"), "--run-up runs frames more than once, --budget keeps to a time: give one of them"),
+    (("--both-ways",), "--both-ways knows the frames after the first ones anyway: give one of them"),
+])
+def test_options_that_do_not_go_together(postfx, noise, option, why):
+    done = postfx("run", "in/shot.####.exr", "--run-up", "2", *option, "-o", "out/a.####.exr")
+    assert done.code == 2
+    assert why in done.err
+
+
+def test_a_count_is_needed(postfx, noise):
+    done = postfx(*RUN, "-o", "out/a.####.exr", "--run-up", "all")
+    assert done.code == 2
+    assert "'all' is not a whole number from 0" in done.err
