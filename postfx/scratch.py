@@ -15,7 +15,7 @@ from postfx.errors import PostfxError
 
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
-SMALL = 64
+SMALL = 128
 """Arrays below this part of the budget stay in memory."""
 PIECE = 16
 """Work on large arrays goes in pieces of this part of the budget."""

@@ -99,5 +99,5 @@ def test_a_mask_within_a_budget() -> None:
     plane[200:230, 40:80] = 1
     frame = Frame({**frame.planes, Role.STRENGTH: plane}, jitter=frame.jitter)
     wanted, found = (Pipeline([DenoiseUpscale(model="s")], Device("cpu", memory=memory))(frame)[Role.COLOUR]
-                     for memory in (None, "470M"))
+                     for memory in (None, "560M"))
     np.testing.assert_allclose(found, wanted, atol=1e-3, rtol=1e-3)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from postfx.passes._denoise_layout import Band, bands_of, cost, count_of, grids, halo_of
+from postfx.passes._denoise_layout import Band, Shape, bands_of, cost, count_of, grids, halo_of
 from postfx.passes._denoise_window import Sizes
 from postfx.scratch import MemoryBudgetError, Scratch
 
-PROCESS = 300 << 20
+PROCESS = 320 << 20
 """Bytes of a process in which nothing is worked on yet, and of what is read and written meanwhile."""
 
 PIXEL = 1800
 """Bytes that a render pixel of a window takes, of which somewhat more than half are the network's own (models s, m and
 l, measured from 480x272 to 960x544)."""
+
+TILE = 230_000
+"""Bytes that the commands of a tile take (measured with 240 to 920 tiles of 1920x1080)."""
 
 WINDOW = 0.55
 """Share of the rest of a budget that a window may take; tensors of the frame and of its tiles have the other part."""
@@ -26,18 +29,21 @@ def bands_within(scratch: Scratch | None, frame: Sizes, models: Sequence[str]) -
     """
     if scratch is None:
         return []
-    most = int((scratch.budget - PROCESS) * WINDOW / PIXEL)
-    if frame.h * frame.w <= most:
+    if _needed((frame.h, frame.w), 0) <= scratch.budget:
         return []
     halo = seamless(models)
-    possible = list(grids(frame, halo))
-    fitting = [(box, shape) for box, shape in possible if shape[0] * shape[1] <= most]
+    needed = {(box, shape): _needed(shape, count_of(frame, box)) for box, shape in grids(frame, halo)}
+    fitting = [grid for grid, nbytes in needed.items() if nbytes <= scratch.budget]
     if not fitting:
-        least = PROCESS + min(shape[0] * shape[1] for _, shape in possible) * PIXEL / WINDOW
         raise MemoryBudgetError(f"{frame.w}x{frame.h} cannot be denoised within {scratch.budget >> 20}M: "
-                                f"give a memory budget of {(int(least) >> 20) + 1}M or more")
-    box, shape = min(fitting, key=lambda item: cost(item[1], count_of(frame, item[0])))
+                                f"give a memory budget of {(min(needed.values()) >> 20) + 1}M or more")
+    box, shape = min(fitting, key=lambda grid: cost(grid[1], count_of(frame, grid[0])))
     return bands_of(frame, box, shape, halo)
+
+
+def _needed(shape: Shape, tiles: int) -> int:
+    """The budget within which a frame can be worked on in so many tiles with windows of a shape."""
+    return PROCESS + tiles * TILE + int(shape[0] * shape[1] * PIXEL / WINDOW)
 
 
 def seamless(models: Sequence[str]) -> int:
