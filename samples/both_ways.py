@@ -3,7 +3,8 @@ the first.
 
 python samples/both_ways.py [PICTURE.png] [--model s]
 
-The picture: the first frame as it was rendered, denoised forwards, with a run-up, in both directions, and the reference.
+The picture: the first frame as it was rendered, denoised forwards, with a run-up and in both directions, and the
+reference.
 """
 import argparse
 from pathlib import Path

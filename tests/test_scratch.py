@@ -93,6 +93,15 @@ def test_a_budget_that_is_too_small_names_the_smallest_that_would_do() -> None:
         bands_within(Scratch(bytes_of(least) - (2 << 20)), sizes, ["denoise_upscale.s.int8"])
 
 
+@pytest.mark.parametrize(("side", "budget"), [(1024, "600M"), (4096, "800M"), (4096, "4G"), (8192, "1100M")])
+def test_the_commands_of_all_tiles_fit_in(side: int, budget: str) -> None:
+    """Each takes some 0.2 MB, whatever the size of its window."""
+    bands = bands_within(Scratch(budget), Sizes(side, side, 2 * side, 2 * side), ["denoise_upscale.m.int8"])
+    tiles = [tile for band in bands for tile in band.tiles]
+    windows = max(tile.window.rows * tile.window.columns for tile in tiles)
+    assert 200_000 * len(tiles) + 3000 * windows < bytes_of(budget) - (300 << 20)
+
+
 def test_a_mask_within_a_budget() -> None:
     frame = noisy(1, 300, 330)
     plane = np.zeros((300, 330, 1), np.float32)
