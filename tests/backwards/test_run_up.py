@@ -20,11 +20,6 @@ from postfx.runtime import Device
 SIZE = 32, 48
 
 
-@pytest.fixture(scope="module")
-def device() -> Device:
-    return Device("cpu", threads=2)
-
-
 @pytest.fixture
 def noisy(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Sequence]:
     """Writes frames of a grey wall, each with noise of its own, that moves by a pixel a frame, and gives them as a

@@ -19,11 +19,6 @@ from postfx.runtime import Device
 SIZE = 32, 48
 
 
-@pytest.fixture(scope="module")
-def device() -> Device:
-    return Device("cpu", threads=2)
-
-
 @pytest.fixture
 def noisy(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Sequence]:
     """Writes frames of one grey wall at rest, each with noise of its own, and gives them as a sequence."""

@@ -7,17 +7,6 @@ import pytest
 RUN = ("run", "in/shot.####.exr", "--model", "s", "--both-ways")
 
 
-@pytest.fixture
-def noise(write_exr, tmp_path):
-    """Six frames of a wall at rest under noise of their own."""
-    rng = np.random.default_rng(8)
-    for number in range(1, 7):
-        planes = {name: rng.exponential(size=(32, 48)) for name in "RGB"}
-        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)), "motion.Y": np.zeros((32, 48))}
-        write_exr(f"in/shot.{number:04d}.exr", planes)
-    return tmp_path
-
-
 def pixels(path):
     return oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT)[..., :3]
 
