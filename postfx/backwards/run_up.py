@@ -41,9 +41,7 @@ class RunUp:
 
     def __init__(self, sequence: Sequence, frames: int = FRAMES, cuts: str = "auto",
                  prepare: Callable[[Frame], Frame] = lambda frame: frame) -> None:
-        self._sequence = copy.copy(sequence)
-        self._sequence.left_alone = Shares()
-        self._frames, self._find_cuts, self._prepare = frames, cuts == "auto", prepare
+        self._sequence, self._frames, self._find_cuts, self._prepare = sequence, frames, cuts == "auto", prepare
         self._next = dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True))
 
     def after(self, number: int) -> list[int]:
@@ -57,17 +55,19 @@ class RunUp:
         numbers = self.after(frame.number)
         if not numbers:
             return frame
+        sequence = copy.copy(self._sequence)  # now that a frame in order was read, and it is known how
+        sequence.left_alone = Shares()
         detector, later = CutDetector() if self._find_cuts else None, None
-        for _, other in read_ahead(reversed(numbers), lambda number: self._read(number, frame)):
+        for _, other in read_ahead(reversed(numbers), partial(self._read, sequence, frame)):
             has_run = other is not None and _ran(_marked(turned(other, later), detector), run)
             later = other if has_run else None
         return _marked(turned(frame, later), detector)
 
-    def _read(self, number: int, first: Frame) -> Frame | None:
+    def _read(self, sequence: Sequence, first: Frame, number: int) -> Frame | None:
         """A frame with the planes of the first one; None where it has not those, or cannot be read."""
         try:
-            self._sequence.rewind()
-            frame = self._prepare(read_patiently(partial(self._sequence.read, number, first.planes, first.guides)))
+            sequence.rewind()
+            frame = self._prepare(read_patiently(partial(sequence.read, number, first.planes, first.guides)))
         except PostfxError:
             return None
         return frame if frame.spec == first.spec else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,9 +68,7 @@ class Backwards:
     def __init__(self, sequence: Sequence, device: Device | None = None,
                  exposure: str | float | ExposureMeter | SmoothExposure = "auto", cuts: str = "auto",
                  prepare: Callable[[Frame], Frame] = lambda frame: frame, **options: Any) -> None:
-        self._sequence = copy.copy(sequence)
-        self._sequence.left_alone = Shares()
-        self._numbers = self._sequence.numbers
+        self._given, self._numbers = sequence, sequence.numbers
         self._at = {number: index for index, number in enumerate(self._numbers)}
         self._pass = DenoiseUpscale(**options)
         self._pipeline = Pipeline([self._pass], device, exposure, cuts)
@@ -122,6 +120,13 @@ class Backwards:
                 self._follow(self._read(earlier))
         self._last = index
         return self._ahead(frame)
+
+    @cached_property
+    def _sequence(self) -> Sequence:
+        """A copy, made when frames in order are read: by then it is known how, and of which area."""
+        found = copy.copy(self._given)
+        found.left_alone = Shares()
+        return found
 
     def _follow(self, frame: Frame | None) -> None:
         if frame is None:

@@ -84,3 +84,16 @@ def test_without_strength_there_is_nothing_to_do(postfx, noise):
     done = postfx(*RUN, "--strength", "0", "-o", "out/a.####.exr", "--json")
     assert done.code == 0
     assert "both_ways" not in done.json["passes"]
+
+
+def test_colours_of_a_wide_gamut_stay_what_they_are(postfx, write_exr, tmp_path):
+    """Scene-linear files keep their primaries, in both directions."""
+    light = {"R": 0.9, "G": 0.4, "B": 0.1}
+    for number in range(1, 5):
+        planes = {name: np.full((32, 48), value) for name, value in light.items()}
+        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)), "motion.Y": np.zeros((32, 48))}
+        write_exr(f"in/shot.{number:04d}.exr", planes, colorInteropID="lin_ap1_scene")
+    for way in ("--both-ways", "--run-up=3"):
+        assert postfx("run", "in/shot.####.exr", "--model", "s", way, "-o", "out/a.####.exr", "--overwrite").code == 0
+        found = [pixels(tmp_path / f"out/a.{number:04d}.exr").mean((0, 1)) for number in (1, 2, 4)]
+        np.testing.assert_allclose(found, [list(light.values())] * 3, rtol=0.02, err_msg=way)
