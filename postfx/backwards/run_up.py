@@ -32,7 +32,8 @@ class RunUp:
     Args:
         sequence: the frames; they are read once more by a copy, so who iterates it is not disturbed.
         frames: how many of those after the first are run, from the last one on; as many of them as there are, where a
-            hole or another shot follows sooner. Only where the next frame of `sequence.numbers` follows the first one.
+            hole, a broken file or another shot follows sooner. Only where the next frame of `sequence.numbers` follows
+            the first one.
         cuts: as for the `Pipeline`.
         prepare: what is done to frames that are read before they are run, as to those in order.
 
@@ -45,23 +46,34 @@ class RunUp:
         self._next = dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True))
 
     def after(self, number: int) -> list[int]:
-        """Numbers of the frames that are run before this one, in the order of the sequence."""
-        found, known = self._sequence.after(number, self._frames), self._sequence.cuts or ()
+        """Numbers of the frames that are run before this one, in the order of the sequence, by their headers."""
+        found = self._sequence.after(number, self._frames)
         wanted = found and self._next.get(number, found[0]) == found[0]  # frames before the range lead to it
-        return list(takewhile(lambda other: other not in known, found)) if wanted else []
+        return list(takewhile(partial(self._goes_on, self._copy()), found)) if wanted else []
 
     def __call__(self, frame: Frame, run: Callable[[Frame], None]) -> Frame:
         """Run the frames after a first one in reverse order; returns as what it is run itself: the last of them."""
         numbers = self.after(frame.number)
         if not numbers:
             return frame
-        sequence = copy.copy(self._sequence)  # now that a frame in order was read, and it is known how
-        sequence.left_alone = Shares()
         detector, later = CutDetector() if self._find_cuts else None, None
-        for _, other in read_ahead(reversed(numbers), partial(self._read, sequence, frame)):
+        for _, other in read_ahead(reversed(numbers), partial(self._read, self._copy(), frame)):
             has_run = other is not None and _ran(_marked(turned(other, later), detector), run)
             later = other if has_run else None
         return _marked(turned(frame, later), detector)
+
+    def _copy(self) -> Sequence:
+        """The sequence as it is now, when a frame in order was read and it is known how."""
+        found = copy.copy(self._sequence)
+        found.left_alone = Shares()
+        return found
+
+    def _goes_on(self, sequence: Sequence, number: int) -> bool:
+        """Whether a frame is there and does not begin a shot."""
+        try:
+            return not read_patiently(partial(sequence.begins_shot, number))
+        except PostfxError:
+            return False
 
     def _read(self, sequence: Sequence, first: Frame, number: int) -> Frame | None:
         """A frame with the planes of the first one; None where it has not those, or cannot be read."""

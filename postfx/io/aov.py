@@ -82,6 +82,11 @@ class FrameFiles:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
+    @property
+    def begins_shot(self) -> bool:
+        """Whether the header says so."""
+        return bool(Header(self.layout).number("reset"))
+
     def spec(self) -> FrameSpec:
         """Size, planes and guides of the frame; MissingPlaneError when there is no colour."""
         width, height = self.match(Role.COLOUR).size
@@ -207,7 +212,7 @@ class FrameFiles:
             number=number,
             jitter=camera.jitter,
             exposure=header.number("exposure"),
-            reset=bool(header.number("reset")),
+            reset=self.begins_shot,
             samples=int(header.number("samples") or 0) or None,
             world_to_camera=camera.world_to_camera,
             fov_x=camera.fov_over(part.area.width),

@@ -165,6 +165,13 @@ class Sequence:
         frame.reset = (frame.reset if self.cuts is None else number in self.cuts) or after_gap
         return frame
 
+    def begins_shot(self, number: int) -> bool:
+        """Whether a frame is said to begin a shot, by the constructor's cuts or its header, whose errors are raised."""
+        if self.cuts is not None:
+            return number in self.cuts
+        with self.open(number) as files:
+            return files.begins_shot
+
     def left_alone_of(self, number: int) -> Shares:
         """How much of a frame `leave`, which must be given, leaves as it is."""
         with self.open(number) as files:

@@ -100,7 +100,7 @@ def test_frames_that_are_not_followed_by_their_next_have_none(noisy):
 def test_a_cut_in_a_header_begins_anew(noisy, device):
     sequence = noisy(cut=4, motion=0.0)
     found, _ = seen(sequence)
-    assert [(frame.number, frame.reset) for frame in found] == [(5, True), (4, False), (3, True), (2, False)]
+    assert [(frame.number, frame.reset) for frame in found] == [(3, True), (2, False)]
     alone, clean = results(sequence, device, run_up=False), results(sequence, device)
     assert abs(clean[1].mean() / alone[3].mean() - 1) < 0.05
     assert clean[4].std() < 0.9 * alone[4].std()
@@ -126,15 +126,30 @@ def test_a_cut_in_the_pictures_begins_anew(write_exr, tmp_path):
 def test_a_frame_that_cannot_be_read_ends_what_counts(noisy, device, tmp_path, broken):
     sequence = noisy()
     (tmp_path / f"in/shot.{broken:04d}.exr").write_bytes(b"no picture")
+    assert numbers(sequence) == list(range(broken - 1, 1, -1))
+
+
+@pytest.mark.parametrize("broken", [2, 3])
+def test_nor_does_what_is_beyond_a_frame_that_lacks_pixels(noisy, tmp_path, broken):
+    sequence, path = noisy(), tmp_path / f"in/shot.{broken:04d}.exr"
+    path.write_bytes(path.read_bytes()[:-2000])
     found, first = seen(sequence)
     assert [frame.number for frame in found] == [number for number in (5, 4, 3, 2) if number != broken]
     assert first.reset == (broken == 2)
     assert found[-1].reset == (broken == 3)
 
 
-def test_history_beyond_a_frame_that_cannot_be_read_is_dropped(noisy, device, tmp_path):
+def test_where_every_frame_begins_a_shot_none_is_run(noisy, write_exr):
     sequence = noisy()
-    (tmp_path / "in/shot.0002.exr").write_bytes(b"no picture")
+    for number in range(1, 9):
+        planes = {name: np.ones(SIZE) for name in (*"RGB", "depth.Z", "motion.X", "motion.Y")}
+        write_exr(f"in/shot.{number:04d}.exr", planes, postfx__reset=1)
+    assert [numbers(sequence, frame) for frame in sequence] == [[]] * 8
+
+
+def test_history_beyond_a_frame_that_cannot_be_read_is_dropped(noisy, device, tmp_path):
+    sequence, path = noisy(), tmp_path / "in/shot.0002.exr"
+    path.write_bytes(path.read_bytes()[:-2000])
     first = next(iter(sequence))
     passes = Pipeline([DenoiseUpscale(model="s")], device, 0.0, run_up=RunUp(sequence))
     alone = Pipeline([DenoiseUpscale(model="s")], device, 0.0)

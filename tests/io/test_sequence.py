@@ -142,3 +142,19 @@ def test_frames_before_a_frame_stop_at_a_hole(shot):
     assert sequence.before(6, 2) == [4, 5]
     assert sequence.before(6, 8) == [3, 4, 5]
     assert sequence.before(3, 8) == []
+
+
+def test_frames_after_a_frame_stop_at_a_hole(shot):
+    sequence = read_sequence(f"{shot(1, 2, 3, 4, 6)}/shot.####.exr", frames="1")
+    assert [sequence.after(1, count) for count in (0, 2, 8)] == [[], [2, 3], [2, 3, 4]]
+    assert sequence.after(4, 8) == sequence.after(6, 8) == []
+
+
+def test_headers_or_cuts_tell_where_shots_begin(write_exr, tmp_path):
+    for number in range(1, 4):
+        write_exr(f"shot.{number:04d}.exr", {name: np.ones((4, 6)) for name in "RGB"}, postfx__reset=number == 2)
+    by_header, by_cuts = (read_sequence(tmp_path / "shot.####.exr", cuts=cuts) for cuts in (None, [3]))
+    assert [[sequence.begins_shot(number) for number in (1, 2, 3)] for sequence in (by_header, by_cuts)] == [
+        [False, True, False], [False, False, True]]
+    with pytest.raises(MissingFrameError):
+        by_header.begins_shot(4)
