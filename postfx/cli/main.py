@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 from postfx import __version__
 from postfx.cli import bench, capture_compare, exposure, inspect, lut, models, run, verify
-from postfx.cores import usable_cores
 from postfx.errors import PostfxError
+from postfx.limits import usable_cores
 
 VERBS = (run, verify, inspect, exposure, bench, models, lut, capture_compare)
 EXIT_ERROR = 2

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postfx.cores import usable_cores
+from postfx.limits import usable_cores
 from postfx.paths import models_dir
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -13,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import onnxruntime as ort
 
+from postfx.limits import usable_memory
 from postfx.runtime.errors import ModelError
 from postfx.runtime.tensor import Tensor
 
-_CGROUP = Path("/sys/fs/cgroup/memory.max")
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
 
 
@@ -107,15 +105,7 @@ def _register_shared_arena() -> None:
     """One allocator for all sessions of the process; private arenas hold each session's peak for ever. It gives no
     more than the machine has: a model that asks for more fails, where the system would end the process."""
     info = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
-    ort.create_and_register_allocator(info, ort.OrtArenaCfg(_machine_memory(), -1, -1, -1))
-
-
-def _machine_memory() -> int:
-    """Bytes that the machine has, or the container's share of them."""
-    most = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    with suppress(OSError, ValueError):  # no container, or one without a limit
-        most = min(most, int(_CGROUP.read_text()))
-    return most
+    ort.create_and_register_allocator(info, ort.OrtArenaCfg(usable_memory(), -1, -1, -1))
 
 
 def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOptions:
