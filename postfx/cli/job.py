@@ -14,16 +14,17 @@ from postfx.cli.books import options_of
 from postfx.cli.both_ways import BothWays
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
+from postfx.cli.explain import Explanation
 from postfx.cli.faults import Faults, OnError, Standin, check_sizes, first_readable, without_denoising
 from postfx.cli.looks import display_passes
 from postfx.cli.overlay import left_out_for, refuse_layer, unread
 from postfx.cli.progress import FrameProgress
 from postfx.cli.report import RunReport
-from postfx.cli.run_up import ahead_text, run_up_of
+from postfx.cli.run_up import run_up_of
 from postfx.cli.summary import Report, guides_in
 from postfx.errors import WriteError
 from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
-from postfx.frame import Frame, Role
+from postfx.frame import Frame
 from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
 from postfx.io.retry import read_patiently
@@ -39,7 +40,6 @@ from postfx.runs.run import Run
 from postfx.runs.schedule import Work
 from postfx.runs.stop import Stop
 from postfx.runtime import Device
-from postfx.strength.shares import Shares
 
 DENOISE_OPTIONS = ("scale", "size", "model", "strength", "budget", "reactive")
 
@@ -92,24 +92,9 @@ class Job:
         self._broken: dict[str, dict[str, int]] = {}
         self._written: list[str] = []
 
-    def plan_dict(self) -> dict[str, Any]:
-        """The plan in plain types."""
-        plan = self.plan.as_dict()
-        plan["skipped"] += [dataclasses.asdict(item) for item in self.left_out]
-        if alone := self._first_alone():
-            plan["left_alone"] = alone.as_dict()
-        plan["ahead"] = self._first_ahead()
-        return {**plan, "frames": len(self.sequence), "warnings": self.sequence.warnings}
-
-    def plan_text(self) -> str:
-        """The plan for people."""
-        lines = [str(self.plan)]
-        lines += [f"skips   {item.what}: {item.why}" for item in self.left_out]
-        if alone := self._first_alone():
-            lines.append(f"leaves  of frame {self.sequence.numbers[0]}: {alone}")
-        if ahead := self._first_ahead():
-            lines.append(f"run-up  {ahead_text(ahead, self.sequence.numbers[0])}")
-        return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
+    def explained(self) -> Explanation:
+        """What would run."""
+        return Explanation(self.plan, self.sequence, self.left_out, self._run_up)
 
     def run(self) -> None:
         """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
@@ -145,7 +130,7 @@ class Job:
             capture=self._capture.page,
             faults=self._faults.found,
             error=str(failure) or "interrupted" if failure is not None else None,
-        ), self.plan_text)
+        ), lambda: str(self.explained()))
 
     def _books(self) -> Run:
         provenance = provenance_of(self._arguments, self.plan, self.pipeline.device, self.sequence.numbers)
@@ -225,16 +210,6 @@ class Job:
             run.wrote(number, path, result, **facts)
             self._written.append(str(path))
             progress.advance(str(path))
-
-    def _first_alone(self) -> Shares | None:
-        """What the first frame leaves as it is, where that is asked for."""
-        asked = self.sequence.leave and Role.STRENGTH in self.plan.planes
-        return self.sequence.left_alone_of(self.sequence.numbers[0]) if asked else None
-
-    def _first_ahead(self) -> list[int]:
-        """Frames that are run before the first one, in the order in which they are."""
-        runs_up = self._run_up and self.plan.accumulating()
-        return self._run_up.after(self.sequence.numbers[0])[::-1] if runs_up else []
 
     def _passes(self, arguments: argparse.Namespace) -> list[Pass]:
         passes = []

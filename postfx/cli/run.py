@@ -112,8 +112,9 @@ def execute(arguments: argparse.Namespace) -> int:
 
     job = Job(arguments)
     if arguments.explain:
-        lines = [job.plan_text(), *keeps(arguments, job.sequence)]
-        print(json.dumps(job.plan_dict(), indent=2) if arguments.json else "\n".join(lines))
+        explained = job.explained()
+        lines = [str(explained), *keeps(arguments, job.sequence)]
+        print(json.dumps(explained.as_dict(), indent=2) if arguments.json else "\n".join(lines))
         return 0
     failure = None
     try:

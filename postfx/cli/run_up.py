@@ -36,9 +36,3 @@ def run_up_of(arguments: argparse.Namespace, sequence: Sequence, cuts: str) -> R
         raise PassOptionError(f"--run-up runs frames more than once, {option} {NOT_WITH[given]}: give one of them")
     frames = FRAMES if arguments.run_up is None else arguments.run_up
     return RunUp(sequence, frames, cuts) if frames and not given else None
-
-
-def ahead_text(numbers: list[int], first: int) -> str:
-    """What --explain says of the frames that are run before the first one."""
-    listed = ", ".join(map(str, numbers))
-    return f"of each shot: frame{'s' * (len(numbers) > 1)} {listed} before frame {first} (--run-up 0 for none)"
