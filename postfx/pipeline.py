@@ -183,10 +183,10 @@ class Pipeline:
 
     def _run_up_to(self, frame: Frame, plan: Plan) -> Frame:
         """What is run for a frame: where it begins a shot and a pass profits, what the frames after it lead to."""
-        steps = plan.accumulating()
-        if self._run_up is None or not steps or not (self._begins or frame.reset):
+        if self._run_up is None or not self._begins:
             return frame
-        return self._run_up(frame, partial(self._run_ahead, plan, steps))
+        steps = plan.accumulating()
+        return self._run_up(frame, partial(self._run_ahead, plan, steps)) if steps else frame
 
     def _run_ahead(self, plan: Plan, steps: Sequence[Step], frame: Frame) -> None:
         """Run a frame, of which nothing but the history is wanted, as far as passes profit from it."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -15,7 +14,6 @@ from postfx.frame import Frame
 from postfx.io.ahead import read_ahead
 from postfx.io.retry import read_patiently
 from postfx.io.sequence import Sequence
-from postfx.strength.shares import Shares
 
 FRAMES = 4
 """Frames that are run ahead: twice as many hardly better the first one."""
@@ -30,7 +28,7 @@ class RunUp:
             postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(frame))
 
     Args:
-        sequence: the frames; they are read once more by a copy, so who iterates it is not disturbed.
+        sequence: the frames; they are read once more beside, so who iterates it is not disturbed.
         frames: how many of those after the first are run, from the last one on; as many of them as there are, where a
             hole, a broken file or another shot follows sooner. Only where the next frame of `sequence.numbers` follows
             the first one.
@@ -49,7 +47,7 @@ class RunUp:
         """Numbers of the frames that are run before this one, in the order of the sequence, by their headers."""
         found = self._sequence.after(number, self._frames)
         wanted = found and self._next.get(number, found[0]) == found[0]  # frames before the range lead to it
-        return list(takewhile(partial(self._goes_on, self._copy()), found)) if wanted else []
+        return list(takewhile(partial(_goes_on, self._sequence.reader()), found)) if wanted else []
 
     def __call__(self, frame: Frame, run: Callable[[Frame], None]) -> Frame:
         """Run the frames after a first one in reverse order; returns as what it is run itself: the last of them."""
@@ -57,23 +55,10 @@ class RunUp:
         if not numbers:
             return frame
         detector, later = CutDetector() if self._find_cuts else None, None
-        for _, other in read_ahead(reversed(numbers), partial(self._read, self._copy(), frame)):
+        for _, other in read_ahead(reversed(numbers), partial(self._read, self._sequence.reader(), frame)):
             has_run = other is not None and _ran(_marked(turned(other, later), detector), run)
             later = other if has_run else None
         return _marked(turned(frame, later), detector)
-
-    def _copy(self) -> Sequence:
-        """The sequence as it is now, when a frame in order was read and it is known how."""
-        found = copy.copy(self._sequence)
-        found.left_alone = Shares()
-        return found
-
-    def _goes_on(self, sequence: Sequence, number: int) -> bool:
-        """Whether a frame is there and does not begin a shot."""
-        try:
-            return not read_patiently(partial(sequence.begins_shot, number))
-        except PostfxError:
-            return False
 
     def _read(self, sequence: Sequence, first: Frame, number: int) -> Frame | None:
         """A frame with the planes of the first one; None where it has not those, or cannot be read."""
@@ -83,6 +68,14 @@ class RunUp:
         except PostfxError:
             return None
         return frame if frame.spec == first.spec else None
+
+
+def _goes_on(sequence: Sequence, number: int) -> bool:
+    """Whether a frame is there and does not begin a shot."""
+    try:
+        return not read_patiently(partial(sequence.begins_shot, number))
+    except PostfxError:
+        return False
 
 
 def _marked(frame: Frame, detector: CutDetector | None) -> Frame:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Callable
 from functools import cached_property, partial
@@ -22,7 +21,6 @@ from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan
 from postfx.runtime import Device
-from postfx.strength.shares import Shares
 
 PART = 32
 """Frames that are looked at backwards at once; their results are kept until they are asked for."""
@@ -123,10 +121,8 @@ class Backwards:
 
     @cached_property
     def _sequence(self) -> Sequence:
-        """A copy, made when frames in order are read: by then it is known how, and of which area."""
-        found = copy.copy(self._given)
-        found.left_alone = Shares()
-        return found
+        """A reader, made when frames in order are read: by then it is known how, and of which area."""
+        return self._given.reader()
 
     def _follow(self, frame: Frame | None) -> None:
         if frame is None:

@@ -113,8 +113,10 @@ def execute(arguments: argparse.Namespace) -> int:
     job = Job(arguments)
     if arguments.explain:
         explained = job.explained()
-        lines = [str(explained), *keeps(arguments, job.sequence)]
-        print(json.dumps(explained.as_dict(), indent=2) if arguments.json else "\n".join(lines))
+        if arguments.json:
+            print(json.dumps(explained.as_dict(), indent=2))
+        else:
+            print("\n".join([str(explained), *keeps(arguments, job.sequence)]))
         return 0
     failure = None
     try:

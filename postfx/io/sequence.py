@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Iterator
 from itertools import takewhile
 from os import PathLike
@@ -83,6 +84,12 @@ class Sequence:
     def __iter__(self) -> Iterator[Frame]:
         self.rewind()
         return (self.read(number) for number in self.numbers)
+
+    def reader(self) -> Sequence:
+        """The same frames, read as they are now, for whoever reads them beside: `left_alone` is its own."""
+        found = copy.copy(self)
+        found.left_alone = Shares()
+        return found
 
     def rewind(self) -> None:
         """The next frame that is read is no cut, whatever was read before."""
