@@ -28,6 +28,9 @@ class Held:
     def read(self, number: int, planes=None, guides=None) -> Frame:
         return self._frames[number]
 
+    def reader(self) -> Held:
+        return self
+
     def rewind(self) -> None:
         pass
 
