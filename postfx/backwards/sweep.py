@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from postfx.backwards.run_up import FRAMES as RUN_UP
 from postfx.backwards.turned import MOST, Followed, turned
 from postfx.errors import PostfxError
 from postfx.exposure import ExposureMeter, SmoothExposure
@@ -24,8 +25,6 @@ from postfx.runtime import Device
 
 PART = 32
 """Frames that are looked at backwards at once; their results are kept until they are asked for."""
-RUN_UP = 8
-"""Frames after a part with which its run begins, for their history."""
 
 LARGEST = np.float32(65504)
 """What half precision holds."""
@@ -56,7 +55,7 @@ class Backwards:
         prepare: what is done to the frames that are read before they are run, as to those in order.
         options: of `DenoiseUpscale`, the same as for the frames in order.
 
-    The sequence is run in parts of PART frames, each from its last one to its first, beginning RUN_UP frames after it:
+    The sequence is run in parts of PART frames, each from its last one to its first, beginning a run-up after it:
     so a frame's result does not depend on which frames were asked for. Frames that cannot be read are no error here.
 
     Attributes:

@@ -32,7 +32,7 @@ examples:
   postfx run shot/dynamic.####.exr -o out/clean.####.exr --size 1920x1080
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr -o out/clean.####.exr --both-ways
-  postfx run shot/noisy.####.exr -o out/clean.####.exr --run-up 8
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --run-up 16
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
   postfx run shot/adaptive.####.exr -o out/clean.####.exr --leave converged:0.01

@@ -20,7 +20,7 @@ def add_argument(group: argparse._ActionsContainer) -> None:
     """Add the argument."""
     group.add_argument(
         "--run-up", type=count, metavar="N", help="frames after the first one of each shot that are run before it, in "
-        "reverse order, so that it has a history and is as clean as the others; 0 for none (default: 4; none with "
+        "reverse order, so that it has a history and is as clean as the others; 0 for none (default: 8; none with "
         "--both-ways or --budget)",
     )
 

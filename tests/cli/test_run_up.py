@@ -13,8 +13,8 @@ def pixels(path):
 
 def test_first_frames_have_a_history(postfx, noise):
     done = postfx(*RUN, "-o", "with/a.####.exr", "--json")
-    assert done.json["run_up"]["frames"] == 4
-    assert "4 frames in reverse order, for a history of the first ones" in done.err
+    assert done.json["run_up"]["frames"] == 5
+    assert "5 frames in reverse order, for a history of the first ones" in done.err
     done = postfx(*RUN, "-o", "without/a.####.exr", "--run-up", "0", "--json")
     assert done.json["run_up"] == {"frames": 0, "ms_per_frame": None}
     assert "reverse" not in done.err
@@ -24,7 +24,7 @@ def test_first_frames_have_a_history(postfx, noise):
 def test_explain_names_the_frames(postfx, noise):
     explained = postfx(*RUN, "--run-up", "3", "--explain")
     assert "run-up  of each shot: frames 4, 3, 2 before frame 1 (--run-up 0 for none)" in explained.out
-    assert postfx(*RUN, "--explain", "--json").json["ahead"] == [5, 4, 3, 2]
+    assert postfx(*RUN, "--explain", "--json").json["ahead"] == [6, 5, 4, 3, 2]
     assert postfx(*RUN, "--explain", "--json", "--run-up", "0").json["ahead"] == []
     assert "run-up" not in postfx(*RUN, "--strength", "0", "--explain").out
 
@@ -36,7 +36,7 @@ def test_cuts_that_are_known_have_one_each(postfx, noise):
 
 def test_a_range_with_what_is_before_it_runs_up_to_that(postfx, noise):
     done = postfx(*RUN, "-o", "out/a.####.exr", "--frames", "3-6", "--preroll", "2", "--json")
-    assert done.json["run_up"]["frames"] == 4
+    assert done.json["run_up"]["frames"] == 5
     whole = postfx(*RUN, "-o", "whole/a.####.exr", "--json")
     assert whole.code == 0
     for number in range(3, 7):
