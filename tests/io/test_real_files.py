@@ -85,6 +85,17 @@ def test_every_collected_file_is_read_or_refused_in_one_line(shared_dir: Path):
             assert "\n" not in str(error)
 
 
+def test_v_ray_planes(shared_dir: Path):
+    """Of a scene without light: what the surfaces reflect is there all the same, and no light is in it."""
+    with FrameFiles({"": shared_dir / "exr/cryptomatte/cornellBox_CryptoWildcard.0001.exr"}) as files:
+        frame = files.read(1)
+    assert files.layout.profile.name == "v-ray"
+    assert frame.fov_x == pytest.approx(54.43222, abs=1e-4)
+    assert frame[Role.COLOUR].max() == 0
+    assert np.unique(frame[Role.DIFFUSE_ALBEDO].round(2)).tolist()[-1] == 0.5
+    assert Role.NORMAL not in frame  # in screen space
+
+
 @pytest.mark.parametrize("name", REFUSED)
 def test_refusals_say_why(shared_dir: Path, name: str):
     (path,) = shared_dir.glob(f"exr/*/{name}")
