@@ -70,7 +70,7 @@ class Flow:
         return self._device.wrap(name, array, self._copies.get(place, partial(self._device.heap.tensor, *place)))
 
     def _run(self, steps: Sequence[Step], resident: ResidentFrame) -> None:
-        commands = self._device.command_buffer(f"frame {resident.number}")
+        commands = self._device.command_buffer(f"frame {resident.number}", captured=resident.wanted)
         try:
             for step in steps:
                 _encode(step, commands, resident)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from postfx.backwards import RunUp
+from postfx.cli.run_up import WatchedRunUp
 from postfx.frame import Role
 from postfx.io.sequence import Sequence
 from postfx.plan import Plan, Skipped
@@ -19,7 +19,7 @@ class Explanation:
     plan: Plan
     sequence: Sequence
     left_out: list[Skipped]
-    run_up: RunUp | None
+    run_up: WatchedRunUp | None
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""

@@ -145,6 +145,8 @@ class Job:
             progress.note("metering all frames first, for --exposure smooth")
 
     def _process_all(self, run: Run, stop: Stop, progress: FrameProgress) -> None:
+        if self._run_up:
+            self._run_up.watch(stop.check, progress.note)
         self._capture.choose([work.number for work in run.works])
         self._page.choose([work.number for work in run.works if work.write])
         with WriteBehind() as behind:

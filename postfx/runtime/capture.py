@@ -94,7 +94,7 @@ class Recorder:
 
 
 class Capture:
-    """Records every command buffer that is committed while it is on. Made by `Device.capture`; a context manager.
+    """Records the command buffers that are committed while it is on. Made by `Device.capture`; a context manager.
 
     Leaving it waits until the recorded buffers are done, which does not count as waiting for them.
 

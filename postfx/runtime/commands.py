@@ -37,12 +37,14 @@ class CommandBuffer:
 
     Attributes:
         label: name in messages, for example 'frame 12'.
+        captured: whether a capture that is on records it.
         records: dispatches and barriers in order.
     """
 
-    def __init__(self, device: Device, label: str) -> None:
+    def __init__(self, device: Device, label: str, captured: bool = True) -> None:
         self.device = device
         self.label = label
+        self.captured = captured
         self.records: list[Record] = []
         self._kept: set[Allocation] = set()
         self._placement: Placement | None = None
@@ -116,7 +118,7 @@ class CommandBuffer:
             self._place()
             self.device.hazards.commit(self)
             self._state = "committed"
-            capture = self.device.active_capture
+            capture = self.device.active_capture if self.captured else None
             self._recorder = None if capture is None else capture.record(self)
             self.device.queue.submit(self._run)
 

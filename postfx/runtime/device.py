@@ -154,14 +154,14 @@ class Device:
             self._compute_states[kernel] = self._make_state(kernel)
         return self._compute_states[kernel]
 
-    def command_buffer(self, label: str) -> CommandBuffer:
-        """A new, empty command buffer."""
-        return CommandBuffer(self, label)
+    def command_buffer(self, label: str, captured: bool = True) -> CommandBuffer:
+        """A new, empty command buffer. Captures leave it out unless it is to be `captured`."""
+        return CommandBuffer(self, label, captured)
 
     def capture(
         self, tensors: str = "thumbnails", folder: str | Path | None = None, network: bool = False
     ) -> Capture:
-        """A capture, to use with `with`: it records all command buffers that are committed meanwhile.
+        """A capture, to use with `with`: it records command buffers that are committed meanwhile.
 
         Args:
             tensors: what to keep of what each command wrote: 'thumbnails' (figures and small pictures), 'none', or

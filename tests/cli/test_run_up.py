@@ -1,8 +1,16 @@
 """`postfx run --run-up`."""
 
+import json
+import signal
+
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+
+from postfx.backwards import RunUp
+from postfx.cli.run_up import WatchedRunUp
+from postfx.io.sequence import Sequence
+from postfx.runs.errors import Interrupted
 
 RUN = ("run", "in/shot.####.exr", "--model", "s")
 
@@ -14,6 +22,7 @@ def pixels(path):
 def test_first_frames_have_a_history(postfx, noise):
     done = postfx(*RUN, "-o", "with/a.####.exr", "--json")
     assert done.json["run_up"]["frames"] == 5
+    assert done.err.startswith("before frame 1: a run-up from frame 6\n")
     assert "5 frames in reverse order, for a history of the first ones" in done.err
     done = postfx(*RUN, "-o", "without/a.####.exr", "--run-up", "0", "--json")
     assert done.json["run_up"] == {"frames": 0, "ms_per_frame": None}
@@ -27,6 +36,26 @@ def test_explain_names_the_frames(postfx, noise):
     assert postfx(*RUN, "--explain", "--json").json["ahead"] == [6, 5, 4, 3, 2]
     assert postfx(*RUN, "--explain", "--json", "--run-up", "0").json["ahead"] == []
     assert "run-up" not in postfx(*RUN, "--strength", "0", "--explain").out
+
+
+def test_a_capture_is_of_the_frame_alone(postfx, noise):
+    assert postfx(*RUN, "-o", "out/a.####.exr", "--capture", "look", "--capture-frame", "1").code == 0
+    (buffer,) = json.loads((noise / "look/capture.json").read_text())["buffers"]
+    assert buffer["label"] == "frame 1"
+
+
+def test_it_ends_when_the_run_is_to_stop(noise):
+    def check() -> None:
+        if len(found) == 2:
+            raise Interrupted(signal.SIGINT)
+
+    sequence, found, told = Sequence(noise / "in/shot.####.exr"), [], []
+    run_up = WatchedRunUp(RunUp(sequence))
+    run_up.watch(check, told.append)
+    with pytest.raises(Interrupted):
+        run_up(next(iter(sequence)), found.append)
+    assert [frame.number for frame in found] == [6, 5]
+    assert told == ["before frame 1: a run-up from frame 6"]
 
 
 def test_cuts_that_are_known_have_one_each(postfx, noise):
