@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -26,6 +27,8 @@ for line in sys.stdin:
     if line.strip() == "2" and bad == "hang":
         time.sleep(60)
     open(f"{folder}/clip.{int(line):05d}.npz", "w").write(os.environ["CUDA_VISIBLE_DEVICES"])
+    if bad == "mute":
+        time.sleep(60)
     print(json.dumps({"clip": int(line), "samples": 10}), flush=True)
 """
 
@@ -67,6 +70,18 @@ def test_workers_that_cannot_start_end_the_job(tmp_path: Path) -> None:
 
 def test_no_clip_is_begun_after_the_time(tmp_path: Path) -> None:
     assert farm(tmp_path, "none", "--minutes=0").run() and made(tmp_path) == []
+
+
+def test_a_clip_counts_that_its_worker_had_not_told_of_at_the_end(tmp_path: Path) -> None:
+    job = farm(tmp_path, "mute")
+
+    def stop_when_there() -> None:
+        while len(made(tmp_path)) < 2:
+            time.sleep(0.01)
+        job.stop()
+
+    threading.Thread(target=stop_when_there).start()
+    assert job.run() and job.made == 2 and "2 of 6" in job.summary()
 
 
 def test_a_real_job_at_toy_size_ends_on_sigterm_and_goes_on(tmp_path: Path) -> None:
