@@ -180,8 +180,8 @@ class Farm:
         for process in running:
             process.wait()
             self._sweep(process.pid)
-        unsaid = [worker.clip for worker in self._workers if worker.clip is not None]  # written, perhaps, but not told of
-        self.made += sum(clip_path(self._args.out, clip).exists() for clip in unsaid)
+        untold = [worker.clip for worker in self._workers if worker.clip is not None]  # perhaps written all the same
+        self.made += sum(clip_path(self._args.out, clip).exists() for clip in untold)
 
     def _sweep(self, pid: int) -> None:
         """Remove what a killed worker had half written."""
