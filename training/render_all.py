@@ -106,6 +106,7 @@ class Farm:
                 print(self.progress(), flush=True)
                 reported = time.monotonic()
         self._kill()
+        self._count_untold()
         return self._ended or all(worker.deaths < GIVE_UP for worker in self._workers)
 
     def _start(self, worker: Worker) -> None:
@@ -180,7 +181,10 @@ class Farm:
         for process in running:
             process.wait()
             self._sweep(process.pid)
-        untold = [worker.clip for worker in self._workers if worker.clip is not None]  # perhaps written all the same
+
+    def _count_untold(self) -> None:
+        """Clips that were handed out at the end, and are there all the same."""
+        untold = [worker.clip for worker in self._workers if worker.clip is not None]
         self.made += sum(clip_path(self._args.out, clip).exists() for clip in untold)
 
     def _sweep(self, pid: int) -> None:
