@@ -9,7 +9,7 @@ from typing import Any
 HIGHER_IS_BETTER = ("psnr", "ssim")
 COMPARED = ("psnr_late", "ssim_late", "flip_late", "flicker_late")
 TIMES = ("wall_ms", "wall_ms_min", "wall_ms_max", "cpu_s", "gpu_ms", "first_ms", "peak_mb")
-FACTS = ("name", "title", "family", "model", "precision", "guides", "alone", "without")
+FACTS = ("name", "title", "family", "model", "precision", "guides", "alone", "run_up", "both", "without")
 
 
 def is_better(figure: str, one: float, other: float) -> bool:
@@ -66,7 +66,7 @@ def ablations(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _is_same_network(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    return all(one[key] == other[key] for key in ("family", "model", "guides", "alone"))
+    return all(one[key] == other[key] for key in ("family", "model", "guides", "alone", "run_up", "both"))
 
 
 def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:

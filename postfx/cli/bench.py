@@ -19,10 +19,10 @@ Figures are of what is seen (exposure, x / (1 + x), sRGB): PSNR, SSIM, FLIP; rel
 times the mean absolute error of the change from frame to frame along the motion. 'late' is the second half.
 
 Methods: the networks by tag, as 'm' (with '-int8', '-fp16' and '-guides' where there are such models), and the same
-with '-alone', the history dropped at every frame; oidn-fast, oidn-balanced, oidn-high (at render size, then
-enlarged), oidn-high-accumulated (and then accumulated along the motion at output size), accumulation, bicubic; or
-families of them: ours, oidn, plain. --ablations adds 'm-without-roughness' and so on for each plane that the frames
-have beside the colour, and 'm-without-all'.
+with '-alone', the history dropped at every frame, '-run-up', as 'postfx run' begins a shot, and '-both-ways', as its
+--both-ways; oidn-fast, oidn-balanced, oidn-high (at render size, then enlarged), oidn-high-accumulated (and then
+accumulated along the motion at output size), accumulation, bicubic; or families of them: ours, oidn, plain. --ablations
+adds 'm-without-roughness' and so on for each plane that the frames have beside the colour, and 'm-without-all'.
 """
 EXAMPLES = """\
 examples:

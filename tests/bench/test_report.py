@@ -35,6 +35,8 @@ def test_ablations_are_compared_with_the_same_network_and_offered_to_nobody(tmp_
     assert (entry["name"], entry["of"]) == ("m-without-depth", "m")
     assert entry["psnr_late"] == pytest.approx(-0.5) and entry["flicker_late"] == pytest.approx(1.25)
     assert report.offered(LACKING) == ROWS and report.ablations(ROWS) == []
+    others = [row("m-run-up", 70, 33, 7, "ours", run_up=True), row("m-both-ways", 130, 34, 6, "ours", both=True)]
+    assert report.ablations([*others, *LACKING]) == [entry]
     report.write_csv(tmp_path / "bench.csv", [row("x", 1, 1, without=("depth", "normal"))])
     assert "depth normal" in (tmp_path / "bench.csv").read_text()
 
@@ -57,6 +59,7 @@ def test_csv_has_a_line_a_method_and_leaves_the_unknown_empty(tmp_path):
         lines = list(csv.DictReader(file))
     assert [line["name"] for line in lines] == [entry["name"] for entry in ROWS]
     assert (lines[0]["wall_ms"], lines[0]["gpu_ms"], lines[0]["psnr_late"]) == ("60", "", "32.6")
+    assert {"alone", "run_up", "both"} < set(lines[0])
 
 
 def facts():

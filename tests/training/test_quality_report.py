@@ -21,21 +21,22 @@ def method(name: str, ms: float, psnr: float, flicker: float, family: str, first
     figures = {"psnr": psnr, "ssim": psnr / 40, "flip": 1 / psnr, "relmse": 0.01, "flicker": flicker}
     time = {"wall_ms": ms, "wall_ms_min": ms - 1, "wall_ms_max": ms + 2, "cpu_s": ms / 500, "gpu_ms": None,
             "first_ms": 9.0, "peak_mb": 300.4}
-    plain = {"title": name, "model": "", "precision": "fp32", "guides": False, "alone": False, "without": []}
+    plain = {"title": name, "model": "", "precision": "fp32", "guides": False, "alone": False, "run_up": False,
+             "both": False, "without": []}
     return {"name": name, "family": family, **plain, **facts, "time": time,
             "scores": {f"{key}_late": value for key, value in figures.items()},
             "frames": [{"frame": n + 1, "psnr": first if n == 0 else psnr} for n in range(4)]}
 
 
-def bench(network: float) -> dict:
-    """bench.json of a network of that PSNR, of OIDN at 30 dB and accumulated OIDN at 31 dB."""
+def bench(network: float, *more: dict) -> dict:
+    """bench.json of a network of that PSNR, of OIDN at 30 dB and accumulated OIDN at 31 dB, and of what is given."""
     rows = [method("m", 60, network, 8, "ours", 29.5, model="m"),
             method("m-int8", 30, network - 0.1, 8.2, "ours", 29.5, model="m.int8", precision="int8"),
             method("m-alone", 61, network - 2, 16, "ours", 29.5, model="m", alone=True),
             method("m-without-depth", 60, network - 0.4, 10, "ours", 29, model="m", without=["depth"]),
             method("m-without-all", 60, network - 3, 20, "ours", 28, model="m", without=["depth", "normal"]),
             method("oidn-high", 200, 30, 16, "oidn", 30), method("oidn-high-accumulated", 210, 31, 10, "oidn", 30),
-            method("bicubic", 10, 17, 130, "plain", 17)]
+            method("bicubic", 10, 17, 130, "plain", 17), *more]
     offered = report.offered(rows)
     return {"methods": rows, "device": "cpu", "threads": 2, "runs": 3, "machine": {"processor": "some CPU"},
             "render_size": [32, 18], "output_size": [64, 36], "guides": ["depth"], "versions": {"pyoidn": "2.5"},
@@ -137,6 +138,18 @@ def test_a_mean_tells_of_how_many(tmp_path, results):
     (results / "two/bench.json").write_text(json.dumps(facts))
     (block,) = written(tmp_path, results, "gains one two")
     assert cells(block)[3] == ["", "postfx m with guides", "-", "+3.00", "+3.00 (1 of 2)"]
+
+
+def test_networks_with_a_run_up_have_rows_of_their_own_but_where_their_history_is_the_same(tmp_path, results):
+    facts = bench(33.0, method("m-run-up", 62, 33.25, 7, "ours", 32, model="m", run_up=True),
+                  method("m-both-ways", 99, 34, 7, "ours", 33, model="m", both=True))
+    (results / "one/bench.json").write_text(json.dumps(facts))
+    gains, frames, history = (cells(block)[1:] for block in written(tmp_path, results, "gains one", "frames one",
+                                                                    "history one"))
+    assert gains[2] == ["", "postfx m, run-up", "+2.25", "+2.25"]
+    assert frames == [["postfx m", "1 of 4, least -0.50 dB (frame 1)"],
+                      ["postfx m, run-up", "0 of 4, least +2.00 dB (frame 1)"]]
+    assert [row[0] for row in history] == ["postfx m"]
 
 
 def test_single_frames_history_and_conditions(tmp_path, results):

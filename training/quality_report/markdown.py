@@ -48,5 +48,6 @@ def titled(name: str) -> str:
 
 
 def is_network(row: dict[str, Any], name: str = "name") -> bool:
-    """Whether a row tells of one of our networks as it is meant to run: full precision, history, all planes."""
-    return row["family"] == "ours" and set(row[name].split("-")[1:]) <= {"guides"}
+    """Whether a row tells of one of our networks as it is meant to run: full precision, history, all planes; of frames
+    in order or with a run-up."""
+    return row["family"] == "ours" and set(row[name].split("-")[1:]) <= {"guides", "run", "up"}

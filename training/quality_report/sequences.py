@@ -139,7 +139,8 @@ def _loss(entry: Facts | None) -> str:
 def _by_network(benches: dict[str, Facts], cell: Any) -> str:
     networks = dict.fromkeys(row["name"] for facts in benches.values() for row in facts["methods"] if is_network(row))
     rows = [[titled(network), *(cell(facts, network) for facts in benches.values())] for network in networks]
-    if not any(text != "-" for row in rows for text in row[1:]):
+    rows = [row for row in rows if set(row[1:]) != {"-"}]
+    if not rows:
         raise Missing("the methods that it compares were not measured")
     return table(["network", *map(place, benches)], rows)
 
