@@ -16,7 +16,8 @@ from postfx.io.container.write import NewPart, write_container
 
 WIDTH, HEIGHT = 37, 41
 COMPRESSIONS = {name: getattr(OpenEXR, f"{name}_COMPRESSION") for name in
-                ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB")}
+                ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB", "HTJ2K256", "HTJ2K32",
+                 "LJ2K", "ZSTD") if hasattr(OpenEXR, f"{name}_COMPRESSION")}
 
 
 def noise_bits(seed: int, kind: str, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:

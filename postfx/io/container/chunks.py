@@ -22,8 +22,9 @@ from postfx.io.container.header import (
     read_headers,
 )
 
-LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256, 10: 32, 11: 256}
-"""Lines of a chunk by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K of 32 and of 256."""
+LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256, 10: 256, 11: 32, 12: 256, 13: 1}
+"""Lines of a chunk by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K of 256 and of 32,
+LJ2K, ZSTD."""
 _BOUNDED = {0: 1, 1: 128, 2: 1100, 3: 1100, 5: 1100, 6: 8, 7: 32}
 _UNBOUNDED = 1 << 20
 # Compressions -> how many times a chunk may grow: RLE 127 bytes out of 2, DEFLATE 1032:1, a flat block of B44A 32 bytes
