@@ -17,7 +17,8 @@ PLANE = "{plane}"
 _NUMBER = re.compile(
     r"%(?:0(?P<printf>\d+))?d|(?P<hash>#+)|(?P<at>@+)|\$F(?P<houdini>\d*)|<F(?P<angle>\d*)>", re.ASCII
 )
-_DIGITS = re.compile(r"\d+(?=\.[^.]*$)", re.ASCII)
+_DIGITS = re.compile(r"((?<=[._])-|^-)?\d+(?=\.[^.]*$)", re.ASCII)
+"""The number that ends a name, with a minus that stands where a number begins."""
 _RANGE = re.compile(r"\s*(?P<first>-?\d{1,9})(?:-(?P<last>-?\d{1,9})(?:[xy:]\d{1,9})?)?\s*", re.ASCII)
 MOST_DIGITS = 32
 """Digits that a frame number may be padded to."""
@@ -83,7 +84,8 @@ class Pattern:
         return (glob.escape(self.prefix) + number + glob.escape(self.suffix)).replace(PLANE, "*")
 
     def _regex(self) -> re.Pattern[str]:
-        number = rf"(?P<number>-?\d{{{self.digits},}})" if self.numbered else ""
+        # programs that count the minus among the digits write frame -3 of #### as -003
+        number = rf"(?P<number>\d{{{self.digits},}}|-\d{{{max(1, self.digits - 1)},}})" if self.numbered else ""
         name = re.escape(self.prefix) + number + re.escape(self.suffix)
         name = name.replace(re.escape(PLANE), r"(?P<plane>[^./]+)", 1)
         return re.compile(name.replace(re.escape(PLANE), r"(?P=plane)"), re.ASCII)
@@ -139,7 +141,8 @@ def pattern_of(path: Path) -> Pattern:
         return Pattern(str(path))
     before = len(str(path)) - len(path.name)
     name = str(path)
-    return Pattern(name[: before + match.start()], name[before + match.end() :], len(match.group()))
+    digits = len(match.group().lstrip("-"))
+    return Pattern(name[: before + match.start()], name[before + match.end() :], digits)
 
 
 def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
@@ -148,11 +151,11 @@ def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
     SequenceError when the folder cannot be read.
     """
     found: dict[tuple[str, str], Pattern] = {}
-    for path in _listed(folder):
+    for path in sorted(_listed(folder), key=lambda path: (number_in_name(path) or 0) < 0):
         if path.suffix.lower() in suffixes and not path.name.startswith(".") and os.path.isfile(path):
             pattern = pattern_of(path)
             known = found.setdefault((pattern.prefix, pattern.suffix), pattern)
-            if pattern.numbered and pattern.digits < known.digits:
+            if pattern.numbered and pattern.digits < known.digits and number_in_name(path) >= 0:
                 found[pattern.prefix, pattern.suffix] = pattern
     return list(found.values())
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable, Iterator
 from itertools import takewhile
+from operator import index
 from os import PathLike
 from pathlib import Path
 
@@ -27,7 +28,7 @@ class Sequence:
 
     Planes are in arrays of `scratch`, if it is given, and are read piece by piece. A frame read after another than its
     predecessor on the disk is marked as a cut (`Frame.reset`), because its motion vectors lead to a frame that was left
-    out.
+    out; while iterating, what else is read meanwhile does not count.
 
     Attributes:
         pattern: how the files are named.
@@ -74,7 +75,7 @@ class Sequence:
         self._step = _step(list(self._found))
         self._last: int | None = None
         wanted = frames if frames is not None else named or self._on_disk()
-        self.numbers = tuple(parse_frames(wanted) if isinstance(wanted, str) else map(int, wanted))
+        self.numbers = tuple(parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted))
         if self.guides and not self.guides.pattern.numbered and len(self.numbers) > 1:
             raise SequenceError(f"{guides}: one file of guides for {len(self)} frames: name them like guides.####.exr")
 
@@ -82,8 +83,10 @@ class Sequence:
         return len(self.numbers)
 
     def __iter__(self) -> Iterator[Frame]:
-        self.rewind()
-        return (self.read(number) for number in self.numbers)
+        previous = None
+        for number in self.numbers:
+            yield self._read(number, previous)
+            previous = number
 
     def reader(self) -> Sequence:
         """The same frames, read as they are now, for whoever reads them beside: `left_alone` is its own."""
@@ -163,14 +166,7 @@ class Sequence:
 
         Raises MissingFrameError, MissingPlaneError, GuideError or ReadError.
         """
-        with self.open(number) as files:
-            frame = files.read(number, self.planes if planes is None else planes, guides, self._scratch)
-            if files.alone:
-                self.left_alone.add(files.alone.shares)
-        self.colours.apply(frame)
-        after_gap = self._is_after_gap(number)  # asked for every frame, as it keeps the number
-        frame.reset = (frame.reset if self.cuts is None else number in self.cuts) or after_gap
-        return frame
+        return self._read(number, self._last, planes, guides)
 
     def begins_shot(self, number: int) -> bool:
         """Whether a frame is said to begin a shot, by the constructor's cuts or its header, whose errors are raised."""
@@ -185,8 +181,22 @@ class Sequence:
             files.read(number, [Role.STRENGTH], [])
             return files.alone.shares
 
-    def _is_after_gap(self, number: int) -> bool:
-        previous, self._last = self._last, number
+    def _read(
+        self, number: int, previous: int | None, planes: Iterable[Role] | None = None,
+        guides: Iterable[Role] | None = None
+    ) -> Frame:
+        """A frame that comes after `previous`."""
+        with self.open(number) as files:
+            frame = files.read(number, self.planes if planes is None else planes, guides, self._scratch)
+            if files.alone:
+                self.left_alone.add(files.alone.shares)
+        self.colours.apply(frame)
+        self._last = number
+        after_gap = self._is_after_gap(number, previous)
+        frame.reset = (frame.reset if self.cuts is None else number in self.cuts) or after_gap
+        return frame
+
+    def _is_after_gap(self, number: int, previous: int | None) -> bool:
         if previous is None or previous == number - self._step:
             return False
         warning = "frames are not consecutive: history is dropped where one was left out"

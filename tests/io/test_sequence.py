@@ -60,6 +60,42 @@ def test_malformed_ranges(text):
         parse_frames(text)
 
 
+@pytest.mark.parametrize("name", ["n.{:04d}.exr", "n_{:04d}.exr", "{:04d}.exr"])
+@pytest.mark.parametrize("signed", ["-{:04d}", "-{:03d}"], ids=["beside the digits", "among the digits"])
+def test_frames_before_zero_are_in_order_of_time(shot, tmp_path, name, signed):
+    """However wide a program makes a number with a minus, in a folder, by a pattern and by one file's name."""
+    shot(0, 1, name=name)
+    for number in (-2, -1):
+        shot(number, name=name.replace("{:04d}", signed.format(-number)))
+    for source in (tmp_path, tmp_path / name.replace("{:04d}", "%04d")):
+        frames = list(read_sequence(source))
+        assert [frame.number for frame in frames] == [-2, -1, 0, 1] and not any(frame.reset for frame in frames)
+        assert [frame[Role.COLOUR][0, 0, 0] for frame in frames] == [-2, -1, 0, 1]
+    (frame,) = read_sequence(tmp_path / name.replace("{:04d}", signed.format(2)))
+    assert frame.number == -2
+    for path in tmp_path.glob("*00[01].exr"):
+        if "-" not in path.name:
+            path.unlink()
+    assert [frame.number for frame in read_sequence(tmp_path)] == [-2, -1]
+
+
+def test_a_hyphen_before_a_number_is_no_minus(shot):
+    assert [frame.number for frame in read_sequence(shot(1, 2, name="shot-{:04d}.exr"))] == [1, 2]
+
+
+def test_iterations_do_not_make_cuts_in_each_other(shot):
+    sequence = read_sequence(f"{shot(1, 2, 3, 4)}/shot.####.exr")
+    assert [(one.reset, other.reset) for one, other in zip(sequence, sequence, strict=True)] == [(False, False)] * 4
+    assert [frame.reset for frame in sequence if list(sequence) and sequence.read(1)] == [False] * 4
+    frames = iter(sequence)
+    assert [next(frames).reset, next(frames).reset, sequence.read(4).reset] == [False, False, True]
+
+
+def test_frames_are_whole_numbers(shot):
+    with pytest.raises(TypeError):
+        read_sequence(f"{shot(1, 2)}/shot.####.exr", frames=[1.5])
+
+
 def test_a_hole_is_reported_by_name_when_it_is_reached(shot):
     frames = iter(read_sequence(f"{shot(1, 2, 4)}/shot.####.exr"))
     assert [next(frames).number, next(frames).number] == [1, 2]
