@@ -75,6 +75,8 @@ class Job:
         with self.sequence.open(first_readable(self.sequence, policy)) as files:
             self.left_out += left_out_for(arguments, files)
             self.plan = self.pipeline.explain(self._both.spec(files.spec()))
+        if self.outputs:
+            self.outputs.refuse_few_bits(self.plan.output.encoding)
         said = len(self.left_out)
         plain = self._passes(without_denoising(arguments, self.plan)) if policy is OnError.COPY else None
         del self.left_out[said:]

@@ -20,7 +20,7 @@ from postfx.io.png import write_png
 from postfx.io.tags import JPEG
 from postfx.io.windows import Pixels
 
-OPAQUE = 3  # channels; OpenImageIO divides PNG's colour by alpha, in light
+OPAQUE = 3  # channels
 _PIECE = 16 << 20  # bytes in float32 that are converted and written at once
 
 

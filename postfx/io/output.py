@@ -10,7 +10,7 @@ from pathlib import Path
 from postfx.errors import OutputExistsError, WriteError
 from postfx.io.pattern import PLANE, Pattern, parse_pattern
 from postfx.io.sequence import Sequence
-from postfx.io.writer import is_display_format
+from postfx.io.writer import is_display_format, refuse_few_bits
 from postfx.texts import is_utf8, printable
 
 
@@ -54,6 +54,10 @@ class OutputFiles:
             for path in map(self.path, numbers):
                 if os.path.lexists(path):
                     raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")
+
+    def refuse_few_bits(self, encoding: str) -> None:
+        """WriteError where the format has too few bits for code values of an encoding."""
+        refuse_few_bits(Path(str(self._pattern)), encoding)
 
     def _refuse_inputs(self, sequence: Sequence) -> None:
         """No input may be replaced, whatever links, `..` or letter case lead there, and no output may become a frame of

@@ -31,6 +31,7 @@ WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
 _DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays only
 _PNG_LEVEL, _PNG_PAETH = 3, 128  # with alpha: half the time of level 6 and a filter chosen for each row, for 4 % more
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
+SRGB_DISPLAY = parse_display("srgb")
 OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 
 
@@ -40,6 +41,13 @@ def is_display_format(path: str | PathLike[str]) -> bool:
     if suffix not in WRITABLE:
         raise WriteError(f"{path}: unknown format '{suffix}': use {', '.join(WRITABLE)}")
     return suffix in DISPLAY_FORMATS
+
+
+def refuse_few_bits(path: Path, encoding: str) -> None:
+    """WriteError where files of this name have too few bits for code values of an encoding."""
+    display = None if encoding in LINEAR else parse_display(encoding)
+    if display and display.hdr and path.suffix.lower() in JPEG:
+        raise WriteError(f"{path}: JPEG has too few bits for {display.kind.title}: write PNG or TIFF")
 
 
 def write_frame(
@@ -115,18 +123,27 @@ def _linear_pixels(frame: Frame, half: bool) -> Pixels:
 
 def _code_pixels(frame: Frame, path: Path, dither: Dither) -> Pixels:
     suffix, display = path.suffix.lower(), _display_of(frame)
-    if display and display.hdr and suffix in JPEG:
-        raise WriteError(f"{path}: JPEG has too few bits for {display.kind.title}: write PNG or TIFF")
+    refuse_few_bits(path, frame.encoding)
     opaque = Role.ALPHA not in frame or suffix in JPEG or frame[Role.ALPHA].min() >= 1
+    straight = suffix == ".png" and not opaque
     bits = 16 if suffix in _DEEP or (display and display.hdr) else 8
 
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
         codes = colour if display else SRGB.encode(colour)
+        codes = _straight(codes, frame[Role.ALPHA][rows], display or SRGB_DISPLAY) if straight else codes
         pixels = codes if opaque else _with_alpha(codes, frame, rows)
         return quantise(pixels, bits, dither, frame.number, rows.start)
 
     return convert
+
+
+def _straight(codes: np.ndarray, alpha: np.ndarray, display: Display) -> np.ndarray:
+    """Codes (h, w, 3) of light without alpha (h, w, 1) in it, as PNG wants them (PNG specification, 6.2)."""
+    partly = (alpha[..., 0] > 0) & (alpha[..., 0] < 1)
+    found = np.array(codes)
+    found[partly] = display.encode(light_of(codes[partly], display) / alpha[partly])
+    return found
 
 
 def _with_alpha(colour: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
@@ -150,7 +167,9 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) 
     spec.channelnames = ("R", "G", "B", "A")[: channels - len(layer)] + layer
     display = _display_of(frame)
     if shown:
-        tag_codes(spec, display or parse_display("srgb"), path)
+        tag_codes(spec, display or SRGB_DISPLAY, path)
+        if path.suffix.lower() == ".png":
+            spec.attribute("oiio:UnassociatedAlpha", 1)
         if path.suffix.lower() in JPEG:  # TIFF would take it for a level of deflate
             spec.attribute("CompressionQuality", 95)
         spec.attribute("png:compressionLevel", _PNG_LEVEL)

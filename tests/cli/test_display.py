@@ -80,6 +80,7 @@ def test_hdr_does_not_fit_into_jpeg(postfx, shot):
     shot(1)
     done = postfx(*RUN, "-o", "out/a.####.jpg", "--display", "pq")
     assert done.code == 2 and "JPEG has too few bits" in done.err
+    assert done.err.count("\n") == 1  # before any frame
 
 
 def test_a_look_becomes_a_table_and_the_table_a_look(postfx, shot, tmp_path):

@@ -7,6 +7,7 @@ import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
+from postfx.colour.displays import parse_display
 from postfx.colour.primaries import REC709
 from postfx.errors import OutputExistsError, WriteError
 from postfx.frame import Frame, Role
@@ -85,8 +86,24 @@ def test_transparent_pictures_keep_alpha(frame, tmp_path):
     frame.planes[Role.ALPHA][:] = 0.5
     frame.planes[Role.COLOUR][:] = 0.25
     frame.encoding = "srgb"
-    with_alpha = pixels_of(write_frame(tmp_path / "a.png", frame))
+    with_alpha = pixels_of(write_frame(tmp_path / "a.tif", frame))
     np.testing.assert_allclose(with_alpha[0, 0], [0.25, 0.25, 0.25, 0.5], atol=0.005)
+
+
+@pytest.mark.parametrize("encoding", ["scene-linear", "srgb", "rec709", "pq"])
+def test_png_holds_light_without_alpha_in_it(frame, tmp_path, encoding):
+    frame.planes[Role.ALPHA][:] = np.linspace(0, 1, 16, dtype=np.float32)[:, None]
+    frame.planes[Role.COLOUR][:] = 0.1 * frame[Role.ALPHA]
+    display = parse_display("srgb" if encoding == "scene-linear" else encoding)
+    if encoding != "scene-linear":
+        frame.planes[Role.COLOUR][:], frame.encoding = display.encode(frame[Role.COLOUR]), encoding
+    config = oiio.ImageSpec()
+    config["oiio:UnassociatedAlpha"] = 1
+    image = oiio.ImageInput.open(str(write_frame(tmp_path / "a.png", frame, dither="none")), config)
+    stored = image.read_image("float")
+    np.testing.assert_allclose(stored[..., 3], frame[Role.ALPHA][..., 0], atol=0.003)
+    np.testing.assert_allclose(stored[:, 1:, :3], display.encode(np.full((12, 15, 3), 0.1)), atol=0.003)
+    assert not stored[:, 0, :3].any()
 
 
 def test_header_is_kept_and_windows_are_scaled(write_exr, tmp_path, ramp):
