@@ -72,6 +72,18 @@ def test_blender_multi_part(write_parts, ramp):
     np.testing.assert_array_equal(frame[Role.MOTION][:, :, 1], -channels["ViewLayer.Vector.Y"])
 
 
+def test_a_layer_combined_is_not_blenders_by_itself(write_exr, ramp):
+    layers = {"combined": "RGB", "albedo": "RGB", "motion": "XY", "normal": "XYZ"}
+    channels = {f"{layer}.{key}": pixels for layer, keys in layers.items() for key, pixels in ramp(*keys).items()}
+    with open_files(write_exr("a.exr", channels)) as files:
+        frame = files.read(1)
+    assert files.layout.profile.name == "generic"
+    assert set(frame.planes) == {Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.MOTION, Role.NORMAL}
+    colour = ramp("Combined.R", "Combined.G", "Combined.B")
+    with open_files(write_exr("b.exr", colour, Software="Blender 5.0.1")) as files:
+        assert files.layout.profile.name == "cycles-5"
+
+
 def test_blender_4_by_its_header_or_its_names(write_exr, ramp):
     with open_files(write_exr("a.exr", blender_channels(ramp, "View Layer"), Software="Blender 4.5.3")) as files:
         assert files.layout.profile.name == "cycles-4"
