@@ -55,8 +55,8 @@ class Backwards:
         prepare: what is done to the frames that are read before they are run, as to those in order.
         options: of `DenoiseUpscale`, the same as for the frames in order.
 
-    The sequence is run in parts of PART frames, each from its last one to its first, beginning a run-up after it:
-    so a frame's result does not depend on which frames were asked for. Frames that cannot be read are no error here.
+    The sequence is run in parts of PART frames, each from its last one to its first, beginning a run-up after it, also
+    where the sequence ends and there are more frames on the disk. Frames that cannot be read are no error here.
 
     Attributes:
         milliseconds: what the last frame took on the device in reverse order; None where that was not needed.
@@ -65,8 +65,9 @@ class Backwards:
     def __init__(self, sequence: Sequence, device: Device | None = None,
                  exposure: str | float | ExposureMeter | SmoothExposure = "auto", cuts: str = "auto",
                  prepare: Callable[[Frame], Frame] = lambda frame: frame, **options: Any) -> None:
-        self._given, self._numbers = sequence, sequence.numbers
-        self._at = {number: index for index, number in enumerate(self._numbers)}
+        after = sequence.after(sequence.numbers[-1], RUN_UP) if sequence.numbers else ()
+        self._given, self._numbers, self._asked = sequence, (*sequence.numbers, *after), len(sequence)
+        self._at = {number: index for index, number in enumerate(sequence.numbers)}
         self._pass = DenoiseUpscale(**options)
         self._pipeline = Pipeline([self._pass], device, exposure, cuts)
         self._prepare = prepare
@@ -137,7 +138,7 @@ class Backwards:
 
     def _ends(self, index: int) -> tuple[int, int]:
         """Where a frame's part ends, and where its run begins."""
-        end = min((index // PART + 1) * PART, len(self._numbers))
+        end = min((index // PART + 1) * PART, self._asked)
         return end, min(end + RUN_UP, len(self._numbers))
 
     def _run(self, first: int, check: Callable[[], None]) -> None:

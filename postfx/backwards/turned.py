@@ -57,7 +57,7 @@ class Followed:
         cut = self._detector is not None and self._detector(frame)
         if self._before and not (cut or frame.reset) and Role.MOTION in frame:
             follow(frame[Role.MOTION], depth, *self._before, MOST, count)
-        self._before = depth, count
+        self._before = depth.copy(), count  # the caller may write the next frame into the same arrays
         return count
 
 

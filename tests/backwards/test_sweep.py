@@ -88,6 +88,14 @@ def test_a_frame_does_not_depend_on_which_are_asked_for(noisy, device, monkeypat
         np.testing.assert_array_equal(fresh(sequence.read(number)).guides[Role.LATER], whole[number])
 
 
+def test_frames_after_those_that_are_asked_for_count_too(noisy, device):
+    whole, part = noisy(8), Sequence(noisy(8).pattern.path(1).parent / "shot.####.exr", "3-4")
+    wanted, found = (Backwards(sequence, device, 0.0, model="s")(sequence.read(4)) for sequence in (whole, part))
+    np.testing.assert_array_equal(found.guides[Role.LATER][..., :3] != 0, wanted.guides[Role.LATER][..., :3] != 0)
+    assert np.allclose(found.guides[Role.LATER][..., 3], 5 / 7, atol=1e-6)  # 5 frames, and 2 that were asked for
+    assert part.numbers == (3, 4)
+
+
 def test_parts_are_run_from_behind_with_a_run_up(noisy, device, monkeypatch):
     monkeypatch.setattr(sweep, "PART", 3)
     monkeypatch.setattr(sweep, "RUN_UP", 2)

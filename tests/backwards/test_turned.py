@@ -123,3 +123,13 @@ def test_a_cut_counts_from_one():
     assert (followed(moving((0, 0), reset=True)) == 1).all()
     followed.reset()
     assert (followed(moving((0, 0))) == 1).all()
+
+
+def test_frames_may_come_in_the_same_arrays():
+    one, other = Followed(), Followed()
+    frame = moving((0, 0))
+    for number in range(3):
+        wanted = other(moving((0, 0), depth=4 + number))
+        frame[Role.DEPTH][:] = 4 + number
+        np.testing.assert_array_equal(one(frame), wanted)
+        frame[Role.DEPTH][:] = 1000
