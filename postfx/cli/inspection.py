@@ -66,7 +66,7 @@ class Inspection:
             "guides": _guides(frame, self._reading),
             "missing": [
                 {"role": str(role), "mend": material.enable.get(role, "")}
-                for role in Role if role not in frame and role not in ERROR_ROLES
+                for role in Role if role not in frame and role not in (*ERROR_ROLES, Role.LATER)
             ],
             "header": _header(frame),
             "warnings": sequence.warnings,

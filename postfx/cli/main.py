@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 
@@ -14,6 +15,7 @@ from postfx.limits import usable_cores
 VERBS = (run, verify, inspect, exposure, bench, models, lut, capture_compare)
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
+EXIT_PIPE = 141
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -22,10 +24,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = make_parser().parse_args(argv)
     _read_and_write_by(getattr(arguments, "threads", None) or usable_cores())
     try:
-        return arguments.execute(arguments)
+        code = arguments.execute(arguments)
+        sys.stdout.flush()
+        return code
     except PostfxError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_ERROR
+    except BrokenPipeError:  # whoever reads has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_PIPE
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
         print(f"error: {name}{error.strerror or error}: check the path and its rights", file=sys.stderr)

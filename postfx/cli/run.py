@@ -67,7 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--guides", metavar="GUIDES", help="frames of planes at output size, named like INPUT and numbered alike"
     )
-    parser.add_argument("--frames", metavar="RANGE", help="frames to process, e.g. 1-100, 1-100x2 or 1,5,8-12")
+    parser.add_argument("--frames", metavar="RANGE", help="frames to process, e.g. 1-100, 1-100x2 or "
+                        "1,5,8-12; from below 0 as --frames=-10-20")
     existing = parser.add_mutually_exclusive_group()
     existing.add_argument("--overwrite", action="store_true", help="replace output files that are there")
     existing.add_argument(
@@ -142,7 +143,8 @@ def _add_passes(group: argparse._ArgumentGroup) -> None:
     )
     size.add_argument(
         "--size", type=_size, metavar="WxH",
-        help="size of the output, e.g. 1920x1080: frames may change their size between it and a third of it",
+        help="size of the output with all overscan, e.g. 1920x1080: frames may change their size between it and a "
+        "third of it",
     )
     group.add_argument("--no-denoise", action="store_true", help="leave denoising and upscaling out")
     group.add_argument("--model", metavar="TAG", help="denoiser: s, m (default) or l in the device's fast "

@@ -60,7 +60,7 @@ def _fixed(spec: FrameSpec, size: Size) -> Size:
     if abs(high - spec.height) > max(1, ASPECT * high) and abs(wide - spec.width) > max(1, ASPECT * wide):
         fitting = Size(round(high), spec.width)
         raise FrameError(f"{found} has another aspect than the output, {size}: render it at {fitting}, or give a size "
-                         "of its aspect")
+                         "of its aspect (both with all overscan)")
     if not all(side <= outer <= MOST * side for side, outer in ((spec.height, size.height), (spec.width, size.width))):
         least = Size(*(-(-side // int(MOST)) for side in size))
         raise FrameError(f"{found} cannot become {size}, which is 1 to 3 times as large as what it is made of: render "

@@ -39,7 +39,9 @@ class Library:
             if (folder / f"{name}.onnx").is_file():
                 return folder / f"{name}.onnx"
         where = ", ".join(str(folder) for folder in self.folders)
-        raise ModelError(f"no model '{name}' in {where}: there are {', '.join(self.names()) or 'none'}")
+        known = self.names()
+        alike = [other for other in known if other.split(".")[0] == name.split(".")[0]] or known
+        raise ModelError(f"no model '{name}' in {where}: there are {', '.join(alike) or 'none'}")
 
     def card(self, name: str) -> dict[str, Any]:
         """The model's card, empty when it has none. Raises ModelError when the card is not a JSON object."""

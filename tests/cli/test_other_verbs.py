@@ -26,6 +26,14 @@ def test_help_loads_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
+def test_a_reader_that_has_enough_is_no_error():
+    command = [sys.executable, "-m", "postfx", "models"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 141
+
+
 def test_version(postfx):
     assert postfx("--version").out.strip() == f"postfx {library.__version__}"
 
@@ -38,6 +46,7 @@ def test_inspect_shows_planes_missing_and_values(postfx, shot):
     assert "profile generic (Generic names), 48x32" in done.out
     assert any(line.split() == ["depth", "depth.Z", "3", "..", "3"] for line in done.out.splitlines())
     assert "missing  normal" in done.out
+    assert "later" not in done.out  # no renderer makes it
     assert "frames without a file: 3" in done.out
 
 
