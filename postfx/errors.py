@@ -1,8 +1,24 @@
 """Errors a user can mend. Each message is one line that names the file, the plane and the mend."""
 
 
+from __future__ import annotations
+
+from typing import Any
+
+
 class PostfxError(Exception):
     """Base of every error that postfx raises on purpose; the command line prints it as ``error: ...`` and exits 2."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # as it is pickled by default, an error whose constructor takes more than a message cannot be made again
+        return _restored, (type(self), self.args, self.__dict__)
+
+
+def _restored(kind: type[PostfxError], args: tuple[Any, ...], attributes: dict[str, Any]) -> PostfxError:
+    """An error that came from another process."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(attributes)
+    return error
 
 
 class FrameError(PostfxError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 
 import numpy as np
@@ -13,7 +13,7 @@ from postfx.frame import GUIDE_ROLES, Frame, FrameSpec, Role
 from postfx.passes.base import MOST_SIZES, PassContractError, ResidentFrame
 from postfx.plan import Plan, Step
 from postfx.recent import Recent
-from postfx.runtime import CommandBuffer, Device, Tensor
+from postfx.runtime import CommandBuffer, CommandError, Device, Tensor
 
 MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
 """Planes and guides of all sizes that are kept ready."""
@@ -78,8 +78,19 @@ class Flow:
             commands.commit()
         finally:
             commands.discard()
-        commands.wait()
+        _wait(commands)
         self.timings = {step.name: _milliseconds(commands, step.name) for step in steps}
+
+
+def _wait(commands: CommandBuffer) -> None:
+    try:
+        commands.wait()
+    except CommandError:
+        raise
+    except BaseException:  # as by Ctrl-C: the planes are in use until the commands are done
+        with suppress(CommandError):
+            commands.wait()
+        raise
 
 
 def _resident(

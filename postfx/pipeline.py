@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from typing import Any
@@ -25,16 +27,25 @@ RunUp = Callable[[Frame, Callable[[Frame], None]], Frame]
 
 
 @cache
+def _device_of(process: int) -> Device:
+    return Device("auto")
+
+
 def default_device() -> Device:
     """The device of pipelines that are given none: one for the process."""
-    return Device("auto")
+    with _ONE_AT_A_TIME:
+        return _device_of(os.getpid())
+
+
+_ONE_AT_A_TIME = threading.Lock()
 
 
 class Pipeline:
     """Runs passes on frame after frame and keeps their history between calls.
 
     Args:
-        passes: in the order in which they run; those that would change nothing are skipped.
+        passes: in the order in which they run, each of this pipeline alone; those that would change nothing are
+            skipped.
         device: where to run; default: one device shared by the process.
         exposure: 'auto', 'metadata' or a number of stops, see `postfx.exposure.ExposureMeter`; or a meter, such as a
             `postfx.exposure.SmoothExposure` of the whole sequence.
@@ -78,16 +89,25 @@ class Pipeline:
         self._flow = Flow(self.device)
 
     def __call__(self, frame: Frame) -> Frame:
-        """The frame after all passes; the given frame is not changed.
+        """The frame after all passes; the given frame is not changed. For one thread at a time.
 
         Planes and guides that no pass touches are passed on as they are, unless a pass changed the size. Compiles when
         the frame's spec is not the last one's, which drops the history of passes that cannot go on with frames of
-        another size. When a pass fails, the history is dropped and the error is raised.
+        another size. When anything fails, the history is dropped and the error is raised; FrameError for planes that do
+        not fit together.
         """
+        try:
+            # planes may have been put into it since it was made
+            return self._processed(dataclasses.replace(frame, metadata=dict(frame.metadata)))
+        except BaseException:
+            self._reset_passes()
+            raise
+
+    def _processed(self, frame: Frame) -> Frame:
         plan, self.ahead = self._planned(frame.spec), ()
         if not plan.steps:
             self.timings, self.exposure, self.cut, self.broken = {}, None, False, {}
-            return dataclasses.replace(frame)
+            return frame
         frame, self.broken = mended(frame, plan.planes, self.device.scratch)
         self.cut = self._is_cut(frame)
         if self.cut:
@@ -95,12 +115,8 @@ class Pipeline:
         if frame.reset:
             self._reset_passes()
         self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
-        try:
-            run = self._run_up_to(frame, plan)
-            result = self._flow.run(run, plan, self.exposure, is_lost(frame, self.broken), frame)
-        except BaseException:
-            self._reset_passes()
-            raise
+        run = self._run_up_to(frame, plan)
+        result = self._flow.run(run, plan, self.exposure, is_lost(frame, self.broken), frame)
         self._begins, self.timings = False, self._flow.timings
         return result
 
@@ -149,6 +165,8 @@ class Pipeline:
         self.reset()
         self._planned(frame.spec)
         try:
+            for key in history:
+                self._rememberers()[key.partition("/")[0]]
             for name, part in self._rememberers().items():
                 own = {key.removeprefix(f"{name}/"): a for key, a in history.items() if key.startswith(f"{name}/")}
                 part.recall(own)
@@ -190,7 +208,7 @@ class Pipeline:
 
     def _run_ahead(self, plan: Plan, steps: Sequence[Step], frame: Frame) -> None:
         """Run a frame, of which nothing but the history is wanted, as far as passes profit from it."""
-        frame, broken = mended(frame, plan.planes, self.device.scratch)
+        frame, broken = mended(dataclasses.replace(frame), plan.planes, self.device.scratch)
         if frame.reset:
             self._reset_passes()
         self._flow.run_ahead(frame, plan, steps, self.exposure, is_lost(frame, broken))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import mmap
 import re
@@ -53,13 +54,12 @@ class Scratch:
 
     def mapped(self, nbytes: int) -> mmap.mmap:
         """A temporary file of zeros; it is gone when nothing refers to its mapping."""
-        with tempfile.TemporaryFile(prefix="postfx-") as file:
-            try:
+        try:
+            with tempfile.TemporaryFile(prefix="postfx-") as file:
                 file.truncate(nbytes)
                 found = mmap.mmap(file.fileno(), nbytes)
-            except OSError as error:
-                full = f"{tempfile.gettempdir()}: no room for {nbytes >> 20} MB: set TMPDIR to a larger disk"
-                raise MemoryBudgetError(full) from error
+        except OSError as error:
+            raise MemoryBudgetError(_refused(error, nbytes)) from error
         self._maps.add(found)
         return found
 
@@ -74,3 +74,9 @@ class Scratch:
         for first in range(0, rows, step):
             yield first, min(rows, first + step)
             self.relax()
+
+
+def _refused(error: OSError, nbytes: int) -> str:
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return "too many open files, as every large plane that is kept is one: keep fewer frames, or raise 'ulimit -n'"
+    return f"{tempfile.gettempdir()}: no room for {nbytes >> 20} MB: set TMPDIR to a larger disk"

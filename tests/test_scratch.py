@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from types import SimpleNamespace
 
 import numpy as np
@@ -81,6 +82,15 @@ def test_frames_in_tiles_have_no_seams(model: str) -> None:
         assert np.abs(found - wanted).max() < 1e-3
     bands = tiled.passes[0]._ready.frames._bands
     assert len(bands) * len(bands[0].tiles) > 1
+
+
+def test_too_many_open_files_are_no_full_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(**_: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    with pytest.raises(MemoryBudgetError, match="too many open files, .* keep fewer frames, or raise 'ulimit -n'"):
+        Scratch("1M").mapped(1 << 20)
 
 
 def test_a_budget_that_is_too_small_names_the_smallest_that_would_do() -> None:

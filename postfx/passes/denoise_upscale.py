@@ -29,6 +29,8 @@ from postfx.recent import Recent
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 PLANES = tuple(ABSENT)
+NETWORK = "network "
+"""The name of what a history says of the network that it is of ends in that one's tag."""
 
 
 class DenoiseUpscale(Pass):
@@ -169,13 +171,14 @@ class DenoiseUpscale(Pass):
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._fresh):
             return {}
-        known = {"exposure": np.float64(self._exposure), "network": np.int64(self._tags.index(self._used))}
+        known = {"exposure": np.float64(self._exposure), f"{NETWORK}{self._used}": np.int64(1)}
         return known | self._cameras.kept() | self._history.kept()
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)
         if self._fresh:
-            self._exposure, self._used = float(history["exposure"]), self._tags[int(history["network"])]
+            self._exposure = float(history["exposure"])
+            self._used = next(iter(key.removeprefix(NETWORK) for key in history if key.startswith(NETWORK)), None)
             self._history.use(self._ready.models[self._used])
             self._history.recall(history)
             self._cameras.recall(history)

@@ -39,7 +39,9 @@ def load(name: str) -> type[Pass]:
             found = _class_in(f"{__package__}.{name}", name)
         else:
             raise RegistryError(f"no pass '{name}': there are {', '.join(names())}")
-    except (ImportError, AttributeError) as error:
+    except RegistryError:
+        raise
+    except Exception as error:  # other people's code
         raise RegistryError(f"pass '{name}' cannot be loaded: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Pass)):
         raise RegistryError(f"pass '{name}' points to {found!r}, which is no subclass of postfx.passes.base.Pass")

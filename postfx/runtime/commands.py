@@ -105,10 +105,11 @@ class CommandBuffer:
         A buffer that was waited for may be committed again without recording: the same dispatches run on the same
         tensors, which may have been uploaded to in the meantime.
 
-        Raises HazardError (the buffer is then discarded), and EncodingError when an encoder is still open, when the
-        buffer was committed and not waited for, or when it was discarded.
+        Raises HazardError (the buffer is then discarded), EncodingError when an encoder is still open, when the
+        buffer was committed and not waited for, or when it was discarded, and DeviceError in a forked process.
         """
         self._require_no_encoder("be committed")
+        self.device.require_process()
         if self._state not in ("open", "done"):
             raise EncodingError(f"'{self.label}' cannot be committed: {_STATES[self._state]}")
         self._close("discarded")

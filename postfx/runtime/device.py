@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import threading
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -79,6 +80,7 @@ class Device:
         self._kernels = kernels
         self._compute_states: dict[Kernel, State] = {}
         self.models: dict[str, str] = {}
+        self._process = os.getpid()
         self._encoders = itertools.count()
         self.commit_lock = threading.Lock()
         self.results_lock = threading.RLock()
@@ -107,10 +109,12 @@ class Device:
         Args:
             copy: where the content has to be uploaded, a tensor of the same shape and type whose memory to take for it.
 
-        Raises BindingError when the array is not C-contiguous or of a type tensors cannot have.
+        Raises BindingError when the array is not C-contiguous or of a type or byte order tensors cannot have.
         """
         if not array.flags.c_contiguous:
             raise BindingError(f"array '{name}' is not C-contiguous: pass np.ascontiguousarray(array)")
+        if not array.dtype.isnative:
+            raise BindingError(f"array '{name}' has the byte order of other machines: pass it as {array.dtype.name}")
         if not self.memory.host_visible:
             copy = copy or self.heap.tensor(name, array.shape, array.dtype.name)
             tensor = Tensor(self, name, copy.shape, copy.dtype, Allocation(name, copy.start, copy.nbytes, owner=copy))
@@ -183,6 +187,12 @@ class Device:
         Raises CommandTimeout when it is not done in time, and in the end the first CommandError of those buffers.
         """
         wait_for_all(repr(self), self.hazards.in_flight(), timeout)
+
+    def require_process(self) -> None:
+        """DeviceError in a process that was forked since the device was made: its threads did not come along."""
+        if self._process != os.getpid():
+            raise DeviceError(f"{self!r} is of the process that this one was forked from: make it, and pipelines, here,"
+                              " or start processes by 'spawn'")
 
     def next_encoder(self) -> int:
         """A number for an encoder, rising in the order of recording."""

@@ -57,3 +57,11 @@ def test_broken_entry_points_are_reported_when_they_are_asked_for(monkeypatch, t
     assert "tonemap" in registry.names()
     with pytest.raises(registry.RegistryError, match=message):
         registry.load("foreign")
+
+
+def test_other_peoples_code_that_fails_is_reported_too(monkeypatch, tmp_path):
+    (tmp_path / "postfx_broken.py").write_text("raise RuntimeError('no licence')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(registry, "_installed", lambda: point("postfx_broken:Pass"))
+    with pytest.raises(registry.RegistryError, match="pass 'foreign' cannot be loaded: no licence"):
+        registry.load("foreign")

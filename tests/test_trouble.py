@@ -1,0 +1,161 @@
+"""Pipelines in programs: interrupted, given what does not fit, asked from other processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from postfx.errors import FrameError, MissingPlaneError
+from postfx.exposure import ExposureError
+from postfx.frame import Frame, Role
+from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.tonemap import ToneMap
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device, DeviceError, HazardError
+from tests import toys
+from tests.toys import make_frame
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    return Device("cpu", threads=1)
+
+
+def moving(number: int, **facts) -> Frame:
+    frame = make_frame(number, **facts)
+    frame.planes[Role.MOTION] = np.ones((*frame[Role.COLOUR].shape[:2], 2), np.float32)
+    return frame
+
+
+def test_an_interrupted_frame_is_waited_for(device, monkeypatch):
+    """Its planes are in use until then; the frame after it begins anew."""
+    pipeline = Pipeline([toys.Sum()], device)
+    pipeline(make_frame(1))
+    wait = threading.Event.wait
+
+    def interrupted(event, timeout=None):
+        monkeypatch.setattr(threading.Event, "wait", wait)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(threading.Event, "wait", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        pipeline(make_frame(2))
+    frame = make_frame(3)
+    assert np.array_equal(pipeline(frame)[Role.COLOUR], frame[Role.COLOUR])
+
+
+@pytest.mark.parametrize(("role", "plane", "message"), [
+    (Role.ALPHA, np.ones((8, 16, 1), np.float32), "planes of frame 1 differ in size: colour 6x4, alpha 16x8"),
+    (Role.STRENGTH, np.ones((2, 3), np.float32), "planes of frame 1 differ in size: colour 6x4, strength 3x2"),
+    (Role.DEPTH, np.ones((4, 6, 1), np.int32), "plane 'depth' of frame 1 is int32: give a NumPy array of floats"),
+])
+def test_planes_put_into_a_frame_are_looked_at(device, role, plane, message):
+    frame = make_frame(1, (6, 4))
+    frame.planes[role] = plane
+    with pytest.raises(FrameError, match=message):
+        Pipeline([ToneMap()], device)(frame)
+
+
+def test_planes_put_into_a_frame_may_be_of_any_float_and_flat(device):
+    frame, other = make_frame(1, (6, 4)), make_frame(1, (6, 4))
+    mask = np.linspace(0, 1, 24, dtype=np.float32).reshape(4, 6)
+    frame.planes[Role.STRENGTH], other.planes[Role.STRENGTH] = mask.astype(">f4"), mask[:, :, None]
+    found, wanted = (Pipeline([DenoiseUpscale(model="s")], device)(each) for each in (frame, other))
+    assert np.array_equal(found[Role.COLOUR], wanted[Role.COLOUR])
+
+
+def test_what_is_noted_in_a_result_is_not_in_the_frame(device):
+    frame = make_frame(1, metadata={"shot": "a"})
+    Pipeline([toys.Sum()], device)(frame).metadata["shot"] = "b"
+    assert frame.metadata == {"shot": "a"}
+
+
+@pytest.mark.parametrize("trouble", ["colour", "exposure"])
+def test_a_frame_that_fails_before_the_passes_ends_the_history_too(device, trouble):
+    pipeline = Pipeline([toys.Sum()], device, "metadata", "none")
+    pipeline(make_frame(1, exposure=1.0))
+    bad = make_frame(2, exposure=None if trouble == "exposure" else 1.0)
+    if trouble == "colour":
+        bad = Frame({Role.DEPTH: np.ones((4, 6, 1), np.float32)}, exposure=1.0)
+    with pytest.raises((ExposureError, MissingPlaneError)):
+        pipeline(bad)
+    frame = make_frame(3, exposure=1.0)
+    assert np.array_equal(pipeline(frame)[Role.COLOUR], frame[Role.COLOUR])
+
+
+@pytest.mark.parametrize("other", [[ToneMap(tag="local")], [DenoiseUpscale(model="m")]])
+def test_a_history_of_others_is_refused(device, other):
+    foreign = Pipeline(other, device)
+    foreign(moving(1))
+    pipeline = Pipeline([DenoiseUpscale(model="s")], device)
+    with pytest.raises(FrameError, match="frame 1: the history does not fit the passes"):
+        pipeline.recall(moving(1), foreign.history())
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_process_has_a_device_of_its_own(monkeypatch):
+    """Threads do not come along: what was made before would wait for ever."""
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")  # CUDA itself does not survive a fork
+    before = Pipeline([ToneMap()], Device("cpu", threads=1))
+    before(make_frame(1))
+    shared = Pipeline([ToneMap()]).device.name == "cpu"
+
+    def work(results):
+        try:
+            before(make_frame(2))
+        except DeviceError as error:
+            results.put(error)
+        results.put(Pipeline([ToneMap()], None if shared else Device("cpu"))(make_frame(2))[Role.COLOUR])
+
+    context = multiprocessing.get_context("fork")
+    results = context.Queue()
+    process = context.Process(target=work, args=(results,))
+    process.start()
+    error, colour = results.get(timeout=60), results.get(timeout=60)
+    process.join()
+    assert "make it, and pipelines, here" in str(error)
+    assert np.array_equal(colour, Pipeline([ToneMap()], Device("cpu"))(make_frame(2))[Role.COLOUR])
+
+
+LEAVES = """
+import os, signal, sys, threading, time
+import numpy as np
+import postfx
+from postfx.frame import Frame, Role
+passes = postfx.Pipeline([postfx.DenoiseUpscale(model="m.fp32")], postfx.Device("cpu", threads=1))
+frame = Frame({Role.COLOUR: np.ones((270, 480, 3), np.float32)})
+passes(frame)
+def run():
+    while True:
+        passes(frame)
+if sys.argv[1] == "main":
+    threading.Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+    run()
+threading.Thread(target=run, daemon=True).start()
+time.sleep(0.2)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are others")
+@pytest.mark.parametrize(("thread", "code"), [("main", -signal.SIGINT), ("other", 0)])
+def test_a_process_ends_while_a_frame_is_computed(thread, code):
+    """Not by an abort, which its thread inside of a library would cause."""
+    found = subprocess.run([sys.executable, "-c", LEAVES, thread], capture_output=True, text=True, timeout=120)
+    assert found.returncode == code, found.stderr
+    assert "terminate called" not in found.stderr
+
+
+def test_errors_come_back_from_other_processes(device):
+    with pytest.raises(HazardError) as caught:
+        _ = device.heap.tensor("x", (3,)).array
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert type(again) is HazardError and str(again) == str(caught.value)
+    assert (again.kind, again.tensor, again.second) == (caught.value.kind, "x", caught.value.second)
