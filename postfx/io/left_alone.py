@@ -13,7 +13,7 @@ from postfx.io.cryptomattes import CryptomattePlanes, cryptomattes
 from postfx.io.layout import Header, Layout
 from postfx.scratch import Scratch
 from postfx.strength import converged
-from postfx.strength.cryptomatte import share_of, snapped
+from postfx.strength.cryptomatte import claimed, share_of, snapped
 from postfx.strength.entries import AUTO, Entry, StrengthError
 from postfx.strength.ids import range_of, within
 from postfx.strength.misses import READS, strength_in_bands
@@ -130,20 +130,18 @@ class LeftAlone:
 
     def _row_bytes(self, width: int) -> int:
         """Bytes of a row of all planes of ids, as read and as worked on."""
-        return 8 * width * (2 + len(self._numbered) + sum(len(layer.channels) for layer in self._named))
+        shares = sum(len(layer.channels) + len(set(ids.values())) for layer, ids in self._named.items())
+        return 8 * width * (2 + len(self._numbered) + shares)
 
     def _of_ids(self, rows: tuple[int, int]) -> np.ndarray:
         """Strength of some rows by ids alone; what it covers is counted."""
         strength = np.ones((rows[1] - rows[0], self._size[0]), np.float32)
-        for layer, ids in self._named.items():
-            pixels = read_channels(dict.fromkeys(layer.channels, 0.0), rows)
-            ranks = [pixels[channel] for channel in layer.channels]
-            lost = np.zeros_like(strength)
-            for entry in dict.fromkeys(ids.values()):
-                share = share_of(ranks, {key: 1.0 for key, owner in ids.items() if owner == entry})
-                lost += (1 - entry.strength) * share
-                self._count(entry, share)
-            strength *= snapped(1 - lost)
+        owned = [self._owned(layer, rows) for layer in self._named]
+        found = [entry for entry in dict.fromkeys(reversed(self._entries)) if any(entry in shares for shares in owned)]
+        for entry, share in claimed(owned, found[::-1]):
+            strength -= (1 - entry.strength) * share
+            self._count(entry, share)
+        strength = snapped(strength)
         for channel, entries in self._numbered.items():
             ids, own = channel.file.read_ids(channel.part, channel.name, rows), np.ones_like(strength)
             for entry in entries:
@@ -152,6 +150,13 @@ class LeftAlone:
                 self._count(entry, inside)
             strength *= own
         return strength[:, :, None]
+
+    def _owned(self, layer: CryptomattePlanes, rows: tuple[int, int]) -> dict[Entry, np.ndarray]:
+        """Shares of some rows, by the entry that counts for an id: the last one."""
+        pixels, ids = read_channels(dict.fromkeys(layer.channels, 0.0), rows), self._named[layer]
+        ranks = [pixels[channel] for channel in layer.channels]
+        return {entry: share_of(ranks, {key: 1.0 for key, owner in ids.items() if owner == entry})
+                for entry in dict.fromkeys(ids.values())}
 
     def _without_misses(
         self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray], scratch: Scratch | None

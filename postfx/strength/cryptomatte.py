@@ -7,9 +7,11 @@ Cryptomatte specification, version 1.2.0).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import reduce
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +21,7 @@ LEAST = 1e-3
 """Strengths this close to 0 or 1 become 0 or 1: shares do not sum up to 1 to the last bit."""
 NEAREST = 5
 _BITS = 0xFFFFFFFF
+Key = TypeVar("Key")
 
 
 def id_of_name(name: str) -> int:
@@ -65,10 +68,14 @@ class Cryptomatte:
         return [folded[name] for name in get_close_matches(entry.name.lower(), folded, NEAREST, 0.4)]
 
     def _number(self, text: str) -> int:
+        wrong = StrengthError(f"'{text}' is no id of a Cryptomatte: give 0x and 8 hexadecimal digits")
         try:
-            return int(text, 16) & _BITS
+            found = int(text, 16)
         except ValueError:
-            raise StrengthError(f"'{text}' is no id of a Cryptomatte: give 0x and 8 hexadecimal digits") from None
+            raise wrong from None
+        if found > _BITS:
+            raise wrong
+        return found
 
     def _checked(self, name: str) -> int:
         found, hashed = self.manifest[name], id_of_name(name)
@@ -115,6 +122,21 @@ def share_of(planes: Sequence[np.ndarray], weights: Mapping[int, float]) -> np.n
         known = np.clip(np.nan_to_num(share, nan=0.0), 0, 1)
         total += np.where(ids[at] == bits, factors[at] * known, np.float32(0))
     return np.minimum(total, factors.max())
+
+
+def claimed(owned: Sequence[Mapping[Key, np.ndarray]], keys: Sequence[Key]) -> Iterator[tuple[Key, np.ndarray]]:
+    """Of several Cryptomattes of a picture, the share (height, width) of each pixel that each key has, last key first.
+
+    owned: for each Cryptomatte, key -> share of the ids that are this key's there. What a later key has of a pixel, in
+    whichever Cryptomatte, is not an earlier one's. How things of two of them overlap within a pixel is not known: as
+    much as can be is taken for the same.
+    """
+    later: list[np.ndarray | float] = [0.0] * len(owned)
+    for key in reversed(keys):
+        most = reduce(np.maximum, later)
+        yield key, reduce(np.maximum, (np.maximum(own[key] - (most - taken), 0)
+                                       for own, taken in zip(owned, later, strict=True) if key in own))
+        later = [taken + own.get(key, 0.0) for own, taken in zip(owned, later, strict=True)]
 
 
 def snapped(strength: np.ndarray) -> np.ndarray:

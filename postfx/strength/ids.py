@@ -17,7 +17,10 @@ def range_of(entry: Entry) -> tuple[int, int]:
     found = _RANGE.fullmatch(entry.name)
     if found is None:
         raise StrengthError(f"'{entry.name}' of plane {entry.plane}: give an id, or first and last, such as 7-9")
-    return int(found[1]), int(found[2] or found[1])
+    first, last = int(found[1]), int(found[2] or found[1])
+    if first > last:
+        raise StrengthError(f"'{entry.name}' of plane {entry.plane}: write the smaller id first, {last}-{first}")
+    return first, last
 
 
 def strength_from_ids(ids: np.ndarray, strengths: Mapping[int | tuple[int, int], float]) -> np.ndarray:

@@ -59,6 +59,21 @@ def strength(path: Path, leave: str, **options) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("leave", "rows"), [
+    ("*,logo=1", [0, 0, 0, 1 / 3, 1, 1]),
+    ("sky_sun=0.5", [1, 1, 0.75, 5 / 6, 1, 1]),
+    ("sky_sun@CryptoAsset=0.5", [1, 1, 0.75, 5 / 6, 1, 1]),
+    ("sky_dome@CryptoAsset,sky_sun=0.5", [0, 0, 0.25, 1 / 2, 1, 1]),
+    ("sky_sun@CryptoObject=0.5,*@CryptoAsset,logo@CryptoObject=1", [0, 0, 0, 1 / 3, 1, 1]),
+])
+def test_the_last_entry_counts_across_cryptomattes(write: Callable[..., Path], leave: str, rows: list[float]) -> None:
+    """Of objects and of materials, which are called alike here: no entry is applied twice, none to what a later one is
+    for."""
+    path = write(colours() | ranks("CryptoObject") | ranks("CryptoAsset"), **header(),
+                 **header("CryptoAsset", "abc5678"))
+    np.testing.assert_allclose(strength(path, leave), rows, atol=1e-6)
+
+
+@pytest.mark.parametrize(("leave", "rows"), [
     ("sky_dome", [0, 0, 0.5, 2 / 3, 1, 1]),
     ("sky_*", [0, 0, 0, 1 / 3, 1, 1]),
     ("sky_*,logo=0.5", [0, 0, 0, 1 / 6, 1, 1]),
@@ -177,6 +192,7 @@ def test_a_thing_need_not_be_in_every_frame(write: Callable[..., Path]) -> None:
     ("7@id", {}, "plane 'id' of '7@id' is not there: name a channel of ids, or a Cryptomatte \\(here: CryptoObject\\)"),
     ("7@crypto*", {}, "plane 'crypto\\*' of '7@crypto\\*' has several channels \\(CryptoObject00.R, "),
     ("seven@R", {}, "'seven' of plane R: give an id, or first and last, such as 7-9"),
+    ("9-7@R", {}, "'9-7' of plane R: write the smaller id first, 7-9"),
     ("logo", {"manifest": '{"logo": "12345678"}'}, "the manifest gives 'logo' the id 12345678, its hash is"),
     ("logo", {"manifest": "nonsense"}, "the manifest is not JSON of names and ids"),
     ("logo", {"manifest": '["logo"]'}, "the manifest is not JSON of names and ids"),
@@ -192,7 +208,7 @@ def test_what_is_wrong_is_told_in_one_line(
     path = write(colours() | ranks("CryptoObject"), **header(**fields))
     with pytest.raises(StrengthError, match=message) as error:
         strength(path, leave)
-    assert "\n" not in str(error.value) and (str(path) in str(error.value) or "seven" in leave)
+    assert "\n" not in str(error.value) and (str(path) in str(error.value) or leave.endswith("@R"))
 
 
 def test_files_that_no_name_can_be_found_in(write: Callable[..., Path]) -> None:

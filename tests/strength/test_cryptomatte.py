@@ -110,6 +110,8 @@ def test_names_count_as_they_are_before_they_count_as_patterns() -> None:
     assert layer.ids_of(Entry("0x1234abcd")) == [0x1234ABCD]
     with pytest.raises(StrengthError, match="'0xlogo' is no id of a Cryptomatte"):
         layer.ids_of(Entry("0xlogo"))
+    with pytest.raises(StrengthError, match="'0x1ffffffff' is no id of a Cryptomatte"):
+        layer.ids_of(Entry("0x1ffffffff"))
 
 
 def test_a_manifest_of_other_hashes_is_told() -> None:
