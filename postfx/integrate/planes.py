@@ -96,7 +96,7 @@ def _set(spec: oiio.ImageSpec, name: str, value: Any) -> None:
     elif np.size(value) == 2:
         spec.attribute(name, oiio.TypeDesc(oiio.FLOAT, oiio.VEC2), value)
     else:
-        spec.attribute(name, value)
+        spec.attribute(name, value.item() if isinstance(value, np.generic) else value)
 
 
 def _write(path: Path, spec: oiio.ImageSpec, pixels: np.ndarray) -> None:

@@ -22,7 +22,7 @@ _INTEROP = {
 }
 """Identifiers of the Color Interop Forum, header colorInteropID."""
 _REFLECTANCES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
-_LIGHTS = (Role.COLOUR, Role.OVERLAY)
+_LIGHTS = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.OVERLAY)
 _PIECE = 256  # rows
 _LARGEST = 1e30
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from postfx.errors import PostfxError, ProfileError
@@ -19,6 +20,7 @@ KINDS = {
 """Words of `--depth` -> kind of the plane, and whether near is 1 instead of 0."""
 
 _NUMBERS = ("near", "far", "fov", "miss", "scale")
+_ENDLESS = ("far", "miss")
 
 
 class DepthOptionError(PostfxError):
@@ -69,10 +71,15 @@ def parse_depth(text: str) -> DepthOption:
     numbers: dict[str, float] = {}
     for pair in pairs:
         name, _, value = pair.partition("=")
+        if name in numbers:
+            raise DepthOptionError(f"depth '{text}': {name} is given twice: give it once")
         try:
             numbers[name] = float(value)
         except ValueError:
             raise DepthOptionError(f"depth '{text}': '{pair}' is not a number after {'=, '.join(_NUMBERS)}=") from None
+        endless = math.isinf(numbers[name]) and name in _ENDLESS
+        if not (math.isfinite(numbers[name]) or endless) or (name == "scale" and not numbers[name]):
+            raise DepthOptionError(f"depth '{text}': {name} cannot be {value}")
     unknown = sorted(set(numbers) - set(_NUMBERS))
     if unknown:
         raise DepthOptionError(f"depth '{text}': unknown '{unknown[0]}': use {', '.join(_NUMBERS)}")

@@ -87,7 +87,8 @@ def test_written_planes_are_read_back(tmp_path):
     planes = {role: rng.random((5, 7, count)).astype(np.float16).astype(np.float32) for role, count in channels.items()}
     planes[Role.DEPTH][0, 0] = 1e10
     matrix = np.arange(16.0).reshape(4, 4)
-    frame = Frame(planes, 3, (0.25, -0.125), exposure=2.0, reset=True, samples=4, world_to_camera=matrix, fov_x=40.0)
+    frame = Frame(planes, 3, (0.25, -0.125), exposure=np.float32(2), reset=True, samples=np.int64(4),
+                  world_to_camera=matrix, fov_x=np.float32(40))
     integrate.write_planes(tmp_path / "a.0003.exr", frame)
     (read,) = read_sequence(tmp_path / "a.####.exr", without=[Role.OVERLAY])
     (covered,) = read_sequence(tmp_path / "a.####.exr")

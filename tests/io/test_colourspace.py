@@ -104,3 +104,11 @@ def test_native_colours_are_written_as_they_came_with_their_primaries(write, sto
 def test_unknown_names(write) -> None:
     with pytest.raises(ColourError, match="unknown colour space 'xyz': use one of rec709, p3"):
         read_sequence(write(), colourspace="xyz")
+
+
+def test_colour_before_transparents_is_turned_like_colour(write_exr) -> None:
+    """Their difference says where history is not used."""
+    light = {name: np.full((4, 6), value, np.float32) for name, value in zip("RGB", (0.9, 0.2, 0.1), strict=True)}
+    channels = light | {f"opaque_colour.{name}": plane for name, plane in light.items()}
+    (frame,) = read_sequence(write_exr("a.exr", channels), colourspace="acescg", without=[Role.OVERLAY])
+    np.testing.assert_array_equal(frame[Role.OPAQUE_COLOUR], frame[Role.COLOUR])

@@ -93,6 +93,10 @@ def test_what_is_missing_is_named(write_depth, option, message):
         ("inverse", "begin with planar, ray, device, reversed"),
         ("ray,fov", "'fov' is not a number after near=, far=, fov=, miss=, scale="),
         ("ray,zoom=2", "unknown 'zoom': use near, far, fov, miss, scale"),
+        ("device,near=1,near=2", "near is given twice: give it once"),
+        ("planar,scale=0", "scale cannot be 0"),
+        ("planar,miss=nan", "miss cannot be nan"),
+        ("device,near=inf", "near cannot be inf"),
     ],
 )
 def test_options_that_cannot_be_understood(text, message):
