@@ -16,8 +16,9 @@ from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.integrate.camera import IntegrationError, perspective
 from postfx.integrate.motion import motion_from_depth
 
-PICTURE_AXES = np.diag([-1.0, -1.0, 1.0])
-"""From the axes of worldToCamera (x left, y up, z forward) to those of the picture."""
+CAMERA_AXES = tuple(map(np.diag, ((-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))))
+"""From axes that worldToCamera may have (x left, y up, z forward; x right, y up, z back; x right, y up, z forward; x
+right, y down, z forward) to those of the picture."""
 STEP = 2
 NEIGHBOURS, BEND = 0.05, 0.01
 """Most relative difference in depth of neighbours on one surface, and most second difference."""
@@ -136,6 +137,14 @@ def fit_rotation(frame: Frame, views: Sequence[float] = ()) -> Fit | None:
     views = views or ((frame.fov_x,) if frame.fov_x else LIKELY_FOV)
     return min((_procrustes(normals_of_depth(frame, view, points)[0], stored, view) for view in views),
                key=lambda fit: fit.angle)
+
+
+def angle_by(frame: Frame, fov_x: float, matrix: np.ndarray) -> float:
+    """Degrees within which three quarters of the stored normals agree with those of depth, taken by a matrix."""
+    points = smooth_points(frame[Role.DEPTH])
+    stored = unit_normals(frame, points)
+    cosines = ((normals_of_depth(frame, fov_x, points)[0] @ matrix) * stored).sum(-1)[np.abs(stored).sum(-1) > 0]
+    return float(np.degrees(np.arccos(np.clip(np.quantile(cosines, 1 - AGREEING), -1, 1))))
 
 
 def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:

@@ -15,6 +15,9 @@ import numpy as np
 from postfx.doctor.geometry import normals_of_depth, smooth_points
 from postfx.doctor.statistics import finite
 from postfx.frame import Frame, Role
+from postfx.integrate.materials import split_sum
+
+Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 LEAST_F0, MOST_F0 = 0.015, 1.0
 LEAST_PIXELS = 150
@@ -111,11 +114,21 @@ def _groups(stored: np.ndarray) -> list[np.ndarray]:
     return [np.nonzero(steps == step)[0] for step in np.nonzero(counts >= LEAST_PIXELS)[0]]
 
 
-def _error(kind: Kind, groups: list[np.ndarray], stored: np.ndarray, specular: np.ndarray, cosine: np.ndarray) -> float:
+MODELS = (environment_brdf, split_sum)
+"""Renderers use either, and they differ by more than small errors of a reading."""
+
+
+def _error(kind: Kind, groups: list[np.ndarray], *planes: np.ndarray) -> float:
+    """By the model that fits better."""
+    return min(_error_by(model, kind, groups, *planes) for model in MODELS)
+
+
+def _error_by(model: Model, kind: Kind, groups: list[np.ndarray], stored: np.ndarray, specular: np.ndarray,
+              cosine: np.ndarray) -> float:
     """Mean over the groups of the median error of specular albedo, with the F0 that suits most pixels."""
     errors = []
     for group in groups:
-        scale, bias = environment_brdf(kind.linear(stored[group]), cosine[group])
+        scale, bias = model(kind.linear(stored[group]), cosine[group])
         f0 = np.clip(np.median((specular[group] - bias) / scale), LEAST_F0, MOST_F0)
         errors.append(np.median(np.abs(f0 * scale + bias - specular[group])))
     return float(np.average(errors, weights=[group.size for group in groups]))

@@ -99,8 +99,8 @@ def _profile(unit: _Unit, signs: tuple[int, int]) -> str:
     return f"in a profile {', '.join(keys)}"
 
 
-def _jittered(times: int, code: str, name: str, cause: str, mend: str) -> Variant:
-    return Variant(code, name, cause, mend, lambda motion, size, jitter: motion + times * jitter, 4)
+def _jittered(times: int | tuple[int, int], code: str, name: str, cause: str, mend: str) -> Variant:
+    return Variant(code, name, cause, mend, lambda motion, size, jitter: motion + np.float32(times) * jitter, 4)
 
 
 _SIGN_PAIRS = tuple(_SIGNS)
@@ -114,6 +114,10 @@ VARIANTS = (
               "the jitter was taken off with the wrong sign", "compute motion with matrices that hold no jitter"),
     _jittered(-2, "jitter-sign", "right, with the jitter of the header negated",
               "the header's jitter is that of the projection, not of the sample", "negate postfx:jitter (both axes)"),
+    _jittered((0, -2), "jitter-sign", "right, with y of the header's jitter negated", "the header's jitter has y up",
+              "negate y of postfx:jitter"),
+    _jittered((-2, 0), "jitter-sign", "right, with x of the header's jitter negated",
+              "x of the header's jitter is that of the projection", "negate x of postfx:jitter"),
     Variant("motion-worse-than-none", "0 everywhere", "vectors of another frame, or in a unit that is not known",
             "write the renderer's motion vectors for this frame, or leave the plane out",
             lambda motion, size, jitter: motion * 0, 5),

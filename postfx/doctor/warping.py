@@ -143,8 +143,10 @@ def _error(feature: Feature, shift: np.ndarray) -> float:
     inside = is_inside(feature.before, x, y)
     if inside.mean() < LEAST_INSIDE:
         return np.inf
+    own = is_inside(feature.before, feature.columns + feature.motion[:, 0], feature.rows + feature.motion[:, 1])
     apart = np.abs(bilinear(feature.before, x, y) - feature.now)
-    errors = apart.T.copy().max(0)[inside]  # a twentieth of the time of max(1)
+    # what only this shift throws out counts, too, or it would throw out what it makes worse
+    errors = apart.T.copy().max(0)[inside | own]  # a twentieth of the time of max(1)
     return float(np.sort(errors)[: int((1 - OCCLUDED) * errors.size)].mean() / feature.contrast)
 
 

@@ -29,11 +29,16 @@ def specular_albedo(f0: np.ndarray, roughness: np.ndarray, cosine: np.ndarray) -
     between microfacets is not in it. f0 below 0.02 fades to no reflection at all.
     """
     f0 = np.asarray(f0, np.float64)
-    alpha, cosine = _channel(roughness) ** 2, np.abs(_channel(cosine))
-    scale = np.maximum(_rational(_SCALE, alpha, cosine, _POWERS["scale"]), 0)
-    bias = np.maximum(_rational(_BIAS, alpha, cosine, _POWERS["bias"]), 0)
+    scale, bias = split_sum(_channel(roughness), np.abs(_channel(cosine)))
     shown = np.clip(f0.max(axis=-1, keepdims=True) / NO_SPECULAR, 0, 1)
     return np.clip(f0 * scale + bias * shown, 0, 1)
+
+
+def split_sum(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scale and bias of F0 in `specular_albedo`, from linear roughness and cosine 0..1; all arrays of one shape."""
+    alpha = roughness**2
+    return tuple(np.maximum(_rational(fit, alpha, cosine, _POWERS[name]), 0)
+                 for name, fit in (("scale", _SCALE), ("bias", _BIAS)))
 
 
 def f0_of(base_colour: np.ndarray, metallic: np.ndarray, ior: float = 1.5) -> np.ndarray:

@@ -106,11 +106,11 @@ def jittered_motion(frames: Frames) -> Frames | None:
             for frame, change in zip(frames, changes, strict=True)]
 
 
-def jitter(sign: float) -> Callable[[Frames], Frames | None]:
+def jitter(x: float, y: float) -> Callable[[Frames], Frames | None]:
     def apply(frames: Frames) -> Frames | None:
         if not any(any(frame.jitter) for frame in frames):
             return None
-        return [replace(frame, jitter=(sign * frame.jitter[0], sign * frame.jitter[1])) for frame in frames]
+        return [replace(frame, jitter=(x * frame.jitter[0], y * frame.jitter[1])) for frame in frames]
 
     return apply
 
@@ -223,8 +223,10 @@ BREAKAGES = [
     Breakage("motion in uv around 0.5", "motion-encoded", MOTION, plane(MOTION, per_image(1, 0.5))),
     Breakage("motion with jitter", "motion-jitter", MOTION, jittered_motion),
     Breakage("motion all 0", "motion-zero", MOTION, plane(MOTION, times(0))),
-    Breakage("jitter header missing", "jitter-missing", "sequence", jitter(0)),
-    Breakage("jitter header negated", "jitter-sign", "sequence", jitter(-1)),
+    Breakage("jitter header missing", "jitter-missing", "sequence", jitter(0, 0)),
+    Breakage("jitter header negated", "jitter-sign", "sequence", jitter(-1, -1)),
+    Breakage("jitter header with y up", "jitter-sign", "sequence", jitter(1, -1)),
+    Breakage("jitter header with x negated", "jitter-sign", "sequence", jitter(-1, 1)),
     Breakage("jitter header though samples are spread", "jitter-unused", "sequence", unused_jitter),
     Breakage("cut without reset", "cut-unmarked", "sequence", mirrored_second_half),
     Breakage("reset in every frame", "reset-needless", "sequence", reset_everywhere),

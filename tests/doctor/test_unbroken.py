@@ -1,8 +1,10 @@
 """No false alarm: sequences as their renderers wrote them, and files that other people's software wrote."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from postfx.cli.inspection import Inspection
@@ -29,6 +31,14 @@ def test_a_right_overlay_is_fine(room, diagnose):
     assert diagnose(covers.over(covers.right)(room)) == diagnose(room)
     glow = covers.over(lambda overlay: overlay * (1, 1, 1, 0))
     assert diagnose(glow(room)) == diagnose(room)
+
+
+@pytest.mark.parametrize("axes", [(-1, 1, -1), (-1, 1, 1), (-1, -1, 1)], ids=["z back", "x right", "y down"])
+def test_cameras_may_have_other_axes(room, diagnose, axes):
+    turned = [replace(frame, world_to_camera=frame.world_to_camera @ np.diag([*axes, 1])) for frame in room]
+    assert diagnose(turned) == diagnose(room)
+    inverted = [replace(f, planes={**f.planes, Role.NORMAL: -f[Role.NORMAL]}) for f in turned]
+    assert "normal-inverted" in {finding.code for finding in diagnose(inverted)}
 
 
 @pytest.mark.parametrize("name", ["living_room", "staircase", "garage"])

@@ -9,7 +9,9 @@ import numpy as np
 
 from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.geometry import (
-    PICTURE_AXES,
+    CAMERA_AXES,
+    Fit,
+    angle_by,
     are_unit,
     is_unsigned,
     lengths_of,
@@ -60,25 +62,25 @@ def normal_space(material: Material) -> Iterator[Finding]:
     if frame.world_to_camera is None:
         yield from _without_matrix(camera)
         return
-    world = _world_matrix(frame)
+    if _explained(frame, fit) is not None:
+        return
+    world = min(_worlds(frame), key=lambda matrix: _turn(fit.matrix, matrix))
     off = _turn(fit.matrix, world)
     evidence = (f"normals are turned by {off:.3g} degrees from the world as worldToCamera has it, "
                 f"by {camera:.2g} degrees from the camera's axes")
-    if off < SAME:
-        return
     if camera < SAME:
         yield error(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space",
                     "write world normals, or in a profile space = \"camera\"")
-    elif _turn(fit.matrix, -world) < SAME:
-        evidence = f"negated, they are within {_turn(fit.matrix, -world):.2g} degrees of what depth and camera say"
+    elif (inverted := min(_turn(fit.matrix, -matrix) for matrix in _worlds(frame))) < SAME:
+        evidence = f"negated, they are within {inverted:.2g} degrees of what depth and camera say"
         yield error(Role.NORMAL, "normal-inverted", evidence, "normals point away from the viewer",
                     "negate them, in a profile scale = [-1, -1, -1]")
-    elif _turn(fit.matrix, PICTURE_AXES @ frame.world_to_camera[:3, :3]) < SAME:
+    elif min(_turn(fit.matrix, axes @ frame.world_to_camera[:3, :3]) for axes in CAMERA_AXES) < SAME:
         yield error("sequence", "matrix-transposed", evidence, "worldToCamera stored for column vectors, or inverted",
                     "store it for row vectors (p_camera = p_world M)")
     else:
         yield warning("sequence", "matrix-mismatch", evidence, "worldToCamera of another frame or with other axes",
-                      "camera axes are x left, y up, z forward; row vectors")
+                      "give the matrix of this frame, for row vectors (p_camera = p_world M)")
 
 
 def normal_facing(material: Material) -> Iterator[Finding]:
@@ -88,7 +90,8 @@ def normal_facing(material: Material) -> Iterator[Finding]:
         return
     points = smooth_points(frame[Role.DEPTH])
     seen, _ = normals_of_depth(frame, fit.fov_x, points)
-    cosines = ((seen @ fit.matrix) * unit_normals(frame, points)).sum(-1)
+    explained = _explained(frame, fit)
+    cosines = ((seen @ (fit.matrix if explained is None else explained)) * unit_normals(frame, points)).sum(-1)
     if (share := percent(cosines < -0.7)) > 1:
         yield warning(Role.NORMAL, "normal-facing", f"{share:.3g} % of the pixels point away from the viewer",
                       "normals of the geometry, not turned towards the viewer", "negate those with normal . view > 0")
@@ -101,10 +104,20 @@ def _without_matrix(camera: float) -> Iterator[Finding]:
                       "along an axis of the world and stands still", "write world normals and a worldToCamera header")
 
 
-def _world_matrix(frame: Frame) -> np.ndarray:
+def _explained(frame: Frame, fit: Fit) -> np.ndarray | None:
+    """The header's matrix, if it takes the normals of depth to the stored ones hardly worse than what fits best: where
+    one plane fills the picture that may be turned about its normal."""
+    if frame.world_to_camera is None:
+        return None
+    found = {angle_by(frame, fit.fov_x, matrix): matrix for matrix in _worlds(frame)}
+    return found[min(found)] if min(found) < fit.angle + SAME else None
+
+
+def _worlds(frame: Frame) -> list[np.ndarray]:
+    """Matrices from the picture's axes to the world's, by the axes that a camera may have."""
     rotation = frame.world_to_camera[:3, :3]
     rotation = rotation / np.maximum(np.linalg.norm(rotation, axis=0, keepdims=True), 1e-12)
-    return (rotation @ PICTURE_AXES).T
+    return [(rotation @ axes).T for axes in CAMERA_AXES]
 
 
 def _turn(one: np.ndarray, other: np.ndarray) -> float:
