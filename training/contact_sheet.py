@@ -21,7 +21,8 @@ def display(linear: np.ndarray) -> np.ndarray:
 
 
 def row(clip: dict, frame: int, size: int) -> np.ndarray:
-    """One clip's frame as (size, 6 size, 3) uint8."""
+    """One clip's frame, or its last one, as (size, 6 size, 3) uint8."""
+    frame = min(frame, len(clip["reference"]) - 1)
     panels = [display(clip["v0_colour"][frame].astype(np.float32))]
     for name in ("diffuse_albedo", "specular_albedo"):
         panels.append(clip[f"v0_{name}"][frame].astype(np.float32) ** (1 / 2.2))
@@ -43,6 +44,8 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=128)
     args = parser.parse_args()
     paths = sorted(args.folder.glob("clip.*.npz"))[args.skip : args.skip + args.rows]
+    if not paths:
+        parser.error(f"{args.folder} holds no clip.*.npz")
     rows = [row(load_clip(path), args.frame, args.size) for path in paths]
     half = (len(rows) + 1) // 2 if len(rows) > 12 else len(rows)
     rows += [np.zeros_like(rows[0])] * (-len(rows) % half)

@@ -166,9 +166,13 @@ def main() -> None:
     args = parser.parse_args()
     found = json.loads(args.output.read_text()) if args.output.exists() else {}
     pictures = find_pictures(args.photos, args.panoramas, args.side)
+    if args.looks and not pictures:
+        parser.error("no pictures to compare looks on: give --photos or --panoramas")
     pictures = {name: rgb * np.float32(2.0 ** (measure(rgb) or 0.0)) for name, rgb in pictures.items()}
     for tag in args.looks:
         mapper = Mapper(tag)
+        if "view" not in mapper.card["look"]:
+            raise SystemExit(f"{tag}: was made from pairs of pictures: there is no pipeline to compare it with")
         found[mapper.name] = examine(mapper, look_from(mapper.card["look"]), pictures, args)
         args.output.write_text(json.dumps(found, indent=2) + "\n")
     if args.report:

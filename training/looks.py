@@ -73,7 +73,7 @@ def find_look(name: str) -> Look:
         raise SystemExit(f"no look '{name}': there are {', '.join(LOOKS)}, or give a .toml file")
     try:
         return look_from(tomllib.loads(Path(name).read_text(encoding="utf-8")))
-    except (KeyError, TypeError, OSError) as error:
+    except (KeyError, TypeError, OSError, tomllib.TOMLDecodeError) as error:
         raise SystemExit(f"{name}: {error}: give a table [view] with config, display and view, or file") from None
 
 

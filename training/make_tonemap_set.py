@@ -26,7 +26,7 @@ def main() -> None:
     parser.add_argument("--clip-limit", type=int, default=12)
     parser.add_argument("--hold-out", nargs="*", default=[], help="file stems kept for validation")
     parser.add_argument("--side", type=int, default=768, help="longest side of a photograph")
-    parser.add_argument("--space", choices=LINEAR_SPACES, default="rec709", help="primaries of the files, linear")
+    parser.add_argument("--space", choices=LINEAR_SPACES, help="primaries of the files, linear; default: by header")
     args = parser.parse_args()
     pictures = collect(args.photos, args.panoramas, args.clips, args.clip_limit, args.hold_out, args.side, args.space)
     lessons = {Path(name).stem: lesson(find_look(name), pictures) for name in args.looks}

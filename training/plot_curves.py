@@ -19,7 +19,9 @@ PANELS = (("PSNR (dB)", 4, 2), ("flicker", 5, 3), ("learning rate", 2, None))
 
 
 def rows(path: Path) -> list[list[float]]:
-    """The numbers of a table, without what is not a number of the first steps."""
+    """The numbers of a table; none where it is not there yet."""
+    if not path.exists():
+        return []
     with path.open() as file:
         return [[float(x) for x in row] for row in csv.reader(file)]
 

@@ -75,6 +75,9 @@ def main() -> None:
     parser.add_argument("--variant", type=int, default=0)
     args = parser.parse_args()
     clip, v = load_clip(args.clip), f"v{args.variant}_"
+    if f"{v}colour" not in clip:
+        count = sum(name.endswith("_colour") for name in clip)
+        parser.error(f"{args.clip} has {count} variants: give --variant 0 to {count - 1}")
     args.out.mkdir(parents=True, exist_ok=True)
     meta, exposure = clip["meta"], exposure_of(clip["reference"].astype(np.float32))
     for t, reference in enumerate(clip["reference"]):

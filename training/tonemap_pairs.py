@@ -14,7 +14,7 @@ from training.fit_cube import fit_cube
 from training.networks.cube import default_shaper, look_up, shape
 from training.networks.hdrnet import HDRNet, lowres, slice_grid
 from training.tonemap_loop import SHIFT, Recipe, validate
-from training.tonemap_set import read, shrink
+from training.tonemap_set import held_among, read, shrink
 from training.tonemap_start import shipped_cubes, start_network
 from training.tonemap_teach import Checkpoint, Watch, cube_psnr, run
 
@@ -32,20 +32,23 @@ class Pairs:
     held: dict[str, tuple[np.ndarray, np.ndarray]]
 
 
-def read_pairs(hdr: Path, sdr: Path, space: str, side: int, hold_out: list[str] | None) -> Pairs:
+def read_pairs(hdr: Path, sdr: Path, space: str | None, side: int, hold_out: list[str] | None) -> Pairs:
     """All files of the same stem in two folders, shrunk to `side`; every fifth is held out if none is named."""
+    for folder in (hdr, sdr):
+        if not folder.is_dir():
+            raise SystemExit(f"{folder}: no such folder")
     graded = {path.stem: path for path in sorted(sdr.iterdir()) if path.is_file()}
     names = [path for path in sorted(hdr.iterdir()) if path.stem in graded]
     if len(names) < 2:
         raise SystemExit(f"{hdr}, {sdr}: {len(names)} files of the same name in both: at least 2 are needed")
     stems = [path.stem for path in names]
-    held = set(stems[EVERY - 1 :: EVERY] or stems[-1:]) if hold_out is None else set(hold_out)
+    held = set(stems[EVERY - 1 :: EVERY] or stems[-1:]) if hold_out is None else held_among(stems, hold_out)
     pairs = {path.stem: _pair(path, graded[path.stem], space, side) for path in names}
     return Pairs({k: v for k, v in pairs.items() if k not in held}, {k: v for k, v in pairs.items() if k in held})
 
 
-def _pair(hdr: Path, sdr: Path, space: str, side: int) -> tuple[np.ndarray, np.ndarray]:
-    light, display = read(str(hdr), space), read(str(sdr))
+def _pair(hdr: Path, sdr: Path, space: str | None, side: int) -> tuple[np.ndarray, np.ndarray]:
+    light, display = read(str(hdr), space), read(str(sdr), "rec709")
     if light.shape != display.shape:
         sizes = [f"{x.shape[1]}x{x.shape[0]}" for x in (light, display)]
         raise SystemExit(f"{hdr} is {sizes[0]}, but {sdr} is {sizes[1]}: both must show the same pixels")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 
 from postfx.colour.primaries import LINEAR_SPACES, REC709, matrix_between
+from postfx.io.colourspace import InputColours
 from training.charts import hue_chart, ramp
 from training.looks import Look, describe, exact_target, look_from
 from training.panorama import perspective
@@ -43,24 +44,33 @@ class Lesson:
     wanted: dict[str, np.ndarray]
 
 
-def read(path: str, space: str = "rec709") -> np.ndarray:
+def read(path: str, space: str | None = None) -> np.ndarray:
     """First three channels of an HDR picture as linear Rec.709, float32; non-finite values and negative light are 0.
 
-    `space` is what the file holds, a name in `postfx.colour.primaries.LINEAR_SPACES`.
+    `space` is what the file holds, a name in `postfx.colour.primaries.LINEAR_SPACES`; None: what its header says, as
+    when it is run. Alpha is not in the colours of formats that keep it beside them.
     """
     import OpenImageIO as oiio
 
-    pixels = oiio.ImageBuf(path).get_pixels("float")
+    wish = oiio.ImageSpec()
+    wish["oiio:UnassociatedAlpha"] = 1
+    image = oiio.ImageBuf(path, 0, 0, wish)
+    pixels = image.get_pixels("float")
     if pixels is None or pixels.ndim != 3 or pixels.shape[2] < 3:
         raise SystemExit(f"{path}: not a readable RGB picture")
     light = np.maximum(np.nan_to_num(pixels[..., :3], nan=0.0, posinf=LARGEST, neginf=0.0), 0.0)
-    return (light @ matrix_between(LINEAR_SPACES[space], REC709).T).astype(np.float32)
+    names = ("chromaticities", "colorInteropID")
+    header = {name: image.spec().getattribute(name) for name in names}
+    primaries = InputColours(LINEAR_SPACES[space] if space else None).primaries(header)
+    return (light @ matrix_between(primaries, REC709).T).astype(np.float32)
 
 
 def expose(rgb: np.ndarray) -> np.ndarray:
     """Scale so that the geometric mean of the luminance between the 2nd and 98th percentile is mid grey, 0.18."""
     log = np.log2(np.maximum(rgb @ np.float32([0.2126, 0.7152, 0.0722]), 2.0**-30))
     log = log[log > -30]
+    if not log.size:  # black
+        return rgb
     low, high = np.percentile(log, [2, 98])
     mean = log[(log >= low) & (log <= high)].mean()
     return (rgb * np.float32(0.18 / 2.0**mean)).clip(-LARGEST, LARGEST)
@@ -78,12 +88,11 @@ def shrink(rgb: np.ndarray, side: int) -> np.ndarray:
 
 def collect(
     photos: Iterable[str], panoramas: Iterable[str] = (), clips: str | None = None, clip_limit: int = 0,
-    hold_out: Iterable[str] | None = (), side: int = 768, space: str = "rec709",
+    hold_out: Iterable[str] | None = (), side: int = 768, space: str | None = None,
 ) -> Pictures:
     """Pictures from patterns of files and a folder of rendered clips; stems in `hold_out` are never trained on."""
-    found, held = Pictures(), set(hold_out or ())
-    sources = [(p, False) for pattern in photos for p in sorted(glob.glob(pattern))]
-    sources += [(p, True) for pattern in panoramas for p in sorted(glob.glob(pattern))]
+    sources = [(p, False) for p in files(photos)] + [(p, True) for p in files(panoramas)]
+    found, held = Pictures(), held_among([Path(p).stem for p, _ in sources], hold_out or ())
     for path, panorama in sources:
         name, picture = Path(path).stem, read(path, space)
         if name in held:
@@ -97,6 +106,24 @@ def collect(
     return found
 
 
+def files(patterns: Iterable[str]) -> list[str]:
+    """Files of patterns; ends the program where one fits nothing."""
+    found = {pattern: sorted(glob.glob(pattern)) for pattern in patterns}
+    for pattern in (pattern for pattern, paths in found.items() if not paths):
+        raise SystemExit(f"{pattern}: no such file")
+    return [path for paths in found.values() for path in paths]
+
+
+def held_among(stems: Sequence[str], names: Iterable[str]) -> set[str]:
+    """Names of pictures to hold out; ends the program where one is no picture's, or none would be left."""
+    held = set(names)
+    for name in sorted(held - set(stems)):
+        raise SystemExit(f"--hold-out {name}: no such picture: there are {', '.join(stems) or 'none'}")
+    if stems and held == set(stems):
+        raise SystemExit("--hold-out: names all pictures: leave some to train on")
+    return held
+
+
 def charts() -> dict[str, np.ndarray]:
     """What to measure with where there are no pictures."""
     return {"chart": hue_chart(), "ramp": ramp(512)}
@@ -104,8 +131,8 @@ def charts() -> dict[str, np.ndarray]:
 
 def find_pictures(photos: Iterable[str], panoramas: Iterable[str], side: int) -> dict[str, np.ndarray]:
     """Linear Rec.709 by name, of patterns of files; a perspective view of each panorama; shrunk to `side`."""
-    found = {_name(p): shrink(read(p), side) for pattern in photos for p in sorted(glob.glob(pattern))}
-    for path in (p for pattern in panoramas for p in sorted(glob.glob(pattern))):
+    found = {_name(p): shrink(read(p), side) for p in files(photos)}
+    for path in files(panoramas):
         sphere = torch.from_numpy(read(path)).permute(2, 0, 1)
         view = perspective(sphere, *VALIDATION_VIEWS[0], FIELD, VIEW_SIZE)
         found[_name(path)] = shrink(view.permute(1, 2, 0).numpy(), side)

@@ -132,6 +132,8 @@ class Trainer:
                  model: DenoiseUpscale | None = None):
         self.args, self.rank, self.world, self.device = args, rank, world, device
         self.pool = ClipPool(args.clips, device, args.guides, rank, world, inverse=args.both_ways > 0)
+        if self.pool.refresh() < args.wait:
+            print(f"waiting for {args.wait} clips to train on (--wait): {args.clips} has {len(self.pool)}", flush=True)
         while self.pool.refresh() < args.wait:
             time.sleep(2)
         model = model or DenoiseUpscale(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach))

@@ -48,7 +48,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--source", default="", help="the config's name of linear Rec.709")
     parser.add_argument("--pictures", nargs="*", default=[], help="HDR photographs (patterns) to learn on")
     parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
-    parser.add_argument("--space", choices=LINEAR_SPACES, default="rec709", help="primaries of all HDR files, linear")
+    parser.add_argument("--space", choices=LINEAR_SPACES, help="primaries of all HDR files, linear; default: by header")
     parser.add_argument("--hold-out", nargs="*", help="stems of pictures to measure with; default: every fifth")
     parser.add_argument("--start", default="local", help="tag or file of the model to fine-tune, or 'none'")
     parser.add_argument("--only", nargs="+", default=[], metavar="PART", help="what changes of the network, as head")

@@ -11,13 +11,17 @@ from functools import cache
 
 import numpy as np
 
-from postfx.colour.ocio import file_transform
+from postfx.colour.displays import KINDS
+from postfx.colour.ocio import DISPLAYS, Transform, file_transform
 from postfx.colour.primaries import ACESCG, REC709, matrix_between
+from postfx.errors import ColourError
 from training.networks.cube import CUBE, lattice
 
 ACES_CONFIG = "cg-config-v4.0.0_aces-v2.0_ocio-v2.5"  # built into OpenColorIO 2.5
 ACES_LINEAR = "Linear Rec.709 (sRGB)"
 BLENDER_CONFIG = "$BLENDER_OCIO"
+SRGB = "srgb"
+ONLY_SRGB = "looks are learnt for sRGB, and 'postfx run --display' shows them on others: give that for sRGB"
 NO_BLENDER = (
     "this look is a view of Blender's OpenColorIO config: set BLENDER_OCIO to its datafiles/colormanagement/config.ocio"
     " (in an installed Blender, or in the wheel that 'pip download --no-deps bpy' gives)"
@@ -51,7 +55,10 @@ NEUTRAL = Ocio(BLENDER_CONFIG, "sRGB", "Khronos PBR Neutral")
 def exact_view(view: View, rgb: np.ndarray) -> np.ndarray:
     """The view of (..., 3) exposed scene-linear Rec.709 by the pipeline itself; float32 in [0, 1]."""
     if isinstance(view, Lut):
-        return file_transform(view.file).apply(rgb @ matrix_between(REC709, ACESCG).T).astype(np.float32)
+        try:
+            return _table(view).apply(rgb @ matrix_between(REC709, ACESCG).T).astype(np.float32)
+        except ColourError as error:
+            raise SystemExit(str(error)) from None
     out = np.ascontiguousarray(rgb, np.float32).reshape(-1, 1, 3).copy()
     _processor(view).applyRGB(out)
     return out.reshape(rgb.shape).clip(0.0, 1.0)
@@ -60,6 +67,13 @@ def exact_view(view: View, rgb: np.ndarray) -> np.ndarray:
 def bake(view: View, size: int = CUBE) -> np.ndarray:
     """The view at the corners of the tone mapper's cube: (size,size,size,3) float32 that half precision holds."""
     return exact_view(view, lattice(size)).astype(np.float16).astype(np.float32)
+
+
+def _table(view: Lut) -> Transform:
+    found = file_transform(view.file)
+    if found.display.name != SRGB:
+        raise SystemExit(f"{view.file}: is for {found.display.kind.title}: {ONLY_SRGB}")
+    return found
 
 
 @cache
@@ -78,10 +92,16 @@ def _config(ocio: object, name: str) -> object:
         return ocio.Config.CreateFromBuiltinConfig(name)
     if name == BLENDER_CONFIG and "BLENDER_OCIO" not in os.environ:
         raise SystemExit(NO_BLENDER)
-    return ocio.Config.CreateFromFile(os.path.expandvars(name))
+    try:
+        return ocio.Config.CreateFromFile(os.path.expandvars(name))
+    except ocio.Exception as error:
+        raise SystemExit(f"{name}: {error}") from None
 
 
 def _display(ocio: object, view: Ocio) -> object:
+    shown = next((kind.title for name, kind in KINDS.items() if view.display in DISPLAYS[name] and name != SRGB), None)
+    if shown:
+        raise SystemExit(f"{view.display}: is for {shown}: {ONLY_SRGB}")
     config = _config(ocio, view.config)
     source = view.source or _linear_rec709(config)
     pipeline = ocio.LegacyViewingPipeline()

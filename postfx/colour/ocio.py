@@ -145,7 +145,10 @@ def _run(apply: Callable[..., oiio.ImageBuf], light: np.ndarray, what: str) -> n
 
 def _applied(apply: Callable[..., oiio.ImageBuf], colours: np.ndarray, what: str) -> np.ndarray:
     image = oiio.ImageBuf(np.ascontiguousarray(colours.reshape(-1, 1, 3), np.float32))
-    result = apply(image, unpremult=False)
+    try:
+        result = apply(image, unpremult=False)
+    except RuntimeError as error:  # OpenImageIO, where OpenColorIO's message has braces in it
+        raise ColourError(f"{what}: cannot be read as a colour transform") from error
     if result.has_error:
         raise ColourError(f"{what}: {result.geterror().splitlines()[0]}")
     return result.get_pixels("float").reshape(colours.shape).astype(np.float64)
