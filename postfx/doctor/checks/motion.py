@@ -18,6 +18,7 @@ from postfx.frame import Role
 BETTER, BETTER_BY_JITTER, BETTER_THAN_NONE = 0.85, 0.95, 0.65
 """Parts of the score as it is that another variant must stay below."""
 MOST_PAIRS_AGREE = 0.75
+TELLING = 0.05  # misfit, in units of what a pixel costs: below, motion is right
 ALIKE = 1.03
 SEARCHED = 12  # pixels each way
 CLEARLY_MOVED = 0.75
@@ -88,7 +89,8 @@ def _is_better(shots: list[Warped], variant: Variant, ratio: float) -> bool:
     wins = np.mean([warped.scores[variant] < warped.as_it_is for warped in shots])
     least = BETTER_BY_JITTER if variant.code in JITTER_CODES else BETTER
     least = BETTER_THAN_NONE if variant.code == "motion-worse-than-none" else least
-    return ratio < least and wins >= MOST_PAIRS_AGREE
+    telling = np.mean([warped.as_it_is for warped in shots]) > TELLING
+    return telling and ratio < least and wins >= MOST_PAIRS_AGREE
 
 
 def _evidence(shots: list[Warped], best: Variant) -> str:
