@@ -34,6 +34,12 @@ class Held:
     def rewind(self) -> None:
         pass
 
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def after(self, number: int, count: int) -> list[int]:
+        return [other for other in self.numbers if number < other <= number + count]
+
     def before(self, number: int, count: int) -> list[int]:
         return [number - 1]
 
