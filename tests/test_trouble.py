@@ -130,6 +130,7 @@ import os, signal, sys, threading, time
 import numpy as np
 import postfx
 from postfx.frame import Frame, Role
+signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background ignore it
 passes = postfx.Pipeline([postfx.DenoiseUpscale(model="m.fp32")], postfx.Device("cpu", threads=1))
 frame = Frame({Role.COLOUR: np.ones((270, 480, 3), np.float32)})
 passes(frame)
