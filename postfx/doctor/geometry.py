@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.depth import ray_slopes
+from postfx.depth import pixel_aspect, ray_slopes
 from postfx.doctor.statistics import finite
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.integrate.camera import IntegrationError, perspective
@@ -53,7 +53,8 @@ def is_hit(depth: np.ndarray) -> np.ndarray:
 
 def rays(frame: Frame, fov_x: float, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """(..., 3) directions through the samples of pixels, with z = 1; fov_x in degrees."""
-    x, y = ray_slopes(columns, rows, (frame.spec.width, frame.spec.height), fov_x, frame.jitter)
+    size = frame.spec.width, frame.spec.height
+    x, y = ray_slopes(columns, rows, size, fov_x, frame.jitter, pixel_aspect(frame.metadata))
     return np.stack([x, y, np.ones_like(x)], -1)
 
 
@@ -166,7 +167,8 @@ def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
 
 def _world_to_clip(frame: Frame) -> np.ndarray:
     size = frame.spec.width, frame.spec.height
-    return frame.world_to_camera @ perspective(frame.fov_x, *size, right="-x", up="+y", forward="+z")
+    axes = {"right": "-x", "up": "+y", "forward": "+z"}
+    return frame.world_to_camera @ perspective(frame.fov_x, *size, **axes, pixel_aspect=pixel_aspect(frame.metadata))
 
 
 def _procrustes(seen: np.ndarray, stored: np.ndarray, fov_x: float) -> Fit:

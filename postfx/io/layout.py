@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from postfx.depth import pixel_aspect
 from postfx.frame import Role
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.io.convert import Camera
@@ -88,7 +89,7 @@ class Header:
             jitter=(0.0, 0.0) if jitter is None else (float(jitter[0]), float(jitter[1])),
             near=_first(self.number("near"), self._layout.profile.near),
             far=_first(self.number("far"), self._layout.profile.far),
-            pixel_aspect=float(self._layout.attributes.get("pixelAspectRatio", 1.0)) or 1.0,
+            pixel_aspect=pixel_aspect(self._layout.attributes),
         )
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from postfx.depth import pixel_aspect
 from postfx.frame import DEPTH_MISS, FrameSpec, Role
 from postfx.kernels.denoise_reflections import CAMERA, REFLECTIONS
 from postfx.passes.base import ResidentFrame
@@ -122,7 +123,7 @@ def _best_params(frame: ResidentFrame, now: Camera, then: Camera) -> np.ndarray 
 
 def _params(frame: ResidentFrame, now: Camera, then: Camera, axes: tuple[int, int, int]) -> np.ndarray:
     signs, change = np.diag(axes).astype(float), np.linalg.inv(now.matrix) @ then.matrix
-    aspect = float(frame.metadata.get("pixelAspectRatio", 1.0)) or 1.0
+    aspect = pixel_aspect(frame.metadata)
     focal = [side / 2 / math.tan(math.radians(camera.fov_x) / 2) for camera in (now, then)
              for side in (frame.spec.width, frame.spec.width * aspect)]
     turn, shift = signs @ change[:3, :3] @ signs, change[3, :3] @ signs

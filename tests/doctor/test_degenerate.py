@@ -120,3 +120,9 @@ def test_motion_of_the_camera_is_the_stored_motion_and_none_without_a_camera(roo
     assert np.quantile(np.abs(motion_of_camera(before, now) - stored).max(1), 0.75) < 0.02
     for no_camera in ({"world_to_camera": np.zeros((4, 4))}, {"fov_x": 200.0}, {"fov_x": None}):
         assert motion_of_camera(before, replace(now, **no_camera)) is None
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 40), (40, 1)])
+def test_pictures_of_one_row_or_column_are_metered(diagnose, size):
+    frames = [Frame({Role.COLOUR: np.full((*size, 3), 0.3, np.float32)}, number) for number in (1, 2)]
+    assert "colour-black" not in codes(diagnose(frames), "warning")

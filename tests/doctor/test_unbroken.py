@@ -9,6 +9,7 @@ import pytest
 
 from postfx.cli.inspection import Inspection
 from postfx.doctor.checks.planes import COSTS
+from postfx.doctor.geometry import fit_rotation
 from postfx.errors import ReadError
 from postfx.frame import Role
 from tests.doctor import covers
@@ -39,6 +40,19 @@ def test_cameras_may_have_other_axes(room, diagnose, axes):
     assert diagnose(turned) == diagnose(room)
     inverted = [replace(f, planes={**f.planes, Role.NORMAL: -f[Role.NORMAL]}) for f in turned]
     assert "normal-inverted" in {finding.code for finding in diagnose(inverted)}
+
+
+def test_pixels_may_be_tall(room, diagnose):
+    """Every other row of the sample: normals fit depth as before."""
+    def tall(frame, aspect):
+        planes = {role: np.ascontiguousarray(plane[::2]) for role, plane in frame.planes.items()}
+        planes[Role.MOTION] = planes[Role.MOTION] * np.float32((1, 0.5))
+        y = (frame.jitter[1] - 0.5) / 2  # of the upper one of two pixels
+        return replace(frame, planes=planes, jitter=(frame.jitter[0], y), metadata={"pixelAspectRatio": aspect})
+
+    fits = [fit_rotation(tall(room[0], aspect)) for aspect in (0.5, 1.0)]
+    assert fits[0].angle < 3 < fits[1].angle
+    assert not [found for found in diagnose([tall(frame, 0.5) for frame in room]) if found.code.startswith("matrix")]
 
 
 @pytest.mark.parametrize("name", ["living_room", "staircase", "garage"])

@@ -10,7 +10,7 @@ import numpy as np
 from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.material import Material
 from postfx.exposure import measure
-from postfx.frame import Frame, Role
+from postfx.frame import Role
 
 MISMATCH_EV = 2.0
 UNUSUAL_EV = 8.0
@@ -19,7 +19,7 @@ UNUSUAL_EV = 8.0
 def exposure_mismatch(material: Material) -> Iterator[Finding]:
     """Exposure header against what metering brings to mid grey, which the tone mapper expects."""
     frames = [frame for frame in material.frames if Role.COLOUR in frame]
-    metered = {frame.number: ev for frame in frames if (ev := _metered(frame)) is not None}
+    metered = {frame.number: ev for frame in frames if (ev := measure(frame[Role.COLOUR])) is not None}
     if frames and not metered:
         yield warning(Role.COLOUR, "colour-black", "every frame looked at is black", "lights off, or another layer's "
                       "colour", "check that the colour plane is the beauty pass")
@@ -40,7 +40,3 @@ def exposure_mismatch(material: Material) -> Iterator[Finding]:
     elif not headers and metered and abs(ev := float(np.median(list(metered.values())))) > UNUSUAL_EV:
         yield info("sequence", "exposure-unusual", f"metering wants {ev:+.2f} EV", "physical light units without a "
                    "camera's exposure", "nothing to do with --exposure auto; else write postfx:exposure")
-
-
-def _metered(frame: Frame) -> float | None:
-    return measure(frame[Role.COLOUR]) if min(frame[Role.COLOUR].shape[:2]) > 1 else None
