@@ -6,7 +6,6 @@ import itertools
 import os
 import threading
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ import numpy as np
 
 from postfx.limits import usable_cores
 from postfx.paths import models_dir
+from postfx.runtime.bands import Helpers
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
 from postfx.runtime.cuda import CudaMemory, has_source
@@ -97,9 +97,9 @@ class Device:
         return CommandQueue(f"postfx {self.name}")
 
     @cached_property
-    def thread_pool(self) -> ThreadPoolExecutor:
+    def helpers(self) -> Helpers:
         """Threads that help the queue's own thread with bands of kernels."""
-        return ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="postfx band")
+        return Helpers(max(1, self.threads - 1))
 
     def wrap(self, name: str, array: np.ndarray, copy: Tensor | None = None) -> Tensor:
         """A tensor with a C-contiguous array's content: the same memory on the CPU, an upload elsewhere.

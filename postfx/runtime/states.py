@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from postfx.runtime.bands import Band
 from postfx.runtime.session import Session
 from postfx.runtime.tensor import Tensor
 
@@ -128,18 +129,12 @@ class CompiledComputeState(ComputeState):
         return lambda: [self._run(first, last, arrays) for first, last in scratch.pieces(count, row_bytes)]
 
     def _run(self, first: int, last: int, arrays: list) -> None:
-        bands = max(1, min(self.device.threads, (last - first) // MINIMUM_ROWS))
-        edges = [first + (last - first) * band // bands for band in range(bands + 1)]
-        pool = self.device.thread_pool if bands > 1 else None
-        others: list[Future] = [pool.submit(self._rows, edges[i], edges[i + 1], *arrays) for i in range(1, bands)]
-        try:
-            self._rows(edges[0], edges[1], *arrays)
-        finally:
-            # The tensors must not be handed on while a band still writes them, whatever this band did.
-            failures = [future.exception() for future in others]
-        for failure in failures:
-            if failure is not None:
-                raise failure
+        count = min(self.device.threads, (last - first) // MINIMUM_ROWS)
+        if count < 2:
+            self._rows(first, last, *arrays)
+            return
+        edges = [first + (last - first) * band // count for band in range(count + 1)]
+        self.device.helpers.work([Band(self._rows, *edge, arrays) for edge in pairwise(edges)])
 
 
 class CudaComputeState(ComputeState):

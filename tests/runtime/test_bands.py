@@ -1,0 +1,95 @@
+"""Threads that help with bands of rows: all is done when `work` returns, whatever happens in one of them."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from postfx.kernels import spinning
+from postfx.kernels.numeric import compiled
+from postfx.runtime.bands import LOOK, Band, Helpers
+
+
+@compiled
+def count_rows(y0, y1, counts):
+    for y in range(y0, y1):
+        counts[y] += 1
+
+
+def bands_of(rows, edges: list[int], *arrays: np.ndarray) -> list[Band]:
+    return [Band(rows, *edge, arrays) for edge in zip(edges, edges[1:], strict=False)]
+
+
+@pytest.mark.parametrize("pause", [0, 3 * LOOK], ids=["at once", "after they went"])
+def test_every_row_is_worked_on_once(pause: float) -> None:
+    helpers, counts = Helpers(3), np.zeros(40)
+    for done in range(1, 200 if not pause else 20):
+        helpers.work(bands_of(count_rows, [0, 11, 12, 30, 40], counts))
+        assert (counts == done).all()
+        time.sleep(pause)
+
+
+def test_fewer_bands_than_helpers_and_one_alone() -> None:
+    helpers, counts = Helpers(3), np.zeros(8)
+    helpers.work(bands_of(count_rows, [0, 8], counts))
+    helpers.work(bands_of(count_rows, [0, 3, 8], counts))
+    assert (counts == 2).all()
+
+
+def test_bands_run_beside_each_other() -> None:
+    """Two that wait for each other, in Python."""
+    meet = threading.Barrier(3, timeout=30)
+    Helpers(2).work(bands_of(lambda first, last: meet.wait(), [0, 1, 2, 3]))
+
+
+def test_what_a_helper_raises_is_raised_and_the_next_work_is_done() -> None:
+    helpers, counts = Helpers(1), np.zeros(8)
+
+    def failing(first: int, last: int, _: np.ndarray) -> None:
+        if first:
+            raise ValueError(f"rows {first} to {last}")
+
+    for _ in range(3):
+        with pytest.raises(ValueError, match="rows 4 to 8"):
+            helpers.work(bands_of(failing, [0, 4, 8], counts))
+        helpers.work(bands_of(count_rows, [0, 4, 8], counts))
+    assert (counts == 3).all()
+
+
+def test_a_band_that_fails_waits_for_the_others() -> None:
+    """Their arrays must not be handed on before."""
+    ended = []
+
+    def rows(first: int, last: int) -> None:
+        if not first:
+            raise ValueError("own")
+        time.sleep(0.05)
+        ended.append(first)
+
+    with pytest.raises(ValueError, match="own"):
+        Helpers(2).work(bands_of(rows, [0, 1, 2, 3]))
+    assert sorted(ended) == [1, 2]
+
+
+def test_a_helper_keeps_no_array_once_it_is_done() -> None:
+    helpers, counts = Helpers(1), np.zeros(8)
+    helpers.work(bands_of(count_rows, [0, 4, 8], counts))
+    assert helpers._bands == [None]
+
+
+def test_a_helper_that_is_not_called_goes() -> None:
+    """So a pipeline that rests takes no processor's time."""
+    helpers, counts = Helpers(1), np.zeros(8)
+    helpers.work(bands_of(count_rows, [0, 4, 8], counts))
+    deadline = time.monotonic() + 10
+    while helpers._flags[0, 0] != spinning.AWAY and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert helpers._flags[0, 0] == spinning.AWAY
+
+
+def test_pauses_are_counted_by_the_clock() -> None:
+    assert spinning.pauses_in(1e-9) == 1
+    assert 0.2 < spinning.pauses_in(1e-3) / (10 * spinning.pauses_in(1e-4)) < 5
