@@ -26,25 +26,43 @@ def known(value):
 
 
 @compiled
-def down_rows(a, b, c, d, weights, value, low, high):
-    """Cubic sum of four flat rows, and the least and the largest of the two in the middle."""
-    u, v, w, z = weights
-    for i in range(value.size):
-        before, left, right, after = known(a[i]), known(b[i]), known(c[i]), known(d[i])
-        value[i] = u * before + v * left + w * right + z * after
-        low[i], high[i] = min(left, right), max(left, right)
+def clean_row(source, channels, line):
+    """A flat row with its first and last pixel repeated in the margins; what is not finite counts as 0."""
+    first, end = MARGIN * channels, MARGIN * channels + source.size
+    for i in range(source.size):
+        line[first + i] = known(source[i])
+    for i in range(first):
+        line[i] = line[first + i % channels]
+        line[end + i] = line[end - channels + i % channels]
 
 
 @compiled
-def across_row(value, low, high, index, weights, channels, row):
-    """The same along a row, held within the four nearest samples."""
-    for x in range(index.shape[1]):
+def down_row(a, b, c, d, weights, value):
+    """Cubic sum of four rows."""
+    u, v, w, z = weights
+    for i in range(value.size):
+        value[i] = u * a[i] + v * b[i] + w * c[i] + z * d[i]
+
+
+@compiled
+def bounds_row(b, c, channels, low, high, least, most):
+    """The least and the largest of two rows, of each pixel and the one after it; `low` and `high` of each alone."""
+    for i in range(b.size):
+        low[i], high[i] = min(b[i], c[i]), max(b[i], c[i])
+    next_low, next_high = low[channels:], high[channels:]
+    for i in range(next_low.size):
+        least[i], most[i] = min(low[i], next_low[i]), max(high[i], next_high[i])
+
+
+@compiled
+def across_row(value, least, most, index, weights, channels, row):
+    """Cubic sums along a row whose taps begin at `index`, held within the four nearest samples."""
+    for x in range(index.size):
         u, v, w, z = weights[0, x], weights[1, x], weights[2, x], weights[3, x]
-        a, b, c, d = index[0, x], index[1, x], index[2, x], index[3, x]
-        for k in range(channels):
-            least, most = min(low[b + k], low[c + k]), max(high[b + k], high[c + k])
-            cubic = u * value[a + k] + v * value[b + k] + w * value[c + k] + z * value[d + k]
-            row[channels * x + k] = min(max(cubic, least), most)
+        for i in range(index[x], index[x] + channels):
+            a, b, c, d = i, i + channels, i + 2 * channels, i + 3 * channels
+            cubic = u * value[a] + v * value[b] + w * value[c] + z * value[d]
+            row[channels * x + i - index[x]] = min(max(cubic, least[b]), most[b])
 
 
 @compiled
@@ -59,42 +77,60 @@ def is_doubled(columns, w):
 
 
 @compiled
-def repeat_edges(line, channels):
-    """Fill the margins of a row with its first and last pixel."""
-    first, end = MARGIN * channels, line.size - MARGIN * channels
-    for i in range(first):
-        line[i] = line[first + i % channels]
-        line[end + i] = line[end - channels + i % channels]
-
-
-@compiled
-def even_row(a, b, c, d, low, low_after, high, high_after, weights, out):
+def even_row(a, b, c, d, least, most, weights, out):
     """Like `across_row` for every second pixel, whose four taps lie alike."""
     u, v, w, z = weights
     for i in range(out.size):
-        least, most = min(low[i], low_after[i]), max(high[i], high_after[i])
-        out[i] = min(max(u * a[i] + v * b[i] + w * c[i] + z * d[i], least), most)
+        out[i] = min(max(u * a[i] + v * b[i] + w * c[i] + z * d[i], least[i]), most[i])
+
+
+@inline
+def put_pixel(source, at, row, target):
+    """Three values, and the one after them, which the next pixel is written over: four are one instruction."""
+    a, b, c, d = source[at], source[at + 1], source[at + 2], source[at + 3]
+    row[target], row[target + 1], row[target + 2], row[target + 3] = a, b, c, d
 
 
 @compiled
 def interleave(even, odd, channels, row):
     """Pixels of two rows in turn."""
-    for x in range(even.size // channels):
+    first = 0
+    if channels == 1:
+        for x in range(even.size):
+            row[2 * x], row[2 * x + 1] = even[x], odd[x]
+        return
+    if channels == 3:
+        first = even.size // 3 - 1
+        for x in range(first):
+            put_pixel(even, 3 * x, row, 6 * x)
+            put_pixel(odd, 3 * x, row, 6 * x + 3)
+    for x in range(first, even.size // channels):
         for k in range(channels):
             row[2 * channels * x + k] = even[channels * x + k]
             row[channels * (2 * x + 1) + k] = odd[channels * x + k]
 
 
 @compiled
-def double_row(value, low, high, columns, channels, sides, row):
-    """A row of twice as many pixels, evenly; the input's rows have margins."""
+def double_row(value, least, most, columns, channels, sides, row):
+    """A row of twice as many pixels, evenly."""
     for side in range(2):
         at = math.floor(columns[side])
         first = channels * (MARGIN + int(at) - 1)
         second, third, fourth = first + channels, first + 2 * channels, first + 3 * channels
-        even_row(value[first:], value[second:], value[third:], value[fourth:], low[second:], low[third:], high[second:],
-                 high[third:], catmull_rom(columns[side] - np.float32(at)), sides[side])
+        even_row(value[first:], value[second:], value[third:], value[fourth:], least[second:], most[second:],
+                 catmull_rom(columns[side] - np.float32(at)), sides[side])
     interleave(sides[0], sides[1], channels, row)
+
+
+@compiled
+def taps_of(columns, w, channels):
+    """Where in a row with margins the four taps of each column begin, and their weights."""
+    index, weights = np.empty(columns.size, np.int64), np.empty((4, columns.size), np.float32)
+    for x in range(columns.size):
+        left = math.floor(columns[x])
+        weights[0, x], weights[1, x], weights[2, x], weights[3, x] = catmull_rom(columns[x] - np.float32(left))
+        index[x] = channels * (MARGIN - 1 + min(max(int(left), -3), w + 2))
+    return index, weights
 
 
 @compiled
@@ -105,30 +141,31 @@ def resample_rows(y0, y1, image, rows, columns, output):
     not finite counts as 0.
     """
     h, w, channels = image.shape
-    width = output.shape[1]
-    flat = image.reshape(h, w * channels)
-    index, weights = np.empty((4, width), np.int64), np.empty((4, width), np.float32)
-    for x in range(width):
-        left = math.floor(columns[x])
-        weights[0, x], weights[1, x], weights[2, x], weights[3, x] = catmull_rom(columns[x] - np.float32(left))
-        for i in range(4):
-            index[i, x] = channels * min(max(int(left) - 1 + i, 0), w - 1)
-    doubled, margin = is_doubled(columns, w), MARGIN * channels
-    lines, sides = np.empty((3, w * channels + 2 * margin), np.float32), np.empty((2, w * channels), np.float32)
-    inner = slice(margin, margin + w * channels)
-    value, low, high = lines[0][inner], lines[1][inner], lines[2][inner]
+    flat, width, size = image.reshape(h, w * channels), output.shape[1], (w + 2 * MARGIN) * channels
+    doubled = is_doubled(columns, w)
+    index, weights = taps_of(columns[:0] if doubled else columns, w, channels)
+    lines, numbers, slots = np.empty((4, size), np.float32), np.full(4, -1), np.empty(4, np.int64)
+    value, low, high = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+    least, most = np.empty(size, np.float32), np.empty(size, np.float32)
+    sides, bounded = np.empty((2, w * channels), np.float32), np.full(2, -1)
     for y in range(y0, y1):
         top = math.floor(rows[y])
-        near = [min(max(int(top) - 1 + j, 0), h - 1) for j in range(4)]
-        down_rows(flat[near[0]], flat[near[1]], flat[near[2]], flat[near[3]], catmull_rom(rows[y] - np.float32(top)),
-                  value, low, high)
+        for j in range(4):  # rows near each other have places of their own
+            near = min(max(int(top) - 1 + j, 0), h - 1)
+            slots[j] = near % 4
+            if numbers[slots[j]] != near:
+                numbers[slots[j]] = near
+                clean_row(flat[near], channels, lines[slots[j]])
+        down_row(lines[slots[0]], lines[slots[1]], lines[slots[2]], lines[slots[3]],
+                 catmull_rom(rows[y] - np.float32(top)), value)
+        if bounded[0] != numbers[slots[1]] or bounded[1] != numbers[slots[2]]:
+            bounded[0], bounded[1] = numbers[slots[1]], numbers[slots[2]]
+            bounds_row(lines[slots[1]], lines[slots[2]], channels, low, high, least, most)
         row = output[y].reshape(width * channels)
         if doubled:
-            for i in range(3):
-                repeat_edges(lines[i], channels)
-            double_row(lines[0], lines[1], lines[2], columns, channels, sides, row)
+            double_row(value, least, most, columns, channels, sides, row)
         else:
-            across_row(value, low, high, index, weights, channels, row)
+            across_row(value, least, most, index, weights, channels, row)
 
 
 def positions(size: int, out_size: int, shift: float = 0.0) -> np.ndarray:
