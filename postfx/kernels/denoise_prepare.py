@@ -16,21 +16,21 @@ from postfx.kernels.denoise_layout import (
     TOP,
     kernel,
 )
-from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, demodulation, inline
+from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, demodulation, inline, summed
 
 ZERO, ONE = np.float32(0), np.float32(1)
+NEAREST, FARTHEST = np.float32(1e-6), np.float32(1e9)
 
 
-@compiled
+@summed
 def scale_rows(y0, y1, depth, scale):
     """Harmonic mean depth of what was hit, 1 where nothing was; a single row, so one thread sums in one order."""
-    hits, near = 0, 0.0
-    for y in range(depth.shape[0]):
-        for x in range(depth.shape[1]):
-            z = depth[y, x, 0]
-            if 0 < z < 1e9:
-                hits += 1
-                near += 1 / max(z, np.float32(1e-6))
+    hits, near, flat = 0.0, 0.0, depth.reshape(depth.size)
+    for i in range(flat.size):
+        z = flat[i]
+        hit = (z > ZERO) & (z < FARTHEST)
+        hits += np.float64(ONE if hit else ZERO)
+        near += np.float64(ONE / max(z, NEAREST) if hit else ZERO)
     scale[0] = hits / near if hits else 1.0
 
 

@@ -67,6 +67,8 @@ fast_inline = kernel_jit(inline="always", fastmath=True)
 compiled = kernel_jit()
 # a * b + c in one instruction; NaN and infinity keep their meaning.
 fused, fused_inline = kernel_jit(fastmath={"contract"}), kernel_jit(fastmath={"contract"}, inline="always")
+# Sums in any order, which may be in vector instructions; NaN and infinity keep their meaning.
+summed = kernel_jit(fastmath={"contract", "reassoc"})
 # Reassociation lets the compiler use vector instructions; never for code that must see NaN or infinity.
 vectorised = kernel_jit(fastmath=True)
 
@@ -76,12 +78,6 @@ def clamp(value, low, high):
     """``value`` within [low, high], which holds 0 or lies above it; a NaN becomes the value nearest to 0."""
     known = value if value == value else np.float32(0)
     return min(max(np.float32(low), known), np.float32(high))
-
-
-@inline
-def mirrored(index, size):
-    """A row that goes on beyond its end as in a mirror, and stops at its start."""
-    return max(size - 1 - abs(index - (size - 1)), 0)
 
 
 @inline
