@@ -3,8 +3,8 @@
     python -m training.cut denoise_upscale.m --clips clips
 
 A level whose convolutions on the way up are never active passes nothing on to finer levels, and its own filters are the
-same everywhere; those of coarser ones hardly weigh. Such levels keep a few channels that hold zeros, and the means of
-their filters. Run `training.halve` and `training.quantise` after it.
+same everywhere; those of coarser ones hardly weigh. The network goes without such levels, and their filters are the
+means of what they were. Run `training.halve` and `training.quantise` after it.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -22,12 +23,9 @@ from training.dataset import Batch, collate, load, to_batch
 from training.export import MODELS, write_card
 from training.export_denoise import card, export_trunk, load_trunk
 from training.networks.denoise_upscale import DenoiseUpscale
-from training.networks.trunk import KERNEL, Trunk, TrunkConfig
+from training.networks.trunk import LEVELS, Trunk, TrunkConfig, logits_of
 from training.restore import PREFIX, weights_of
 from training.revive import active_channels
-
-NARROW = 16
-"""Channels of a level that is cut."""
 
 
 class Means:
@@ -44,33 +42,31 @@ class Means:
         self._runs += 1
 
     def logits(self, level: int) -> Tensor:
-        """What would give them, of a level counted from 0."""
-        mean = self._sums[level] / self._runs
-        return torch.cat((mean[:KERNEL].log(), mean[KERNEL:].logit(1e-6)))
+        """What would give them, of a level counted from 0: (1, C, 1, 1)."""
+        return logits_of((self._sums[level] / self._runs)[None, :, None, None])
 
 
 def first_unused(config: TrunkConfig, active: Mapping[str, Tensor]) -> int | None:
     """The finest level that passes nothing on, counted from 0."""
-    last = 2 * config.depth - 1
-    silent = [level for level in range(1, len(config.widths) - 1) if not active[f"up.{level}.{last}"].any()]
+    last, rising = 2 * config.depth - 1, min(len(config.widths), LEVELS - 1)
+    silent = [level for level in range(1, rising) if not active[f"up.{level}.{last}"].any()]
     return min(silent, default=None)
 
 
 def cut(config: TrunkConfig, weights: Mapping[str, Tensor], first: int, means: Means) -> Trunk:
-    """The network without what levels from `first` on compute."""
-    widths = (*config.widths[:first], *[NARROW] * (len(config.widths) - first))
-    trunk = Trunk(TrunkConfig(widths, config.depth, config.guides, config.stem, config.reach))
-    made = trunk.state_dict()
-    for name, weight in made.items():
-        kept = weights[PREFIX + name]
-        weight.copy_(kept if kept.shape == weight.shape else torch.zeros_like(weight))
-    for level in range(first, len(widths)):
-        made[f"heads.{level}.bias"].copy_(means.logits(level))
-    for name in (f"{way}.{level}" for way in ("down", "up", "lift") for level in range(first, len(widths))):
-        for tensor in (weight for key, weight in made.items() if key.startswith(f"{name}.")):
-            tensor.zero_()
+    """The network without levels from `first` on."""
+    trunk = Trunk(replace(config, widths=config.widths[:first]))
+    made = {name: weights[f"{PREFIX}{name}"] for name in trunk.state_dict().keys() & _plain(weights)}
+    made["rest"] = weights[f"{PREFIX}lift.{first - 1}.bias"][None, :, None, None]
+    made |= {f"alike.{i}": means.logits(level) for i, level in enumerate(range(first, LEVELS))}
     trunk.load_state_dict(made)
     return trunk.eval()
+
+
+def _plain(weights: Mapping[str, Tensor]) -> set[str]:
+    """Names of weights in the trunk, but for those that stand for cut levels."""
+    names = {name.removeprefix(PREFIX) for name in weights}
+    return {name for name in names if name != "rest" and not name.startswith("alike.")}
 
 
 def looked_at(model: DenoiseUpscale, batches: Iterable[Batch]) -> tuple[dict[str, Tensor], Means]:

@@ -53,7 +53,6 @@ from training.networks.trunk import (
     stem,
 )
 
-ALIGN = 16  # height and width of the trunk's input are multiples of this
 CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
 SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, for 1x",
              GUIDED: "recurrent denoised upscaler, 1x to 3x, guides at output size"}
@@ -64,12 +63,14 @@ MEANING = {
     "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
     "level4": f"5x5 kernel {KERNEL}",
 }
+ALIKE = "the same at all pixels"
 
 
 # Kernel -> its torch definition, and the sizes to trace with: 21x33 pixels of a picture of 25x45, padded to 32x48,
 # enlarged to 29x51 of 35x70.
 SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35, "width": 70, "out_th": 29,
          "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3,
+         "finer_h": 63, "finer_w": 97, "coarse_h": 17, "coarse_w": 25,
          "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
          "keep_h": 15, "keep_w": 27, "cells_h": 3, "cells_w": 5, "wide": 8}
 KERNELS = {
@@ -161,14 +162,19 @@ class ExportedTrunk(Trunk):
 
 def export_trunk(trunk: Trunk, path: Path) -> float:
     """Write the network and hold it to torch; returns the largest relative error. Raises ParityError."""
-    # torch checks that the sizes of skip connections match, so it must know that the input is a multiple of ALIGN.
-    free = {2: ALIGN * torch.export.Dim("rows", min=1), 3: ALIGN * torch.export.Dim("columns", min=1)}
+    # torch checks that the sizes of skip connections match, so it must know what the input is a multiple of.
+    free = {2: trunk.align * torch.export.Dim("rows", min=1), 3: trunk.align * torch.export.Dim("columns", min=1)}
     reads = inputs(trunk.config)
     names = {name: (1, channels, "height", "width") for name, channels in reads.items()}
-    names |= {name: (1, _channels(name), "?", "?") for name in OUTPUTS}
+    names |= {name: (1, _channels(name), *("??" if has_level(trunk.config, name) else (1, 1))) for name in OUTPUTS}
     export(ExportedTrunk(trunk), example(trunk, 64, 96), list(reads), OUTPUTS, path, [free] * len(reads), names)
     height, width = CHECKED
     return parity(ExportedTrunk(trunk), path, example(trunk, height, width), {"height": height, "width": width})
+
+
+def has_level(config: TrunkConfig, output: str) -> bool:
+    """Whether the network computes an output, which otherwise is the same at all pixels."""
+    return output == PHASED_FINE or int(output[-1]) <= len(config.widths)
 
 
 def _channels(name: str) -> int:
@@ -177,6 +183,7 @@ def _channels(name: str) -> int:
 
 def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, Any]) -> dict[str, Any]:
     """What the run-time and a reader need to know about the model."""
+    config = TrunkConfig.from_dict(checkpoint["config"])
     return {
         "name": f"denoise_upscale.{tag}",
         "pass": "denoise_upscale",
@@ -186,14 +193,11 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
         "inputs": {
             name: {
                 "shape": [1, channels, "height", "width"],
-                "meaning": f"see training/networks/denoise_upscale.py; height and width multiples of {ALIGN}",
+                "meaning": f"see training/networks/denoise_upscale.py; height and width multiples of {config.align}",
             }
-            for name, channels in inputs(TrunkConfig.from_dict(checkpoint["config"])).items()
+            for name, channels in inputs(config).items()
         },
-        "outputs": {
-            name: {"shape": [1, _channels(name), *_size(name)], "meaning": MEANING.get(name, MEANING["level"])}
-            for name in OUTPUTS
-        },
+        "outputs": {name: _output(config, name) for name in OUTPUTS},
         "config": checkpoint["config"],
         "training": {"script": "training/train_denoise.py", **checkpoint["notes"]},
         "parity": {"max_relative_error": float(f"{error:.2g}"), "against": f"torch {torch.__version__}"},
@@ -201,9 +205,12 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
     }
 
 
-def _size(name: str) -> list[str]:
+def _output(config: TrunkConfig, name: str) -> dict[str, Any]:
+    meaning = MEANING.get(name, MEANING["level"])
+    if not has_level(config, name):
+        return {"shape": [1, _channels(name), 1, 1], "meaning": f"{meaning}; {ALIKE}", "constant": True}
     level = 1 if name == PHASED_FINE else int(name[-1])
-    return [f"{side}/{2**level}" for side in ("height", "width")]
+    return {"shape": [1, _channels(name), f"height/{2**level}", f"width/{2**level}"], "meaning": meaning}
 
 
 def main() -> None:

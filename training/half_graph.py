@@ -21,10 +21,11 @@ def halve(model: onnx.ModelProto) -> onnx.ModelProto:
     """From a network as `export` writes it, with weights in half precision and a cast, the same one for GPUs."""
     model = onnx.ModelProto.FromString(model.SerializeToString())
     graph = model.graph
+    alike = alike_of(graph)
     _use_stored_weights(graph)
-    _narrow(graph)
+    _narrow(graph, alike)
     _join_features(graph)
-    heads = [_leave_raw(graph, value.name) for value in graph.output]
+    heads = [value if value.name in alike else _leave_raw(graph, value.name) for value in graph.output]
     reads = [name for name in CHANNELS if any(name in node.input for node in graph.node)]
     inputs = [_take_packed(graph, name, CHANNELS[name]) for name in reads]
     del graph.output[:], graph.input[:]
@@ -33,6 +34,16 @@ def halve(model: onnx.ModelProto) -> onnx.ModelProto:
     _drop_unused(graph)
     onnx.checker.check_model(model)
     return model
+
+
+def alike_of(graph: GraphProto) -> set[str]:
+    """Outputs that are constants: heads that are the same at all pixels. They stay float32."""
+    return {value.name for value in graph.output} & {weight.name for weight in graph.initializer}
+
+
+def computed_levels(graph: GraphProto) -> int:
+    """Levels of the pyramid whose heads a network computes."""
+    return sum("level" in value.name for value in graph.output) - len(alike_of(graph))
 
 
 def _use_stored_weights(graph: GraphProto) -> None:
@@ -46,11 +57,11 @@ def _use_stored_weights(graph: GraphProto) -> None:
         node.input[:] = [renamed.get(name, name) for name in node.input]
 
 
-def _narrow(graph: GraphProto) -> None:
-    """What is left in float32, but for the scales of a Resize, which have to be."""
-    scales = {name for node in graph.node if node.op_type == "Resize" for name in node.input[1:]}
+def _narrow(graph: GraphProto, kept: set[str]) -> None:
+    """What is left in float32, but for some and for the scales of a Resize, which have to be."""
+    kept = kept | {name for node in graph.node if node.op_type == "Resize" for name in node.input[1:]}
     for weight in graph.initializer:
-        if weight.data_type == TensorProto.FLOAT and weight.name not in scales:
+        if weight.data_type == TensorProto.FLOAT and weight.name not in kept:
             weight.CopyFrom(numpy_helper.from_array(_array(weight).astype(np.float16), weight.name))
 
 

@@ -26,10 +26,9 @@ from onnx import TensorProto
 from postfx.kernels import denoise_half
 from postfx.kernels.denoise_open import OPEN_PHASED
 from postfx.passes._denoise_network import FEATURE_PARTS, PACKED, PHASED_FINE, RAW
-from postfx.passes._denoise_window import ALIGN
 from postfx.runtime import Library
 from training.export import MODELS, ParityError, relative_error, write_card
-from training.half_graph import halve
+from training.half_graph import computed_levels, halve
 from training.quantise import variant_name
 
 PRECISION = "fp16"
@@ -62,14 +61,16 @@ def make_fp16(name: str, folder: Path) -> dict[str, Any]:
     card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION,
             "weights": {source.name: hashlib.sha256(source.read_bytes()).hexdigest()},
             "parity": {"max_relative_error": float(f"{error:.2g}"), "against": f"{name} in float32"}}
-    card |= {"inputs": _listed(model.graph.input), "outputs": _listed(model.graph.output)}
+    align = 2 ** computed_levels(model.graph)
+    alike = {output: told for output, told in card.get("outputs", {}).items() if told.get("constant")}
+    card |= {"inputs": _listed(model.graph.input, align), "outputs": _listed(model.graph.output, align) | alike}
     card.pop("quality", None)  # was measured in float32
     write_card(path, card)
     return card
 
 
-def _listed(values: Iterable[onnx.ValueInfoProto]) -> dict[str, Any]:
-    meaning = f"float16, channels last, see postfx/kernels/denoise_half.py; height and width multiples of {ALIGN}"
+def _listed(values: Iterable[onnx.ValueInfoProto], align: int) -> dict[str, Any]:
+    meaning = f"float16, channels last, see postfx/kernels/denoise_half.py; height and width multiples of {align}"
     sizes = {value.name: [dim.dim_value or dim.dim_param or "?" for dim in value.type.tensor_type.shape.dim]
              for value in values}
     return {name: {"shape": size, "meaning": meaning} for name, size in sizes.items()}
@@ -85,7 +86,8 @@ def difference(model: onnx.ModelProto, wanted: onnx.ModelProto, size: tuple[int,
              for value in wanted.graph.input}
     whole = {"features": np.concatenate([reads[part] for part in FEATURE_PARTS], 1), **reads}
     packed = {f"{PACKED}{name}": pack(value) for name, value in whole.items() if name not in FEATURE_PARTS}
-    found = [opened(name.removeprefix(RAW), raw) for name, raw in _run(model, packed).items()]
+    found = [opened(name.removeprefix(RAW), head) if name.startswith(RAW) else head
+             for name, head in _run(model, packed).items()]
     exact = [opened_phases(head) if name == PHASED_FINE else head for name, head in _run(wanted, reads).items()]
     worst = max(relative_error(mine[:, :value.shape[1]], value) for mine, value in zip(found, exact, strict=True))
     if not worst <= TOLERANCE:

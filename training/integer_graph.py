@@ -15,7 +15,7 @@ import numpy as np
 import onnx
 from onnx import NodeProto, TensorProto, helper
 
-from postfx.passes._denoise_network import CODING, PHASED_FINE, PRODUCTS, SCALING, STORED
+from postfx.passes._denoise_network import PHASED_FINE, PRODUCTS, SCALING, STORED
 from training.graph_parts import FIRST_TO_LAST, LAST_TO_FIRST, constant, node, prune, replace, value
 from training.integer_stem import Stem
 from training.rounding import Rounded
@@ -51,9 +51,9 @@ def in_integers(model: onnx.ModelProto, weights: Mapping[str, Rounded], stem: St
 def facts(model: onnx.ModelProto) -> dict[str, Any]:
     """What a card tells of such a model's inputs and outputs."""
     found = {"outputs": _listed(model.graph.output, "denoise_products")}
-    for name, output in found["outputs"].items():
-        if name.startswith((SCALING, CODING)):
-            output["constant"] = True
+    for weight in model.graph.initializer:
+        if weight.name in found["outputs"]:
+            found["outputs"][weight.name]["constant"] = True
     if model.graph.input[0].name.startswith(STORED):
         found["inputs"] = _listed(model.graph.input, "denoise_store")
     return found
@@ -86,10 +86,10 @@ def _repeat(graph: onnx.GraphProto, resize: NodeProto) -> None:
 
 
 def heads(graph: onnx.GraphProto) -> dict[str, NodeProto]:
-    """Outputs and the convolutions that give their logits."""
+    """Outputs and the convolutions that give their logits; none of those that are constants."""
     makers = {output: one for one in graph.node for output in one.output}
     found = {}
-    for output in graph.output:
+    for output in (one for one in graph.output if one.name in makers):
         maker = makers[output.name]
         while maker.op_type != "Conv":
             maker = makers[maker.input[0]]

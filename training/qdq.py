@@ -109,6 +109,8 @@ class _Rewriter:
         if integer:
             self._quantise_weights(node)
         for index, name in enumerate(node.input):
+            if node.op_type == "Add" and name in self.weights:
+                self._keep_constant(name)
             node.input[index] = self._kept.get(name, name)
         self.nodes.append(node)
         for name in node.output:
@@ -124,6 +126,16 @@ class _Rewriter:
             self.nodes.append(helper.make_node("QuantizeLinear", [name, *stored[1:]], stored[:1]))
             self.nodes.append(helper.make_node("DequantizeLinear", stored, [f"{name}_kept"]))
             self._kept[name] = f"{name}_kept"
+
+    def _keep_constant(self, name: str) -> None:
+        """Keep what is added to a tensor in 8 bits: a sum is in integers where both of its parts are."""
+        values = numpy_helper.to_array(self.weights.pop(name))
+        scale, zero = Range.of(float(values.min()), float(values.max()))
+        stored = [f"{name}_quantised", f"{name}_scale", f"{name}_zero"]
+        for key, held in zip(stored, (np.rint(values / scale) + zero, scale, zero), strict=True):
+            self._store(key, np.asarray(held, np.float32 if key == stored[1] else np.uint8))
+        self.nodes.append(helper.make_node("DequantizeLinear", stored, [f"{name}_kept"]))
+        self._kept[name] = f"{name}_kept"
 
     def _quantise_weights(self, node: NodeProto) -> None:
         """Weights in 7 bits with a scale for each output channel, the bias in 32 bits as ONNX Runtime wants it."""

@@ -155,8 +155,10 @@ def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[st
     card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION}
     for measured_otherwise in ("quality", "parity"):
         card.pop(measured_otherwise, None)
+    known, found = library.card(name).get("outputs", {}), facts(small)
+    found["outputs"] = {output: known.get(output, told) for output, told in found["outputs"].items()}
     card |= {"made_from": {"name": name, "sha256": library.card(name).get("sha256")},
-             **facts(small), "int8_layers": len(quantised) + (stem is not None)}
+             **found, "int8_layers": len(quantised) + (stem is not None)}
     write_card(path, card)  # which says what is constant
     after = pictures(shots(source, ending), Library(folder), path.stem)
     card["difference"] = {**difference(after, before), "frames": len(before)}

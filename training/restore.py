@@ -6,6 +6,8 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor
 
+from training.networks.trunk import logits_of
+
 PREFIX, HALF = "trunk.", "_half"
 
 
@@ -14,10 +16,13 @@ def weights_of(path: Path) -> dict[str, Tensor]:
 
     They are rounded to half precision, as the file keeps them. Raises ValueError for variants of other precision.
     """
-    stored = {t.name.removesuffix(HALF): torch.from_numpy(numpy_helper.to_array(t).astype("float32"))
-              for t in onnx.load(path).graph.initializer if "." in t.name}
+    found = {t.name.removesuffix(HALF): torch.from_numpy(numpy_helper.to_array(t).astype("float32"))
+             for t in onnx.load(path).graph.initializer}
+    stored = {name: values for name, values in found.items() if "." in name or name == "rest"}
     if "fine.weight" not in stored:
         raise ValueError(f"{path}: no weights of the fine head: take the float32 model, as denoise_upscale.m.onnx")
+    alike = (found[level] for level in sorted(found) if level.startswith("level"))
+    stored |= {f"alike.{i}": logits_of(level).half().float() for i, level in enumerate(alike)}
     stored["stem.bias"] = stored.pop("stems.0.bias")
     stored["stem.weight"] = torch.cat([stored.pop(f"stems.{i}.weight") for i in range(2)], 1)
     return {PREFIX + name: values.contiguous() for name, values in stored.items()}

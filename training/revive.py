@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from training.dataset import Batch, collate, load, to_batch
 from training.networks.denoise_upscale import DenoiseUpscale, empty_state
-from training.networks.trunk import TrunkConfig
+from training.networks.trunk import LEVELS, TrunkConfig
 
 SHY = 0.01
 """Part of the usual spread for channels that skip connections add to others: what they reach cannot be set to zero."""
@@ -77,7 +77,7 @@ def _readers(config: TrunkConfig, block: str, number: int) -> tuple[list[str], b
     if way == "up":
         return [f"heads.{level}", f"lift.{level - 1}" if level else "fine"], False
     if level == top:
-        return [f"heads.{top}", f"lift.{top - 1}"], False
+        return [f"up.{top}.0"] if top + 1 < LEVELS else [f"heads.{top}", f"lift.{top - 1}"], False
     return [f"down.{level + 1}.0"], True
 
 

@@ -40,7 +40,6 @@ from postfx.kernels.numeric import (
     log,
     log1p,
     log_encode,
-    mirrored,
 )
 
 MEMORY = 4 + HIDDEN
@@ -179,11 +178,11 @@ def memory_planes(row, valid, memory, features):
 
 @compiled
 def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
-                 warped, depth_scale, params, window, keep, past, features):
-    """The network's input, mirrored beyond the frame and up to its size, and the reprojected accumulation."""
+                 warped, depth_scale, params, window, keep, seen_rows, seen_columns, past, features):
+    """The network's input and the reprojected accumulation."""
     h, w, height, width = int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]), int(window[OUT_WIDTH])
     top, first, above, before_left = int(window[TOP]), int(window[LEFT]), int(window[OUT_TOP]), int(window[OUT_LEFT])
-    two, lines, count = np.float32(2), min(moved.shape[0], h - top), min(moved.shape[1], w - first)
+    two, count = np.float32(2), min(moved.shape[1], w - first)
     columns = np.arange(first, first + count)
     left = np.array([x * width // w - before_left for x in columns])
     right = np.array([-(-(x + 1) * width // w) - before_left for x in columns])
@@ -192,7 +191,7 @@ def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughn
     valid, share = np.empty(count, np.float32), np.empty(count, np.float32)
     total = np.empty(3 * warped.shape[1], np.float32)
     for row in range(y0, y1):
-        here = mirrored(row, lines)
+        here = int(seen_rows[row])
         y = top + here
         for x in range(count):
             factor[0, x], factor[1, x], factor[2, x] = demodulation(diffuse_albedo, specular_albedo, y, first + x)
@@ -212,15 +211,15 @@ def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughn
         features[0, 26, row, :] = np.float32(w) / np.float32(width)
         for c in range(FEATURES):
             for x in range(count, features.shape[3]):
-                features[0, c, row, x] = features[0, c, row, mirrored(x, count)]
+                features[0, c, row, x] = features[0, c, row, int(seen_columns[x])]
         if row < past.shape[0]:
             for x in range(past.shape[1]):
-                at = mirrored(x, count)
+                at = int(seen_columns[x])
                 for c in range(3):
                     past[row, x, c] = memory[c, at] * params[GAIN]
                 past[row, x, 3] = memory[3, at]
 
 
 FEATURE = kernel("features", ("colour", *REFLECTANCE, "normal", "roughness", "depth", "moved", "state", "last_depth",
-                              "warped", "depth_scale", "params", "window", "keep"), ("past", "features"),
-                 feature_rows, ("features", 2))
+                              "warped", "depth_scale", "params", "window", "keep", "seen_rows", "seen_columns"),
+                 ("past", "features"), feature_rows, ("features", 2))

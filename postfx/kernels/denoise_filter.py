@@ -1,6 +1,7 @@
 """Kernels after the upscaler's network: filter the pyramid from coarse to fine and put the reflectance back.
 
-Pyramid levels are planar so that the inner loops run along rows with vector instructions.
+Pyramid levels are planar so that the inner loops run along rows with vector instructions. Cells of 2x2 pixels lie where
+those of the whole frame do, so a window's first row or column may be the second one of its cells.
 """
 
 import numpy as np
@@ -12,31 +13,56 @@ ZERO, TINY = np.float32(0), np.float32(1e-8)
 
 
 @vectorised
-def pool_rows(y0, y1, finer, level):
-    """Importance-weighted mean over 2x2 pixels; the last channel is the mean importance."""
-    w = level.shape[2]
+def pool_row(upper, lower, level):
+    """Importance-weighted mean over 2x2 pixels of two rows (4, 2 w); the last channel is the mean importance."""
     quarter = np.float32(0.25)
+    for x in range(level.shape[1]):
+        a, b = upper[3, 2 * x], upper[3, 2 * x + 1]
+        c, d = lower[3, 2 * x], lower[3, 2 * x + 1]
+        total = quarter * (a + b + c + d)
+        share = quarter / (total + TINY)
+        for k in range(3):
+            level[k, x] = share * (a * upper[k, 2 * x] + b * upper[k, 2 * x + 1]
+                                   + c * lower[k, 2 * x] + d * lower[k, 2 * x + 1])
+        level[3, x] = total
+
+
+@compiled
+def pool_rows(y0, y1, finer, finer_rows, finer_columns, level):
+    """A level from the finer one, whose first row and column of each cell are given; what lies beyond has no weight."""
+    h, w, first = finer.shape[1], finer.shape[2], int(finer_columns[0])
+    whole = first == 0 and w == 2 * level.shape[2]
+    lines = np.zeros((2, 4, 2 * level.shape[2]), np.float32)
     for y in range(y0, y1):
-        for x in range(w):
-            a, b = finer[3, 2 * y, 2 * x], finer[3, 2 * y, 2 * x + 1]
-            c, d = finer[3, 2 * y + 1, 2 * x], finer[3, 2 * y + 1, 2 * x + 1]
-            total = quarter * (a + b + c + d)
-            share = quarter / (total + TINY)
-            for k in range(3):
-                level[k, y, x] = share * (a * finer[k, 2 * y, 2 * x] + b * finer[k, 2 * y, 2 * x + 1]
-                                          + c * finer[k, 2 * y + 1, 2 * x] + d * finer[k, 2 * y + 1, 2 * x + 1])
-            level[3, y, x] = total
+        at = int(finer_rows[y])
+        if whole and at >= 0 and at + 1 < h:
+            pool_row(finer[:, at], finer[:, at + 1], level[:, y])
+            continue
+        for j in range(2):
+            if 0 <= at + j < h:
+                lines[j, :, -first:w - first] = finer[:, at + j]
+            else:
+                lines[j] = ZERO
+        pool_row(lines[0], lines[1], level[:, y])
 
 
 @vectorised
-def mix_rows(y0, y1, coarse, level, heads, mixed):
-    """The coarser result where the network trusts it more than the level's own colour."""
+def mix_row(coarse, level, share, first, mixed):
+    """The coarser result where the network trusts it more than the level's own colour; `first` is 1 where the row
+    begins with the second pixel of a cell."""
+    for k in range(3):
+        for x in range(share.size):
+            below = coarse[k, (x + first) // 2]
+            mixed[k, x] = below + (level[k, x] - below) * share[x]
+
+
+@compiled
+def mix_rows(y0, y1, coarse, level, heads, coarse_rows, coarse_columns, mixed):
+    """All rows of a level, by the coarser one's rows and columns that theirs lie in."""
     at = MIX if heads.shape[1] > KERNEL + 1 else KERNEL
+    second = 1 if coarse_columns.size > 1 and coarse_columns[1] > 0 else 0
     for y in range(y0, y1):
-        for k in range(3):
-            for x in range(level.shape[2]):
-                below = coarse[k, y // 2, x // 2]
-                mixed[k, y, x] = below + (level[k, y, x] - below) * heads[0, at, y, x]
+        mix_row(coarse[:, int(coarse_rows[y])], level[:, y], heads[0, at, y], second, mixed[:, y])
 
 
 @vectorised
@@ -116,8 +142,9 @@ def remodulate_guided_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, pa
 
 
 PLANAR = (3, "hp", "wp")
-POOL = kernel("pool", ("finer",), ("level",), pool_rows, ("level", 1))
-MIX_LEVELS = kernel("mix", ("coarse", "level", "heads"), ("mixed",), mix_rows, ("mixed", 1), mixed=PLANAR)
+POOL = kernel("pool", ("finer", "finer_rows", "finer_columns"), ("level",), pool_rows, ("level", 1))
+MIX_LEVELS = kernel("mix", ("coarse", "level", "heads", "coarse_rows", "coarse_columns"), ("mixed",), mix_rows,
+                    ("mixed", 1), mixed=PLANAR)
 FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1),
                 mixed=("channels", "hp", "wp"))
 REMODULATE = kernel("remodulate", ("filtered", *REFLECTANCE, "part_rows", "part_columns"), ("radiance",),

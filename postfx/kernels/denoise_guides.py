@@ -23,7 +23,7 @@ from postfx.kernels.denoise_layout import (
     WIDTH,
     kernel,
 )
-from postfx.kernels.numeric import clamp, compiled, demodulation, fused, mirrored
+from postfx.kernels.numeric import clamp, compiled, demodulation, fused
 
 CORNERS = 4
 CHANNELS = GUIDES // CORNERS
@@ -41,19 +41,19 @@ def picked_planes(picture, columns, low, high, first, row, guides):
 
 @compiled
 def guide_rows(y0, y1, guide_diffuse_albedo, guide_specular_albedo, guide_normal, guide_roughness, guide_depth,
-               depth_scale, window, part_rows, part_columns, guides):
-    """The nearest guide pixel at every corner; mirrored up to the network's size."""
+               depth_scale, window, seen_rows, seen_columns, guides):
+    """The nearest guide pixel at every corner of what the network sees."""
     h, w = int(window[HEIGHT]), int(window[WIDTH])
-    top, left = int(part_rows[0]), int(part_columns[0])
+    top, left = int(window[TOP]), int(window[LEFT])
     height, width = guide_depth.shape[:2]
     scale, padded = depth_scale[0], guides.shape[3]
     columns = np.empty((2, padded), np.int64)
     for x in range(padded):
         for side in range(2):
-            columns[side, x] = (4 * mirrored(left + x, w) + 1 + 2 * side) * width // (4 * w)
+            columns[side, x] = (4 * (left + int(seen_columns[x])) + 1 + 2 * side) * width // (4 * w)
     for row in range(y0, y1):
         for corner in range(CORNERS):
-            y = (4 * mirrored(top + row, h) + 1 + 2 * (corner // 2)) * height // (4 * h)
+            y = (4 * (top + int(seen_rows[row])) + 1 + 2 * (corner // 2)) * height // (4 * h)
             at, first = columns[corner % 2], CHANNELS * corner
             picked_planes(guide_diffuse_albedo[y], at, ZERO, TWO, first, row, guides)
             picked_planes(guide_specular_albedo[y], at, ZERO, TWO, first + 3, row, guides)
@@ -65,7 +65,7 @@ def guide_rows(y0, y1, guide_diffuse_albedo, guide_specular_albedo, guide_normal
                 near[x] = scale / (scale + near[x])
 
 
-GUIDE = kernel("guides", (*GUIDE_PLANES, "depth_scale", "window", "part_rows", "part_columns"), ("guides",), guide_rows,
+GUIDE = kernel("guides", (*GUIDE_PLANES, "depth_scale", "window", "seen_rows", "seen_columns"), ("guides",), guide_rows,
                ("guides", 2))
 
 

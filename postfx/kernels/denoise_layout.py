@@ -13,8 +13,11 @@ size, (th, tw) at render and (out_th, out_tw) at output size, and a part may end
 ``radiance`` has the filtered colour without reflectance, then with that of the render size. ``window`` is float32
 (8,): the part's first row and column, the frame's height and width, and the same at output size. ``part_rows``,
 ``part_columns``, ``out_rows`` and ``out_columns`` are the frame's rows and columns that the part holds, the last one
-repeated beyond the frame. ``past`` (th, tw, 4) is the reprojected accumulation with its count, -1 where the history
-does not hold a pixel that lies in the frame.
+repeated beyond the frame. ``seen_rows`` and ``seen_columns`` are the part's as the network sees them: beyond the frame
+they go on as in a mirror. ``past`` (th, tw, 4) is the reprojected accumulation with its count, -1 where the history
+does not hold a pixel that lies in the frame. ``finer_rows`` and ``finer_columns`` tell where in the finer level a
+level's cells begin, -1 before its first, ``coarse_rows`` and ``coarse_columns`` in which cells of the coarser one its
+pixels lie.
 """
 
 from collections.abc import Callable
@@ -56,12 +59,13 @@ BOTH = (6, "padded_h", "padded_w")
 SHAPES = PLANES | GUIDE_PLANES | {
     "depth_scale": (1,), "moved": ("th", "tw", 2), "history": ("height", "width", 3), "warped": ("out_th", "out_tw", 3),
     "params": (4,), "window": (8,), "part_rows": ("th",), "part_columns": ("tw",),
-    "out_rows": ("out_th",), "out_columns": ("out_tw",), "state": ("h", "w", 4 + HIDDEN), "last_depth": ("h", "w", 1),
-    "past": ("th", "tw", 4), "keep": ("keep_h", "keep_w", 1), "features": (1, FEATURES, "hp", "wp"),
-    "fine": (1, FINE, "hp", "wp"),
+    "seen_rows": ("hp",), "seen_columns": ("wp",), "out_rows": ("out_th",), "out_columns": ("out_tw",),
+    "state": ("h", "w", 4 + HIDDEN), "last_depth": ("h", "w", 1), "past": ("th", "tw", 4),
+    "keep": ("keep_h", "keep_w", 1), "features": (1, FEATURES, "hp", "wp"), "fine": (1, FINE, "hp", "wp"),
     "next_state": ("th", "tw", 4 + HIDDEN), "next_depth": ("th", "tw", 1), "level": (4, "hp", "wp"),
-    "finer": (4, "2*hp", "2*wp"),
-    "heads": (1, "heads", "hp", "wp"), "coarse": (3, "half_hp", "half_wp"), "area": (2,), "filtered": (3, "hp", "wp"),
+    "finer": (4, "finer_h", "finer_w"), "finer_rows": ("hp",), "finer_columns": ("wp",),
+    "coarse": (3, "coarse_h", "coarse_w"), "coarse_rows": ("hp",), "coarse_columns": ("wp",),
+    "heads": (1, "heads", "hp", "wp"), "area": (2,), "filtered": (3, "hp", "wp"),
     "radiance": (3, "padded_h", "padded_w"), "output": ("out_th", "out_tw", 3), "next_history": ("out_th", "out_tw", 3),
     "guides": (1, GUIDES, "hp", "wp"), "trust": ("cells_h", "cells_w", 1),
 }

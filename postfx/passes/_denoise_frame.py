@@ -13,7 +13,7 @@ from postfx.passes._denoise_graph import Graph
 from postfx.passes._denoise_history import History
 from postfx.passes._denoise_layout import GAIN, Band, Shape, around, band_of, cost, halo_of, whole_sides
 from postfx.passes._denoise_memory import bands_within
-from postfx.passes._denoise_window import ALIGN, Rows, Sizes, Window
+from postfx.passes._denoise_window import Rows, Sizes, Window, whole_steps
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
 MOST_GRAPHS = 4
@@ -126,9 +126,9 @@ class Frames:
     def _make(self, shape: Shape) -> Shape:
         """Make a graph ready for windows of a size, or somewhat larger ones if there were others before."""
         if self._graphs:
-            steps = (max(1, side // STEPS // ALIGN) * ALIGN for side in (self._sizes.h, self._sizes.w))
-            shape = whole_sides(self._sizes, tuple(-(-side // step) * step
-                                                   for side, step in zip(shape, steps, strict=True)))
+            grid = self._sizes.grid
+            steps = (max(1, side // STEPS // grid) * grid for side in (self._sizes.h, self._sizes.w))
+            shape = whole_sides(self._sizes, tuple(map(whole_steps, shape, steps)))
         if shape not in self._graphs:
             if len(self._graphs) == MOST_GRAPHS:
                 self._graphs.popitem(last=False)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
+
+import numpy as np
 
 from postfx.kernels import (
     denoise_features,
@@ -16,7 +18,7 @@ from postfx.kernels import (
     denoise_upsample,
 )
 from postfx.kernels.kernel import Kernel
-from postfx.passes._denoise_network import Network, free_dimensions, heads_of, seen_by
+from postfx.passes._denoise_network import Network, alike_heads, free_dimensions, heads_of, seen_by
 from postfx.passes._denoise_window import Window
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Library, PipelineState, Tensor
 
@@ -31,6 +33,17 @@ MOST_PLACES = 64
 def has_model(model: str) -> bool:
     """Whether a model comes with postfx."""
     return model in Library().names()
+
+
+def grid_of(models: Iterable[str]) -> int:
+    """Pixels of the render size in a place of the coarsest level that one of some models computes: what the sides of
+    its input are multiples of."""
+    return max(_grid(Library().card(model).get("outputs", {}) if has_model(model) else {}) for model in models)
+
+
+def _grid(outputs: Mapping[str, Mapping]) -> int:
+    levels = [int(name[-1]) for name, facts in outputs.items() if "level" in name and not facts.get("constant")]
+    return 2 ** max(levels, default=LEVELS)
 
 
 def name_models(device: Device, models: Iterable[str]) -> None:
@@ -54,10 +67,12 @@ class Graph:
         networks = {model: device.pipeline_state(Library(), model, dims) for model in models}
         self._tables: dict[str, ArgumentTable] = {}
         self._places: dict[Window, dict[str, Tensor]] = {}
-        self._make_tensors(networks[models[0]])
-        self._make_tables()
         between = cache(self._new)  # of several networks only one runs in a frame
-        self._networks = {model: Network(state, self._seen, self._heads, between) for model, state in networks.items()}
+        self._heads = {model: self._heads_of(state, between) for model, state in networks.items()}
+        self._make_tensors(networks[models[0]])
+        self._make_tables(self._heads[models[0]]["fine"])
+        self._networks = {model: Network(state, self._seen, self._heads[model], between)
+                          for model, state in networks.items()}
 
     def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Mapping[str, Tensor],
                moves: bool, masked: bool) -> None:
@@ -73,7 +88,7 @@ class Graph:
         """
         warped = self._made["warped"] if moves else tensors["history"]
         keep = self._made["keep"] if masked else tensors["keep"]
-        self._bind({**tensors, **self._place(window), "warped": warped, "keep": keep})
+        self._bind({**tensors, "warped": warped, "keep": keep}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             self._run(encoder, "dilate")
@@ -97,6 +112,14 @@ class Graph:
     def _kept(self, name: str, shape: tuple[int, ...]) -> Tensor:
         return self._device.heap.tensor(name, shape)
 
+    def _heads_of(self, network: PipelineState, between: Callable[..., Tensor]) -> dict[str, Tensor]:
+        """What the filters read of a network by name; of levels that it does not compute, what holds for all pixels."""
+        heads = {name: between(name, shape) for name, shape in heads_of(network).items()}
+        for name, values in alike_heads(network).items():
+            heads[name] = self._kept(name, (1, values.shape[1], *self._window.level(int(name[-1]))))
+            heads[name].upload(np.broadcast_to(values, heads[name].shape))
+        return heads
+
     def _make_tensors(self, network: PipelineState) -> None:
         rows, columns, out = self._window.rows, self._window.columns, self._window.out
         self._made = {"moved": self._new("moved", (rows, columns, 2)), "past": self._new("past", (rows, columns, 4)),
@@ -107,14 +130,13 @@ class Graph:
             self._made["trust"] = self._new("trust", (*cells, 1))
         if self._reactive:
             self._made["keep"] = self._new("keep", (rows, columns, 1))
-        self._heads = {name: self._new(name, shape) for name, shape in heads_of(network).items()}
         self._seen = {name: self._new(name, shape) for name, shape in seen_by(network).items()}
 
-    def _make_tables(self) -> None:
+    def _make_tables(self, fine: Tensor) -> None:
         level = self._window.level
         levels = [self._new(f"level {i}", (4, *level(i))) for i in range(LEVELS + 1)]
         filtered = [self._new(f"filtered {i}", (3, *level(i))) for i in range(LEVELS + 1)]
-        made = self._made | self._seen | {"fine": self._heads["fine"], "level": levels[0], "filtered": filtered[0]}
+        made = self._made | self._seen | {"fine": fine, "level": levels[0], "filtered": filtered[0]}
         remodulate, upsample = ENDS[self._guided]
         self._looks = ("features", "guides", "trust") if self._guided else ("features",)
         for name, kernel in (("dilate", denoise_prepare.DILATE), ("history", denoise_history.HISTORY),
@@ -130,13 +152,12 @@ class Graph:
         for i in range(1, LEVELS + 1):
             self._table(f"pool {i}", denoise_filter.POOL, finer=levels[i - 1], level=levels[i])
         for i in range(LEVELS, -1, -1):
-            heads, mixed = self._heads["fine" if i == 0 else f"level{i}"], levels[i]
+            mixed = levels[i]
             if i < LEVELS:
                 mixed = self._new(f"mixed {i}", (3, *level(i)))
-                self._table(f"mix {i}", denoise_filter.MIX_LEVELS, coarse=filtered[i + 1], level=levels[i],
-                            heads=heads, mixed=mixed)
+                self._table(f"mix {i}", denoise_filter.MIX_LEVELS, coarse=filtered[i + 1], level=levels[i], mixed=mixed)
                 self._filter_order.append(f"mix {i}")
-            self._table(f"filter {i}", denoise_filter.FILTER, mixed=mixed, heads=heads, filtered=filtered[i])
+            self._table(f"filter {i}", denoise_filter.FILTER, mixed=mixed, filtered=filtered[i])
             self._filter_order.append(f"filter {i}")
         self._filter_order.append("remodulate")
 
@@ -148,26 +169,43 @@ class Graph:
                 table[binding] = tensors[binding]
         self._tables[name] = table
 
-    def _place(self, window: Window) -> dict[str, Tensor]:
-        """What tells the kernels of a window, by their bindings' names; areas by the filters' tables."""
+    def _place(self, window: Window) -> dict[str, dict[str, Tensor]]:
+        """What tells the kernels of a window: tensors by their bindings' names for each table of the pyramid, and
+        under no name for all others."""
         if window not in self._places:
-            values = window.places() | {f"filter {i}": window.area(i) for i in range(LEVELS + 1)}
             if len(self._places) == MOST_PLACES:
                 self._places.clear()
-            self._places[window] = {name: self._kept(name, value.shape) for name, value in values.items()}
-            for name, tensor in self._places[window].items():
-                tensor.upload(values[name])
+            self._places[window] = {table: {name: self._given(name, array) for name, array in values.items()}
+                                    for table, values in _places(window).items()}
         return self._places[window]
 
-    def _bind(self, tensors: Mapping[str, Tensor]) -> None:
+    def _given(self, name: str, array: np.ndarray) -> Tensor:
+        tensor = self._kept(name, array.shape)
+        tensor.upload(array)
+        return tensor
+
+    def _bind(self, tensors: Mapping[str, Tensor], places: Mapping[str, Mapping[str, Tensor]],
+              heads: Mapping[str, Tensor]) -> None:
         """Bind what changes from window to window and from frame to frame."""
         for name, table in self._tables.items():
+            known = {**tensors, **places.get(name, places[""])}
+            if name.startswith(("filter ", "mix ")):
+                known["heads"] = heads["fine" if name[-1] == "0" else f"level{name[-1]}"]
             for binding in table.state.bindings:
-                if binding.name == "area":
-                    table["area"] = tensors[name]
-                elif binding.name in tensors:
-                    table[binding.name] = tensors[binding.name]
+                if binding.name in known:
+                    table[binding.name] = known[binding.name]
 
     def _run(self, encoder: ComputeEncoder, *names: str) -> None:
         for name in names:
             encoder.dispatch(self._tables[name].state, self._tables[name])
+
+
+def _places(window: Window) -> dict[str, dict[str, np.ndarray]]:
+    """What tells the kernels of a window, for each table of the pyramid, and under no name for all others."""
+    places = {"": window.places()}
+    for i in range(LEVELS + 1):
+        places[f"filter {i}"] = {"area": window.area(i)}
+    for i in range(LEVELS):
+        places[f"mix {i}"] = dict(zip(("coarse_rows", "coarse_columns"), window.coarser(i), strict=True))
+        places[f"pool {i + 1}"] = dict(zip(("finer_rows", "finer_columns"), window.finer(i + 1), strict=True))
+    return places

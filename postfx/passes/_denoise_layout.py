@@ -9,14 +9,20 @@ from functools import cache
 
 import numpy as np
 
-from postfx.passes._denoise_window import ALIGN, Box, Rows, Sizes, Window
+from postfx.passes._denoise_window import Box, Rows, Sizes, Window, whole_steps
 
-HALO, SMALL_HALO, GUIDED_HALO = 44, 72, 104
+HALOS, GUIDED_HALO = {"s": 72, "m": 40, "l": 48}, 104
 """Render pixels around what is active that a network must see, so that the result there differs by less than 1e-3 from
-that of the whole frame: usually, model s, and models that read guides. docs/denoiser.md has measured differences."""
+that of the whole frame: by size, the largest for others, and of models that read guides. docs/denoiser.md has measured
+differences."""
 
 REACH = 2
 """Render pixels that a pixel's strength reaches when it is resampled."""
+
+CELL = 2 * REACH
+"""Render pixels along a side of the squares that are active or not."""
+COARSE = 4
+"""Such squares along a side of those by which boxes are searched."""
 
 FIXED = 10000
 """Render pixels whose time a window takes beyond that of its own, at least. samples/window_cost.py measures 11200 for
@@ -66,32 +72,45 @@ Shape = tuple[int, int]
 
 
 def active_cells(strength: np.ndarray) -> np.ndarray:
-    """Which squares of 16 pixels have an effect: (h, w, 1) -> (rows, columns) of bool."""
+    """Which squares of 4 pixels have an effect: (h, w, 1) -> (rows, columns) of bool."""
     mask = strength[..., 0] > 0
     for _ in range(2):
-        count = -(-mask.shape[0] // ALIGN)
-        reached = (slice(max(0, ALIGN * i - REACH), ALIGN * (i + 1) + REACH) for i in range(count))
-        mask = np.array([mask[part].any(0) for part in reached]).T
+        halves = np.pad(_grouped(mask, REACH), ((1, 2), (0, 0)))
+        count = -(-mask.shape[0] // CELL)
+        reached = [halves[i:i + 2 * count:2][:count] for i in range(4)]
+        mask = np.logical_or.reduce(reached).T
     return mask
+
+
+def _grouped(mask: np.ndarray, step: int) -> np.ndarray:
+    """Whether any of so many rows of a mask holds."""
+    padded = np.pad(mask, ((0, -len(mask) % step), (0, 0)))
+    return np.logical_or.reduce([padded[i::step] for i in range(step)])
 
 
 def halo_of(models: Iterable[str]) -> int:
     """The halo that is enough for all of some models."""
-    return max(GUIDED_HALO if model.endswith(".guides") else SMALL_HALO if model.split(".")[1] == "s" else HALO
+    return max(GUIDED_HALO if model.endswith(".guides") else HALOS.get(model.split(".")[1], max(HALOS.values()))
                for model in models)
 
 
 def boxes_of(cells: np.ndarray) -> Iterator[list[Box]]:
     """One box around all active cells, then two, three and more, as long as that leaves cells out; in pixels."""
-    boxes = [_trimmed(cells, Box(0, 0, *cells.shape))]
+    coarse = _grouped(_grouped(cells, COARSE).T, COARSE).T
+    boxes = [_trimmed(coarse, Box(0, 0, *coarse.shape))]
     while True:
-        yield [Box(*(ALIGN * side for side in box)) for box in boxes]
+        yield [_in_pixels(cells, box) for box in boxes]
         cuts = [(_area(box) - sum(map(_area, halves)), i, halves)
-                for i, box in enumerate(boxes) for halves in _cuts(cells, box)]
+                for i, box in enumerate(boxes) for halves in _cuts(coarse, box)]
         gain, i, halves = max(cuts, default=(0, 0, ()), key=lambda cut: cut[0])
         if gain <= 0 or len(boxes) == MOST_BOXES:
             return
         boxes[i:i + 1] = halves
+
+
+def _in_pixels(cells: np.ndarray, box: Box) -> Box:
+    """The active part of a box that was found by larger squares."""
+    return Box(*(CELL * side for side in _trimmed(cells, Box(*(COARSE * side for side in box)))))
 
 
 def _cuts(cells: np.ndarray, box: Box) -> Iterator[tuple[Box, Box]]:
@@ -118,7 +137,8 @@ def _area(box: Box) -> int:
 
 def shape_for(frame: Sizes, boxes: Iterable[Box], halo: int) -> Shape:
     """The least window that holds each of some boxes with its halo."""
-    spans = [(_span(box.top, box.rows, frame.h, halo), _span(box.left, box.columns, frame.w, halo)) for box in boxes]
+    spans = [(_span(box.top, box.rows, frame.h, halo, frame.grid),
+              _span(box.left, box.columns, frame.w, halo, frame.grid)) for box in boxes]
     return whole_sides(frame, tuple(max(end - first for first, end in side) for side in zip(*spans, strict=True)))
 
 
@@ -127,24 +147,24 @@ def whole_sides(frame: Sizes, shape: Shape) -> Shape:
     return min(shape[0], frame.h), min(shape[1], frame.w)
 
 
-def _span(first: int, count: int, size: int, halo: int) -> tuple[int, int]:
-    padded = -(-size // ALIGN) * ALIGN
-    return max(0, first - halo) // ALIGN * ALIGN, min(padded, -(-(first + count + halo) // ALIGN) * ALIGN)
+def _span(first: int, count: int, size: int, halo: int, grid: int) -> tuple[int, int]:
+    return max(0, first - halo) // grid * grid, min(whole_steps(size, grid), whole_steps(first + count + halo, grid))
 
 
 def tiles_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> tuple[Tile, ...]:
     """A window of one shape for each box."""
     tiles = []
     for box in boxes:
-        origin = (_origin(box.top, shape[0], frame.h, halo), _origin(box.left, shape[1], frame.w, halo))
+        origin = (_origin(box.top, shape[0], frame.h, halo, frame.grid),
+                  _origin(box.left, shape[1], frame.w, halo, frame.grid))
         inner = Box(box.top, box.left, min(box.rows, frame.h - box.top), min(box.columns, frame.w - box.left))
         tiles.append(Tile(Window(frame, *origin, *shape), inner))
     return tuple(tiles)
 
 
-def _origin(first: int, count: int, size: int, halo: int) -> int:
-    last = 0 if count >= size else -(-size // ALIGN) * ALIGN - count
-    return min(max(0, first - halo) // ALIGN * ALIGN, last)
+def _origin(first: int, count: int, size: int, halo: int, grid: int) -> int:
+    last = 0 if count >= size else whole_steps(size, grid) - count
+    return min(max(0, first - halo) // grid * grid, last)
 
 
 def cost(shape: Shape, count: int) -> int:
@@ -160,9 +180,11 @@ def around(frame: Sizes, cells: np.ndarray, halo: int) -> tuple[list[Box], Shape
 
 def grids(frame: Sizes, halo: int) -> Iterator[tuple[Shape, Shape]]:
     """Sizes of boxes that fill a frame row by row, and the size of their windows: from one box to many."""
-    for down, across in itertools.product(*(_some(-(-side // ALIGN)) for side in (frame.h, frame.w))):
-        rows, columns = (-(-side // (ALIGN * count)) * ALIGN for side, count in ((frame.h, down), (frame.w, across)))
-        window = _longest(rows, frame.h, halo), _longest(columns, frame.w, halo)
+    most = (-(-side // frame.grid) for side in (frame.h, frame.w))
+    for down, across in itertools.product(*map(_some, most)):
+        rows, columns = (whole_steps(-(-side // count), frame.grid)
+                         for side, count in ((frame.h, down), (frame.w, across)))
+        window = (_longest(rows, frame.h, halo, frame.grid), _longest(columns, frame.w, halo, frame.grid))
         yield (rows, columns), whole_sides(frame, window)
 
 
@@ -172,9 +194,9 @@ def count_of(frame: Sizes, box: Shape) -> int:
 
 
 @cache
-def _longest(count: int, size: int, halo: int) -> int:
+def _longest(count: int, size: int, halo: int, grid: int) -> int:
     """Rows of the largest window of boxes of so many rows."""
-    return max(end - first for first, end in (_span(top, count, size, halo) for top in range(0, size, count)))
+    return max(end - first for first, end in (_span(top, count, size, halo, grid) for top in range(0, size, count)))
 
 
 def _some(most: int) -> list[int]:

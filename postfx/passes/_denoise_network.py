@@ -13,7 +13,6 @@ from postfx.kernels.denoise_open import OPEN_PHASED
 from postfx.kernels.denoise_products import OPEN_FINE_PRODUCTS, OPEN_PRODUCTS
 from postfx.kernels.denoise_store import STORE, STORE_RINGED
 from postfx.kernels.kernel import Kernel
-from postfx.passes._denoise_window import ALIGN
 from postfx.runtime import ArgumentTable, CommandBuffer, ModelError, PipelineState, Tensor
 
 PACKED, RAW = "packed_", "raw_"
@@ -52,7 +51,7 @@ def seen_by(state: PipelineState) -> dict[str, tuple[int, ...]]:
             seen["features"] = (1, CHANNELS["features"], *size[2:])
         elif name.startswith(STORED):  # with a ring of pixels around it, or without
             name = name.removeprefix(STORED)
-            seen[name] = (1, CHANNELS[name], *(side // ALIGN * ALIGN for side in size[1:3]))
+            seen[name] = (1, CHANNELS[name], state.dims["height"], state.dims["width"])
         elif binding.access == "read":
             seen[name] = size if name == binding.name else (1, CHANNELS[name], *size[1:3])
     return seen
@@ -83,6 +82,11 @@ def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
     return heads
 
 
+def alike_heads(state: PipelineState) -> dict[str, np.ndarray]:
+    """Heads of levels that a network does not compute, (1, C, 1, 1) by name: they are the same at all pixels."""
+    return {name: array for name, array in state.constants.items() if not name.startswith((CODING, SCALING))}
+
+
 class Network:
     """A network that reads `seen` and writes `heads`, both by name; `new` makes what lies between it and them."""
 
@@ -93,7 +97,8 @@ class Network:
             raise ModelError(f"network '{state.name}': no card beside it marks {', '.join(unmarked)} as constant; take "
                              "the card that it was made with, or make both again with training.quantise")
         made = {b.name: new(b.name, b.shape, b.dtype) for b in state.bindings if b.name.startswith(MADE)}
-        constants = {name: _kept(state, name, array) for name, array in state.constants.items()}
+        constants = {name: _kept(state, name, array) for name, array in state.constants.items()
+                     if name.startswith((CODING, SCALING))}
         known = {**parts_of(seen["features"]), **seen, **heads, **made}
         self._table = ArgumentTable(state, {binding.name: known[binding.name] for binding in state.bindings})
         packed = [name for name in made if name.startswith((PACKED, STORED))]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from postfx.frame import FrameSpec, Role
 from postfx.passes._denoise_carried import Carried
 from postfx.passes._denoise_frame import Frames
+from postfx.passes._denoise_graph import grid_of
 from postfx.passes._denoise_history import History
 from postfx.passes._denoise_planes import Planes
 from postfx.passes._denoise_reactive import Reactive, ReactiveOption
@@ -57,7 +58,7 @@ class ReadyNetwork(Ready):
     def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str], history: History,
                  guided: bool, strength: float, mask: ReactiveOption) -> None:
         super().__init__(device, spec, output)
-        sizes = Sizes(spec.height, spec.width, *output)
+        sizes = Sizes(spec.height, spec.width, *output, grid_of(models.values()))
         self.models = models
         self.planes = Planes(device, spec, output, guided)
         self.reflections = Reflections(device, spec) if can_follow(spec) else None

@@ -64,13 +64,21 @@ class Case(NamedTuple):
 
     @property
     def window(self) -> Window:
-        return Window(Sizes(self.h, self.w, self.height, self.width), *(self.part or (0, 0, self.h, self.w)))
+        grid = 4 if self.part and (self.part[0] | self.part[1]) % 16 else 16
+        return Window(Sizes(self.h, self.w, self.height, self.width, grid), *(self.part or (0, 0, self.h, self.w)))
+
+    @property
+    def second(self) -> int:
+        """1 where cells of the pyramid begin before the part, in both directions."""
+        return self.h % 2
 
     def sizes(self) -> dict[str, int]:
         """Value of every symbol in the kernels' shapes."""
         window = self.window
-        hp, wp = -(-window.rows // 16) * 16, -(-window.columns // 16) * 16
+        hp, wp = window.padded
         return {**self._asdict(), "hp": hp, "wp": wp, "half_hp": hp // 2, "half_wp": wp // 2,
+                "finer_h": 2 * hp - self.second - self.h % 3, "finer_w": 2 * wp - self.second - self.w % 3,
+                "coarse_h": hp // 2 + self.second, "coarse_w": wp // 2 + self.second,
                 "ringed_hp": hp + 2, "ringed_wp": wp + 2, "th": window.rows, "tw": window.columns,
                 "out_th": window.out.rows, "out_tw": window.out.columns,
                 "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
@@ -90,7 +98,8 @@ CASES = (Case(64, 64, 128, 128), Case(50, 66, 50, 66), Case(45, 77, 90, 154), Ca
          Case(51, 30, 153, 90, 25), Case(33, 47, 89, 127), Case(17, 5, 34, 10), Case(3, 40, 4, 52),
          Case(20, 24, 39, 48), Case(1, 1, 2, 2), Case(1, 1, 3, 3), Case(1, 1, 1, 1),
          Case(90, 120, 180, 240, part=(16, 48, 48, 64)), Case(90, 120, 180, 240, part=(48, 64, 48, 64)),
-         Case(75, 91, 113, 137, part=(32, 0, 48, 96)), Case(61, 77, 79, 99, part=(16, 32, 32, 32)))
+         Case(75, 91, 113, 137, part=(32, 0, 48, 96)), Case(61, 77, 79, 99, part=(16, 32, 32, 32)),
+         Case(90, 121, 180, 242, part=(20, 52, 44, 60)), Case(75, 91, 113, 137, part=(44, 4, 32, 88)))
 
 
 def shape(kernel: Kernel, binding: str, case: Case) -> tuple[int, ...]:
@@ -135,6 +144,10 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
     if name == "area":
         return np.array([min(case.window.rows, case.h - case.window.top),
                          min(case.window.columns, case.w - case.window.left)])
+    if name in ("finer_rows", "finer_columns"):
+        return 2 * np.arange(size[0]) - case.second
+    if name in ("coarse_rows", "coarse_columns"):
+        return (np.arange(size[0]) + case.second) // 2
     if name in (places := case.window.places()):
         return places[name]
     if name == "places":

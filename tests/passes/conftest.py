@@ -13,14 +13,18 @@ from postfx.runtime import Library
 
 @pytest.fixture(scope="session")
 def exported_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the models 'denoise_upscale.small' and 'denoise_upscale.small.guides'."""
+    """Folder of the models 'denoise_upscale.small', 'denoise_upscale.small.guides' and 'denoise_upscale.low'."""
     pytest.importorskip("torch")
-    from tests.training.small_denoiser import small_model
-    from training.export_denoise import export_trunk
+    from tests.training.small_denoiser import LOW, small_model
+    from training.export import write_card
+    from training.export_denoise import card, export_trunk
 
     folder = tmp_path_factory.mktemp("models")
     for guides, name in ((False, "denoise_upscale.small.onnx"), (True, "denoise_upscale.small.guides.onnx")):
         export_trunk(small_model(guides).trunk, folder / name)
+    low, path = small_model(config=LOW), folder / "denoise_upscale.low.onnx"
+    error = export_trunk(low.trunk, path)
+    write_card(path, card({"config": LOW.as_dict(), "weights": low.state_dict(), "notes": {}}, "low", error, {}))
     return folder
 
 

@@ -16,7 +16,7 @@ from tests.passes.denoise_frames import guided, noisy
 
 torch = pytest.importorskip("torch")
 
-from tests.training.small_denoiser import one_thread, small_model  # noqa: E402, F401
+from tests.training.small_denoiser import LOW, SMALL, one_thread, small_model  # noqa: E402, F401
 from training.networks import denoise_upscale as network  # noqa: E402
 
 TOLERANCE = 1e-3
@@ -54,12 +54,13 @@ def broken_frames(size: tuple[int, int]) -> list[Frame]:
 
 
 @pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "portable"])
-@pytest.mark.parametrize("with_guides", [False, True], ids=["alone", "guides"])
+@pytest.mark.parametrize(("model", "with_guides"), [("small", False), ("small", True), ("low", False)],
+                         ids=["alone", "guides", "fewer levels"])
 @pytest.mark.parametrize(
     ("scale", "size"), [(2, (48, 64)), (2, (37, 50)), (1, (37, 50)), (1.5, (37, 50)), (3, (21, 35))]
 )
 def test_pass_gives_what_torch_gives(
-    scale: float, size: tuple[int, int], with_guides: bool, compiled: bool, small_models: Path
+    scale: float, size: tuple[int, int], model: str, with_guides: bool, compiled: bool, small_models: Path
 ) -> None:
     output = tuple(round(side * scale) for side in size)
     frames = broken_frames(size)
@@ -67,10 +68,10 @@ def test_pass_gives_what_torch_gives(
         frames = [guided(frame, *output) for frame in frames]
         frames[1].guides[Role.DIFFUSE_ALBEDO][3, 4], frames[1].guides[Role.DEPTH][5, 6] = np.nan, np.inf
     device = Device("cpu", threads=2, compiled_kernels=compiled)
-    pipeline = Pipeline([DenoiseUpscale(scale=scale, model="small")], device, exposure="metadata")
+    pipeline = Pipeline([DenoiseUpscale(scale=scale, model=model)], device, exposure="metadata")
     reads = with_guides and scale > 1  # at render size the planes are better
     seen = frames if reads else [replace(frame, guides={}) for frame in frames]
-    wanted = in_torch(small_model(reads).eval(), seen, output)
+    wanted = in_torch(small_model(reads, LOW if model == "low" else SMALL).eval(), seen, output)
     for frame, expected in zip(frames, wanted, strict=True):
         found = pipeline(frame)[Role.COLOUR]
         assert np.abs(found - expected).max() <= TOLERANCE * np.abs(expected).max()

@@ -11,12 +11,14 @@ from training.networks.denoise_upscale import DenoiseUpscale
 from training.networks.trunk import TrunkConfig
 
 SMALL = TrunkConfig((16, 16, 16, 16), 1)
+LOW = TrunkConfig((16, 16), 1)
+"""Without the coarse levels, whose filters are the same at all pixels."""
 
 
-def small_model(guides: bool = False) -> DenoiseUpscale:
+def small_model(guides: bool = False, config: TrunkConfig = SMALL) -> DenoiseUpscale:
     """A network whose weights make all its outputs vary."""
     torch.manual_seed(0)
-    model = DenoiseUpscale(replace(SMALL, guides=guides))
+    model = DenoiseUpscale(replace(config, guides=guides))
     with torch.no_grad():
         for parameter in model.parameters():
             parameter += torch.randn_like(parameter) * 0.05

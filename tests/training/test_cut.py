@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch")
 
 from tests.training.small_denoiser import one_thread  # noqa: E402, F401
 from tests.training.test_revive import CONFIG, batch, outputs  # noqa: E402, F401
-from training.cut import NARROW, cut, first_unused, looked_at  # noqa: E402
+from training.cut import cut, first_unused, looked_at  # noqa: E402
 from training.networks.denoise_upscale import DenoiseUpscale  # noqa: E402
 
 WIDE = replace(CONFIG, widths=(16, 24, 32, 40))
@@ -33,11 +33,23 @@ def test_a_silent_level_and_those_behind_it_are_cut(batch):  # noqa: F811
     model = model_with(("up.2.2",))
     active, means = looked_at(model, [batch])
     assert first_unused(WIDE, active) == 2
-    smaller = DenoiseUpscale(replace(WIDE, widths=(16, 24, NARROW, NARROW)))
-    smaller.trunk.load_state_dict(cut(WIDE, model.state_dict(), 2, means).state_dict())
+    smaller = DenoiseUpscale(trunk=cut(WIDE, model.state_dict(), 2, means))
+    assert smaller.config.widths == WIDE.widths[:2] and smaller.trunk.align == 4
     wanted, found = outputs(model, batch), outputs(smaller.eval(), batch)
     assert float((found - wanted).abs().max()) < 1e-5 * float(wanted.abs().max())
     assert float(wanted.std()) > 0.01, "a picture with something in it"
+
+
+def test_what_was_cut_can_be_cut_again(batch):  # noqa: F811
+    """Further down, and filters stay what they are."""
+    model = model_with(("up.2.2", "up.1.2"))
+    once = DenoiseUpscale(trunk=cut(WIDE, model.state_dict(), 2, looked_at(model, [batch])[1]))
+    active, means = looked_at(once.eval(), [batch])
+    assert first_unused(once.config, active) == 1
+    twice = DenoiseUpscale(trunk=cut(once.config, once.state_dict(), 1, means))
+    wanted, found = outputs(model, batch), outputs(twice.eval(), batch)
+    assert float((found - wanted).abs().max()) < 1e-4 * float(wanted.abs().max())
+    torch.testing.assert_close(twice.trunk.alike[2], once.trunk.alike[1], rtol=1e-4, atol=1e-4)
 
 
 def test_the_finest_of_several_silent_levels_is_found(batch):  # noqa: F811

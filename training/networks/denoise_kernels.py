@@ -50,13 +50,14 @@ class History(nn.Module):
 
 
 class Features(nn.Module):
-    """The frame and what it remembers -> past (th, tw, 4), features (1, 35, hp, wp), padded to multiples of 16."""
+    """The frame and what it remembers, seen_rows (hp,) and seen_columns (wp,) -> past (th, tw, 4), features (1, 35, hp,
+    wp)."""
 
     def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, normal: Tensor,
                 roughness: Tensor, depth: Tensor, moved: Tensor, state: Tensor, last_depth: Tensor, warped: Tensor,
-                depth_scale: Tensor, params: Tensor, window: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
-        frame = Window.of(window)
-        here = frame.mirrored(moved)
+                depth_scale: Tensor, params: Tensor, window: Tensor, keep: Tensor, rows: Tensor,
+                columns: Tensor) -> tuple[Tensor, Tensor]:
+        frame, here = Window.of(window), (rows.long(), columns.long())
         place = here[0] + frame.top, here[1] + frame.left
         exposed = ops.pick(expose(colour, params), *place)
         planes = (part(plane, *place) for plane in (diffuse_albedo, specular_albedo, normal, roughness, depth))
@@ -70,7 +71,8 @@ class Features(nn.Module):
         features = step.features_of(inputs, past, factor, depth_scale.reshape(1, 1, 1, 1),
                                     self._mean(frame, place, warped), frame.w / frame.width)
         count = torch.where(unknown > 0, -torch.ones_like(unknown), past.count)
-        return to_picture(torch.cat((past.accumulated, count), 1)), step.aligned(features)
+        known = torch.cat((past.accumulated, count), 1)[:, :, :moved.shape[0], :moved.shape[1]]
+        return to_picture(known), features
 
     def _mean(self, frame: Window, place: ops.Place, warped: Tensor) -> Tensor:
         """Mean of the last output over each render pixel."""
@@ -83,23 +85,17 @@ class Features(nn.Module):
 
 
 class GuideFeatures(nn.Module):
-    """guides (H, W, C), depth_scale, window, part_rows (th,), part_columns (tw,) -> guides (1, 44, hp, wp), padded to
-    multiples of 16."""
+    """guides (H, W, C), depth_scale, window, seen_rows (hp,), seen_columns (wp,) -> guides (1, 44, hp, wp)."""
 
     def forward(self, diffuse_albedo: Tensor, specular_albedo: Tensor, normal: Tensor, roughness: Tensor,
                 guide_depth: Tensor, depth_scale: Tensor, window: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
         frame = Window.of(window)
         guides = Guides(*map(to_image, (diffuse_albedo, specular_albedo, normal, roughness, guide_depth)))
         seen = step.seen_guides(guides, depth_scale.reshape(1, 1, 1, 1))
-        at = [[(4 * self._mirrored(first, count, size) + 1 + 2 * side) * full // (4 * size) for side in range(2)]
-              for first, count, size, full in ((frame.top, rows.shape[0], frame.h, frame.height),
-                                               (frame.left, columns.shape[0], frame.w, frame.width))]
+        at = [[(4 * (first + index.long()) + 1 + 2 * side) * full // (4 * size) for side in range(2)]
+              for first, index, size, full in ((frame.top, rows, frame.h, frame.height),
+                                               (frame.left, columns, frame.w, frame.width))]
         return torch.cat([ops.pick(seen, at[0][i], at[1][j]) for i in range(2) for j in range(2)], 1)
-
-    def _mirrored(self, first: Tensor, count: int, size: Tensor) -> Tensor:
-        """Rows of the frame from ``first`` on, ``count`` and more up to a multiple of 16."""
-        index = torch.arange(count + -count % step.ALIGN) + first
-        return (size - 1 - (index - (size - 1)).abs()).clamp(min=0)
 
 
 class Accumulate(nn.Module):
@@ -146,21 +142,31 @@ class Resize(nn.Module):
 
 
 class Pool(nn.Module):
-    """finer (4, 2 hp, 2 wp) -> level (4, hp, wp)."""
+    """finer (4, 2 hp, 2 wp), or a row or column more or less; finer_rows (hp,) and finer_columns (wp,) that cells begin
+    at, -1 where they begin before it -> level (4, hp, wp)."""
 
-    def forward(self, finer: Tensor) -> Tensor:
-        return torch.cat(ops.pool(finer[None, :3], finer[None, 3:]), 1)[0]
+    def forward(self, finer: Tensor, finer_rows: Tensor, finer_columns: Tensor) -> Tensor:
+        at, held = zip(*(pairs(first.long(), size) for first, size in zip((finer_rows, finer_columns), finer.shape[1:],
+                                                                          strict=True)), strict=True)
+        here = ops.pick(finer[None], *at) * (held[0][:, None] & held[1]).to(finer.dtype)
+        return torch.cat(ops.pool(here[:, :3], here[:, 3:]), 1)[0]
+
+
+def pairs(first: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """Each number and the one after it, within 0 and ``size``, and whether they were."""
+    both = (first[:, None] + torch.arange(2, device=first.device)).flatten()
+    return both.clamp(0, size - 1), (both >= 0) & (both < size)
 
 
 class Mix(nn.Module):
-    """coarse (3, hp / 2, wp / 2), level (4, hp, wp), heads (1, 26 or 80, hp, wp) -> mixed (3, hp, wp)."""
+    """coarse (3, rows, columns), level (4, hp, wp), heads (1, 26 or 80, hp, wp), coarse_rows (hp,) and coarse_columns
+    (wp,) in which pixels lie -> mixed (3, hp, wp)."""
 
-    def forward(self, coarse: Tensor, level: Tensor, heads: Tensor) -> Tensor:
+    def forward(self, coarse: Tensor, level: Tensor, heads: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
         # The mix is the last of a level's 26 channels, but not of the fine head's: by arithmetic, without a branch.
         at = KERNEL + (MIX - KERNEL) * torch.sym_min(heads.shape[1] - KERNEL - 1, 1)
         share = heads.narrow(1, at, 1)[0]
-        below = F.interpolate(coarse[None], scale_factor=2.0, mode="nearest")[0]
-        return torch.lerp(below, level[:3], share)
+        return torch.lerp(ops.pick(coarse, rows.long(), columns.long()), level[:3], share)
 
 
 class Filter(nn.Module):

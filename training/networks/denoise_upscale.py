@@ -180,15 +180,25 @@ def accumulate(colour: Tensor, mean: Tensor, count: Tensor, distrust: Tensor) ->
     return torch.lerp(mean, colour, alpha), (1 / alpha).clamp(max=MAX_COUNT)
 
 
+def filled(head: Tensor, level: Tensor) -> Tensor:
+    """A head with as many rows and columns as its level, or the one that it has."""
+    (h, w), (rows, columns) = level.shape[-2:], head.shape[-2:]
+    return head if (rows, columns) in ((1, 1), (h, w)) else F.pad(head, (0, w - columns, 0, h - rows))
+
+
 def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tuple[Tensor, ...], height: int,
                    width: int) -> Tensor:
-    """Coarse to fine: mix a level's own colour with the coarser result, then smooth both by the level's kernels."""
+    """Coarse to fine: mix a level's own colour with the coarser result, then smooth both by the level's kernels.
+
+    The heads may be smaller than their levels: what they lack lies beyond the picture; one of 1x1 holds for all of it.
+    """
     valid = [ops.valid_area(colour, height, width)]
     colours, weight = [colour], importance * valid[0]
     for _ in levels:
         pooled, weight = ops.pool(colours[-1], weight)
         colours.append(pooled)
         valid.append(F.max_pool2d(valid[-1], 2))
+    fine, *levels = (filled(head, of) for head, of in zip((fine, *levels), colours, strict=True))
     result = ops.filter_kernels(colours[-1], levels[-1], valid[-1])
     heads = [(fine[:, :KERNEL], fine[:, MIX:MIX + 1]), *((x[:, :KERNEL], x[:, KERNEL:]) for x in levels[:-1])]
     for i in reversed(range(len(heads))):
@@ -213,15 +223,16 @@ class DenoiseUpscale(nn.Module):
         """Exposed linear output (N, 3, H, W), the next state, and the last output reprojected (log-encoded)."""
         h, w = inputs.colour.shape[-2:]
         align = self.trunk.align
-        pad = (0, -w % align, 0, -h % align)
         past = reproject(inputs, state)
         factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
         scale, guides = ops.depth_scale(inputs.depth), inputs.guides
         seen = [features(inputs, past, factor, scale)]
         if self.config.guides:
             seen.append(guide_features(guides, h, w, scale))
-        heads = self.trunk(*(aligned(x, align) if any(pad) else x for x in seen))
+        heads = self.trunk(*(aligned(x, align) if h % align or w % align else x for x in seen))
         fine, *levels = (head.float() for head in heads)
+        coarsest = 2 ** len(levels)
+        pad = (0, -w % coarsest, 0, -h % coarsest)
         here = fine[..., :h, :w]
         noisy, distrust = demodulate(inputs.colour, factor), here[:, DISTRUST:IMPORTANCE]
         accumulated, count = accumulate(noisy, past.accumulated, past.count, distrust)

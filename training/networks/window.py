@@ -33,12 +33,6 @@ class Window(NamedTuple):
     def of(cls, window: Tensor) -> "Window":
         return cls(*window.long().unbind())
 
-    def mirrored(self, part: Tensor) -> ops.Place:
-        """Rows and columns of a part (h, w, C), beyond the frame as in a mirror."""
-        ends = (torch.clamp(whole - first, max=size) - 1 for whole, first, size in zip(
-            (self.h, self.w), (self.top, self.left), part.shape[:2], strict=True))
-        return tuple((end - (index - end).abs()).clamp(min=0) for index, end in zip(counted(part), ends, strict=True))
-
     def held(self, part: Tensor) -> ops.Place:
         """Rows and columns of the frame that a part (h, w, C) holds; its last ones are repeated."""
         rows, columns = counted(part)

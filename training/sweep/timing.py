@@ -14,6 +14,7 @@ from postfx.kernels.denoise_filter import kernel_row
 from postfx.kernels.denoise_layout import FINE, KERNEL
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.numeric import compiled
+from postfx.passes._denoise_window import Sizes, Window
 from postfx.runtime import ArgumentTable, Device, Library, Tensor
 from training.sweep.variants import Variant
 
@@ -79,21 +80,29 @@ def filter_steps(device: Device, variant: Variant, h: int, w: int) -> Iterator[S
 
     Heads have as many channels as the kernels read at most; how many there are beside does not change the time.
     """
-    sizes = [(h >> i, w >> i) for i in range(variant.levels + 1)]
+    window = Window.whole(Sizes(h, w, 2 * h, 2 * w, 2**variant.levels))
+    sizes = [window.level(i) for i in range(variant.levels + 1)]
     colours = [_new(device, 4, *size) for size in sizes]
     heads = [_new(device, 1, KERNEL + 1 if i else FINE, *size) for i, size in enumerate(sizes)]
     smooth = [_new(device, 3, *size) for size in sizes]
     kernel = denoise_filter.FILTER if variant.taps == 5 else SMALL_FILTER
     for i in range(variant.levels):
-        yield Step(denoise_filter.POOL, {"finer": colours[i], "level": colours[i + 1]})
+        rows, columns = _wrapped(device, "finer", window.finer(i + 1))
+        yield Step(denoise_filter.POOL, {"finer": colours[i], "finer_rows": rows, "finer_columns": columns,
+                                         "level": colours[i + 1]})
     for i in reversed(range(variant.levels + 1)):
         area = device.wrap("area", np.array(sizes[i], np.float32))
         mixed = colours[i]
         if i < variant.levels:
             mixed = _new(device, 3, *sizes[i])
+            rows, columns = _wrapped(device, "coarse", window.coarser(i))
             yield Step(denoise_filter.MIX_LEVELS, {"coarse": smooth[i + 1], "level": colours[i], "heads": heads[i],
-                                                   "mixed": mixed})
+                                                   "coarse_rows": rows, "coarse_columns": columns, "mixed": mixed})
         yield Step(kernel, {"mixed": mixed, "heads": heads[i], "area": area, "filtered": smooth[i]})
+
+
+def _wrapped(device: Device, name: str, sides: tuple[np.ndarray, np.ndarray]) -> tuple[Tensor, Tensor]:
+    return device.wrap(f"{name}_rows", sides[0]), device.wrap(f"{name}_columns", sides[1])
 
 
 def _table(device: Device, step: Step) -> ArgumentTable:

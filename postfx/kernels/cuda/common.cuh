@@ -34,11 +34,6 @@ __device__ inline int within(int index, int size) {
     return min(max(index, 0), size - 1);
 }
 
-// A row that goes on beyond its end as in a mirror, and stops at its start.
-__device__ inline int mirrored(int index, int size) {
-    return max(size - 1 - abs(index - (size - 1)), 0);
-}
-
 // How much of the history a render pixel of the part uses; `keep` has one number for all of them, or one for each.
 __device__ inline float share_of(const View& keep, int row, int column) {
     return keep.at[within(row, keep.size[0]) * keep.size[1] + within(column, keep.size[1])];

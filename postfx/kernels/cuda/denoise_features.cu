@@ -1,7 +1,7 @@
-// The network's input, mirrored up to its size, and the reprojected accumulation: colour, diffuse_albedo,
-// specular_albedo and normal (h, w, 3), roughness and depth (h, w, 1), moved (th, tw, 2), state (h, w, 12),
-// last_depth (h, w, 1), warped (out_th, out_tw, 3), depth_scale (1,), params (4,), window (8,), keep -> past (th, tw, 4),
-// whose count is -1 where the history lacks a pixel of the frame, and
+// The network's input and the reprojected accumulation: colour, diffuse_albedo, specular_albedo and normal (h, w, 3),
+// roughness and depth (h, w, 1), moved (th, tw, 2), state (h, w, 12), last_depth (h, w, 1), warped (out_th, out_tw, 3),
+// depth_scale (1,), params (4,), window (8,), keep, rows (hp,) and columns (wp,) of the part as the network sees them
+// -> past (th, tw, 4), whose count is -1 where the history lacks a pixel of the frame, and
 // features (1, 35, hp, wp): colour 0, accumulated colour 3, last output 6, diffuse albedo 9, specular albedo 12,
 // normal 15, roughness 18, depth 19, its change 20, valid history 21, sample count 22, jitter 23, length of motion 25,
 // inverse scale 26, hidden state 27.
@@ -106,12 +106,11 @@ __device__ inline float depth_change(float before, float depth) {
 extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, View specular_albedo, View normal,
                                             View roughness, View depth, View moved, View state, View last_depth,
                                             View warped, View depth_scale, View params, View window, View keep,
-                                            View past, View features) {
+                                            View seen_rows, View seen_columns, View past, View features) {
     const int height = features.size[2], width = features.size[3];
     PIXEL(width, height);
     const Window part = window_of(window);
-    const int row = mirrored(y, min(moved.size[0], part.h - part.top));
-    const int column = mirrored(x, min(moved.size[1], part.w - part.left));
+    const int row = int(seen_rows.at[y]), column = int(seen_columns.at[x]);
     const int w = part.w, v = part.top + row, u = part.left + column;
     const size_t pixel = size_t(v) * w + u, plane = size_t(height) * width;
     // Everything is read before the first write, so that the reads wait together.

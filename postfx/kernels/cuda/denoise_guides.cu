@@ -1,16 +1,17 @@
-// The nearest guide pixel at each corner of a render pixel, mirrored up to the network's size: guide_diffuse_albedo,
+// The nearest guide pixel at each corner of a render pixel, as the network sees these: guide_diffuse_albedo,
 // guide_specular_albedo and guide_normal (height, width, 3), guide_roughness and guide_depth (height, width, 1),
-// depth_scale (1,), window (8,), part_rows (th,), part_columns (tw,)
+// depth_scale (1,), window (8,), seen_rows (hp,), seen_columns (wp,)
 // -> guides (1, 44, hp, wp), 11 channels a corner.
 extern "C" __global__ void denoise_guides(View guide_diffuse_albedo, View guide_specular_albedo, View guide_normal,
                                           View guide_roughness, View guide_depth, View depth_scale, View window,
-                                          View part_rows, View part_columns, View guides) {
+                                          View seen_rows, View seen_columns, View guides) {
     const int height = guides.size[2], width = guides.size[3];
     PIXEL(width, height);
     const Window part = window_of(window);
     const unsigned h = part.h, w = part.w, out_height = part.height, out_width = part.width;
     // In quarters of a render pixel.
-    const unsigned row = 4 * mirrored(part.top + y, h) + 1, column = 4 * mirrored(part.left + x, w) + 1;
+    const unsigned row = 4 * (part.top + int(seen_rows.at[y])) + 1;
+    const unsigned column = 4 * (part.left + int(seen_columns.at[x])) + 1;
     const size_t plane = size_t(height) * width;
     const float scale = depth_scale.at[0];
     float* to = guides.at + size_t(y) * width + x;
