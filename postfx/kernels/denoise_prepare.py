@@ -61,9 +61,11 @@ def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, depth, past
                     next_depth, level):
     """Running mean of demodulated colour; ``level`` (4, hp, wp) is it with its importance, zero beyond the frame.
 
-    A state of zeros is one that is not known.
+    A state of zeros is one that is not known: as at the part's edge, where the frame goes on, since what is read of the
+    last output around a known pixel must be known, too.
     """
     top, left = int(window[TOP]), int(window[LEFT])
+    under, beside = top + past.shape[0] < colour.shape[0], left + past.shape[1] < colour.shape[1]
     rows, columns = min(past.shape[0], colour.shape[0] - top), min(past.shape[1], colour.shape[1] - left)
     for y in range(y0, y1):
         first = columns if y < rows else 0
@@ -93,6 +95,13 @@ def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, depth, past
             else:  # broken: this frame's colour alone, and nothing that the next one knows
                 level[3, y, x] = ONE
                 state[y, x] = ZERO
+        if (y == 0 and top > 0) or (y == past.shape[0] - 1 and under):
+            state[y] = ZERO
+        elif y < past.shape[0]:
+            if left > 0:
+                state[y, 0] = ZERO
+            if beside:
+                state[y, past.shape[1] - 1] = ZERO
 
 
 SCALE = kernel("scale", ("depth",), ("depth_scale",), scale_rows, ("depth_scale", 0))

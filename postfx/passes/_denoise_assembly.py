@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -47,6 +47,16 @@ class Assembly:
                 slot[name] = stack.view(f"{name} of tile {i}", (*size, channels), i * one)
         self._made, self._slots = key, slots
         return slots
+
+    def direct(self, band: Band, targets: Mapping[str, Tensor], kept: Rows) -> dict[str, Tensor] | None:
+        """Where a band's only tile writes, by the kernels' names, if its rows are all that is written: in their places,
+        so that nothing is copied. Else None."""
+        window, out, frame = band.tiles[0].window, band.tiles[0].window.out, self._frame
+        rows, out_rows = (window.top, window.top + window.rows), (out.top, out.top + out.rows)
+        exact = all(row * frame.height == at * frame.h for row, at in zip(rows, out_rows, strict=True))
+        if len(band.tiles) > 1 or window.columns < frame.w or rows != kept or not exact:
+            return None
+        return {name: rows_of(targets[name], out_rows if name in OUT else rows) for name in CHANNELS}
 
     def encode(self, commands: CommandBuffer, band: Band, targets: dict[str, Tensor], kept: Rows) -> None:
         """Record the work that puts a band's tiles into the frame's tensors: its own rows into the output, the rows

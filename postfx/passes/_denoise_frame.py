@@ -118,7 +118,10 @@ class Frames:
     def _encode_tiles(self, commands: CommandBuffer, band: Band, seen: Mapping[str, Tensor],
                       targets: dict[str, Tensor], masked: bool, kept: Rows) -> None:
         window = band.tiles[0].window
-        graph = self._graphs[window.rows, window.columns]
+        graph, direct = self._graphs[window.rows, window.columns], self._assembly.direct(band, targets, kept)
+        if direct:
+            graph.encode(commands, window, self.model, {**seen, **direct}, True, masked)
+            return
         for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles), strict=True):
             graph.encode(commands, tile.window, self.model, {**seen, **slot}, True, masked)
         self._assembly.encode(commands, band, targets, kept)

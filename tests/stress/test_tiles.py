@@ -10,7 +10,7 @@ import pytest
 from postfx.bench.host_kernels import HostKernels
 from postfx.frame import Frame, Role
 from postfx.kernels.denoise_assemble import ASSEMBLE
-from postfx.passes._denoise_window import ALIGN
+from postfx.passes._denoise_window import GRID
 from postfx.runtime import Device
 from tests.kernels import host_cuda
 from tests.passes.denoise_frames import noisy
@@ -18,7 +18,7 @@ from tests.passes.test_denoise_strength_golden import blended64
 from tests.stress.bounds import bounds
 from tests.stress.scenes import colours, on, portable
 
-SIZE = 10 * ALIGN + 1, 16 * ALIGN + 1
+SIZE = 10 * GRID + 1, 16 * GRID + 1
 """Of a frame whose last tile is one pixel."""
 PIXELS = {"in the middle": (80, 100), "first": (0, 0), "last": (-1, -1), "last of a row": (47, -1)}
 

@@ -101,7 +101,8 @@ class GuideFeatures(nn.Module):
 class Accumulate(nn.Module):
     """Frame, past (th, tw, 4), fine -> next_state (th, tw, 12), next_depth (th, tw, 1), level (4, hp, wp).
 
-    What is broken is this frame's colour alone, and nothing that the next one knows: a state of zeros."""
+    What is broken is this frame's colour alone, and nothing that the next one knows: a state of zeros, as at the edge of
+    a part where the frame goes on."""
 
     def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, depth: Tensor, past: Tensor,
                 fine: Tensor, params: Tensor, window: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -114,7 +115,7 @@ class Accumulate(nn.Module):
         importance = here[:, IMPORTANCE:MEMORY]
         state = torch.cat((accumulated, count, here[:, MEMORY:]), 1)
         whole = torch.cat((state, importance), 1).abs().sum(1, keepdim=True) <= float(MOST_STATE)
-        state = to_picture(torch.where(whole, state, 0)) * valid
+        state = to_picture(torch.where(whole, state, 0)) * valid * (1 - place.edge(past))
         level = torch.cat((accumulated, importance), 1)
         level = torch.where(whole, level, torch.cat((noisy, torch.ones_like(importance)), 1)) * to_image(valid)
         level = F.pad(level, (0, fine.shape[3] - w, 0, fine.shape[2] - h))

@@ -43,6 +43,13 @@ class Window(NamedTuple):
         rows, columns = counted(part)
         return ((rows + self.top < self.h)[:, None] & (columns + self.left < self.w))[..., None].to(part.dtype)
 
+    def edge(self, part: Tensor) -> Tensor:
+        """(h, w, 1): 1 at the edge of a part (h, w, C) where the frame goes on, else 0."""
+        (rows, columns), (h, w) = counted(part), part.shape[:2]
+        down = ((rows == 0) & (self.top > 0)) | ((rows == h - 1) & (self.top + h < self.h))
+        across = ((columns == 0) & (self.left > 0)) | ((columns == w - 1) & (self.left + w < self.w))
+        return (down[:, None] | across)[..., None].to(part.dtype)
+
     def outputs(self, part: Tensor) -> ops.Place:
         """Rows and columns of the frame at output size that a part (H, W, C) holds; its last ones are repeated."""
         rows, columns = counted(part)

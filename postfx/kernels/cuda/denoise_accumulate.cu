@@ -41,10 +41,15 @@ extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, 
     // What is broken is this frame's colour alone, and nothing that the next one knows.
     const float total = size_of(mean) + size_of(hidden[0]) + size_of(hidden[1]) + fabsf(importance);
     const bool whole = total <= MOST_STATE;
+    // Nor is what lies at the part's edge, where the frame goes on.
+    const bool edge = (y == 0 && part.top > 0) || (x == 0 && part.left > 0) ||
+        (y == past.size[0] - 1 && part.top + y + 1 < colour.size[0]) ||
+        (x == past.size[1] - 1 && part.left + x + 1 < colour.size[1]);
+    const bool known = whole && !edge;
     const Four none = {0.0f, 0.0f, 0.0f, 0.0f};
-    four(next_state, 3 * pixel) = whole ? mean : none;
-    four(next_state, 3 * pixel + 1) = whole ? hidden[0] : none;
-    four(next_state, 3 * pixel + 2) = whole ? hidden[1] : none;
+    four(next_state, 3 * pixel) = known ? mean : none;
+    four(next_state, 3 * pixel + 1) = known ? hidden[0] : none;
+    four(next_state, 3 * pixel + 2) = known ? hidden[1] : none;
     next_depth.at[pixel] = z;
     to[0] = whole ? mean.x : r;
     to[plane] = whole ? mean.y : g;
