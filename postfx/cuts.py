@@ -17,6 +17,7 @@ import numpy as np
 
 from postfx.errors import PostfxError
 from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.kernels.cells import box_means, moments
 from postfx.kernels.metering import half_means
 from postfx.sampling import bilinear, is_inside
 
@@ -170,13 +171,9 @@ def _band(planes: np.ndarray) -> np.ndarray:
 
 def _box(planes: np.ndarray, width: int) -> np.ndarray:
     """Mean over width x width cells, edges repeated."""
-    for axis in (0, 1):
-        pad = [(0, 0)] * planes.ndim
-        pad[axis] = (width // 2 + 1, width // 2)
-        sums = np.cumsum(np.pad(planes, pad, mode="edge"), axis=axis)
-        ends, begins = np.arange(width, sums.shape[axis]), np.arange(sums.shape[axis] - width)
-        planes = (sums.take(ends, axis) - sums.take(begins, axis)) / width
-    return planes
+    means = np.empty((*planes.shape[:2], planes[0, 0].size))
+    box_means(np.ascontiguousarray(planes, np.float64).reshape(means.shape), width, means)
+    return means.reshape(planes.shape)
 
 
 def _compared(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
@@ -208,7 +205,7 @@ def _compared(before: Picture, now: Picture, motion: np.ndarray) -> float | None
 def _true_correlation(before: np.ndarray, now: np.ndarray, least_spread: float) -> float | None:
     """Correlation of (cells, 2 halves, channels) as it would be without noise; None where there is little else."""
     reliabilities = _reliability(before), _reliability(now)
-    raw = _correlation(before.mean(axis=1), now.mean(axis=1), least_spread)
+    raw = _correlation(*((one[:, 0] + one[:, 1]) / 2 for one in (before, now)), least_spread)
     if raw is None or min(reliabilities) < LEAST_RELIABILITY:
         return None
     return raw / math.sqrt(reliabilities[0] * reliabilities[1])
@@ -222,11 +219,9 @@ def _reliability(halves: np.ndarray) -> float:
 
 def _correlation(a: np.ndarray, b: np.ndarray, least_spread: float) -> float | None:
     """Pearson's correlation of (cells, channels), all channels together; None where one of the two hardly varies."""
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    spread_a, spread_b = math.sqrt(np.mean(a * a)), math.sqrt(np.mean(b * b))
-    if min(spread_a, spread_b) <= least_spread:
-        return None
-    return float(np.mean(a * b) / (spread_a * spread_b))
+    square_a, square_b, both = moments(a, b)
+    spread_a, spread_b = math.sqrt(square_a), math.sqrt(square_b)
+    return both / (spread_a * spread_b) if min(spread_a, spread_b) > least_spread else None
 
 
 def _shift(before: Picture, now: Picture) -> np.ndarray:

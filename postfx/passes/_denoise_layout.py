@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 
+from postfx.kernels.cells import mark_positive
 from postfx.passes._denoise_window import Box, Rows, Sizes, Window, whole_steps
 
 HALOS, GUIDED_HALO = {"s": 72, "m": 40, "l": 48}, 104
@@ -73,12 +74,11 @@ Shape = tuple[int, int]
 
 def active_cells(strength: np.ndarray) -> np.ndarray:
     """Which squares of 4 pixels have an effect: (h, w, 1) -> (rows, columns) of bool."""
-    mask = strength[..., 0] > 0
+    mask = np.zeros([whole_steps(side, CELL) // REACH for side in strength.shape[:2]], bool)
+    mark_positive(strength, REACH, mask)
     for _ in range(2):
-        halves = np.pad(_grouped(mask, REACH), ((1, 2), (0, 0)))
-        count = -(-mask.shape[0] // CELL)
-        reached = [halves[i:i + 2 * count:2][:count] for i in range(4)]
-        mask = np.logical_or.reduce(reached).T
+        halves = np.pad(mask, ((1, 1), (0, 0)))
+        mask = np.logical_or.reduce([halves[i:len(mask) + i:2] for i in range(4)]).T
     return mask
 
 
@@ -100,12 +100,11 @@ def boxes_of(cells: np.ndarray) -> Iterator[list[Box]]:
     boxes = [_trimmed(coarse, Box(0, 0, *coarse.shape))]
     while True:
         yield [_in_pixels(cells, box) for box in boxes]
-        cuts = [(_area(box) - sum(map(_area, halves)), i, halves)
-                for i, box in enumerate(boxes) for halves in _cuts(coarse, box)]
-        gain, i, halves = max(cuts, default=(0, 0, ()), key=lambda cut: cut[0])
+        cuts = [(*_best_cut(coarse, box), i) for i, box in enumerate(boxes)]
+        gain, halves, i = max(cuts, key=lambda cut: cut[0])
         if gain <= 0 or len(boxes) == MOST_BOXES:
             return
-        boxes[i:i + 1] = halves
+        boxes[i:i + 1] = [_trimmed(coarse, half) for half in halves]
 
 
 def _in_pixels(cells: np.ndarray, box: Box) -> Box:
@@ -113,12 +112,27 @@ def _in_pixels(cells: np.ndarray, box: Box) -> Box:
     return Box(*(CELL * side for side in _trimmed(cells, Box(*(COARSE * side for side in box)))))
 
 
-def _cuts(cells: np.ndarray, box: Box) -> Iterator[tuple[Box, Box]]:
+def _best_cut(cells: np.ndarray, box: Box) -> tuple[int, tuple[Box, Box]]:
+    """The cut of a box that leaves most cells out, and how many; the box holds active cells at all of its sides."""
     top, left, rows, columns = box
-    for i in range(1, rows):
-        yield _trimmed(cells, Box(top, left, i, columns)), _trimmed(cells, Box(top + i, left, rows - i, columns))
-    for i in range(1, columns):
-        yield _trimmed(cells, Box(top, left, rows, i)), _trimmed(cells, Box(top, left + i, rows, columns - i))
+    part = cells[top:top + rows, left:left + columns]
+    down, across = (_areas(side)[:-1] + _areas(side[::-1])[-2::-1] for side in (part, part.T))
+    if not across.size or (down.size and down.min() <= across.min()):
+        if not down.size:
+            return 0, (box, box)
+        i = int(down.argmin()) + 1
+        return _area(box) - int(down[i - 1]), (Box(top, left, i, columns), Box(top + i, left, rows - i, columns))
+    i = int(across.argmin()) + 1
+    return _area(box) - int(across[i - 1]), (Box(top, left, rows, i), Box(top, left + i, rows, columns - i))
+
+
+def _areas(part: np.ndarray) -> np.ndarray:
+    """Of the first row, the first two and so on: the area of the box around what is active in them; in the very first
+    row something is."""
+    active, count = part.any(1), part.shape[1]
+    first = np.minimum.accumulate(np.where(active, part.argmax(1), count))
+    last = np.maximum.accumulate(np.where(active, count - part[:, ::-1].argmax(1), 0))
+    return np.maximum.accumulate(np.where(active, np.arange(1, len(part) + 1), 0)) * (last - first)
 
 
 def _trimmed(cells: np.ndarray, box: Box) -> Box:

@@ -101,8 +101,8 @@ class GuideFeatures(nn.Module):
 class Accumulate(nn.Module):
     """Frame, past (th, tw, 4), fine -> next_state (th, tw, 12), next_depth (th, tw, 1), level (4, hp, wp).
 
-    What is broken is this frame's colour alone, and nothing that the next one knows: a state of zeros, as at the edge of
-    a part where the frame goes on."""
+    What is broken is this frame's colour alone, and nothing that the next one knows: a state of zeros, as at a part's
+    edge where the frame goes on."""
 
     def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, depth: Tensor, past: Tensor,
                 fine: Tensor, params: Tensor, window: Tensor) -> tuple[Tensor, Tensor, Tensor]:
