@@ -7,7 +7,7 @@ import numpy as np
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.numeric import compiled, inline
 
-ZERO, ONE = np.float32(0), np.float32(1)
+ZERO, ONE, INFINITE = np.float32(0), np.float32(1), np.float32(np.inf)
 MARGIN = 5  # pixels beside a row, so that no tap lies outside
 EVEN = np.float32(1e-3)
 
@@ -22,18 +22,24 @@ def catmull_rom(t):
 
 @inline
 def known(value):
-    return value if abs(value) < np.inf else ZERO
+    return value if abs(value) < INFINITE else ZERO
+
+
+@compiled
+def clean(source, target):
+    for i in range(source.size):
+        target[i] = known(source[i])
 
 
 @compiled
 def clean_row(source, channels, line):
     """A flat row with its first and last pixel repeated in the margins; what is not finite counts as 0."""
     first, end = MARGIN * channels, MARGIN * channels + source.size
-    for i in range(source.size):
-        line[first + i] = known(source[i])
-    for i in range(first):
-        line[i] = line[first + i % channels]
-        line[end + i] = line[end - channels + i % channels]
+    clean(source, line[first:])
+    for beside in range(MARGIN):
+        for k in range(channels):
+            line[beside * channels + k] = line[first + k]
+            line[end + beside * channels + k] = line[end - channels + k]
 
 
 @compiled
@@ -137,8 +143,8 @@ def taps_of(columns, w, channels):
 def resample_rows(y0, y1, image, rows, columns, output):
     """Cubic interpolation at `rows` (height,) and `columns` (width,), positions in the image, pixel centres whole.
 
-    Values stay within those of the four nearest samples, so that edges do not ring and nothing turns negative. What is
-    not finite counts as 0.
+    Values stay within those of the four nearest samples, so that edges do not ring and nothing turns negative; of a
+    position on a row or column of the image, the next one after it counts as near. What is not finite counts as 0.
     """
     h, w, channels = image.shape
     flat, width, size = image.reshape(h, w * channels), output.shape[1], (w + 2 * MARGIN) * channels
