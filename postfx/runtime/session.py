@@ -116,7 +116,9 @@ def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.Sessio
     options.log_severity_level = 3
     # The pattern's one block comes on top of what the first run took from the arena; docs/runtime.md has figures.
     options.enable_mem_pattern = False
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # Threads wait awake for the next node, but not beyond a run: then it is other sessions' and kernels' turn.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "1")
+    options.add_session_config_entry("session.force_spinning_stop", "1")
     options.add_session_config_entry("session.use_env_allocators", "1")
     for name, size in dims.items():
         options.add_free_dimension_override_by_name(name, size)

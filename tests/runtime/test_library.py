@@ -87,11 +87,12 @@ def test_damaged_file(device, tmp_path):
         device.pipeline_state(Library(tmp_path), "bad")
 
 
-def test_sessions_share_one_arena_and_do_not_spin(device, library):
+def test_sessions_share_one_arena_and_spin_only_while_they_run(device, library):
     state = device.pipeline_state(library, "double", {"height": 4, "width": 4})
     options = state._session._session.get_session_options()
     assert options.get_session_config_entry("session.use_env_allocators") == "1"
-    assert options.get_session_config_entry("session.intra_op.allow_spinning") == "0"
+    assert options.get_session_config_entry("session.intra_op.allow_spinning") == "1"
+    assert options.get_session_config_entry("session.force_spinning_stop") == "1"
     assert options.intra_op_num_threads == device.threads and not options.enable_mem_pattern
 
 
