@@ -19,7 +19,7 @@ from postfx.kernels.denoise_layout import (
 from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, demodulation, inline, summed
 
 ZERO, ONE = np.float32(0), np.float32(1)
-NEAREST, FARTHEST = np.float32(1e-6), np.float32(1e9)
+NEAREST, FARTHEST, MOST_MOTION = np.float32(1e-6), np.float32(1e9), np.float32(1e5)
 
 
 @summed
@@ -37,23 +37,51 @@ def scale_rows(y0, y1, depth, scale):
 @inline
 def finite(value):
     """Motion of a pixel; what no picture can have (NaN, infinity) is none."""
-    return value if -1e5 < value < 1e5 else ZERO
+    return value if -MOST_MOTION < value < MOST_MOTION else ZERO
+
+
+@compiled
+def nearer(line, place, near, found):
+    """Take what is nearer than what was found so far, and note its place."""
+    for x in range(near.size):
+        here, best, at = line[x], near[x], found[x]
+        found[x] = place if here < best else at
+        near[x] = here if here < best else best
+
+
+@compiled
+def dilate_row(y, left, depth, lines, near, found):
+    """For pixels of a row from `left` on, where the depth lies whose motion they take, from the pixel: that of a
+    clearly nearer neighbour in 3x3, the first of the nearest, or its own. `depth` is (h, w)."""
+    h, w = depth.shape
+    count = near.size
+    lines[:] = np.inf  # what is beyond the picture is never nearer
+    before, after = min(left, 1), min(w - left - count, 1)
+    for j in range(max(y - 1, 0), min(y + 2, h)):
+        lines[j - y + 1, 1 - before:1 + count + after] = depth[j, left - before:left + count + after]
+    for x in range(count):
+        near[x], found[x] = lines[1, x + 1] * np.float32(0.9), 0
+    for j in range(3):
+        for i in range(3):
+            nearer(lines[j, i:], np.int32((j - 1) * w + i - 1), near, found)
 
 
 @compiled
 def dilate_rows(y0, y1, motion, depth, part_rows, part_columns, moved):
     """Motion of a clearly nearer neighbour in 3x3, else the pixel's own."""
-    h, w = depth.shape[:2]
+    (h, w), left = depth.shape[:2], int(part_columns[0])
+    count = min(moved.shape[1], w - left)
+    lines = np.empty((3, count + 2), np.float32)
+    near, found = np.empty(count, np.float32), np.empty(count, np.int32)
+    flat = motion.reshape(h * w, 2)
     for row in range(y0, y1):
-        for column in range(moved.shape[1]):
-            y, x = int(part_rows[row]), int(part_columns[column])
-            near, at_y, at_x = depth[y, x, 0] * np.float32(0.9), y, x
-            for j in range(max(0, y - 1), min(h, y + 2)):
-                for i in range(max(0, x - 1), min(w, x + 2)):
-                    if depth[j, i, 0] < near:
-                        near, at_y, at_x = depth[j, i, 0], j, i
-            moved[row, column, 0] = finite(motion[at_y, at_x, 0])
-            moved[row, column, 1] = finite(motion[at_y, at_x, 1])
+        y = int(part_rows[row])
+        dilate_row(y, left, depth.reshape(h, w), lines, near, found)
+        for x in range(count):
+            at = y * w + left + x + found[x]
+            moved[row, x, 0], moved[row, x, 1] = finite(flat[at, 0]), finite(flat[at, 1])
+        for x in range(count, moved.shape[1]):
+            moved[row, x, 0], moved[row, x, 1] = moved[row, count - 1, 0], moved[row, count - 1, 1]
 
 
 @compiled
