@@ -12,7 +12,7 @@ import numpy as np
 from postfx.kernels.cells import mark_positive
 from postfx.passes._denoise_window import Box, Rows, Sizes, Window, whole_steps
 
-HALOS, GUIDED_HALO = {"s": 72, "m": 40, "l": 48}, 104
+HALOS, GUIDED_HALO = {"s": 72, "m": 44, "l": 48}, 104
 """Render pixels around what is active that a network must see, so that the result there differs by less than 1e-3 from
 that of the whole frame: by size, the largest for others, and of models that read guides. docs/denoiser.md has measured
 differences."""
