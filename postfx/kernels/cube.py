@@ -53,8 +53,8 @@ def _find(shaped, size, places, shares):
 def _gather(flat, across, places, shares, output):
     """Weighted sums of the corners' colours; the fourth corner is `across` numbers after the first."""
     for x in range(output.shape[0]):
-        a, b, c = places[0, x], places[1, x], places[2, x]
-        d = a + across
+        a, b, c = np.uint32(places[0, x]), np.uint32(places[1, x]), np.uint32(places[2, x])  # signs would be looked at
+        d = a + np.uint32(across)
         most, middle, least = shares[0, x], shares[1, x], shares[2, x]
         w0, w1, w2 = ONE - most, most - middle, middle - least
         output[x, 0] = w0 * flat[a] + w1 * flat[b] + (w2 * flat[c] + least * flat[d])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.numeric import clamp, compiled
+from postfx.kernels.numeric import compiled, inline
 
 EXPOSURE, TOE, SCALE = 0, 1, 2  # places in `params`
 LARGEST = np.float32(1e10)  # stands for infinity
@@ -17,6 +17,14 @@ SQRT_HALF_BITS = np.int32(0x3F3504F3)
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 CUBIC, QUINTIC, SEPTIC = np.float32(1 / 3), np.float32(1 / 5), np.float32(1 / 7)
 TWO_OVER_LN2 = np.float32(2.0 / np.log(2.0))
+
+
+@inline
+def _known(value):
+    """A channel within what a matrix can take; NaN counts as 0."""
+    known = value if value == value else ZERO
+    below = known if known < LARGEST else LARGEST
+    return below if below > -LARGEST else -LARGEST
 
 
 @compiled
@@ -30,14 +38,13 @@ def shape_row(row, params, matrix, out, scratch):
     most = np.float32(2.0 ** min(126.0, 1.0 / params[SCALE]) - 1.0)
     rr, rg, rb, gr, gg, gb = matrix[0], matrix[1], matrix[2], matrix[3], matrix[4], matrix[5]
     br, bg, bb = matrix[6], matrix[7], matrix[8]
-    red, green, blue = out[0], out[1], out[2]
-    for x in range(row.shape[0]):
-        r, g = clamp(row[x, 0], -LARGEST, LARGEST), clamp(row[x, 1], -LARGEST, LARGEST)
-        b = clamp(row[x, 2], -LARGEST, LARGEST)
+    red, green, blue, flat = out[0], out[1], out[2], row.reshape(row.size)
+    for x in range(red.size):
+        r, g, b = _known(flat[3 * x]), _known(flat[3 * x + 1]), _known(flat[3 * x + 2])
         red[x] = max(rr * r + rg * g + rb * b, ZERO) * gain
         green[x] = max(gr * r + gg * g + gb * b, ZERO) * gain
         blue[x] = max(br * r + bg * g + bb * b, ZERO) * gain
-    for x in range(row.shape[0]):
+    for x in range(red.size):
         fit = most / max(max(red[x], green[x]), max(blue[x], most))
         red[x], green[x], blue[x] = red[x] * fit + ONE, green[x] * fit + ONE, blue[x] * fit + ONE
     for c in range(3):
