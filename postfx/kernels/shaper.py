@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.numeric import compiled, inline
+from postfx.kernels.numeric import fused, inline
 
 EXPOSURE, TOE, SCALE = 0, 1, 2  # places in `params`
 LARGEST = np.float32(1e10)  # stands for infinity
@@ -27,7 +27,7 @@ def _known(value):
     return below if below > -LARGEST else -LARGEST
 
 
-@compiled
+@fused
 def shape_row(row, params, matrix, out, scratch):
     """Shape a row of colour (width, 3) into out (3, width); `scratch` is int32 (width,). NaN counts as 0.
 
@@ -51,7 +51,7 @@ def shape_row(row, params, matrix, out, scratch):
         _log_row(out[c], scale, scratch)
 
 
-@compiled
+@fused
 def _log_row(values, scale, scratch):
     """Replace values >= 1 by min(log2(value) * scale, 1)."""
     bits = values.view(np.int32)
