@@ -222,7 +222,7 @@ class DenoiseUpscale(Pass):
         return ready.strength.encode(commands, frame, colour, ready.frames.rows(band), spared.unblended)
 
     def _active(self, frame: ResidentFrame) -> np.ndarray | None:
-        """Where the frame's strength is not 0, as squares of 16 pixels; None where that is not known, or where the
+        """Where the frame's strength is not 0, as squares of 4 pixels; None where that is not known, or where the
         whole frame is judged."""
         restore = self._ready.restore
         if Role.STRENGTH not in frame.given or (restore and restore.acts_on(frame)):
