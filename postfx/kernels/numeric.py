@@ -1,15 +1,14 @@
 """How kernels are compiled, and the small functions that they inline."""
 
 import hashlib
-import os
-import stat
-import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numba import config, njit
+
+from postfx.user_cache import private_folder
 
 MAX_COLOUR = 1e4
 
@@ -24,24 +23,8 @@ def cache_folder() -> str:
     digest = hashlib.sha256()
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.read_bytes())
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    for base in (home / "postfx", Path(tempfile.gettempdir()) / f"postfx-{os.getuid()}"):
-        folder = base / f"kernels-{digest.hexdigest()[:16]}"
-        try:
-            base.parent.mkdir(parents=True, exist_ok=True)
-            for part in (base, folder):
-                part.mkdir(mode=0o700, exist_ok=True)
-            if all(map(_is_private, (base, folder))) and os.access(folder, os.W_OK):
-                return str(folder)
-        except OSError:
-            continue
-    return ""
-
-
-def _is_private(folder: Path) -> bool:
-    """Whether a folder, and the link if it is one, is this user's, and not for everyone to write to."""
-    status = folder.stat()
-    return {status.st_uid, folder.lstat().st_uid} == {os.getuid()} and not status.st_mode & stat.S_IWOTH
+    folder = private_folder(f"kernels-{digest.hexdigest()[:16]}")
+    return str(folder) if folder else ""
 
 
 def is_first_run() -> bool:

@@ -13,6 +13,7 @@ import onnxruntime as ort
 
 from postfx.limits import usable_memory
 from postfx.runtime.errors import ModelError
+from postfx.runtime.optimised import make_session
 from postfx.runtime.tensor import Tensor
 
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
@@ -47,13 +48,19 @@ class Session:
         self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int], folder: Path | None = None,
         exclusive: bool = False,
     ) -> None:
-        options = session_options(placement, dims)
-        if exclusive:
-            options.add_session_config_entry("session.disable_cpu_ep_fallback", "1")
-        if folder is not None:
-            options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(folder))
+        def options() -> ort.SessionOptions:
+            found = session_options(placement, dims)
+            if exclusive:
+                found.add_session_config_entry("session.disable_cpu_ep_fallback", "1")
+            if folder is not None:
+                found.add_session_config_entry("session.model_external_initializers_file_folder_path", str(folder))
+            return found
+
         try:
-            self._session = ort.InferenceSession(model, options, providers=providers_of(placement, exclusive))
+            if placement.provider == "CPUExecutionProvider":
+                self._session = make_session(model, dims, options)
+            else:
+                self._session = ort.InferenceSession(model, options(), providers=providers_of(placement, exclusive))
             self.inputs = [_value(item) for item in self._session.get_inputs()]
             self.outputs = [_value(item) for item in self._session.get_outputs()]
         except Exception as error:
