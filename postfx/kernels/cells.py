@@ -7,13 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.numeric import compiled, vectorised
-
-
-@vectorised
-def add_line(line, total):
-    for i in range(total.size):
-        total[i] += line[i]
+from postfx.kernels.numeric import add, compiled, vectorised
 
 
 @compiled
@@ -27,13 +21,13 @@ def box_means(planes, width, means):
     for y in range(rows):
         inner[:] = 0.0
         for v in range(y - near, y + near + 1):
-            add_line(flat[min(max(v, 0), rows - 1)], inner)
+            add(flat[min(max(v, 0), rows - 1)], inner)
         for i in range(near * channels):
             line[i] = inner[i % channels]
             line[(near + columns) * channels + i] = inner[(columns - 1) * channels + i % channels]
         written[y] = 0.0
         for u in range(width):
-            add_line(line[u * channels:], written[y])
+            add(line[u * channels:], written[y])
         for i in range(written.shape[1]):
             written[y, i] *= share
 
