@@ -32,7 +32,7 @@ def shown(colour: np.ndarray) -> np.ndarray:
     return colour / (1 + colour)
 
 
-@on(cpu=("s.fp32", "s.int8"))
+@on(cpu=("s.fp32", "s.int8", "m.fp32", "m.int8"), gpu=("s.fp32", "s.fp16", "m.fp32", "m.fp16"))
 @pytest.mark.parametrize("place", PIXELS)
 def test_a_mask_of_one_pixel(place: str, model: str, device: Device) -> None:
     """It is as in the whole frame."""
