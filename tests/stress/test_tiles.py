@@ -48,6 +48,20 @@ def test_a_mask_of_one_pixel(place: str, model: str, device: Device) -> None:
     assert error < near
 
 
+@on(cpu=("s.fp32", "s.int8", "m.fp32", "m.int8"), gpu=("s.fp32", "s.fp16", "m.fp32", "m.fp16"))
+def test_rows_below_a_mask(model: str, device: Device) -> None:
+    """Those with strength are as in the whole frame, the others as without any."""
+    mask = np.arange(SIZE[0])[:, None, None] >= 119
+    frame = noisy(1, *SIZE)
+    some = (frame, with_strength(frame, mask), with_strength(frame, 0))
+    (whole,), (found,), (plain,) = (colours([one], model, device) for one in some)
+    wanted, near = blended64(some[1], whole), bounds(device, model).near
+    error = np.abs(shown(found) - shown(wanted)).max()
+    print(f"{device.name} {model}: near {error:.2g}")
+    assert error < near
+    np.testing.assert_array_equal(found[:2 * 117], plain[:2 * 117])
+
+
 @pytest.mark.parametrize("size", [(1, 1), (1, 300), (300, 1), (17, 17)], ids=str)
 @pytest.mark.parametrize("strength", [0.0, 0.5, 1.0])
 def test_small_frames_with_masks_and_within_a_budget(size: tuple[int, int], strength: float, cpu: Device) -> None:
