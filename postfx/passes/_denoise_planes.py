@@ -23,16 +23,14 @@ class Resampler:
     """Brings a plane to another size, every frame anew: cubic, but depth by the nearest sample, for misses do not mix.
     Colours of overlays are held to their coverage, for edges without halos.
 
-    The result is sampled at pixel centres plus `jitter`, in pixels of the result. It is in `output`, of its own if none
-    is given.
+    The result is sampled at pixel centres plus `jitter`, in pixels of the result.
     """
 
-    def __init__(self, device: Device, name: str, role: Role, size: Size, out_size: Size,
-                 output: Tensor | None = None) -> None:
+    def __init__(self, device: Device, name: str, role: Role, size: Size, out_size: Size) -> None:
         self._size, self._out_size, self._nearest = size, out_size, role is Role.DEPTH
         new = device.heap.tensor
         self._rows, self._columns = new(f"{name} rows", out_size[:1]), new(f"{name} columns", out_size[1:])
-        self.output = output or device.heap.transient(name, (*out_size, ROLES[role].channels))
+        self.output = device.heap.transient(name, (*out_size, ROLES[role].channels))
         kernel = ENLARGE if role is Role.OVERLAY else RESAMPLE
         self._table = ArgumentTable(device.compute_state(kernel), {"columns": self._columns})
 

@@ -9,7 +9,6 @@ import pytest
 
 from postfx.frame import Frame, Role
 from postfx.kernels.resample import RESAMPLE, positions
-from postfx.passes import _denoise_strength
 from postfx.passes.base import PassOptionError
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
@@ -74,27 +73,6 @@ def test_full_strength_is_the_denoised_picture_where_the_plane_says_so(device: D
     (full,), (found,) = run([frame], device), run([masked(frame, half)], device)
     np.testing.assert_array_equal(found[:, 44:], full[:, 44:])
     np.testing.assert_array_equal(found[:, :36], resampled(frame, Role.COLOUR, 2)[:, :36])
-
-
-def soft_below(rows: int, size: tuple[int, int]) -> np.ndarray:
-    """Nothing above some rows, then more and more, 1 from the fourth on."""
-    return np.clip((np.arange(size[0])[:, None] - rows + 1) / 4, 0, 1) * np.ones(size)
-
-
-@pytest.mark.parametrize(("size", "scale"), [((160, 64), 2), ((161, 50), 1.5), ((150, 40), 3), ((160, 48), 1)])
-@pytest.mark.parametrize("turned", [False, True])
-def test_rows_that_are_not_blended_stay_where_they_are(
-    size: tuple[int, int], scale: float, turned: bool, device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The same bits as with all rows blended, masks that move, and what is no number."""
-    masks = [soft_below(rows, size)[::-1 if turned else 1] for rows in (60, 64, 57)]
-    masks[1][100, 3], masks[2][80 if turned else 70, 5] = np.nan, 0.99
-    frames = [masked(noisy(number, *size), mask) for number, mask in enumerate(masks, 1)]
-    found = run(frames, device, scale=scale)
-    monkeypatch.setattr(_denoise_strength, "FEW", -1)
-    np.testing.assert_array_equal(found, run(frames, device, scale=scale))
-    monkeypatch.setattr(_denoise_strength, "FEW", 1)
-    np.testing.assert_array_equal(found, run(frames, device, scale=scale))
 
 
 @pytest.mark.parametrize(("size", "scale"), SIZES)
