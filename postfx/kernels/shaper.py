@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.numeric import fused, inline
+from postfx.kernels.numeric import clamp, fused
 
 EXPOSURE, TOE, SCALE = 0, 1, 2  # places in `params`
 LARGEST = np.float32(1e10)  # stands for infinity
@@ -17,14 +17,6 @@ SQRT_HALF_BITS = np.int32(0x3F3504F3)
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 CUBIC, QUINTIC, SEPTIC = np.float32(1 / 3), np.float32(1 / 5), np.float32(1 / 7)
 TWO_OVER_LN2 = np.float32(2.0 / np.log(2.0))
-
-
-@inline
-def _known(value):
-    """A channel within what a matrix can take; NaN counts as 0."""
-    known = value if value == value else ZERO
-    below = known if known < LARGEST else LARGEST
-    return below if below > -LARGEST else -LARGEST
 
 
 @fused
@@ -40,7 +32,8 @@ def shape_row(row, params, matrix, out, scratch):
     br, bg, bb = matrix[6], matrix[7], matrix[8]
     red, green, blue, flat = out[0], out[1], out[2], row.reshape(row.size)
     for x in range(red.size):
-        r, g, b = _known(flat[3 * x]), _known(flat[3 * x + 1]), _known(flat[3 * x + 2])
+        r, g = clamp(flat[3 * x], -LARGEST, LARGEST), clamp(flat[3 * x + 1], -LARGEST, LARGEST)
+        b = clamp(flat[3 * x + 2], -LARGEST, LARGEST)
         red[x] = max(rr * r + rg * g + rb * b, ZERO) * gain
         green[x] = max(gr * r + gg * g + gb * b, ZERO) * gain
         blue[x] = max(br * r + bg * g + bb * b, ZERO) * gain
