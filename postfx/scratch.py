@@ -16,10 +16,14 @@ from postfx.errors import PostfxError
 
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
+PROCESS = 320 << 20
+"""Bytes of a process in which nothing is worked on yet, and of small things."""
+LEAST = 16
+"""A budget that is no larger than PROCESS leaves this part of itself."""
 SMALL = 128
-"""Arrays below this part of the budget stay in memory."""
+"""Arrays below this part of what is left stay in memory."""
 PIECE = 16
-"""Work on large arrays goes in pieces of this part of the budget."""
+"""Work on large arrays goes in pieces of this part of what is left."""
 
 
 class MemoryBudgetError(PostfxError):
@@ -39,16 +43,18 @@ class Scratch:
 
     Attributes:
         budget: bytes that the process may have in memory.
+        left: bytes of it beside those that a process has anyway.
     """
 
     def __init__(self, budget: str | int) -> None:
         self.budget = bytes_of(budget)
+        self.left = max(self.budget - PROCESS, self.budget // LEAST)
         self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 
     def empty(self, shape: tuple[int, ...], dtype: str = "float32") -> np.ndarray:
         """An array of any content, in a temporary file if it is large."""
         nbytes = math.prod(shape) * np.dtype(dtype).itemsize
-        if nbytes < self.budget // SMALL:
+        if nbytes < self.left // SMALL:
             return np.empty(shape, dtype)
         return np.frombuffer(self.mapped(nbytes), dtype, math.prod(shape)).reshape(shape)
 
@@ -70,7 +76,7 @@ class Scratch:
 
     def pieces(self, rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
         """First and last row, not included, of pieces of something large; pages are let go of after each."""
-        step = max(1, self.budget // PIECE // max(1, row_bytes))
+        step = max(1, self.left // PIECE // max(1, row_bytes))
         for first in range(0, rows, step):
             yield first, min(rows, first + step)
             self.relax()

@@ -6,20 +6,18 @@ from collections.abc import Sequence
 
 from postfx.passes._denoise_layout import Band, Shape, bands_of, cost, count_of, grids, halo_of
 from postfx.passes._denoise_window import Sizes
-from postfx.scratch import MemoryBudgetError, Scratch
+from postfx.scratch import PROCESS, MemoryBudgetError, Scratch
 
-PROCESS = 320 << 20
-"""Bytes of a process in which nothing is worked on yet, and of what is read and written meanwhile."""
-
-PIXEL = 1800
-"""Bytes that a render pixel of a window takes, of which somewhat more than half are the network's own (models s, m and
-l, measured from 480x272 to 960x544)."""
+PIXEL = 2000
+"""Bytes that a render pixel of a window takes, of which somewhat more than half are the network's own (1800 with models
+s, m and l, measured from 480x272 to 960x544, and more with l in float32)."""
 
 TILE = 230_000
 """Bytes that the commands of a tile take (measured with 240 to 920 tiles of 1920x1080)."""
 
-WINDOW = 0.55
-"""Share of the rest of a budget that a window may take; tensors of the frame and of its tiles have the other part."""
+WINDOW = 0.75
+"""Share of what a budget leaves that a window may take; tensors of the frame, and what is looked at of files, have the
+other part."""
 
 
 def bands_within(scratch: Scratch | None, frame: Sizes, models: Sequence[str]) -> list[Band]:

@@ -14,8 +14,8 @@ import numpy as np
 from postfx.scratch import Scratch
 
 T = TypeVar("T")
-TENSORS = 0.3
-"""Share of a memory budget that tensors may have; networks have their own."""
+TENSORS = 0.4
+"""Share of what a memory budget leaves that tensors may have; networks have their own."""
 ALIGNMENT = 256
 """Byte alignment of every tensor: a multiple of the cache line and of what GPU copies like."""
 
@@ -128,7 +128,7 @@ class HostMemory(Immediate):
         """A new chunk of host memory."""
         if self._scratch is not None:
             held = sum(chunk.nbytes for chunk in self._held)
-            if held + nbytes > TENSORS * self._scratch.budget:
+            if held + nbytes > TENSORS * self._scratch.left:
                 return MappedChunk(self._scratch, nbytes)
         chunk = HostChunk(nbytes)
         self._held.add(chunk)

@@ -136,7 +136,7 @@ class Tensor:
         if not copy.ndim:
             copy[...] = view
             return copy
-        for first, last in scratch.pieces(len(copy), copy.nbytes // max(1, len(copy))):
+        for first, last in scratch.pieces(len(copy), 2 * copy.nbytes // max(1, len(copy))):
             copy[first:last] = view[first:last]
         return copy
 
