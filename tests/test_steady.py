@@ -29,11 +29,13 @@ def resident_bytes() -> int:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("count", [150, pytest.param(1000, marks=pytest.mark.soak)])
-def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int) -> None:
+def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int, threads: int) -> None:
     """Memory within 1 % and a MiB. Processor time of the last third's fastest frames is that of the middle one's: what
-    grows makes all frames slower, other programs only some."""
-    device = Device("cpu", threads=2)
+    grows makes all frames slower, other programs only some. That is asked of one thread: two wait for each other awake,
+    the longer the more other programs run."""
+    device = Device("cpu", threads=threads)
     chain = postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()], device)
     frames, heaps, process, times = [frame(number) for number in range(4)], set(), [], []
     for number in range(count):
@@ -47,6 +49,7 @@ def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int) -
     assert max(process) <= 1.01 * process[0] + (1 << 20)
     third = len(times) // 3
     middle, last = (np.quantile(part, 0.1) for part in (times[-2 * third:-third], times[-third:]))
-    assert last < 1.25 * middle
-    print(f"{count} frames: {process[0] / 1e6:.1f} MB at frame {WARM + 1}, {max(process) / 1e6:.1f} MB at most; "
-          f"processor time a frame {1e3 * middle:.1f} ms in the middle third, {1e3 * last:.1f} ms in the last")
+    assert threads > 1 or last < 1.25 * middle
+    print(f"{count} frames, {threads} threads: {process[0] / 1e6:.1f} MB at frame {WARM + 1}, "
+          f"{max(process) / 1e6:.1f} MB at most; processor time a frame {1e3 * middle:.1f} ms in the middle third, "
+          f"{1e3 * last:.1f} ms in the last")
