@@ -136,7 +136,8 @@ class Tensor:
         if not copy.ndim:
             copy[...] = view
             return copy
-        for first, last in scratch.pieces(len(copy), 2 * copy.nbytes // max(1, len(copy))):
+        both = 2 * copy.nbytes  # what is read and what is written are in memory together
+        for first, last in scratch.pieces(len(copy), both // max(1, len(copy))):
             copy[first:last] = view[first:last]
         return copy
 
