@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.errors import PostfxError
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.kernels.cells import box_means, moments
 from postfx.kernels.metering import half_means
@@ -33,10 +32,6 @@ LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
 FLOOR = 1e-2  # of the mean light: what is darker than this is just black
 LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors, doublings."""
-
-
-class CutError(PostfxError):
-    """What is said about cuts cannot be understood."""
 
 
 class Picture(NamedTuple):

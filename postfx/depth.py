@@ -8,12 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from postfx.errors import PostfxError
+from postfx.errors import DepthError
 from postfx.frame import DEPTH_MISS
-
-
-class DepthError(PostfxError):
-    """Near and far planes or a field of view that no camera has."""
 
 
 def depth_from_device(

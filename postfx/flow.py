@@ -9,8 +9,9 @@ from functools import partial
 
 import numpy as np
 
+from postfx.errors import PassContractError
 from postfx.frame import GUIDE_ROLES, Frame, FrameSpec, Role
-from postfx.passes.base import MOST_SIZES, PassContractError, ResidentFrame
+from postfx.passes.base import MOST_SIZES, ResidentFrame
 from postfx.plan import Plan, Step
 from postfx.recent import Recent
 from postfx.runtime import CommandBuffer, CommandError, Device, Tensor

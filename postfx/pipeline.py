@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from postfx.broken import is_lost, mended
-from postfx.cuts import CutDetector, CutError
-from postfx.errors import FrameError
+from postfx.cuts import CutDetector
+from postfx.errors import CutError, FrameError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.flow import Flow
 from postfx.frame import Frame, FrameSpec, Role

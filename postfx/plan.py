@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from postfx.errors import MissingPlaneError
+from postfx.errors import MissingPlaneError, PassContractError
 from postfx.frame import FrameSpec, Role
-from postfx.passes.base import Pass, PassContractError, Reflection
+from postfx.passes.base import Pass, Reflection
 
 KEPT = (Role.COLOUR, Role.ALPHA, Role.OVERLAY)
 """Planes that are wanted in the output even when no pass touches them."""

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from postfx.errors import PostfxError
+from postfx.errors import MemoryBudgetError
 
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
@@ -24,10 +24,6 @@ SMALL = 128
 """Arrays below this part of what is left stay in memory."""
 PIECE = 16
 """Work on large arrays goes in pieces of this part of what is left."""
-
-
-class MemoryBudgetError(PostfxError):
-    """A memory budget cannot be read, or nothing can be done within it."""
 
 
 def bytes_of(size: str | int) -> int:

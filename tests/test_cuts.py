@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, Role, read_sequence
-from postfx.cuts import CutDetector, CutError
+from postfx.cuts import CutDetector
+from postfx.errors import CutError
 
 ROOM = Path(__file__).resolve().parent.parent / "samples" / "room"
 COLOUR_ONLY = (Role.COLOUR,)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from postfx.errors import FrameError, MissingPlaneError
+from postfx.errors import FrameError, MissingPlaneError, PassContractError
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, FrameSpec, Role
-from postfx.passes.base import Pass, PassContractError, Reflection
+from postfx.passes.base import Pass, Reflection
 from postfx.pipeline import Pipeline
 from postfx.runtime import BindingError, CommandError, Device, HazardError, Library
 from tests import toys

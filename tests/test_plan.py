@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from postfx.errors import MissingPlaneError
+from postfx.errors import MissingPlaneError, PassContractError
 from postfx.frame import FrameSpec, GuideSpec, Role
-from postfx.passes.base import Pass, PassContractError, Reflection
+from postfx.passes.base import Pass, Reflection
 from postfx.plan import Skipped, make_plan
 from tests import toys
 

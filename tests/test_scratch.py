@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from postfx import Device, Frame, Pipeline, Role
+from postfx.errors import MemoryBudgetError
 from postfx.passes._denoise_memory import bands_within
 from postfx.passes._denoise_window import Sizes
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.passes.tonemap import ToneMap
 from postfx.runtime import DeviceError, device
-from postfx.scratch import MemoryBudgetError, Scratch, bytes_of
+from postfx.scratch import Scratch, bytes_of
 from tests.passes.denoise_frames import noisy
 
 

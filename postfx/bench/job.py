@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from postfx import __version__
-from postfx.bench.errors import BenchError, require
+from postfx.bench import require
 from postfx.bench.material import Material, Sources, output_pattern
 from postfx.bench.methods import LeftOut, catalogue, select
 from postfx.bench.progress import BenchProgress
 from postfx.bench.report import ablations, compare, front, offered, write_csv
 from postfx.bench.worker import Task
-from postfx.errors import WriteError
+from postfx.errors import BenchError, WriteError
 from postfx.frame import Role
 from postfx.passes.denoise_upscale import ABSENT
 from postfx.runtime import Device, Library

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from postfx.bench.errors import BenchError
-from postfx.errors import MissingFrameError
+from postfx.errors import BenchError, MissingFrameError
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.sequence import Sequence
 

@@ -13,10 +13,10 @@ from statistics import median
 from typing import Any
 
 import postfx
-from postfx.bench.errors import BenchError
 from postfx.bench.material import Material
 from postfx.bench.metrics import SequenceScore
 from postfx.bench.worker import Task
+from postfx.errors import BenchError
 
 ATTEMPTS = 4
 """The first process may compile kernels, and so may others on the machine meanwhile."""

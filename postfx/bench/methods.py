@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from postfx.bench.errors import BenchError
+from postfx.errors import BenchError
 from postfx.passes._denoise_models import PASS, UNSCALED
 
 GUIDES = "guides"

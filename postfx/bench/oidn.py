@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from postfx.bench.errors import BenchError, require
+from postfx.bench import require
+from postfx.errors import BenchError
 from postfx.frame import Frame, Role
 
 

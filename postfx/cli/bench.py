@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from postfx.bench.errors import BenchError
+from postfx.errors import BenchError
 
 HELP = "measure run time against error on a sequence with references"
 DESCRIPTION = """\

@@ -60,7 +60,7 @@ class BothWays:
 
 def _fits(arguments: argparse.Namespace) -> bool:
     """Whether there is something to denoise; PassOptionError beside options that it cannot go with."""
-    from postfx.passes.base import PassOptionError  # loads what --help must not wait for
+    from postfx.errors import PassOptionError  # loads what --help must not wait for
 
     if arguments.no_denoise:
         raise PassOptionError("--both-ways is for the denoiser, which --no-denoise leaves out: give one of them")

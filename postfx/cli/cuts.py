@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from postfx.cuts import CutError
-from postfx.errors import SequenceError
+from postfx.errors import CutError, SequenceError
 from postfx.io.pattern import parse_frames
 
 

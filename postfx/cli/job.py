@@ -22,7 +22,7 @@ from postfx.cli.progress import FrameProgress
 from postfx.cli.report import RunReport
 from postfx.cli.run_up import run_up_of
 from postfx.cli.summary import Report, guides_in
-from postfx.errors import WriteError
+from postfx.errors import PassOptionError, WriteError
 from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
 from postfx.frame import Frame
 from postfx.io.ahead import WriteBehind, read_ahead
@@ -31,7 +31,7 @@ from postfx.io.retry import read_patiently
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
 from postfx.kernels.numeric import is_first_run
-from postfx.passes.base import Pass, PassOptionError
+from postfx.passes.base import Pass
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
 from postfx.plan import Skipped, from_files

@@ -12,6 +12,7 @@ import numpy as np
 
 from postfx.cli.inspection import Inspection
 from postfx.cli.summary import Report
+from postfx.errors import ReportError
 from postfx.exposure import ExposureMeter, measure
 from postfx.frame import Frame, Role
 from postfx.io.output import check_folder
@@ -19,7 +20,7 @@ from postfx.io.srgb import srgb_decode
 from postfx.kernels.resample import resampled
 from postfx.pipeline import Pipeline
 from postfx.report.frame_log import FrameLog, Look
-from postfx.report.reference import Comparison, References, ReportError, compared
+from postfx.report.reference import Comparison, References, compared
 from postfx.report.report_page import write_report
 
 if TYPE_CHECKING:

@@ -57,7 +57,7 @@ class WatchedRunUp:
 def run_up_of(arguments: argparse.Namespace, sequence: Sequence, cuts: str) -> WatchedRunUp | None:
     """What the arguments ask for. Raises PassOptionError beside arguments that it cannot go with."""
     from postfx.backwards.run_up import FRAMES, RunUp  # loads what --help must not wait for
-    from postfx.passes.base import PassOptionError
+    from postfx.errors import PassOptionError
 
     given = next((name for name in NOT_WITH if getattr(arguments, name)), None)
     if given and arguments.run_up:

@@ -12,8 +12,9 @@ import numpy as np
 
 from postfx.depth import pixel_aspect, ray_slopes
 from postfx.doctor.statistics import finite
+from postfx.errors import IntegrationError
 from postfx.frame import DEPTH_MISS, Frame, Role
-from postfx.integrate.camera import IntegrationError, perspective
+from postfx.integrate.camera import perspective
 from postfx.integrate.motion import motion_from_depth
 
 CAMERA_AXES = tuple(map(np.diag, ((-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))))

@@ -1,6 +1,7 @@
 """Exposure: one multiplier a frame. Metering, following it over time, and measuring whether a chain applies it."""
 
-from postfx.exposure.metering import KEY, LIMITS_EV, MODES, ExposureError, ExposureMeter, measure
+from postfx.errors import ExposureError
+from postfx.exposure.metering import KEY, LIMITS_EV, MODES, ExposureMeter, measure
 from postfx.exposure.smoothing import SMOOTH, Metered, SmoothExposure, colours_of, frame_rate, metered, smooth_ev
 
 __all__ = [

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from postfx.errors import ExposureError
 from postfx.exposure.board import Board, Response
 from postfx.exposure.causes import likely_cause
-from postfx.exposure.metering import ExposureError, ExposureMeter, frame_rate, measure
+from postfx.exposure.metering import ExposureMeter, frame_rate, measure
 from postfx.exposure.smoothing import SECONDS, SMOOTH, Metered, shots, smooth_ev
 from postfx.frame import Frame, Role
 from postfx.passes.base import Pass

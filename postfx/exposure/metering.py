@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from postfx.errors import PostfxError
+from postfx.errors import ExposureError
 from postfx.frame import Frame, Role
 from postfx.kernels.metering import block_means
 
@@ -24,10 +24,6 @@ BLOCK, MOST_BLOCKS = 8, 160
 BRIGHTEN_SECONDS, DARKEN_SECONDS = 1.0, 0.4  # an eye and a camera close faster than they open
 FRAMES_PER_SECOND = 24.0
 MODES = ("auto", "metadata")
-
-
-class ExposureError(PostfxError):
-    """The exposure asked for cannot be had."""
 
 
 def measure(colour: np.ndarray) -> float | None:

@@ -15,8 +15,8 @@ from postfx.depth import (
     normals_to_world,
     ray_from_depth,
 )
+from postfx.errors import IntegrationError
 from postfx.integrate.camera import (
-    IntegrationError,
     depth_of,
     perspective,
     pixel_positions,

@@ -14,14 +14,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from postfx.errors import PostfxError
+from postfx.errors import IntegrationError
 from postfx.frame import DEPTH_MISS
 
 _AXES = {"+x": 0, "+y": 1, "+z": 2, "-x": 0, "-y": 1, "-z": 2}
-
-
-class IntegrationError(PostfxError):
-    """A helper for renderers was given matrices, shapes or words it cannot use."""
 
 
 def perspective(

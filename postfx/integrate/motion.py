@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from postfx.errors import IntegrationError
 from postfx.frame import DEPTH_MISS
-from postfx.integrate.camera import IntegrationError, as_plane, pixel_positions, project, view_rays
+from postfx.integrate.camera import as_plane, pixel_positions, project, view_rays
 
 OUT_OF_SIGHT = 4.0
 """Motion, in widths and heights of the picture, of what was behind the camera before: leads where nothing is."""

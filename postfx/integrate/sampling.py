@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from postfx.errors import IntegrationError
 from postfx.exposure import measure
-from postfx.integrate.camera import IntegrationError
 
 
 def halton(index: int, base: int) -> float:

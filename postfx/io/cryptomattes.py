@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from postfx.errors import StrengthError
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.strength.cryptomatte import Cryptomatte
-from postfx.strength.entries import StrengthError
 from postfx.texts import parse_json, read_text
 
 _PREFIX = "cryptomatte/"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from postfx.errors import PostfxError, ProfileError
+from postfx.errors import DepthOptionError, ProfileError
 from postfx.io.convert import Camera
 from postfx.io.profile import PlaneRule
 
@@ -21,10 +21,6 @@ KINDS = {
 
 _NUMBERS = ("near", "far", "fov", "miss", "scale")
 _ENDLESS = ("far", "miss")
-
-
-class DepthOptionError(PostfxError):
-    """What is said about depth cannot be understood."""
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from postfx.errors import PassOptionError
 from postfx.passes import _denoise_graph
-from postfx.passes.base import PassOptionError
 from postfx.runtime import Device
 
 PASS = "denoise_upscale"

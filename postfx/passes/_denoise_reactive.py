@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from postfx.errors import PassOptionError
 from postfx.frame import FrameSpec, Role
 from postfx.kernels.denoise_reactive import REACTIVE
-from postfx.passes.base import PassOptionError, ResidentFrame
+from postfx.passes.base import ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
 SOURCES = {"auto": (Role.REACTIVE, Role.OPAQUE_COLOUR), "plane": (Role.REACTIVE,),

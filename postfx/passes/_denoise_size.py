@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from postfx.errors import FrameError, GuideError
+from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import FrameSpec
-from postfx.passes.base import PassOptionError
 
 LEAST, MOST, USUAL = 1.0, 3.0, 2.0
 ASPECT = 0.01

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from postfx.errors import FrameError, PostfxError
+from postfx.errors import FrameError, NotCompiledError, PassOptionError
 from postfx.frame import ROLES, Frame, FrameSpec, Role
 
 if TYPE_CHECKING:
@@ -19,18 +19,6 @@ if TYPE_CHECKING:
 
 MOST_SIZES = 4
 """Sizes of frames that a pass keeps ready, where they change."""
-
-
-class PassOptionError(PostfxError):
-    """A pass was given an option it does not know, or a value it cannot use."""
-
-
-class NotCompiledError(PostfxError):
-    """A pass was asked to encode a frame of a spec it was not compiled for."""
-
-
-class PassContractError(PostfxError):
-    """A pass does not do what it declares: a fault of the pass, not of the frame."""
 
 
 @dataclass(frozen=True)

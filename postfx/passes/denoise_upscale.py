@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from postfx.errors import PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_budget import Ladder, cost, family
 from postfx.passes._denoise_carried import carried_roles
@@ -24,7 +25,7 @@ from postfx.passes._denoise_reflections import Cameras, can_follow
 from postfx.passes._denoise_size import Size, checked_scale, checked_size, output_size
 from postfx.passes._denoise_spared import Spared
 from postfx.passes._denoise_window import Sizes
-from postfx.passes.base import MOST_SIZES, Pass, PassOptionError, Reflection, ResidentFrame
+from postfx.passes.base import MOST_SIZES, Pass, Reflection, ResidentFrame
 from postfx.recent import Recent
 from postfx.runtime import CommandBuffer, Device, Tensor
 

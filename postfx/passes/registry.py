@@ -13,15 +13,11 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from postfx.errors import PostfxError
+from postfx.errors import RegistryError
 from postfx.passes.base import Pass
 
 GROUP = "postfx.passes"
 _NO_PASSES = ("base", "registry")
-
-
-class RegistryError(PostfxError):
-    """A pass is unknown or cannot be loaded."""
 
 
 def names() -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from postfx.errors import PassOptionError
 from postfx.frame import FrameSpec, Role
 from postfx.kernels.apply_cube import APPLY_CUBE
 from postfx.kernels.expose import EXPOSE
@@ -18,7 +19,7 @@ from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
 from postfx.kernels.smooth import SMOOTH
 from postfx.passes._tonemap_look import check_constants, find_model, follow_of, keep_of, shaper
-from postfx.passes.base import Pass, PassOptionError, Reflection, ResidentFrame
+from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, PipelineState, Tensor
 
 

@@ -10,13 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from postfx.errors import PostfxError, ReadError
+from postfx.errors import CompareError, ReadError
 from postfx.report.capture_data import read
 from postfx.runtime.difference import largest_error
-
-
-class CompareError(PostfxError):
-    """Two captures cannot be compared: other commands, other tensors, or their content was not kept."""
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from postfx.errors import CaptureError, ModelError
 from postfx.report.network_blocks import Node, blocks
 from postfx.report.plain import finite_or_text
-from postfx.runtime.errors import CaptureError, ModelError
 from postfx.runtime.onnx_files import constant_nodes, load_graph, reads
 from postfx.runtime.snapshot import statistics
 

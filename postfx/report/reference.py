@@ -8,15 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.errors import PostfxError
+from postfx.errors import ReportError
 from postfx.frame import Role
 from postfx.io.sequence import Sequence
 
 LIBRARIES = {"flip_evaluator": "flip-evaluator", "skimage": "scikit-image"}
-
-
-class ReportError(PostfxError):
-    """A report cannot be made: references do not fit, a library is missing, or options exclude each other."""
 
 
 class Comparison(NamedTuple):

@@ -15,8 +15,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from postfx.errors import CheckpointError
 from postfx.runs.atomic import PIECE, write_atomically
-from postfx.runs.errors import CheckpointError
 from postfx.texts import parse_json
 
 SUFFIX = ".checkpoint"

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from postfx.runs.errors import RunError
+from postfx.errors import RunError
 from postfx.runs.process import Process, age_of
 from postfx.texts import parse_json, read_text
 

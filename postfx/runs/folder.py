@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from postfx.errors import WriteError
+from postfx.errors import CheckpointError, ManifestError, WriteError
 from postfx.io.finished import remove_left_over
 from postfx.runs.atomic import sha256_of
 from postfx.runs.checkpoint import SUFFIX, About, load_checkpoint, read_about, save_checkpoint
 from postfx.runs.claim import Claim, is_alive
-from postfx.runs.errors import CheckpointError, ManifestError
 from postfx.runs.lock import FolderLock
 from postfx.runs.manifest import NAME, WORK_FOLDER, Manifest, Output, load_manifest, update_manifest
 
@@ -28,7 +27,7 @@ class RunFolder:
     """Opened, it belongs to one run as far as the run's own files are concerned.
 
     names: of the files that the run may write. Raises RunError when another run has one of them, OSError when the
-    folder cannot be written, BooksError when its manifest cannot be read.
+    folder cannot be written, ManifestReadError when its manifest cannot be read.
 
     Attributes:
         before: the manifest as earlier runs left it.

@@ -8,7 +8,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from postfx.runs.errors import RunError
+from postfx.errors import RunError
 from postfx.runs.process import Process, age_of
 from postfx.texts import parse_json, read_text
 

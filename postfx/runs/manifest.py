@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from postfx.errors import ManifestError, ManifestReadError
 from postfx.paths import is_plain_name
 from postfx.runs.atomic import write_atomically
-from postfx.runs.errors import BooksError, ManifestError
 from postfx.runs.lock import FolderLock
 from postfx.texts import parse_json, printable, read_text
 
@@ -80,15 +80,15 @@ class Manifest:
 
 
 def load_manifest(folder: Path) -> Manifest:
-    """A folder's manifest, empty where there is none; ManifestError when it cannot be understood, BooksError when it
-    cannot be read."""
+    """A folder's manifest, empty where there is none; ManifestError when it cannot be understood,
+    ManifestReadError when it cannot be read."""
     path = folder / NAME
     try:
         return Manifest.from_json(read_text(path))
     except FileNotFoundError:
         return Manifest()
     except OSError as error:
-        raise BooksError(f"{path}: cannot be read: {error.strerror}; check its rights") from error
+        raise ManifestReadError(f"{path}: cannot be read: {error.strerror}; check its rights") from error
     except (ValueError, ManifestError) as error:
         raise ManifestError(f"{path}: {error}: delete it; --skip-existing then decodes every frame") from error
 

@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from postfx.errors import ReadError, WriteError
+from postfx.errors import Interrupted, ReadError, WriteError
 from postfx.frame import Frame
 from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import Sequence
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan, Skipped
 from postfx.runs.checkpoint import load_checkpoint
-from postfx.runs.errors import Interrupted
 from postfx.runs.existing import facts_of, judge
 from postfx.runs.folder import RunFolder
 from postfx.runs.log import Log, now

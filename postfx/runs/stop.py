@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from types import FrameType
 
-from postfx.runs.errors import Interrupted
+from postfx.errors import Interrupted
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

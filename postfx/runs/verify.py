@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from postfx.errors import ManifestError
 from postfx.io.pattern import parse_pattern
 from postfx.paths import is_plain_name
 from postfx.runs.atomic import sha256_of
 from postfx.runs.claim import is_alive
-from postfx.runs.errors import ManifestError
 from postfx.runs.manifest import NAME, WORK_FOLDER, Manifest, load_manifest
 
 RUNNING = "running"

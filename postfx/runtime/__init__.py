@@ -1,11 +1,6 @@
 """An ML command encoder over ONNX Runtime, named after Metal 4. See docs/runtime.md."""
 
-from postfx.runtime.arguments import ArgumentTable
-from postfx.runtime.capture import Capture
-from postfx.runtime.commands import CommandBuffer
-from postfx.runtime.device import Device
-from postfx.runtime.encoders import ComputeEncoder, MachineLearningEncoder
-from postfx.runtime.errors import (
+from postfx.errors import (
     BindingError,
     CaptureError,
     CommandError,
@@ -15,6 +10,11 @@ from postfx.runtime.errors import (
     HazardError,
     ModelError,
 )
+from postfx.runtime.arguments import ArgumentTable
+from postfx.runtime.capture import Capture
+from postfx.runtime.commands import CommandBuffer
+from postfx.runtime.device import Device
+from postfx.runtime.encoders import ComputeEncoder, MachineLearningEncoder
 from postfx.runtime.heap import Heap
 from postfx.runtime.library import Library
 from postfx.runtime.states import Binding, CompiledComputeState, PipelineState, PortableComputeState

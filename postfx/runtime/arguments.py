@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 
-from postfx.runtime.errors import BindingError
+from postfx.errors import BindingError
 from postfx.runtime.shapes import could_match, solve
 from postfx.runtime.states import Binding, State
 from postfx.runtime.tensor import Allocation, Tensor

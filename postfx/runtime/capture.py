@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from postfx.errors import CaptureError, CommandError
 from postfx.runtime.captured import CapturedBarrier, CapturedBuffer, CapturedDispatch, CapturedTensor
-from postfx.runtime.errors import CaptureError, CommandError
 from postfx.runtime.network_capture import look_inside
 from postfx.runtime.onnx_files import require_onnx
 from postfx.runtime.ranges import Ranges

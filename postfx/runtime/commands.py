@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
 
+from postfx.errors import CommandError, EncodingError
 from postfx.runtime.arena import Placement
 from postfx.runtime.capture import Recorder
 from postfx.runtime.encoders import ComputeEncoder, Encoder, MachineLearningEncoder
-from postfx.runtime.errors import CommandError, EncodingError
 from postfx.runtime.execution import Execution
 from postfx.runtime.footprint import Footprint
 from postfx.runtime.records import Dispatch, Record

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from postfx.errors import DeviceError, ModelError
 from postfx.runtime.cuda_driver import checked, driver
 from postfx.runtime.cuda_graphs import CudaGraphs, Event
-from postfx.runtime.errors import DeviceError, ModelError
 from postfx.runtime.memory import address
 
 if TYPE_CHECKING:

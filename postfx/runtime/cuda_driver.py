@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from postfx.runtime.errors import DeviceError
+from postfx.errors import DeviceError
 
 
 @cache

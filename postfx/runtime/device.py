@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postfx.errors import BindingError, DeviceError, ModelError
 from postfx.limits import usable_cores
 from postfx.paths import models_dir
 from postfx.runtime.bands import Helpers
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
 from postfx.runtime.cuda import CudaMemory, has_source
-from postfx.runtime.errors import BindingError, DeviceError, ModelError
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
 from postfx.runtime.library import Library

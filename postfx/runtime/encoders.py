@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Self
 
+from postfx.errors import BindingError, EncodingError
 from postfx.runtime.arguments import ArgumentTable
-from postfx.runtime.errors import BindingError, EncodingError
 from postfx.runtime.hazard_errors import check_dispatch
 from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.states import State

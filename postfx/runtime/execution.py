@@ -7,8 +7,8 @@ from itertools import groupby
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from postfx.errors import CommandError
 from postfx.runtime.capture import Recorder
-from postfx.runtime.errors import CommandError
 from postfx.runtime.memory import Memory
 from postfx.runtime.records import Dispatch
 from postfx.runtime.session import first_line

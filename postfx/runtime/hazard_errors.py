@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from postfx.runtime.errors import CommandError, HazardError
+from postfx.errors import CommandError, HazardError
 from postfx.runtime.footprint import Need
 from postfx.runtime.ordering import Conflict
 from postfx.runtime.records import Dispatch

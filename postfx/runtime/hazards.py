@@ -11,8 +11,8 @@ import weakref
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
+from postfx.errors import CommandError
 from postfx.runtime import hazard_errors
-from postfx.runtime.errors import CommandError
 from postfx.runtime.footprint import Footprint, Need
 from postfx.runtime.ordering import find_conflict
 from postfx.runtime.ranges import Ranges

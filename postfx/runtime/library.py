@@ -6,8 +6,8 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+from postfx.errors import ModelError
 from postfx.paths import is_plain_name, models_dir
-from postfx.runtime.errors import ModelError
 from postfx.runtime.model_check import MOST_BYTES, check_model
 from postfx.texts import parse_json, read_text
 

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from postfx.errors import ModelError
 from postfx.paths import is_plain_name
-from postfx.runtime.errors import ModelError
 from postfx.runtime.model_file import Declared, ModelFile, Weights, parse_model
 from postfx.runtime.wire import WireError
 from postfx.texts import printable

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from postfx.runtime.errors import CaptureError, ModelError
+from postfx.errors import CaptureError, ModelError
 from postfx.runtime.session import first_line
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from functools import cache
 
 import onnxruntime as ort
 
+from postfx.errors import DeviceError, PostfxError
 from postfx.runtime.cuda import CudaMemory
-from postfx.runtime.errors import DeviceError, PostfxError
 from postfx.runtime.memory import HostMemory, Memory
 from postfx.runtime.provider_memory import ProviderMemory
 from postfx.runtime.session import Placement, first_line

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime as ort
 
-from postfx.runtime.errors import DeviceError
+from postfx.errors import DeviceError
 from postfx.runtime.memory import Immediate, address
 from postfx.runtime.session import Placement, Session
 

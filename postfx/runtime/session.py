@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import onnxruntime as ort
 
+from postfx.errors import ModelError
 from postfx.limits import usable_memory
-from postfx.runtime.errors import ModelError
 from postfx.runtime.optimised import make_session
 from postfx.runtime.tensor import Tensor
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from postfx.runtime.errors import BindingError
+from postfx.errors import BindingError
 
 _SCALED = re.compile(r"(?:(\d+) *\* *)?([A-Za-z_]\w*)")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postfx.runtime.errors import BindingError, CommandError, DeviceError
+from postfx.errors import BindingError, CommandError, DeviceError
 from postfx.runtime.memory import view_at
 from postfx.runtime.ranges import Ranges
 from postfx.runtime.tensor_state import TensorState, check_host_read, check_host_write

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from postfx.runtime.errors import CommandError, HazardError
+from postfx.errors import CommandError, HazardError
 
 
 class Use(NamedTuple):

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from postfx.runtime.errors import CommandError, CommandTimeout
+from postfx.errors import CommandError, CommandTimeout
 
 if TYPE_CHECKING:
     from postfx.runtime.commands import CommandBuffer

@@ -5,9 +5,10 @@ NumPy in, NumPy out, as in `frame.planes[Role.STRENGTH] = strength_of_misses(fra
 and how the same is asked for on the command line.
 """
 
+from postfx.errors import StrengthError
 from postfx.strength.converged import Threshold, strength_of_converged, threshold_of
 from postfx.strength.cryptomatte import Cryptomatte, id_of_name, strength_from_cryptomatte
-from postfx.strength.entries import AUTO, Entry, StrengthError, parse_leave
+from postfx.strength.entries import AUTO, Entry, parse_leave
 from postfx.strength.ids import strength_from_ids
 from postfx.strength.misses import misses_of, strength_of_misses
 

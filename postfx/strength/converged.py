@@ -14,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from postfx.doctor.statistics import local_mean, luminance
+from postfx.errors import StrengthError
 from postfx.roles import ERROR_ROLES, VARIANCES, Role
 from postfx.strength.bands import bands, spread, sum_near
 from postfx.strength.cryptomatte import snapped
-from postfx.strength.entries import Entry, StrengthError
+from postfx.strength.entries import Entry
 
 READS = (Role.COLOUR, *ERROR_ROLES)
 """Planes that are looked at, as far as a frame has them."""

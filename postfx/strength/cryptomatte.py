@@ -15,7 +15,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from postfx.strength.entries import Entry, StrengthError
+from postfx.errors import StrengthError
+from postfx.strength.entries import Entry
 
 LEAST = 1e-3
 """Strengths this close to 0 or 1 become 0 or 1: shares do not sum up to 1 to the last bit."""

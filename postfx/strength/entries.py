@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
-from postfx.errors import PostfxError
+from postfx.errors import StrengthError
 
 AUTO = "auto"
 """The name that stands for sky and misses."""
 CONVERGED = "converged"
 """The word that stands for what has converged, before : and a threshold."""
-
-
-class StrengthError(PostfxError):
-    """What is to be left alone cannot be understood, or is not in the file."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from postfx.strength.entries import Entry, StrengthError
+from postfx.errors import StrengthError
+from postfx.strength.entries import Entry
 
 _RANGE = re.compile(r"(-?\d+)(?:-(-?\d+))?")
 

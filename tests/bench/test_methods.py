@@ -2,8 +2,8 @@
 
 import pytest
 
-from postfx.bench.errors import BenchError
 from postfx.bench.methods import OTHERS, catalogue, select
+from postfx.errors import BenchError
 
 MODELS = ("denoise_upscale.l", "denoise_upscale.m", "denoise_upscale.m.guides", "denoise_upscale.m.int8",
           "denoise_upscale.m.fp16", "denoise_upscale.s", "tonemap.aces2")

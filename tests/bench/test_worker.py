@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 from postfx.bench import measure  # noqa: E402
-from postfx.bench.errors import BenchError  # noqa: E402
 from postfx.bench.measure import run_task, timing  # noqa: E402
 from postfx.bench.methods import OTHERS, Method  # noqa: E402
 from postfx.bench.worker import Task, peak_memory  # noqa: E402
+from postfx.errors import BenchError  # noqa: E402
 
 
 def test_timing_of_runs():

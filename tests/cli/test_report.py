@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.errors import ReportError
 from postfx.report import reference
-from postfx.report.reference import References, ReportError
+from postfx.report.reference import References
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
 RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise", "--device", "cpu", "--overwrite")

@@ -9,8 +9,8 @@ import pytest
 
 from postfx.backwards import RunUp
 from postfx.cli.run_up import WatchedRunUp
+from postfx.errors import Interrupted
 from postfx.io.sequence import Sequence
-from postfx.runs.errors import Interrupted
 
 RUN = ("run", "in/shot.####.exr", "--model", "s")
 

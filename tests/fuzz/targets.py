@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from postfx.cli.cuts import known_cuts
-from postfx.errors import PostfxError, SequenceError
+from postfx.errors import CheckpointError, ManifestError, PostfxError, SequenceError
 from postfx.frame import Role
 from postfx.io.aov import FrameFiles
 from postfx.io.container.chunks import ExrContainer
@@ -23,7 +23,6 @@ from postfx.io.writer import write_frame
 from postfx.passes._tonemap_look import check_constants, find_model, shaper
 from postfx.runs.checkpoint import About, load_checkpoint, read_about, save_checkpoint
 from postfx.runs.claim import is_alive
-from postfx.runs.errors import CheckpointError, ManifestError
 from postfx.runs.manifest import NAME, Manifest, Output
 from postfx.runs.process import Process
 from postfx.runs.verify import verify

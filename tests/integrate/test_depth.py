@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postfx import integrate
-from postfx.depth import DepthError
+from postfx.errors import DepthError
 from tests.integrate.pinhole import Pinhole, turned
 
 NEAR, FAR = 0.1, 250.0

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from postfx import ROLES, Frame, FrameSpec, Role
-from postfx.errors import FrameError
+from postfx.errors import FrameError, NotCompiledError, PassOptionError
 from postfx.frame import ENCODINGS, GUIDE_ROLES, GuideSpec
 from postfx.passes import registry
-from postfx.passes.base import NotCompiledError, Pass, PassOptionError, ResidentFrame
+from postfx.passes.base import Pass, ResidentFrame
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
 from tests import toys

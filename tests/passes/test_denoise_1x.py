@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.errors import PassOptionError
 from postfx.frame import Frame, Role
 from postfx.passes import _denoise_graph
 from postfx.passes._denoise_frame import Frames
 from postfx.passes._denoise_layout import halo_of
 from postfx.passes._denoise_memory import seamless
 from postfx.passes._denoise_models import UNSCALED, model_of
-from postfx.passes.base import PassOptionError
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.paths import models_dir
 from postfx.pipeline import Pipeline

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postfx.errors import PassOptionError
 from postfx.frame import Role
 from postfx.passes._denoise_budget import Ladder, cost, family
 from postfx.passes._denoise_frame import Frames
-from postfx.passes.base import PassOptionError
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.errors import GuideError
+from postfx.errors import GuideError, PassOptionError
 from postfx.frame import GUIDE_ROLES, Frame, Role
 from postfx.passes import _denoise_graph
-from postfx.passes.base import PassOptionError
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.errors import MissingPlaneError
+from postfx.errors import MissingPlaneError, PassOptionError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.passes._denoise_reactive import ReactiveOption, parse_reactive
-from postfx.passes.base import PassOptionError
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

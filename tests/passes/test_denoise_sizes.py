@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.errors import FrameError, GuideError
+from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import Frame, Role
 from postfx.integrate import jitter_sequence
 from postfx.passes._denoise_frame import Frames
 from postfx.passes._denoise_history import CHANNELS, Room
 from postfx.passes._denoise_window import Sizes
-from postfx.passes.base import MOST_SIZES, PassOptionError
+from postfx.passes.base import MOST_SIZES
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

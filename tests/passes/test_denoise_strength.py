@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from postfx.errors import PassOptionError
 from postfx.frame import Frame, Role
 from postfx.kernels.resample import RESAMPLE, positions
-from postfx.passes.base import PassOptionError
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

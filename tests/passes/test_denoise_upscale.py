@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postfx.errors import PassOptionError
 from postfx.frame import Frame, Role
-from postfx.passes.base import PassOptionError
 from postfx.passes.denoise_upscale import ABSENT, DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from postfx.colour.displays import parse_display
+from postfx.errors import PassOptionError
 from postfx.frame import Frame, FrameSpec, Role
-from postfx.passes.base import PassOptionError
 from postfx.passes.display import Display
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

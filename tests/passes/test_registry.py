@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from postfx.errors import PassOptionError
 from postfx.passes import registry
-from postfx.passes.base import Pass, PassOptionError
+from postfx.passes.base import Pass
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postfx.errors import PassOptionError
 from postfx.frame import Frame, FrameSpec, Role
-from postfx.passes.base import PassOptionError
 from postfx.passes.display import Display
 from postfx.passes.tonemap import ToneMap
 from postfx.paths import models_dir

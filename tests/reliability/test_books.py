@@ -10,7 +10,7 @@ import pytest
 
 from postfx import __version__
 from postfx.cli.main import main
-from postfx.runs.errors import ManifestError
+from postfx.errors import ManifestError
 from postfx.runs.manifest import NAME, VERSION, Manifest
 
 READ = "postfx.io.sequence.Sequence.read"

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from postfx.runs.errors import Interrupted
+from postfx.errors import Interrupted
 from postfx.runs.stop import Stop
 from tests.reliability.faulty import Faulty
 

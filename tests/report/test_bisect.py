@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from postfx.cli.capture_compare import text_of
-from postfx.report.bisect import CompareError, compare
+from postfx.errors import CompareError
+from postfx.report.bisect import compare
 from postfx.report.capture_page import write_capture
 from postfx.runtime.difference import largest_error
 from tests.deep import LEVEL, capture_deep, make_deep
