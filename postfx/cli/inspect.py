@@ -45,8 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Inspect a sequence; returns the exit code."""
-    from postfx.cli.inspection import Inspection  # loads NumPy and OpenImageIO, which --help must not wait for
-    from postfx.cli.inspection_text import print_text
+    from postfx.cli.inspection import Inspection, print_text  # loads NumPy and OpenImageIO: --help must not wait
     from postfx.cli.report import write_inspection
 
     inspection = Inspection(arguments.input, arguments.frames, arguments.profile, arguments.guides, arguments.depth)

@@ -14,14 +14,12 @@ from postfx.cli.books import options_of
 from postfx.cli.both_ways import BothWays
 from postfx.cli.capture import FrameCapture
 from postfx.cli.cuts import known_cuts
-from postfx.cli.explain import Explanation
-from postfx.cli.faults import Faults, OnError, Standin, check_sizes, first_readable, without_denoising
 from postfx.cli.looks import display_passes
+from postfx.cli.on_error import Faults, OnError, Standin, check_sizes, first_readable, without_denoising
 from postfx.cli.overlay import left_out_for, refuse_layer, unread
-from postfx.cli.progress import FrameProgress
 from postfx.cli.report import RunReport
 from postfx.cli.run_up import run_up_of
-from postfx.cli.summary import Report, guides_in
+from postfx.cli.summary import Explanation, FrameProgress, Report, guides_in
 from postfx.errors import PassOptionError, WriteError
 from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
 from postfx.frame import Frame

@@ -1,18 +1,110 @@
-"""What a run did, for people and for programs."""
+"""What `postfx run` tells: the plan (--explain), progress while it runs, and the report at the end."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict, dataclass, field
 from statistics import median
 from typing import Any
 
-from postfx.cli.faults import LEFT_OUT, Fault
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from postfx.cli.on_error import LEFT_OUT, Fault
+from postfx.cli.run_up import WatchedRunUp
 from postfx.frame import Role
+from postfx.io.sequence import Sequence
 from postfx.plan import Plan, Skipped, from_files
 from postfx.strength.shares import Shares
 
 SHOWN_FRAMES = 3
 SHOWN_CUTS = 12
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What would run. left_out: what the arguments leave out, and why; run_up: what runs before first frames."""
+
+    plan: Plan
+    sequence: Sequence
+    left_out: list[Skipped]
+    run_up: WatchedRunUp | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """In plain types."""
+        plan = self.plan.as_dict()
+        plan["skipped"] += [asdict(item) for item in self.left_out]
+        if alone := self._alone():
+            plan["left_alone"] = alone.as_dict()
+        return {**plan, "ahead": self._ahead(), "frames": len(self.sequence), "warnings": self.sequence.warnings}
+
+    def __str__(self) -> str:
+        first, lines = self.sequence.numbers[0], [str(self.plan)]
+        lines += [f"skips   {item.what}: {item.why}" for item in self.left_out]
+        if alone := self._alone():
+            lines.append(f"leaves  of frame {first}: {alone}")
+        if ahead := self._ahead():
+            listed = f"frame{'s' * (len(ahead) > 1)} {', '.join(map(str, ahead))}"
+            lines.append(f"run-up  of each shot: {listed} before frame {first} (--run-up 0 for none)")
+        return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
+
+    def _alone(self) -> Shares | None:
+        """What the first frame leaves as it is, where that is asked for."""
+        asked = self.sequence.leave and Role.STRENGTH in self.plan.planes
+        return self.sequence.left_alone_of(self.sequence.numbers[0]) if asked else None
+
+    def _ahead(self) -> list[int]:
+        """Frames that are run before the first one, in the order in which they are."""
+        runs = self.run_up and self.plan.accumulating()
+        return self.run_up.after(self.sequence.numbers[0])[::-1] if runs else []
+
+
+class FrameProgress:
+    """Counts finished frames. Use as a context manager.
+
+    In a terminal: a bar with frames per second and time left. In a log: one line for each finished frame.
+    """
+
+    def __init__(self, total: int) -> None:
+        self._console = Console(stderr=True, markup=False, emoji=False)
+        self._total, self._done, self._fresh = total, 0, 0
+        self._begin = time.perf_counter()
+        self._bar = Progress(
+            TextColumn("frames"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeRemainingColumn(compact=True),
+            TextColumn("left"),
+            console=self._console,
+            transient=True,
+            disable=not self._console.is_terminal,
+        )
+        self._task = self._bar.add_task("frames", total=total, rate="")
+
+    def __enter__(self) -> FrameProgress:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def note(self, text: str) -> None:
+        """Print a line above the bar."""
+        self._console.print(text, highlight=False, soft_wrap=True)
+
+    def skip(self) -> None:
+        """Count a frame that needs no work."""
+        self._done += 1
+        self._bar.advance(self._task)
+
+    def advance(self, path: str) -> None:
+        """Count a frame that was written to `path`."""
+        self._done, self._fresh = self._done + 1, self._fresh + 1
+        rate = f"{self._fresh / (time.perf_counter() - self._begin):.2f} frames/s"
+        self._bar.update(self._task, advance=1, rate=rate)
+        if not self._console.is_terminal:
+            self._console.print(f"{self._done}/{self._total} {path} ({rate})", highlight=False, soft_wrap=True)
 
 
 @dataclass(frozen=True)
