@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from postfx.texts import printable
+from postfx.files import make_printable
 
 if TYPE_CHECKING:
     from postfx.runs.verify import Verification
@@ -47,7 +47,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.runs.verify import verify
 
     found = verify(Path(arguments.folder))
-    print(json.dumps(found.as_dict()) if arguments.json else "\n".join(map(printable, _lines(found))))
+    print(json.dumps(found.as_dict()) if arguments.json else "\n".join(map(make_printable, _lines(found))))
     return 0 if found.is_well else 1
 
 

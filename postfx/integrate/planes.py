@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.errors import WriteError
+from postfx.files import output_file
 from postfx.frame import Frame, Role
 from postfx.io.writer import OVERLAY_LAYER
 
@@ -61,16 +60,8 @@ def write_planes(path: str | PathLike[str], frame: Frame) -> Path:
     spec.attribute("compression", "zip")
     for name, value in frame_header(frame).items():
         _set(spec, name, value)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.exr")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with output_file(path) as temporary:
         _write(temporary, spec, np.concatenate(pixels, axis=-1))
-        os.replace(temporary, path)
-    except OSError as error:
-        raise WriteError(f"{path}: cannot be written: {error.strerror or error}; check rights and space") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
     return path
 
 
@@ -100,7 +91,7 @@ def _set(spec: oiio.ImageSpec, name: str, value: Any) -> None:
 
 
 def _write(path: Path, spec: oiio.ImageSpec, pixels: np.ndarray) -> None:
-    output = oiio.ImageOutput.create(str(path))
+    output = oiio.ImageOutput.create("exr")
     done = output is not None and output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
     if not (done and output.close()):
         raise OSError((output.geterror() if output else oiio.geterror()).splitlines()[0])

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from postfx.errors import StrengthError
+from postfx.files import parse_json, read_text
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.strength.cryptomatte import Cryptomatte
-from postfx.texts import parse_json, read_text
 
 _PREFIX = "cryptomatte/"
 _LETTERS = (("R", "G", "B", "A"), ("red", "green", "blue", "alpha"))

@@ -16,9 +16,9 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.errors import MissingFrameError, ReadError
+from postfx.files import is_utf8, make_printable
 from postfx.io.claims import check_claims
 from postfx.io.part import Part, Window, own_windows, part_of, some_rows, to_area
-from postfx.texts import is_utf8, printable
 
 READABLE = (".exr", ".hdr")
 _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
@@ -38,7 +38,7 @@ class ImageFile:
         if not os.path.isfile(path):
             raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with --frames")
         if not is_utf8(str(path)):
-            raise ReadError(f"{printable(str(path))}: its name is not UTF-8: rename it")
+            raise ReadError(f"{make_printable(str(path))}: its name is not UTF-8: rename it")
         check_claims(self.path)
         self._input = oiio.ImageInput.open(str(self.path))
         if self._input is None:

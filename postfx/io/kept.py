@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
+from postfx.files import beside
 from postfx.frame import Frame
 from postfx.io.container.chunks import ExrContainer
 from postfx.io.container.header import PIXEL_BYTES, SCANLINES, TILES, Header, pack_channels
 from postfx.io.container.scanlines import ZIP, ZIP_LINES, Rows, zip_chunks
 from postfx.io.container.write import NewPart, write_container
 from postfx.io.exr import ImageFile
-from postfx.io.finished import beside
 from postfx.io.metadata import is_outdated
 from postfx.io.part import PICTURE
 from postfx.stored import Stored

@@ -8,10 +8,10 @@ from enum import StrEnum
 from pathlib import Path
 
 from postfx.errors import OutputExistsError, WriteError
+from postfx.files import is_utf8, make_printable
 from postfx.io.pattern import PLANE, Pattern, parse_pattern
 from postfx.io.sequence import Sequence
 from postfx.io.writer import is_display_format, refuse_few_bits
-from postfx.texts import is_utf8, printable
 
 
 class Existing(StrEnum):
@@ -101,7 +101,7 @@ def check_folder(folder: Path, option: str) -> None:
 
 def _output_pattern(target: str, source: Pattern) -> Pattern:
     if not is_utf8(target):
-        raise WriteError(f"{printable(target)}: is not UTF-8: choose another name")
+        raise WriteError(f"{make_printable(target)}: is not UTF-8: choose another name")
     if PLANE in target:
         raise WriteError(f"{target}: {PLANE} is for input: leave it out, the planes of a frame go into one file")
     if not (target.endswith("/") or Path(target).is_dir() or not Path(target).suffix):

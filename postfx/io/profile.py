@@ -44,9 +44,9 @@ from pathlib import Path
 from typing import Any
 
 from postfx.errors import ProfileError
+from postfx.files import read_text
 from postfx.frame import ROLES, Role
 from postfx.io.profile_schema import CAMERA, DETECT, PLANE, PROFILE, TEXTS, check
-from postfx.texts import read_text
 
 BUILTIN = Path(__file__).parent / "profiles"
 HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera", "near", "far")

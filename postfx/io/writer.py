@@ -13,12 +13,12 @@ from postfx import __version__
 from postfx.colour.curves import SRGB
 from postfx.colour.displays import Display, parse_display
 from postfx.errors import WriteError
+from postfx.files import output_file
 from postfx.frame import LINEAR, Frame, Role
 from postfx.io.dither import Dither, quantise
 from postfx.io.encoders import encode
 from postfx.io.ends import has_end
 from postfx.io.exr import reason_of
-from postfx.io.finished import finished_file
 from postfx.io.kept import add_rest
 from postfx.io.light import halves, light_of
 from postfx.io.metadata import kept_attributes, set_attributes
@@ -82,7 +82,7 @@ def write_frame(
     spec = _spec(frame, windows, convert(slice(0, 1)), path)
     if not shown:
         set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
-    with finished_file(path) as temporary:
+    with output_file(path) as temporary:
         encode(temporary, path.suffix.lower(), spec, convert, relax)
         if keep and not shown:
             add_rest(temporary, frame)

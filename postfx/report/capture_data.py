@@ -8,6 +8,7 @@ from typing import Any
 
 from postfx import __version__
 from postfx.errors import ReadError
+from postfx.files import parse_json, read_text
 from postfx.report.dependencies import edges
 from postfx.report.plain import finite_or_text
 from postfx.runtime.capture import Capture
@@ -20,7 +21,6 @@ from postfx.runtime.captured import (
     CapturedTensor,
     CapturedValue,
 )
-from postfx.texts import parse_json, read_text
 
 FORMAT = "postfx capture 1"
 FILE = "capture.json"

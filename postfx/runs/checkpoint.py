@@ -16,8 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from postfx.errors import CheckpointError
-from postfx.runs.atomic import PIECE, write_atomically
-from postfx.texts import parse_json
+from postfx.files import PIECE, parse_json, write_atomically
 
 SUFFIX = ".checkpoint"
 MAGIC = b"postfx checkpoint 1\n"

@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from postfx.errors import RunError
+from postfx.files import parse_json, read_text
 from postfx.runs.process import Process, age_of
-from postfx.texts import parse_json, read_text
 
 BEAT = 10.0
 """Seconds between two signs of life."""

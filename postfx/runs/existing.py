@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from postfx.files import hash_file
 from postfx.io.writer import is_complete
-from postfx.runs.atomic import sha256_of
 from postfx.runs.manifest import Output
 
 Inputs = Mapping[str, tuple[int, int]]
@@ -41,7 +41,7 @@ def judge(path: Path, known: Output | None, size: tuple[int, int], inputs: Input
         return Existing(False, f"is {known.width}x{known.height}, not {size[0]}x{size[1]}")
     if _changed(known.inputs, inputs):
         return Existing(False, "was made of an input that has changed since")
-    if path.stat().st_size == known.bytes and sha256_of(path) == known.sha256:
+    if path.stat().st_size == known.bytes and hash_file(path) == known.sha256:
         return Existing(True)
     if is_complete(path, *size):
         return Existing(True, "was altered since it was written: kept; delete it to make it anew")

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from postfx.errors import CheckpointError, ManifestError, WriteError
-from postfx.io.finished import remove_left_over
-from postfx.runs.atomic import sha256_of
+from postfx.files import hash_file, remove_leftovers
 from postfx.runs.checkpoint import SUFFIX, About, load_checkpoint, read_about, save_checkpoint
 from postfx.runs.claim import Claim, is_alive
 from postfx.runs.lock import FolderLock
@@ -59,7 +58,7 @@ class RunFolder:
 
     def wrote(self, path: Path, run_facts: Mapping[str, Any], **facts: Any) -> Output:
         """Enter a file that was written; the manifest has it within a few seconds."""
-        output = Output(self._run, sha256=sha256_of(path), bytes=path.stat().st_size, **facts)
+        output = Output(self._run, sha256=hash_file(path), bytes=path.stat().st_size, **facts)
         self._facts.update(run_facts)
         self._unsaved[path.name] = output
         self._wrote = True
@@ -150,7 +149,7 @@ class RunFolder:
     def _remove_leftovers(self, names: Collection[str]) -> None:
         """Remove what killed writers of these files, the manifest and checkpoints left: nobody else may write them now.
         """
-        remove_left_over(self._folder, names, anyones=True)
+        remove_leftovers(self._folder, names, any_host=True)
         for path in self._folder.glob(f".{NAME}.*"):
             path.unlink(missing_ok=True)
         for path in self._work.glob(f".*{SUFFIX}.*"):

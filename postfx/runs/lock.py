@@ -9,8 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from postfx.errors import RunError
+from postfx.files import parse_json, read_text
 from postfx.runs.process import Process, age_of
-from postfx.texts import parse_json, read_text
 
 PATIENCE = 30.0
 """Seconds to wait for a lock, which others hold for milliseconds."""

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from postfx.errors import ManifestError, ManifestReadError
+from postfx.files import make_printable, parse_json, read_text, write_atomically
 from postfx.paths import is_plain_name
-from postfx.runs.atomic import write_atomically
 from postfx.runs.lock import FolderLock
-from postfx.texts import parse_json, printable, read_text
 
 NAME = "postfx.manifest.json"
 WORK_FOLDER = ".postfx"
@@ -72,10 +71,10 @@ class Manifest:
             outputs = {str(name): _output(entry) for name, entry in facts["outputs"].items()}
             runs = {str(run): dict(entry) for run, entry in facts["runs"].items()}
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-            raise ManifestError(f"it is damaged ({type(error).__name__}: {printable(str(error))})") from error
+            raise ManifestError(f"it is damaged ({type(error).__name__}: {make_printable(str(error))})") from error
         strange = [name for name in (*outputs, *runs) if not is_plain_name(name)]
         if strange:
-            raise ManifestError(f"it names a file outside of its folder: {printable(strange[0])}")
+            raise ManifestError(f"it names a file outside of its folder: {make_printable(strange[0])}")
         return cls(runs, outputs)
 
 
@@ -102,7 +101,7 @@ def update_manifest(folder: Path, change: Callable[[Manifest], None]) -> None:
             (folder / NAME).unlink(missing_ok=True)
             return
         text = manifest.to_json().encode()
-        write_atomically(folder / NAME, lambda file: file.write(text), safe=True)
+        write_atomically(folder / NAME, lambda file: file.write(text), durable=True)
 
 
 def _output(entry: Mapping[str, Any]) -> Output:

@@ -8,6 +8,8 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from postfx.files import is_process_alive
+
 
 class Process(NamedTuple):
     """A process.
@@ -44,13 +46,7 @@ class Process(NamedTuple):
         """Whether it still runs; None where that cannot be seen from here."""
         if (self.host, self.space) != (socket.gethostname(), _space()):
             return None
-        try:
-            os.kill(self.pid, 0)
-        except (ProcessLookupError, OverflowError):
-            return False
-        except OSError:  # it is another user's, so it is there
-            pass
-        return self.pid > 0 and _begun(self.pid) == self.begun
+        return is_process_alive(self.pid) and _begun(self.pid) == self.begun
 
     def __str__(self) -> str:
         return f"process {self.pid} on {self.host or 'an unknown machine'}"

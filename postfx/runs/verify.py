@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from postfx.errors import ManifestError
+from postfx.files import hash_file
 from postfx.io.pattern import parse_pattern
 from postfx.paths import is_plain_name
-from postfx.runs.atomic import sha256_of
 from postfx.runs.claim import is_alive
 from postfx.runs.manifest import NAME, WORK_FOLDER, Manifest, load_manifest
 
@@ -61,7 +61,7 @@ def verify(folder: Path, told: Callable[[str], None] = lambda _: None) -> Verifi
             found.missing.append(name)
         else:
             told(name)
-            whole = path.stat().st_size == output.bytes and sha256_of(path) == output.sha256
+            whole = path.stat().st_size == output.bytes and hash_file(path) == output.sha256
             (found.whole if whole else found.altered).append(name)
     found.unknown = _unknown(folder, manifest)
     return found

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from postfx.errors import ModelError
+from postfx.files import parse_json, read_text
 from postfx.paths import is_plain_name, models_dir
 from postfx.runtime.model_check import MOST_BYTES, check_model
-from postfx.texts import parse_json, read_text
 
 _PARTS = {"inputs": dict, "outputs": dict, "weights": str}
 _WORDS = {dict: "objects", str: "texts"}

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from postfx.errors import ModelError
+from postfx.files import make_printable
 from postfx.paths import is_plain_name
 from postfx.runtime.model_file import Declared, ModelFile, Weights, parse_model
 from postfx.runtime.wire import WireError
-from postfx.texts import printable
 
 MOST_BYTES = 1 << 30
 """Of a model's file."""
@@ -59,7 +59,7 @@ def check_model(path: Path, content: bytes, card: Mapping[str, Any]) -> None:
     except WireError as error:
         raise ModelError(f"model '{path}' is damaged or no ONNX file ({error}): get it again") from error
     for reason in _reasons(model, path, card):
-        raise ModelError(f"model '{path}' is refused: {printable(reason[:MOST_SHOWN])}")
+        raise ModelError(f"model '{path}' is refused: {make_printable(reason[:MOST_SHOWN])}")
 
 
 def _reasons(model: ModelFile, path: Path, card: Mapping[str, Any]) -> Iterator[str]:

@@ -10,13 +10,13 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import tempfile
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 
 import onnxruntime as ort
 
+from postfx.files import atomic_file
 from postfx.user_cache import private_folder
 
 FOLDER = "networks"
@@ -60,22 +60,16 @@ def _kept(path: Path, options: ort.SessionOptions) -> ort.InferenceSession | Non
 
 def _kept_anew(path: Path, model: bytes, options: ort.SessionOptions) -> ort.InferenceSession | None:
     """A session of a model, of which a file is kept; None where that fails, for lack of room, say."""
-    part = None
     try:
-        handle, part = tempfile.mkstemp(suffix=".part", dir=path.parent)
-        os.close(handle)
-        options.optimized_model_filepath = part
-        session = _session(model, options)
-        content = Path(part).read_bytes()
-        Path(part).write_bytes(hashlib.sha256(content).digest() + content)
-        os.replace(part, path)  # whole or not at all, whoever else is writing it
+        with atomic_file(path, durable=False) as part:
+            options.optimized_model_filepath = str(part)
+            session = _session(model, options)
+            content = part.read_bytes()
+            part.write_bytes(hashlib.sha256(content).digest() + content)
         _forget_oldest(path.parent)
         return session
     except Exception:  # likewise
         return None
-    finally:
-        if part is not None:
-            Path(part).unlink(missing_ok=True)
 
 
 def _forget_oldest(folder: Path) -> None:

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx import files as postfx_files
 from postfx.errors import WriteError
+from postfx.files import PARTIAL, beside, output_file
 from postfx.frame import Frame, Role
-from postfx.io import finished
-from postfx.io.finished import PARTIAL, beside, finished_file
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import is_complete, write_frame
 from tests.files.conftest import names
@@ -103,7 +103,7 @@ def test_a_disk_that_fails_late(tmp_path: Path, suffix: str, monkeypatch: pytest
 
     whole = write_frame(tmp_path / f"a{suffix}", noise())
     before = whole.read_bytes()
-    monkeypatch.setattr(finished.os, "fsync", fail)
+    monkeypatch.setattr(postfx_files.os, "fsync", fail)
     with pytest.raises(WriteError, match=rf"a\{suffix}: cannot be written: No space left on device; check the folder"):
         write_frame(whole, noise(20, 20))
     assert whole.read_bytes() == before and names(tmp_path) == [f"a{suffix}"]
@@ -167,27 +167,27 @@ def test_a_killed_process_leaves_whole_files_only(tmp_path: Path, moment: float)
 def test_both_partial_files_of_a_dead_process_are_removed(tmp_path: Path) -> None:
     dead = subprocess.Popen(["true"])
     dead.wait()
-    with finished_file(tmp_path / "a.exr") as own:
+    with output_file(tmp_path / "a.exr") as own:
         left = tmp_path / own.name.replace(f"-{os.getpid()}-", f"-{dead.pid}-")
         own.write_text("mine")
     for path in (left, beside(left, "all")):
         path.write_text("half a frame")
-    with finished_file(tmp_path / "a.exr") as own:
+    with output_file(tmp_path / "a.exr") as own:
         own.write_text("mine")
     assert names(tmp_path) == ["a.exr"]
 
 
 def test_files_of_processes_that_still_run_are_not_removed(tmp_path: Path) -> None:
-    with finished_file(tmp_path / "a.exr") as other:
+    with output_file(tmp_path / "a.exr") as other:
         other.write_text("of another thread")
-        with finished_file(tmp_path / "a.exr") as own:
+        with output_file(tmp_path / "a.exr") as own:
             own.write_text("mine")
         assert (tmp_path / "a.exr").read_text() == "mine" and other.is_file()
     assert (tmp_path / "a.exr").read_text() == "of another thread"
 
 
 def test_an_interrupt_while_writing_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt), finished_file(tmp_path / "a.exr") as path:
+    with pytest.raises(KeyboardInterrupt), output_file(tmp_path / "a.exr") as path:
         path.write_text("half of it")
         raise KeyboardInterrupt
     assert names(tmp_path) == []

@@ -95,7 +95,7 @@ def test_full_disk_is_no_harm(folder, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(optimised.tempfile, "mkstemp", full)
+    monkeypatch.setattr(optimised, "atomic_file", full)
     assert results(made(content(), WINDOW)) and not list(folder.iterdir())
 
 

@@ -1,0 +1,165 @@
+"""Files that other programs write, read or lose: bounded reads, JSON, file names, atomic writes and live processes.
+
+Everything that postfx writes in place of an older file goes through `atomic_file`, so readers see the old content or
+the new one, never half of it.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import re
+import socket
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from itertools import count
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from postfx.errors import WriteError
+
+MAX_BYTES = 1 << 30
+"""Largest file that `read_text` reads unless told otherwise."""
+PARTIAL = ".part"
+"""Suffix of files that are being written; no frame pattern matches it."""
+PIECE = 1 << 22
+"""Bytes that are read, hashed or written at once."""
+_NAME_BYTES = 120  # of the final name within the temporary one: file systems limit the length of names
+_TEMPORARY = re.compile(rf"\.(?P<name>.+)\.(?P<host>[\w-]+)-(?P<process>\d{{1,9}})-\d+(-[a-z]+)?{re.escape(PARTIAL)}",
+                        re.DOTALL)
+_numbers = count()
+
+
+def read_text(path: Path, most: int = MAX_BYTES) -> str:
+    """Read a UTF-8 file of at most `most` bytes.
+
+    Raises OSError for a larger file and for anything that is not a regular file, such as a pipe or an endless device;
+    ValueError when the content is not UTF-8.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is not a file", str(path))
+    if path.stat().st_size > most:
+        raise OSError(errno.EFBIG, f"it has more than {most} bytes", str(path))
+    return path.read_text(encoding="utf-8")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Parse JSON; ValueError when it is malformed or nested too deeply."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("its values are nested without end") from None
+
+
+def is_utf8(name: str) -> bool:
+    """Whether a file name is valid UTF-8; other bytes reach Python as lone surrogates."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in name)
+
+
+def make_printable(text: str) -> str:
+    """Replace characters that would break a line or control a terminal by question marks."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file, as hexadecimal digits."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while piece := file.read(PIECE):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+@contextmanager
+def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
+    """Yield a temporary path beside `path`. When the block ends, that file replaces `path` in one step; when the block
+    raises, the file is removed.
+
+    durable: flush the file and its name to the disk first, so that they survive a power cut.
+    """
+    temporary = path.with_name(f".{_shorten(path.name)}.{_host()}-{os.getpid()}-{next(_numbers)}{PARTIAL}")
+    try:
+        yield temporary
+        if durable:
+            _sync(temporary, os.O_RDWR)
+        os.replace(temporary, path)
+        if durable:
+            with suppress(OSError):  # some file systems cannot sync a folder
+                _sync(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+@contextmanager
+def output_file(path: Path) -> Iterator[Path]:
+    """`atomic_file` for what a user asked for: makes the folder, removes what killed processes of this machine left
+    behind for `path`, and raises WriteError where the file system refuses."""
+    temporary = path
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(path.parent, [path.name])
+        with atomic_file(path) as temporary:
+            yield temporary
+    except OSError as error:
+        reason = (error.strerror or str(error)).replace(str(temporary), str(path))
+        raise WriteError(f"{path}: cannot be written: {reason}; check the folder's rights and free space") from error
+
+
+def write_atomically(path: Path, write: Callable[[BinaryIO], object], durable: bool = False) -> None:
+    """Replace `path` by what `write` writes to an open file; see `atomic_file`."""
+    with atomic_file(path, durable) as temporary, temporary.open("wb") as file:
+        write(file)
+
+
+def beside(temporary: Path, word: str) -> Path:
+    """A second temporary name, for a writer of two steps; left behind, it is removed like the first."""
+    return temporary.with_name(f"{temporary.name.removesuffix(PARTIAL)}-{word}{PARTIAL}")
+
+
+def remove_leftovers(folder: Path, names: Iterable[str], any_host: bool = False) -> None:
+    """Remove temporary files that killed writers of these file names left in a folder.
+
+    Files of living processes of this machine stay. `any_host` also removes files that other machines wrote: use it only
+    while nobody else may write these names.
+    """
+    own, meant = _host(), set(map(_shorten, names))
+    for entry in os.scandir(folder):
+        found = entry.name.endswith(PARTIAL) and _TEMPORARY.fullmatch(entry.name)
+        if not found or found["name"] not in meant:
+            continue
+        if any_host if found["host"] != own else not is_process_alive(int(found["process"])):
+            with suppress(OSError):
+                os.unlink(entry.path)
+
+
+def is_process_alive(pid: int) -> bool:
+    """Whether a process of this number runs on this machine, as far as its process numbers are visible from here."""
+    if pid <= 0:
+        return False
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:  # another user's process
+        return True
+    return True
+
+
+def _host() -> str:
+    """This machine's name, without the characters that separate the fields of a temporary name."""
+    return re.sub(r"[^\w-]", "_", socket.gethostname())[:60]
+
+
+def _shorten(name: str) -> str:
+    return os.fsencode(name)[:_NAME_BYTES].decode("utf-8", "ignore")
+
+
+def _sync(path: Path, flags: int) -> None:
+    descriptor = os.open(path, flags)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
