@@ -13,7 +13,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from postfx.backwards import Backwards, RunUp
     from postfx.errors import PostfxError
     from postfx.frame import ROLES, Frame, FrameSpec, Role
     from postfx.io.sequence import Sequence, read_sequence
@@ -25,11 +24,12 @@ if TYPE_CHECKING:
     from postfx.paths import models_dir
     from postfx.pipeline import Pipeline
     from postfx.runtime import Device, Library
+    from postfx.temporal import Backwards, RunUp
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "Backwards": "postfx.backwards",
+    "Backwards": "postfx.temporal",
     "BothWays": "postfx.passes.both_ways",
     "DenoiseUpscale": "postfx.passes.denoise_upscale",
     "Device": "postfx.runtime",
@@ -41,7 +41,7 @@ _HOMES = {
     "PostfxError": "postfx.errors",
     "ROLES": "postfx.frame",
     "Role": "postfx.frame",
-    "RunUp": "postfx.backwards",
+    "RunUp": "postfx.temporal",
     "Sequence": "postfx.io.sequence",
     "ToneMap": "postfx.passes.tonemap",
     "models_dir": "postfx.paths",

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from postfx.kernels.turning import turned_motion
+from postfx.temporal.reverse_motion import invert_motion
 from training.networks.denoise_upscale import Guides, Inputs
 
 PLANES = (("colour", 3), ("diffuse_albedo", 3), ("specular_albedo", 3), ("normal", 3), ("roughness", 1), ("depth", 1),
@@ -110,7 +110,7 @@ def turned(data: Mapping[str, np.ndarray], variant: str, device: torch.device) -
     """Motion to the next frame (T, 2, h, w) float16 of one noisy render, of whole frames; 0 in the last."""
     motion, depth = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"][..., None].astype(np.float32)
     pairs = pairwise(zip(motion, depth, strict=True))
-    motion = [*(turned_motion(*after, shown) for (_, shown), after in pairs), np.zeros_like(motion[-1])]
+    motion = [*(invert_motion(*after, shown) for (_, shown), after in pairs), np.zeros_like(motion[-1])]
     return torch.from_numpy(np.stack(motion)).movedim(-1, 1).to(device).half()
 
 

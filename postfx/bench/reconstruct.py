@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from postfx.backwards import Backwards, RunUp
 from postfx.bench.accumulate import Accumulator
 from postfx.bench.host_kernels import HostKernels
 from postfx.bench.methods import Method
@@ -18,6 +17,7 @@ from postfx.passes.both_ways import BothWays
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from postfx.temporal import Backwards, RunUp
 
 
 class Network:

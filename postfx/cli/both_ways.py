@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from postfx.backwards import Backwards
     from postfx.frame import Frame, FrameSpec
+    from postfx.temporal import Backwards
 
 NAME = "denoise_upscale backwards"
 """Of what it takes, in the summary."""

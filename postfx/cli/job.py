@@ -9,7 +9,6 @@ from collections import Counter
 from functools import partial
 from typing import Any
 
-from postfx.backwards import Backwards
 from postfx.cli.books import options_of
 from postfx.cli.both_ways import BothWays
 from postfx.cli.capture import FrameCapture
@@ -38,6 +37,7 @@ from postfx.runs.run import Run
 from postfx.runs.schedule import Work
 from postfx.runs.stop import Stop
 from postfx.runtime import Device
+from postfx.temporal import Backwards
 
 DENOISE_OPTIONS = ("scale", "size", "model", "strength", "budget", "reactive")
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from postfx.cli.arguments import count
 
 if TYPE_CHECKING:
-    from postfx.backwards import RunUp
     from postfx.frame import Frame
     from postfx.io.sequence import Sequence
+    from postfx.temporal import RunUp
 
 NOT_WITH = {"no_denoise": "has no denoiser to run up", "both_ways": "knows the frames after the first ones anyway",
             "budget": "keeps to a time"}
@@ -56,8 +56,8 @@ class WatchedRunUp:
 
 def run_up_of(arguments: argparse.Namespace, sequence: Sequence, cuts: str) -> WatchedRunUp | None:
     """What the arguments ask for. Raises PassOptionError beside arguments that it cannot go with."""
-    from postfx.backwards.run_up import FRAMES, RunUp  # loads what --help must not wait for
     from postfx.errors import PassOptionError
+    from postfx.temporal.run_up import FRAMES, RunUp  # loads what --help must not wait for
 
     given = next((name for name in NOT_WITH if getattr(arguments, name)), None)
     if given and arguments.run_up:

@@ -7,10 +7,10 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from postfx.backwards import RunUp
 from postfx.cli.run_up import WatchedRunUp
 from postfx.errors import Interrupted
 from postfx.io.sequence import Sequence
+from postfx.temporal import RunUp
 
 RUN = ("run", "in/shot.####.exr", "--model", "s")
 

@@ -7,13 +7,13 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from postfx.backwards import Backwards
 from postfx.bench.stress import BRIGHTEST, HARD
 from postfx.frame import Frame, Role
 from postfx.passes.both_ways import BothWays
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from postfx.temporal import Backwards
 from tests.passes.denoise_frames import flat, noisy
 from tests.stress.scenes import SIZES, on
 

@@ -11,9 +11,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from postfx.backwards.turned import motion_to_next  # noqa: E402
 from postfx.frame import Frame, Role  # noqa: E402
-from postfx.kernels.turning import LOST  # noqa: E402
+from postfx.temporal.reverse_motion import LOST, motion_to_next  # noqa: E402
 from tests.training.small_denoiser import one_thread, small_model  # noqa: E402, F401
 from tests.training.test_denoise_training import inner, moving_clip, steps_lower_the_loss, trainer, write_clips  # noqa: E402
 from training import clip_loss, losses, train_denoise  # noqa: E402

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.backwards import RunUp
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
@@ -16,6 +15,7 @@ from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from postfx.temporal import RunUp
 
 SIZE = 32, 48
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.backwards.turned import MOST, Followed, motion_to_next, turned
 from postfx.frame import Frame, Role
-from postfx.kernels.turning import LOST
+from postfx.temporal.reverse_motion import LONGEST, LOST, HistoryLength, motion_to_next, reverse_motion
 
 HEIGHT, WIDTH = 20, 30
 
@@ -70,10 +69,10 @@ def test_broken_motion_and_depth_harm_no_neighbour(value):
 
 def test_a_cut_and_the_end_begin_anew():
     frame, after = moving((1, 1), number=3), moving((1, 1), number=4)
-    assert turned(frame, None).reset
-    assert turned(frame, moving((1, 1), reset=True)).reset
-    assert not turned(moving((1, 1), reset=True), after).reset  # its own cut lies at its other side
-    assert turned(frame, Frame({Role.COLOUR: np.ones((HEIGHT, WIDTH, 3), np.float32)})).reset
+    assert reverse_motion(frame, None).reset
+    assert reverse_motion(frame, moving((1, 1), reset=True)).reset
+    assert not reverse_motion(moving((1, 1), reset=True), after).reset  # its own cut lies at its other side
+    assert reverse_motion(frame, Frame({Role.COLOUR: np.ones((HEIGHT, WIDTH, 3), np.float32)})).reset
 
 
 def test_without_depth_motion_is_turned_all_the_same():
@@ -84,23 +83,23 @@ def test_without_depth_motion_is_turned_all_the_same():
 
 
 def test_frames_in_sight_are_counted_up_to_a_limit():
-    followed = Followed()
-    for number in range(1, MOST + 4):
-        count = followed(moving((0, 0)))
-        assert (count == min(number, MOST)).all()
+    lengths = HistoryLength()
+    for number in range(1, LONGEST + 4):
+        count = lengths(moving((0, 0)))
+        assert (count == min(number, LONGEST)).all()
 
 
 def test_what_comes_into_the_picture_counts_from_one():
-    followed = Followed()
-    counts = [followed(moving((3, 0))) for _ in range(4)]  # the wall moves to the left, new wall comes in at the right
+    lengths = HistoryLength()
+    counts = [lengths(moving((3, 0))) for _ in range(4)]  # the wall moves to the left, new wall comes in at the right
     assert (counts[3][0] == np.repeat([4, 3, 2, 1], [WIDTH - 9, 3, 3, 3])).all()
 
 
 def test_what_something_nearer_had_hidden_counts_from_one():
-    followed, hidden, free = Followed(), moving((0, 0)), moving((0, 0))
+    lengths, hidden, free = HistoryLength(), moving((0, 0)), moving((0, 0))
     hidden[Role.DEPTH][5:12, 5:12] = 1
-    followed(hidden)
-    count = followed(free)
+    lengths(hidden)
+    count = lengths(free)
     assert (count[7:10, 7:10] == 1).all()
     assert (count[14:] == 2).all()
 
@@ -112,21 +111,21 @@ def test_a_cut_that_only_the_pictures_tell_counts_from_one():
         blocks = np.random.default_rng(seed).random((8, 12, 1)).repeat(8, 0).repeat(8, 1)
         picture[Role.COLOUR][:] = 0.05 + blocks**3
     for find_cuts, expected in ((True, 1), (False, 2)):
-        followed = Followed(find_cuts)
-        followed(pictures[0])
-        assert (followed(pictures[1]) == expected).all()
+        lengths = HistoryLength(find_cuts)
+        lengths(pictures[0])
+        assert (lengths(pictures[1]) == expected).all()
 
 
 def test_a_cut_counts_from_one():
-    followed = Followed()
-    followed(moving((0, 0)))
-    assert (followed(moving((0, 0), reset=True)) == 1).all()
-    followed.reset()
-    assert (followed(moving((0, 0))) == 1).all()
+    lengths = HistoryLength()
+    lengths(moving((0, 0)))
+    assert (lengths(moving((0, 0), reset=True)) == 1).all()
+    lengths.reset()
+    assert (lengths(moving((0, 0))) == 1).all()
 
 
 def test_frames_may_come_in_the_same_arrays():
-    one, other = Followed(), Followed()
+    one, other = HistoryLength(), HistoryLength()
     frame = moving((0, 0))
     for number in range(3):
         wanted = other(moving((0, 0), depth=4 + number))

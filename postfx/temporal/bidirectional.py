@@ -1,0 +1,199 @@
+"""What later frames know of a frame: the denoiser runs over the sequence in reverse order, part by part."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from postfx.errors import PostfxError
+from postfx.exposure import ExposureMeter, SmoothExposure
+from postfx.frame import Frame, FrameSpec, GuideSpec, Role
+from postfx.io.ahead import read_ahead
+from postfx.io.retry import read_patiently
+from postfx.io.sequence import Sequence
+from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.pipeline import Pipeline
+from postfx.plan import Plan
+from postfx.runtime import Device
+from postfx.temporal.reverse_motion import LONGEST, HistoryLength, premultiply, reverse_motion, share_by_length
+from postfx.temporal.run_up import FRAMES as RUN_UP
+
+PART = 32
+"""Frames that run backwards together; their results are kept until they are asked for."""
+
+HALF_MAX = np.float32(65504)
+"""Largest number of half precision."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """A frame of the run in reverse order.
+
+    Attributes:
+        colour: (H, W, 3) in half precision, exposed, because bright light would not fit otherwise.
+        length: (h, w), history length of each pixel in reverse order.
+        exposure: multiplier that is in the colour.
+    """
+
+    colour: np.ndarray
+    length: np.ndarray
+    exposure: float
+
+
+class Backwards:
+    """Adds the plane `later`, for the pass `both_ways`, to the frames of a sequence. Call it with them in order.
+
+        shot = postfx.read_sequence("shot/noisy.####.exr")
+        later = postfx.Backwards(shot, device)
+        passes = postfx.Pipeline([postfx.DenoiseUpscale(), postfx.BothWays()], device)
+        for frame in shot:
+            postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(later(frame)))
+
+    Args:
+        sequence: the frames. They are read once more by a reader of their own, so whoever iterates the sequence is not
+            disturbed.
+        device: where to run; default: that of pipelines without one.
+        exposure, cuts: as for a `Pipeline`.
+        prepare: applied to frames that are read before they run, as to those in order.
+        options: of `DenoiseUpscale`, the same as for the frames in order.
+
+    The sequence runs in parts of PART frames, each from its last frame to its first, after a run-up over the frames
+    that follow it; these may lie beyond the end of the sequence, if they are on the disk. Frames that cannot be read
+    are no error here.
+
+    Attributes:
+        milliseconds: time of the last frame on the device in reverse order; None if it did not have to run.
+    """
+
+    def __init__(self, sequence: Sequence, device: Device | None = None,
+                 exposure: str | float | ExposureMeter | SmoothExposure = "auto", cuts: str = "auto",
+                 prepare: Callable[[Frame], Frame] = lambda frame: frame, **options: Any) -> None:
+        after = sequence.after(sequence.numbers[-1], RUN_UP) if sequence.numbers else ()
+        self._given, self._numbers, self._asked = sequence, (*sequence.numbers, *after), len(sequence)
+        self._at = {number: index for index, number in enumerate(sequence.numbers)}
+        self._pass = DenoiseUpscale(**options)
+        self._pipeline = Pipeline([self._pass], device, exposure, cuts)
+        self._prepare = prepare
+        self._ahead, self._last = HistoryLength(find_cuts=cuts == "auto"), -1
+        self._plan: Plan | None = None
+        self._results: dict[int, Result] = {}
+        self._times: dict[int, float] = {}
+        self.milliseconds: float | None = None
+
+    def spec(self, spec: FrameSpec) -> FrameSpec:
+        """Spec of the frames that come back for frames of a spec."""
+        return dataclasses.replace(spec, guides=self._guides(spec))
+
+    def reset(self) -> None:
+        """Forget all results: the next frame may be any."""
+        self._ahead.reset()
+        self._last, self._results = -1, {}
+
+    def part(self, number: int) -> tuple[int, int] | None:
+        """First and last number of the frames that have to run before this one; None if its result is there."""
+        if number in self._results or number not in self._at:
+            return None
+        return number, self._numbers[self._ends(self._at[number])[1] - 1]
+
+    def __call__(self, frame: Frame, wanted: bool = True, check: Callable[[], None] = lambda: None) -> Frame:
+        """The frame with the plane `later` among its guides.
+
+        wanted: if False, the plane is 0 everywhere, and the frame is only followed. check: called between two frames in
+        reverse order; it may raise.
+        """
+        guides = self._guides(frame.spec)
+        later = np.zeros((guides.height, guides.width, 4), np.float32)
+        self.milliseconds = None
+        if frame.number in self._at:
+            ahead = self._length_ahead(frame)
+            result = self._result(frame.number, check) if wanted else None
+            if result and result.length.shape == ahead.shape and result.colour.shape[:2] == later.shape[:2]:
+                share = np.empty(ahead.shape, np.float32)
+                share_by_length(ahead, result.length, share)
+                premultiply(share, result.colour.astype(np.float32) / np.float32(result.exposure), later)
+        return dataclasses.replace(frame, guides={**frame.guides, Role.LATER: later})
+
+    def _guides(self, spec: FrameSpec) -> GuideSpec:
+        """Guides of a frame of a spec, with `later` at the size of the denoiser's output."""
+        output, source = self._pass.reflect(spec).output, spec.guides.source if spec.guides else None
+        return GuideSpec(output.width, output.height, (*spec.guide_roles, Role.LATER), source)
+
+    def _length_ahead(self, frame: Frame) -> np.ndarray:
+        """History lengths in order, up to this frame; frames before it that were not seen are read again."""
+        index = self._at[frame.number]
+        if index != self._last + 1:
+            self._ahead.reset()
+            for earlier in range(max(0, index - LONGEST), index):
+                self._follow(self._read(earlier))
+        self._last = index
+        return self._ahead(frame)
+
+    @cached_property
+    def _sequence(self) -> Sequence:
+        """A reader, made once frames in order are read: only then it is known how to read, and which area."""
+        return self._given.reader()
+
+    def _follow(self, frame: Frame | None) -> None:
+        if frame is None:
+            self._ahead.reset()
+        else:
+            self._ahead(frame)
+
+    def _result(self, number: int, check: Callable[[], None]) -> Result | None:
+        if number not in self._results:
+            self._run(self._at[number], check)
+        self.milliseconds = self._times.pop(number, None)
+        return self._results.pop(number, None)
+
+    def _ends(self, index: int) -> tuple[int, int]:
+        """Index after the last frame of a frame's part, and after the last frame of its run-up."""
+        end = min((index // PART + 1) * PART, self._asked)
+        return end, min(end + RUN_UP, len(self._numbers))
+
+    def _run(self, first: int, check: Callable[[], None]) -> None:
+        """Run a part from its last frame down to the frame at index `first`."""
+        end, begin = self._ends(first)
+        self._results, self._times = {}, {}
+        lengths, after = HistoryLength(), None
+        self._pipeline.reset()
+        for index, frame in read_ahead(range(begin - 1, first - 1, -1), self._read):
+            check()
+            if frame is not None:
+                reverse = reverse_motion(frame, after)
+                colour, exposure = self._denoise(reverse)
+                length = lengths(dataclasses.replace(reverse, reset=reverse.reset or self._pipeline.cut))
+                if index < end and colour is not None:
+                    self._results[frame.number] = Result(colour, length, exposure)
+                    self._times[frame.number] = sum(self._pipeline.timings.values())
+            after = frame
+
+    def _denoise(self, frame: Frame) -> tuple[np.ndarray | None, float]:
+        """Exposed colour in half precision, or None if the frame cannot run, and its exposure."""
+        try:
+            colour = self._pipeline(frame)[Role.COLOUR]
+        except PostfxError:
+            return None, 1.0
+        exposure = self._pipeline.exposure or 1.0
+        return np.clip(colour * np.float32(exposure), -HALF_MAX, HALF_MAX).astype(np.float16), exposure
+
+    def _plan_of(self, number: int) -> Plan:
+        with self._sequence.open(number) as files:
+            return self._pipeline.explain(files.spec())
+
+    def _read(self, index: int) -> Frame | None:
+        """A frame, marked if it does not follow the one before it; None if it cannot be read."""
+        number = self._numbers[index]
+        try:
+            self._plan = self._plan or self._plan_of(number)
+            self._sequence.rewind()
+            read = partial(self._sequence.read, number, self._plan.planes, self._plan.guides)
+            frame = self._prepare(read_patiently(read))
+        except PostfxError:
+            return None
+        follows = index > 0 and self._sequence.before(number, 1) == [self._numbers[index - 1]]
+        frame.reset = frame.reset or not follows
+        return frame
