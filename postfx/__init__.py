@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from postfx.passes.denoise_upscale import DenoiseUpscale
     from postfx.passes.overlay import Overlay
     from postfx.passes.tonemap import ToneMap
-    from postfx.paths import models_dir
     from postfx.pipeline import Pipeline
     from postfx.runtime import Device, Library
+    from postfx.system import models_dir
     from postfx.temporal import Backwards, RunUp
 
 __version__ = "0.1.0"
@@ -44,7 +44,7 @@ _HOMES = {
     "RunUp": "postfx.temporal",
     "Sequence": "postfx.io.sequence",
     "ToneMap": "postfx.passes.tonemap",
-    "models_dir": "postfx.paths",
+    "models_dir": "postfx.system",
     "read_sequence": "postfx.io.sequence",
     "write_frame": "postfx.io.writer",
 }

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from postfx.frame import Frame, Role
-from postfx.scratch import Scratch
+from postfx.system import Scratch
 
 ROWS = 256
 """Rows that are looked at together: less memory than the picture."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from postfx.paths import models_dir
+from postfx.system import models_dir
 from training.networks.hdrnet import GUIDE_PARTS, HDRNet
 
 STATE = dict[str, torch.Tensor]

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from postfx import __version__
 from postfx.cli import bench, capture_compare, exposure, inspect, lut, models, run, verify
 from postfx.errors import PostfxError
-from postfx.limits import usable_cores
 
 VERBS = (run, verify, inspect, exposure, bench, models, lut, capture_compare)
 EXIT_ERROR = 2
@@ -22,7 +21,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code: 0 done, 1 what was checked is not well, 2 something the user can mend,
     130 interrupted by Ctrl-C, 143 ended by SIGTERM."""
     arguments = make_parser().parse_args(argv)
-    _read_and_write_by(getattr(arguments, "threads", None) or usable_cores())
+    _read_and_write_by(getattr(arguments, "threads", None))
     try:
         code = arguments.execute(arguments)
         sys.stdout.flush()
@@ -45,12 +44,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return getattr(interrupt, "exit_code", EXIT_INTERRUPTED)
 
 
-def _read_and_write_by(threads: int) -> None:
-    """Have files read and written by so many threads."""
+def _read_and_write_by(threads: int | None) -> None:
+    """Have files read and written by so many threads; None: by all that this process may use."""
     import OpenImageIO as oiio  # here, as --help does without
 
+    from postfx.system import usable_cores
+
     for name in ("threads", "exr_threads"):
-        oiio.attribute(name, threads)
+        oiio.attribute(name, threads or usable_cores())
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -25,8 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """List the models; returns the exit code."""
-    from postfx.paths import models_dir
     from postfx.runtime import Library  # loads ONNX Runtime, which --help must not wait for
+    from postfx.system import models_dir
 
     library = Library(models_dir())
     cards = {name: library.card(name) for name in library.names()}

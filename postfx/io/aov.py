@@ -22,9 +22,9 @@ from postfx.io.part import AREA
 from postfx.io.planes import read_planes
 from postfx.io.profile import load_profile
 from postfx.io.transparents import take_opaque_colour
-from postfx.scratch import Scratch
 from postfx.stored import Stored
 from postfx.strength.entries import Entry
+from postfx.system import Scratch
 
 
 class FrameFiles:

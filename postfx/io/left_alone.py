@@ -12,13 +12,13 @@ from postfx.frame import Role
 from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.cryptomattes import CryptomattePlanes, cryptomattes
 from postfx.io.layout import Header, Layout
-from postfx.scratch import Scratch
 from postfx.strength import converged
 from postfx.strength.cryptomatte import claimed, share_of, snapped
 from postfx.strength.entries import AUTO, Entry
 from postfx.strength.ids import range_of, within
 from postfx.strength.misses import READS, strength_in_bands
 from postfx.strength.shares import Shares
+from postfx.system import Scratch
 
 SHOWN = 8
 """Names that an error lists at most."""

@@ -13,7 +13,7 @@ from postfx.frame import ROLES, Role
 from postfx.io.channels import Channel, read_channels
 from postfx.io.convert import Camera, convert, fill_value
 from postfx.io.layout import Match
-from postfx.scratch import Scratch
+from postfx.system import Scratch
 
 _ROWS = 64, 256
 """Rows that are read at once, with few threads and with many: so few that they are still in the cache when they are

@@ -18,9 +18,9 @@ from postfx.io.depth import parse_depth
 from postfx.io.locate import locate
 from postfx.io.pattern import parse_frames
 from postfx.io.windows import scaled_windows
-from postfx.scratch import Scratch
 from postfx.strength.entries import parse_leave
 from postfx.strength.shares import Shares
+from postfx.system import Scratch
 
 
 class Sequence:

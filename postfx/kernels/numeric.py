@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numba import config, njit
 
-from postfx.user_cache import private_folder
+from postfx.system import private_folder
 
 MAX_COLOUR = 1e4
 

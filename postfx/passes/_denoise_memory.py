@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from postfx.errors import MemoryBudgetError
 from postfx.passes._denoise_layout import Band, Shape, bands_of, cost, count_of, grids, halo_of
 from postfx.passes._denoise_window import Sizes
-from postfx.scratch import PROCESS, Scratch
+from postfx.system import PROCESS, Scratch
 
 PIXEL = 2000
 """Bytes that a render pixel of a window takes, of which somewhat more than half are the network's own (1800 with models

@@ -10,8 +10,8 @@ from typing import Any
 
 from postfx.errors import ManifestError, ManifestReadError
 from postfx.files import make_printable, parse_json, read_text, write_atomically
-from postfx.paths import is_plain_name
 from postfx.runs.lock import FolderLock
+from postfx.system import is_plain_name
 
 NAME = "postfx.manifest.json"
 WORK_FOLDER = ".postfx"

@@ -10,9 +10,9 @@ from typing import Any
 from postfx.errors import ManifestError
 from postfx.files import hash_file
 from postfx.io.pattern import parse_pattern
-from postfx.paths import is_plain_name
 from postfx.runs.claim import is_alive
 from postfx.runs.manifest import NAME, WORK_FOLDER, Manifest, load_manifest
+from postfx.system import is_plain_name
 
 RUNNING = "running"
 

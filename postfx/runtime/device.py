@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postfx.errors import BindingError, DeviceError, ModelError
-from postfx.limits import usable_cores
-from postfx.paths import models_dir
 from postfx.runtime.bands import Helpers
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
@@ -29,7 +27,7 @@ from postfx.runtime.session import Session
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import Allocation, Tensor
 from postfx.runtime.waiting import wait_for_all
-from postfx.scratch import Scratch
+from postfx.system import Scratch, models_dir, usable_cores
 
 if TYPE_CHECKING:
     from postfx.kernels.kernel import Kernel

@@ -8,8 +8,8 @@ from typing import Any
 
 from postfx.errors import ModelError
 from postfx.files import parse_json, read_text
-from postfx.paths import is_plain_name, models_dir
 from postfx.runtime.model_check import MOST_BYTES, check_model
+from postfx.system import is_plain_name, models_dir
 
 _PARTS = {"inputs": dict, "outputs": dict, "weights": str}
 _WORDS = {dict: "objects", str: "texts"}

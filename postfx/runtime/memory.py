@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from postfx.scratch import Scratch
+from postfx.system import Scratch
 
 T = TypeVar("T")
 TENSORS = 0.4
@@ -109,7 +109,7 @@ class MappedChunk:
     """A chunk in a temporary file."""
 
     def __init__(self, scratch: Scratch, nbytes: int) -> None:
-        self._storage = np.frombuffer(scratch.mapped(nbytes), np.uint8)
+        self._storage = np.frombuffer(scratch.map_file(nbytes), np.uint8)
         self.pointer = address(self._storage)
         self.nbytes = nbytes
 

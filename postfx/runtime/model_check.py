@@ -14,9 +14,9 @@ from typing import Any
 
 from postfx.errors import ModelError
 from postfx.files import make_printable
-from postfx.paths import is_plain_name
 from postfx.runtime.model_file import Declared, ModelFile, Weights, parse_model
 from postfx.runtime.wire import WireError
+from postfx.system import is_plain_name
 
 MOST_BYTES = 1 << 30
 """Of a model's file."""

@@ -17,7 +17,7 @@ from pathlib import Path
 import onnxruntime as ort
 
 from postfx.files import atomic_file
-from postfx.user_cache import private_folder
+from postfx.system import private_folder
 
 FOLDER = "networks"
 MOST = 256 << 20

@@ -12,9 +12,9 @@ import numpy as np
 import onnxruntime as ort
 
 from postfx.errors import ModelError
-from postfx.limits import usable_memory
 from postfx.runtime.optimised import make_session
 from postfx.runtime.tensor import Tensor
+from postfx.system import usable_memory
 
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
 

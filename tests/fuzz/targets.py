@@ -27,8 +27,8 @@ from postfx.runs.manifest import NAME, Manifest, Output
 from postfx.runs.process import Process
 from postfx.runs.verify import verify
 from postfx.runtime import Device, Library
-from postfx.scratch import bytes_of
 from postfx.strength import parse_leave
+from postfx.system import parse_size
 from tests.files.exr_files import write_mixed, write_studio
 from tests.toys import save_model, value
 
@@ -83,7 +83,7 @@ def profile(content: bytes) -> None:
 def patterns(content: bytes) -> None:
     """Frame patterns, ranges, and the other small languages of the command line."""
     text = content.decode("utf-8", "surrogateescape").replace("\0", "")
-    for parse in (parse_frames, parse_depth, parse_leave, known_cuts, bytes_of, lambda text: Sequence(FOLDER / text)):
+    for parse in (parse_frames, parse_depth, parse_leave, known_cuts, parse_size, lambda text: Sequence(FOLDER / text)):
         try:
             parse(text)
         except PostfxError:

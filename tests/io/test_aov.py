@@ -10,7 +10,7 @@ from postfx.frame import DEPTH_MISS, Role
 from postfx.io.aov import FrameFiles
 from postfx.io.profile import load_profile, profile_names
 from postfx.io.sequence import Sequence
-from postfx.scratch import Scratch
+from postfx.system import Scratch
 
 TURN = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [1, 2, 3, 1]], np.float32)
 """A world-to-camera matrix for row vectors: a quarter turn about y and a shift."""

@@ -14,8 +14,8 @@ from postfx.errors import PostfxError
 from postfx.frame import Role
 from postfx.io.aov import FrameFiles
 from postfx.io.sequence import Sequence, read_sequence
-from postfx.scratch import Scratch
 from postfx.strength import StrengthError, id_of_name, parse_leave
+from postfx.system import Scratch
 
 NAMES = ("sky_dome", "sky_sun", "logo")
 SIZE = 6, 8

@@ -17,7 +17,7 @@ from postfx.io.container import scanlines
 from postfx.io.convert import Camera, convert
 from postfx.io.profile import load_profile
 from postfx.io.sequence import Sequence
-from postfx.scratch import Scratch
+from postfx.system import Scratch
 
 SIZE = (150, 70)
 CHANNELS = ("R", "G", "B", "Z", "N.X", "N.Y", "N.Z", "motion.x", "motion.y")

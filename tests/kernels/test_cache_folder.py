@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from postfx import user_cache
+from postfx import system
 from postfx.kernels import numeric
 
 
@@ -13,7 +13,7 @@ from postfx.kernels import numeric
 def folder(tmp_path, monkeypatch):
     """Finds the folder anew, with a home and a folder for temporary files of the test's own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(user_cache.tempfile, "gettempdir", lambda: str(tmp_path / "tmp"))
+    monkeypatch.setattr(system.tempfile, "gettempdir", lambda: str(tmp_path / "tmp"))
     return lambda: numeric.cache_folder.__wrapped__()
 
 
@@ -32,7 +32,7 @@ def test_a_folder_that_everyone_may_write_to_is_not_used(folder, tmp_path):
 
 def test_a_folder_of_someone_else_is_not_used(folder, monkeypatch):
     folder()
-    monkeypatch.setattr(user_cache.os, "getuid", lambda: 54321)
+    monkeypatch.setattr(system.os, "getuid", lambda: 54321)
     assert folder() == ""
 
 

@@ -16,7 +16,7 @@ from postfx.kernels.light import LIGHT
 from postfx.kernels.lowres import LOWRES
 from postfx.kernels.slice_apply import SLICE_APPLY
 from postfx.kernels.smooth import SMOOTH
-from postfx.paths import models_dir
+from postfx.system import models_dir
 from tests.kernels.tonemap_cases import HOLDS, PACES, SHAPER, Hold, Pace, arguments, sizes
 
 torch = pytest.importorskip("torch")

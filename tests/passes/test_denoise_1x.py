@@ -18,9 +18,9 @@ from postfx.passes._denoise_layout import halo_of
 from postfx.passes._denoise_memory import seamless
 from postfx.passes._denoise_models import UNSCALED, model_of
 from postfx.passes.denoise_upscale import DenoiseUpscale
-from postfx.paths import models_dir
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
+from postfx.system import models_dir
 from tests.passes.denoise_frames import guided, noisy
 
 FILES = {"s": "s", "s.1x": "s.int8", "m": "s.int8", "m.1x": "s", "m.guides": "m.guides", "l": "s", "own": "s"}

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.paths import models_dir
 from postfx.runtime import Device, Library, ModelError
+from postfx.system import models_dir
 
 torch = pytest.importorskip("torch")
 

@@ -13,8 +13,8 @@ import pytest
 import postfx
 from postfx.frame import Role
 from postfx.kernels.denoise_store import STORE_RINGED
-from postfx.paths import models_dir
 from postfx.runtime import Library, ModelError
+from postfx.system import models_dir
 
 torch = pytest.importorskip("torch")
 

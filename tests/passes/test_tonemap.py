@@ -9,9 +9,9 @@ from postfx.errors import PassOptionError
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes.display import Display
 from postfx.passes.tonemap import ToneMap
-from postfx.paths import models_dir
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, ModelError
+from postfx.system import models_dir
 
 SPEC = FrameSpec(160, 90, [Role.COLOUR])
 

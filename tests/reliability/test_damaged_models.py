@@ -10,10 +10,10 @@ import onnx
 import pytest
 from onnx import helper, numpy_helper
 
-from postfx.paths import models_dir
 from postfx.runtime import Library, ModelError
 from postfx.runtime.model_check import MOST_BYTES, OPERATORS, check_model
 from postfx.runtime.model_file import MOST_PARTS
+from postfx.system import models_dir
 from tests.reliability.model_files import model_of, outside
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from postfx.paths import models_dir
 from postfx.runtime import Device, Library
+from postfx.system import models_dir
 from tests import toys
 from tests.reliability.model_files import graph_of, model_of, outside, weights_of
 

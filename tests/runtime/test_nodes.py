@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper
 
-from postfx.paths import models_dir
 from postfx.runtime import Device, Library
 from postfx.runtime.nodes import run_nodes
 from postfx.runtime.session import Placement
+from postfx.system import models_dir
 from tests import toys
 from tests.deep import LEVEL, make_deep, make_long
 

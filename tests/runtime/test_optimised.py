@@ -6,8 +6,8 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from postfx.paths import models_dir
 from postfx.runtime import Device, Library, ModelError, optimised
+from postfx.system import models_dir
 
 WINDOW = {"height": 16, "width": 32}
 

@@ -10,7 +10,7 @@ import pytest
 from postfx.broken import mended
 from postfx.frame import Frame, Role
 from postfx.runtime import Device
-from postfx.scratch import Scratch
+from postfx.system import Scratch
 from tests.stress.bounds import bounds
 from tests.stress.scenes import colours, display_psnr, on, pipeline
 

@@ -10,8 +10,8 @@ import pytest
 
 from postfx.kernels.denoise_store import STORE
 from postfx.passes._denoise_network import CODING, PACKED, PRODUCTS, RING, SCALING, STORED
-from postfx.paths import models_dir
 from postfx.runtime import Device
+from postfx.system import models_dir
 from tests.stress.test_kernel_bounds import PAGE
 
 onnx = pytest.importorskip("onnx")

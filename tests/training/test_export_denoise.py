@@ -13,8 +13,8 @@ import pytest
 
 from postfx.kernels.denoise_open import OPEN_PHASED
 from postfx.passes._denoise_network import PHASED_FINE
-from postfx.paths import models_dir
 from postfx.runtime import Device, Library, ModelError
+from postfx.system import models_dir
 
 torch = pytest.importorskip("torch")
 

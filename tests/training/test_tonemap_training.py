@@ -11,7 +11,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from postfx.paths import models_dir
+from postfx.system import models_dir
 
 torch = pytest.importorskip("torch")
 

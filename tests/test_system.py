@@ -6,7 +6,7 @@ from pathlib import Path
 import OpenImageIO as oiio
 import pytest
 
-from postfx import limits
+from postfx import system
 from postfx.cli.main import main
 
 
@@ -18,8 +18,8 @@ def within(own: str | None, files: dict[str, str], folder: Path, monkeypatch) ->
         path.write_text(text)
     if own is not None:
         (folder / "own").write_text(own)
-    monkeypatch.setattr(limits, "_GROUPS", folder / "groups")
-    monkeypatch.setattr(limits, "_OWN", folder / "own")
+    monkeypatch.setattr(system, "_GROUPS", folder / "groups")
+    monkeypatch.setattr(system, "_OWN", folder / "own")
 
 
 @pytest.mark.parametrize(("own", "files", "expected"), [
@@ -38,7 +38,7 @@ def within(own: str | None, files: dict[str, str], folder: Path, monkeypatch) ->
 def test_quotas(own: str | None, files: dict[str, str], expected: int, tmp_path: Path, monkeypatch) -> None:
     within(own, files, tmp_path, monkeypatch)
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(64)))
-    assert limits.usable_cores() == expected
+    assert system.usable_cores() == expected
 
 
 @pytest.mark.parametrize(("own", "files", "expected"), [
@@ -52,14 +52,14 @@ def test_quotas(own: str | None, files: dict[str, str], expected: int, tmp_path:
 def test_memory(own: str | None, files: dict[str, str], expected: int, tmp_path: Path, monkeypatch) -> None:
     within(own, files, tmp_path, monkeypatch)
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    assert limits.usable_memory() == (expected or machine)
+    assert system.usable_memory() == (expected or machine)
 
 
 def test_no_more_than_by_affinity() -> None:
-    assert 1 <= limits.usable_cores() <= len(os.sched_getaffinity(0))
+    assert 1 <= system.usable_cores() <= len(os.sched_getaffinity(0))
 
 
 def test_files_are_read_and_written_by_as_many_threads(tmp_path: Path) -> None:
     wanted = "run", "samples/room/noisy.0001.exr", "-o", str(tmp_path / "a.exr"), "--no-denoise", "--threads"
     assert main([*wanted, "3"]) == 0 and oiio.get_int_attribute("threads") == 3
-    assert main(["models"]) == 0 and oiio.get_int_attribute("threads") == limits.usable_cores()
+    assert main(["models"]) == 0 and oiio.get_int_attribute("threads") == system.usable_cores()

@@ -15,20 +15,20 @@ from postfx.passes._denoise_window import Sizes
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.passes.tonemap import ToneMap
 from postfx.runtime import DeviceError, device
-from postfx.scratch import Scratch, bytes_of
+from postfx.system import Scratch, parse_size
 from tests.passes.denoise_frames import noisy
 
 
 @pytest.mark.parametrize(("text", "size"), [("4G", 4 << 30), ("1.5 GB", 3 << 29), ("512m", 512 << 20), ("2KiB", 2048),
                                             (4096, 4096)])
 def test_sizes_as_people_write_them(text: str | int, size: int) -> None:
-    assert bytes_of(text) == size
+    assert parse_size(text) == size
 
 
 @pytest.mark.parametrize("text", ["", "lots", "-4G", "0", "4 X", "4GG"])
 def test_other_sizes_are_errors(text: str) -> None:
     with pytest.raises(MemoryBudgetError, match="is no size: give bytes, or a number with K, M, G or T"):
-        bytes_of(text)
+        parse_size(text)
 
 
 def test_large_arrays_keep_their_content_when_let_go_of() -> None:
@@ -101,7 +101,7 @@ def test_a_budget_that_is_too_small_names_the_smallest_that_would_do() -> None:
     least, sizes = str(error.value).split()[-3], Sizes(300, 330, 600, 660)
     assert len(bands_within(Scratch(least), sizes, ["denoise_upscale.s.int8"])) > 1
     with pytest.raises(MemoryBudgetError):
-        bands_within(Scratch(bytes_of(least) - (2 << 20)), sizes, ["denoise_upscale.s.int8"])
+        bands_within(Scratch(parse_size(least) - (2 << 20)), sizes, ["denoise_upscale.s.int8"])
 
 
 @pytest.mark.parametrize(("side", "budget"), [(1024, "600M"), (4096, "800M"), (4096, "4G"), (8192, "1100M")])
@@ -110,7 +110,7 @@ def test_the_commands_of_all_tiles_fit_in(side: int, budget: str) -> None:
     bands = bands_within(Scratch(budget), Sizes(side, side, 2 * side, 2 * side), ["denoise_upscale.m.int8"])
     tiles = [tile for band in bands for tile in band.tiles]
     windows = max(tile.window.rows * tile.window.columns for tile in tiles)
-    assert 200_000 * len(tiles) + 2400 * windows < bytes_of(budget) - (300 << 20)
+    assert 200_000 * len(tiles) + 2400 * windows < parse_size(budget) - (300 << 20)
 
 
 def test_a_mask_within_a_budget() -> None:

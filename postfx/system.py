@@ -1,0 +1,174 @@
+"""What this process may use of its machine, and where its files lie.
+
+Cores and memory, as affinity and control groups limit them; a memory budget, beyond which arrays lie in temporary
+files; folders for what can be remade, such as compiled kernels; and the folder of the models that ship with the code.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import mmap
+import os
+import re
+import stat
+import tempfile
+import weakref
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from postfx.errors import MemoryBudgetError
+
+_PACKAGE = Path(__file__).resolve().parent
+_GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+
+# Files
+
+
+def models_dir() -> Path:
+    """Folder of the model packages (*.onnx + *.json): inside an installed wheel, or `models/` of a checkout."""
+    packaged = _PACKAGE / "_models"
+    return packaged if packaged.is_dir() else _PACKAGE.parent / "models"
+
+
+def is_plain_name(name: str) -> bool:
+    """Whether a file's name has no folder in it."""
+    return bool(name) and name not in (".", "..") and not set(name) & set("/\\\0")
+
+
+def private_folder(name: str) -> Path | None:
+    """A folder that nobody else may write to, since what lies there is run: in the user's cache, else with the
+    temporary files; None where neither can be had."""
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    for base in (home / "postfx", Path(tempfile.gettempdir()) / f"postfx-{os.getuid()}"):
+        folder = base / name
+        try:
+            base.parent.mkdir(parents=True, exist_ok=True)
+            for part in (base, folder):
+                part.mkdir(mode=0o700, exist_ok=True)
+            if all(map(_is_private, (base, folder))) and os.access(folder, os.W_OK):
+                return folder
+        except OSError:
+            continue
+    return None
+
+
+def _is_private(folder: Path) -> bool:
+    """Whether a folder, and the link if it is one, is this user's, and not for everyone to write to."""
+    status = folder.stat()
+    return {status.st_uid, folder.lstat().st_uid} == {os.getuid()} and not status.st_mode & stat.S_IWOTH
+
+
+# Cores and memory
+
+
+def usable_cores() -> int:
+    """Cores that this process may use: those of its affinity, or the time of fewer that its container gets."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
+    times = _limits("cpu", ("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us"))
+    return max(1, min([cores, *(math.ceil(quota / period) for quota, period in times if quota > 0)]))  # -1: no limit
+
+
+def usable_memory() -> int:
+    """Bytes that this process may have: those of the machine, or fewer that its container gets."""
+    machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return min([machine, *(most for most, in _limits("memory", ("memory.max",), ("memory.limit_in_bytes",)))])
+
+
+def _limits(controller: str, *names: tuple[str, ...]) -> Iterator[list[int]]:
+    """The numbers in files of these names, together, of each limited control group around this process, of version 2
+    and 1 (the Linux kernel's cgroup-v2.rst, sched-bwc.rst and cgroup-v1/memory.rst)."""
+    with suppress(OSError):
+        for line in _OWN.read_text().splitlines():
+            _, controllers, path = line.split(":", 2)
+            if not controllers or controller in controllers.split(","):
+                for folder in _around(_GROUPS / (controller if controllers else ""), path):
+                    yield from _numbers(folder, names)
+
+
+def _around(top: Path, path: str) -> Iterator[Path]:
+    """A group and those around it; in a container the path may be the host's, and only the top is there."""
+    group = top / path.strip("/")
+    yield from (group, *(one for one in group.parents if one.is_relative_to(top)))
+
+
+def _numbers(folder: Path, names: tuple[tuple[str, ...], ...]) -> Iterator[list[int]]:
+    for together in names:
+        with suppress(OSError, ValueError):  # no such file, or 'max'
+            yield [int(word) for name in together for word in (folder / name).read_text().split()]
+
+
+# A memory budget
+
+_UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
+PROCESS = 320 << 20
+"""Bytes of a process in which nothing is worked on yet, and of small things."""
+LEAST = 16
+"""A budget that is no larger than PROCESS leaves this part of itself."""
+SMALL = 128
+"""Arrays below this part of what is left stay in memory."""
+PIECE = 16
+"""Work on large arrays goes in pieces of this part of what is left."""
+
+
+def parse_size(size: str | int) -> int:
+    """Bytes of '4G', '512M' or a number; MemoryBudgetError for anything else."""
+    found = _SIZE.fullmatch(str(size).strip())
+    if found is None or not float(found[1]):
+        raise MemoryBudgetError(f"memory budget '{size}' is no size: give bytes, or a number with K, M, G or T: 4G")
+    return int(float(found[1]) * _UNITS[found[2].upper()])
+
+
+class Scratch:
+    """Arrays within a budget.
+
+    Attributes:
+        budget: bytes that the process may have in memory.
+        left: bytes of it beside those that a process has anyway.
+    """
+
+    def __init__(self, budget: str | int) -> None:
+        self.budget = parse_size(budget)
+        self.left = max(self.budget - PROCESS, self.budget // LEAST)
+        self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+
+    def empty(self, shape: tuple[int, ...], dtype: str = "float32") -> np.ndarray:
+        """An array of any content, in a temporary file if it is large."""
+        nbytes = math.prod(shape) * np.dtype(dtype).itemsize
+        if nbytes < self.left // SMALL:
+            return np.empty(shape, dtype)
+        return np.frombuffer(self.map_file(nbytes), dtype, math.prod(shape)).reshape(shape)
+
+    def map_file(self, nbytes: int) -> mmap.mmap:
+        """A temporary file of zeros; it is gone when nothing refers to its mapping."""
+        try:
+            with tempfile.TemporaryFile(prefix="postfx-") as file:
+                file.truncate(nbytes)
+                found = mmap.mmap(file.fileno(), nbytes)
+        except OSError as error:
+            raise MemoryBudgetError(_refused(error, nbytes)) from error
+        self._maps.add(found)
+        return found
+
+    def relax(self) -> None:
+        """Let go of the pages that were looked at; their content stays in the files."""
+        for each in list(self._maps):
+            each.madvise(mmap.MADV_DONTNEED)
+
+    def pieces(self, rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
+        """First and last row, not included, of pieces of something large; pages are let go of after each."""
+        step = max(1, self.left // PIECE // max(1, row_bytes))
+        for first in range(0, rows, step):
+            yield first, min(rows, first + step)
+            self.relax()
+
+
+def _refused(error: OSError, nbytes: int) -> str:
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return "too many open files, as every large plane that is kept is one: keep fewer frames, or raise 'ulimit -n'"
+    return f"{tempfile.gettempdir()}: no room for {nbytes >> 20} MB: set TMPDIR to a larger disk"
