@@ -91,7 +91,7 @@ def test_too_many_open_files_are_no_full_disk(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)
     with pytest.raises(MemoryBudgetError, match="too many open files, .* keep fewer frames, or raise 'ulimit -n'"):
-        Scratch("1M").mapped(1 << 20)
+        Scratch("1M").map_file(1 << 20)
 
 
 def test_a_budget_that_is_too_small_names_the_smallest_that_would_do() -> None:
