@@ -9,11 +9,11 @@ from functools import partial
 
 import numpy as np
 
+from postfx.caching import LRUCache
 from postfx.errors import PassContractError
 from postfx.frame import GUIDE_ROLES, Frame, FrameSpec, Role
 from postfx.passes.base import MOST_SIZES, ResidentFrame
 from postfx.plan import Plan, Step
-from postfx.recent import Recent
 from postfx.runtime import CommandBuffer, CommandError, Device, Tensor
 
 MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
@@ -29,7 +29,8 @@ class Flow:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._copies: Recent[Tensor] = Recent(MOST_COPIES)  # of planes, where the host does not see the device's memory
+        # of planes, where the host does not see the device's memory
+        self._copies: LRUCache[tuple[str, tuple[int, ...]], Tensor] = LRUCache(MOST_COPIES)
         self.timings: dict[str, float] = {}
 
     def forget(self) -> None:
@@ -68,7 +69,8 @@ class Flow:
         if self._device.memory.host_visible:
             return self._device.wrap(name, array)
         place = name, array.shape
-        return self._device.wrap(name, array, self._copies.get(place, partial(self._device.heap.tensor, *place)))
+        copy = self._copies.get_or_make(place, partial(self._device.heap.tensor, *place))
+        return self._device.wrap(name, array, copy)
 
     def _run(self, steps: Sequence[Step], resident: ResidentFrame) -> None:
         commands = self._device.command_buffer(f"frame {resident.number}", captured=resident.wanted)

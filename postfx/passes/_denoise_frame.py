@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
+from postfx.caching import LRUCache
 from postfx.kernels import denoise_prepare, denoise_reactive
 from postfx.passes._denoise_assembly import Assembly
 from postfx.passes._denoise_graph import Graph
@@ -36,7 +37,7 @@ class Frames:
         self._device, self._sizes, self._models = device, sizes, tuple(models)
         self._guided, self._reactive = guided, reactive
         self._halo = halo_of(models)
-        self._graphs: OrderedDict[Shape, Graph] = OrderedDict()
+        self._graphs: LRUCache[Shape, Graph] = LRUCache(MOST_GRAPHS)
         self._bands = bands_within(device.scratch, sizes, models)
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
         if self._bands:
@@ -72,7 +73,6 @@ class Frames:
         ready = [one for one in self._graphs if one[0] >= shape[0] and one[1] >= shape[1]
                  and cost(one, count) <= CLOSE * least]
         shape = min(ready, key=lambda one: cost(one, count)) if ready else self._make(shape)
-        self._graphs.move_to_end(shape)
         return band_of(self._sizes, boxes, shape, self._halo)
 
     def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray, keep: bool,
@@ -132,10 +132,7 @@ class Frames:
             grid = self._sizes.grid
             steps = (max(1, side // STEPS // grid) * grid for side in (self._sizes.h, self._sizes.w))
             shape = whole_sides(self._sizes, tuple(map(whole_steps, shape, steps)))
-        if shape not in self._graphs:
-            if len(self._graphs) == MOST_GRAPHS:
-                self._graphs.popitem(last=False)
-            self._graphs[shape] = self._graph_of(shape)
+        self._graphs.get_or_make(shape, partial(self._graph_of, shape))
         return shape
 
     def _graph_of(self, shape: Shape) -> Graph:

@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 
+from postfx.caching import LRUCache
 from postfx.kernels import denoise_layout
 from postfx.kernels.denoise_resize import RESIZE
 from postfx.kernels.resample import RESAMPLE, positions
 from postfx.passes._denoise_window import Rows, Sizes
 from postfx.passes.base import MOST_SIZES
-from postfx.recent import Recent
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
 NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth", "last_reactive": "next_reactive"}
@@ -29,11 +29,11 @@ class Room:
     def __init__(self, device: Device, pixels: int, channels: Mapping[str, int]) -> None:
         self.pixels, self._channels = pixels, channels
         self._memory = {name: _zeros(device, name, (pixels * count,)) for name, count in channels.items()}
-        self._views: Recent[dict[str, Tensor]] = Recent(MOST_SIZES)
+        self._views: LRUCache[Size, dict[str, Tensor]] = LRUCache(MOST_SIZES)
 
     def of(self, size: Size) -> dict[str, Tensor]:
         """The tensors of a frame's size, by the kernels' names; all sizes share the memory."""
-        return self._views.get(size, partial(self._view, size))
+        return self._views.get_or_make(size, partial(self._view, size))
 
     def _view(self, size: Size) -> dict[str, Tensor]:
         return {name: memory.view(name, (*size, self._channels[name])) for name, memory in self._memory.items()}

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from postfx.caching import LRUCache
 from postfx.errors import PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
 from postfx.passes._denoise_budget import Ladder, cost, family
@@ -26,7 +27,6 @@ from postfx.passes._denoise_size import Size, checked_scale, checked_size, outpu
 from postfx.passes._denoise_spared import Spared
 from postfx.passes._denoise_window import Sizes
 from postfx.passes.base import MOST_SIZES, Pass, Reflection, ResidentFrame
-from postfx.recent import Recent
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 PLANES = tuple(ABSENT)
@@ -120,8 +120,8 @@ class DenoiseUpscale(Pass):
                 name_models(device, (model_of(tag, ending, device) for tag in self._tags for ending in endings))
             reactive = self._mask.role(spec) is not None
             self._history = History(device, Sizes(spec.height, spec.width, *size), reactive)
-        self._sizes: Recent[ReadyNetwork | ReadyPlain] = Recent(MOST_SIZES)
-        self._ready = self._sizes.get(spec, partial(self._made_ready, spec))
+        self._sizes: LRUCache[FrameSpec, ReadyNetwork | ReadyPlain] = LRUCache(MOST_SIZES)
+        self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
         super().compile(device, spec)
 
     def resize(self, spec: FrameSpec) -> bool:
@@ -135,7 +135,7 @@ class DenoiseUpscale(Pass):
             self._spared.resized(spec in self._sizes)
             if self._ladder:
                 self._ladder.resized(spec.width * spec.height / (before.width * before.height))
-        self._ready, self._spec = self._sizes.get(spec, partial(self._made_ready, spec)), spec
+        self._ready, self._spec = self._sizes.get_or_make(spec, partial(self._made_ready, spec)), spec
         return True
 
     def _made_ready(self, spec: FrameSpec) -> ReadyNetwork | ReadyPlain:

@@ -12,6 +12,7 @@ import weakref
 from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
+from postfx.caching import LRUCache
 from postfx.runtime.memory import ALIGNMENT
 from postfx.runtime.memory_plan import Plan, Present, Uses, make_plan
 from postfx.runtime.ranges import Ranges
@@ -75,7 +76,7 @@ class Arena:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._plans: dict[tuple, Plan] = {}
+        self._plans: LRUCache[tuple, Plan] = LRUCache(MOST_PLANS)
         self._memory: weakref.ref[Tensor] | None = None
         self._replaced: weakref.ref[Tensor] | None = None
         self._live: weakref.WeakSet[Transient] = weakref.WeakSet()
@@ -142,14 +143,12 @@ class Arena:
         """The plan of all buffers with such records: made for the first of them."""
         sizes = tuple(transient.nbytes for transient in transients)
         key = (sizes, uses, tuple(kept), _order(records))
-        plan = self._plans.pop(key, None)
-        if plan is None:
-            plan = make_plan(sizes, uses, kept, records, self._present(transients))
+
+        def make() -> Plan:
             self.plans += 1
-        self._plans[key] = plan  # the last is the one used last
-        if len(self._plans) > MOST_PLANS:
-            del self._plans[next(iter(self._plans))]
-        return plan
+            return make_plan(sizes, uses, kept, records, self._present(transients))
+
+        return self._plans.get_or_make(key, make)
 
     def _present(self, transients: Iterable[Transient]) -> Present | None:
         """Where the tensors lie now, so that addresses change as little as they can."""

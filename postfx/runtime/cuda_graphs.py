@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any
 
+from postfx.caching import LRUCache
 from postfx.runtime.cuda_driver import checked, driver
 
 MOST = 16
@@ -59,8 +59,8 @@ class CudaGraphs:
 
     def __init__(self, stream: int) -> None:
         self._stream = stream
-        self._known: OrderedDict[Hashable, Graph | None] = OrderedDict()  # None: ran, but was not captured
-        self._refused: OrderedDict[Hashable, None] = OrderedDict()
+        self._known: LRUCache[Hashable, Graph | None] = LRUCache(MOST)  # None: ran, but was not captured
+        self._refused: LRUCache[Hashable, None] = LRUCache(MOST)
         self.capturing = False
 
     def replay(self, key: Hashable, kept: Any, enqueue: Callable[[], Any]) -> Any:
@@ -68,13 +68,13 @@ class CudaGraphs:
         if key in self._refused:
             return None
         if key not in self._known:
-            _remember(self._known, key, None)
+            self._known[key] = None
             return None
         graph = self._known[key] or self._capture(enqueue, kept)
         if graph is None:
-            _remember(self._refused, key, None)
+            self._refused[key] = None
             return None
-        _remember(self._known, key, graph)
+        self._known[key] = graph
         graph.launch(self._stream)
         return graph.result
 
@@ -93,11 +93,3 @@ class CudaGraphs:
             return None
         graph = Graph(captured, result, kept)
         return graph if result is not None else None
-
-
-def _remember(cache: OrderedDict, key: Hashable, value: Any) -> None:
-    """Put an entry last, and drop those that were not used for longest."""
-    cache[key] = value
-    cache.move_to_end(key)
-    while len(cache) > MOST:
-        cache.popitem(last=False)
