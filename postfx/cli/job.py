@@ -22,9 +22,8 @@ from postfx.cli.summary import Explanation, FrameProgress, Report, guides_in
 from postfx.errors import PassOptionError, WriteError
 from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
 from postfx.frame import Frame
-from postfx.io.ahead import WriteBehind, read_ahead
 from postfx.io.output import Existing, OutputFiles
-from postfx.io.retry import read_patiently
+from postfx.io.prefetch import WriteBehind, read_ahead, read_patiently
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
 from postfx.kernels.numeric import is_first_run

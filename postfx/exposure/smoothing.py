@@ -11,7 +11,7 @@ import numpy as np
 from postfx.errors import PostfxError
 from postfx.exposure.metering import frame_rate, measure
 from postfx.frame import Frame, Role
-from postfx.io.ahead import read_ahead
+from postfx.io.prefetch import read_ahead
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence as FrameSequence

@@ -10,8 +10,7 @@ from itertools import takewhile
 from postfx.cuts import CutDetector
 from postfx.errors import PostfxError
 from postfx.frame import Frame
-from postfx.io.ahead import read_ahead
-from postfx.io.retry import read_patiently
+from postfx.io.prefetch import read_ahead, read_patiently
 from postfx.io.sequence import Sequence
 from postfx.temporal.reverse_motion import reverse_motion
 

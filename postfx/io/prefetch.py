@@ -1,10 +1,30 @@
-"""Reading the next frame and writing the last one while the current one is worked on."""
+"""Reading ahead, writing behind and retrying reads, so that disks and file servers do not hold up the passes."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
+
+from postfx.errors import ReadError
+
+Result = TypeVar("Result")
+
+PAUSES = (0.1, 0.4)
+"""Seconds before the second and the third try."""
+
+
+def read_patiently(read: Callable[[], Result], failed: Callable[[ReadError], None] = lambda error: None) -> Result:
+    """What `read` gives. A ReadError is told to `failed` and `read` called again, twice at most; then it is raised."""
+    for pause in PAUSES:
+        try:
+            return read()
+        except ReadError as error:
+            failed(error)
+            time.sleep(pause)
+    return read()
+
 
 Item = TypeVar("Item")
 Content = TypeVar("Content")
