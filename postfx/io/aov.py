@@ -14,8 +14,8 @@ from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.area import Area, area_of, camera_over
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.io.depth import DepthOption
-from postfx.io.exr import ImageFile
 from postfx.io.guides import GuideLayout, drop_smaller_planes, larger_planes, planes_that_guide
+from postfx.io.image_file import ImageFile
 from postfx.io.layout import Header, Layout, Match, make_layout
 from postfx.io.left_alone import LeftAlone
 from postfx.io.part import AREA

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.io.exr import ImageFile
+from postfx.io.image_file import ImageFile
 from postfx.io.part import Part
 from postfx.io.profile import load_profile
 

@@ -21,11 +21,11 @@ import numpy as np
 
 from postfx.files import beside
 from postfx.frame import Frame
-from postfx.io.container.chunks import ExrContainer
-from postfx.io.container.header import PIXEL_BYTES, SCANLINES, TILES, Header, pack_channels
-from postfx.io.container.scanlines import ZIP, ZIP_LINES, Rows, zip_chunks
-from postfx.io.container.write import NewPart, write_container
-from postfx.io.exr import ImageFile
+from postfx.io.exr.chunks import ExrContainer
+from postfx.io.exr.header import PIXEL_BYTES, SCANLINES, TILES, Header, pack_channels
+from postfx.io.exr.scanlines import ZIP, ZIP_LINES, Rows, zip_chunks
+from postfx.io.exr.write import NewPart, write_container
+from postfx.io.image_file import ImageFile
 from postfx.io.metadata import is_outdated
 from postfx.io.part import PICTURE
 from postfx.stored import Stored

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from postfx.errors import SequenceError
 from postfx.io.channels import COLOUR_FILES, is_plane_word
-from postfx.io.exr import READABLE
+from postfx.io.image_file import READABLE
 from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_pattern, pattern_of, patterns_in
 
 

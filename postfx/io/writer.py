@@ -18,7 +18,7 @@ from postfx.frame import LINEAR, Frame, Role
 from postfx.io.dither import Dither, quantise
 from postfx.io.encoders import encode
 from postfx.io.ends import has_end
-from postfx.io.exr import reason_of
+from postfx.io.image_file import reason_of
 from postfx.io.kept import add_rest
 from postfx.io.light import halves, light_of
 from postfx.io.metadata import kept_attributes, set_attributes

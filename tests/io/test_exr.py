@@ -7,7 +7,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MissingFrameError, ReadError
-from postfx.io.exr import ImageFile
+from postfx.io.image_file import ImageFile
 
 
 def test_reads_only_the_named_channels(write_exr, ramp):

@@ -13,8 +13,8 @@ import pytest
 from postfx.frame import ROLES, Frame, Role
 from postfx.io import encoders, writer
 from postfx.io import planes as planes_of_files
-from postfx.io.container import scanlines
 from postfx.io.convert import Camera, convert
+from postfx.io.exr import scanlines
 from postfx.io.profile import load_profile
 from postfx.io.sequence import Sequence
 from postfx.system import Scratch

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from postfx.io.container.header import (
+from postfx.io.exr.header import (
     DEEP,
     DEEP_SCANLINES,
     DEEP_TILES,

@@ -11,7 +11,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from postfx.errors import ReadError
-from postfx.io.container.header import (
+from postfx.io.exr.header import (
     DEEP_SCANLINES,
     MULTI_PART,
     PART_TYPES,

@@ -1,13 +1,9 @@
-"""Reading image files: which channels a file holds, and only the wanted ones as arrays.
-
-Single-part and multi-part OpenEXR files (half, float, scanline, tiled, mip-mapped) and Radiance HDR are read through
-OpenImageIO. Deep parts are left out. Every plane is brought to one rectangle, the display window and overscan: pixels
-outside the data window get a fill value.
-"""
+"""Reading image files: which channels a file holds, and only the wanted ones as arrays."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +13,42 @@ import OpenImageIO as oiio
 
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
-from postfx.io.claims import check_claims
+from postfx.io.exr.chunks import MAX_SIDE, ExrContainer
 from postfx.io.part import Part, Window, own_windows, part_of, some_rows, to_area
+
+_HDR_STARTS = (b"#?RADIANCE", b"#?RGBE")
+_HDR_HEADER = 64 << 10  # bytes within which the size has to stand
+_HDR_SIZE = re.compile(rb"\n[-+][XY] +(\d{1,9}) +[-+][XY] +(\d{1,9})\n")
+_HDR_GROWS = 64  # runs of 127 bytes lie in 2
+
+
+def check_claims(path: Path) -> None:
+    """ReadError for a file that cannot be read, is neither OpenEXR nor Radiance HDR, or claims more pixels than its
+    bytes can hold. By its first bytes, whatever its name."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(_HDR_HEADER)
+            size = file.seek(0, 2)
+        if not start:
+            raise ReadError(f"{path}: is empty: render or copy this frame again")
+        if start.startswith(_HDR_STARTS):
+            _check_hdr(path, start, size)
+        else:
+            with ExrContainer(path):
+                pass
+    except OSError as error:
+        raise ReadError(f"{path}: cannot be read: {error.strerror or error}; check the file's rights") from error
+
+
+def _check_hdr(path: Path, start: bytes, size: int) -> None:
+    found = _HDR_SIZE.search(start)
+    if found is None:
+        raise ReadError(f"{path}: broken file: its header has no size; render or copy this frame again")
+    sides = int(found[1]), int(found[2])
+    if max(sides) > MAX_SIDE or 4 * sides[0] * sides[1] > _HDR_GROWS * size:
+        raise ReadError(f"{path}: broken file: its header claims {sides[1]}x{sides[0]} pixels in {size} bytes; "
+                        "render or copy this frame again")
+
 
 READABLE = (".exr", ".hdr")
 _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
