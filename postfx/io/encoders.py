@@ -13,9 +13,8 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.io.ends import has_end
-from postfx.io.exr.header import PIXEL_BYTES, read_headers
-from postfx.io.exr.scanlines import ZIP_LINES, zip_chunks
-from postfx.io.exr.write import NewPart, write_container
+from postfx.io.exr.container import PIXEL_BYTES, NewPart, read_headers, write_container
+from postfx.io.exr.zip import ZIP_LINES, zip_chunks
 from postfx.io.png import write_png
 from postfx.io.tags import JPEG
 from postfx.io.windows import Pixels

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from postfx.errors import ReadError
-from postfx.io.exr.chunks import ExrContainer
+from postfx.io.exr.container import ExrContainer
 
 _ENDS = {".png": b"\0\0\0\0IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 _TIFF = {b"II*\0": "<HI", b"MM\0*": ">HI", b"II+\0": "<QQ", b"MM\0+": ">QQ"}

@@ -1,4 +1,10 @@
-"""Reading image files: which channels a file holds, and only the wanted ones as arrays."""
+"""Reading image files: which channels a file holds, and only the wanted ones as arrays.
+
+Single-part and multi-part OpenEXR files (half, float, scanline, tiled, mip-mapped) and Radiance HDR are read through
+OpenImageIO. Deep parts are left out. Every plane is brought to one rectangle, the display window and overscan: pixels
+outside the data window get a fill value. Decoders get a file only after its claims are checked, because they make room
+for what a header says before they see how little follows.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +19,11 @@ import OpenImageIO as oiio
 
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
-from postfx.io.exr.chunks import MAX_SIDE, ExrContainer
+from postfx.io.exr.container import MAX_SIDE, ExrContainer
 from postfx.io.part import Part, Window, own_windows, part_of, some_rows, to_area
 
+READABLE = (".exr", ".hdr")
+_STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
 _HDR_STARTS = (b"#?RADIANCE", b"#?RGBE")
 _HDR_HEADER = 64 << 10  # bytes within which the size has to stand
 _HDR_SIZE = re.compile(rb"\n[-+][XY] +(\d{1,9}) +[-+][XY] +(\d{1,9})\n")
@@ -48,10 +56,6 @@ def _check_hdr(path: Path, start: bytes, size: int) -> None:
     if max(sides) > MAX_SIDE or 4 * sides[0] * sides[1] > _HDR_GROWS * size:
         raise ReadError(f"{path}: broken file: its header claims {sides[1]}x{sides[0]} pixels in {size} bytes; "
                         "render or copy this frame again")
-
-
-READABLE = (".exr", ".hdr")
-_STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
 
 
 class ImageFile:

@@ -18,8 +18,8 @@ from postfx.frame import LINEAR, Frame, Role
 from postfx.io.dither import Dither, quantise
 from postfx.io.encoders import encode
 from postfx.io.ends import has_end
+from postfx.io.exr.passthrough import add_rest
 from postfx.io.image_file import reason_of
-from postfx.io.kept import add_rest
 from postfx.io.light import halves, light_of
 from postfx.io.metadata import kept_attributes, set_attributes
 from postfx.io.tags import JPEG, tag_codes, tag_light
@@ -64,9 +64,9 @@ def write_frame(
     EXR holds linear light (a display-encoded frame is decoded, in its display's primaries, 1 is white), half floats
     unless `half` is False, ZIP compression, the input's windows scaled to the frame's size and its useful header
     attributes; beside scene-linear colour also an overlay that was not composited, as a layer of that name; with `keep`
-    also everything else that the frame's source holds, see `postfx.io.kept`. Other files hold code values within the
-    display window: JPEG and PNG 8 bits, dithered (`dither`: moving, static or none), TIFF and PNG for HDR displays 16
-    bits. They are tagged with the display that they are for, see `postfx.io.tags`. Linear frames are clipped to 0..1
+    also everything else that the frame's source holds, see `postfx.io.exr.passthrough`. Other files hold code values
+    within the display window: JPEG and PNG 8 bits, dithered (`dither`: moving, static or none), TIFF and PNG for HDR
+    displays 16 bits. They are tagged with the display that they are for, see `postfx.io.tags`. Linear frames are clipped to 0..1
     there and encoded as sRGB, so tone-map them first. The file appears under its name only when it is complete; folders
     are made. `relax` is called again and again meanwhile. `provenance` are attributes for an EXR header that tell how
     the frame came about.

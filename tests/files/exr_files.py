@@ -10,9 +10,7 @@ import numpy as np
 import OpenEXR
 import OpenImageIO as oiio
 
-from postfx.io.exr.chunks import ExrContainer
-from postfx.io.exr.header import Header
-from postfx.io.exr.write import NewPart, write_container
+from postfx.io.exr.container import ExrContainer, Header, NewPart, write_container
 
 WIDTH, HEIGHT = 37, 41
 COMPRESSIONS = {name: getattr(OpenEXR, f"{name}_COMPRESSION") for name in

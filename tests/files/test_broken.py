@@ -13,9 +13,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MissingFrameError, ReadError, SequenceError
-from postfx.io.exr.chunks import ExrContainer
-from postfx.io.exr.header import Header
-from postfx.io.exr.write import NewPart, write_container
+from postfx.io.exr.container import ExrContainer, Header, NewPart, write_container
 from postfx.io.sequence import read_sequence
 from tests.files.exr_files import write_deep, write_mixed, write_studio
 

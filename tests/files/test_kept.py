@@ -12,7 +12,7 @@ import pytest
 
 from postfx.errors import ReadError
 from postfx.frame import Frame, Role
-from postfx.io.exr.chunks import ExrContainer
+from postfx.io.exr.container import ExrContainer
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import is_complete, write_frame
 from tests.files.exr_files import (

@@ -235,7 +235,7 @@ def test_errors_of_a_disk_while_reading_are_told(shot, monkeypatch: pytest.Monke
     def fail(*_: object) -> bytes:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr("postfx.io.exr.chunks.read_headers", fail)
+    monkeypatch.setattr("postfx.io.exr.container.read_headers", fail)
     with pytest.raises(ReadError, match=r"shot\.0001\.exr: cannot be read: Input/output error"):
         list(read_sequence(folder))
 

@@ -15,7 +15,7 @@ from postfx.errors import CheckpointError, ManifestError, PostfxError, SequenceE
 from postfx.frame import Role
 from postfx.io.aov import FrameFiles
 from postfx.io.depth import parse_depth
-from postfx.io.exr.chunks import ExrContainer
+from postfx.io.exr.container import ExrContainer
 from postfx.io.pattern import number_in_name, parse_frames, parse_pattern, pattern_of
 from postfx.io.profile import BUILTIN, load_profile
 from postfx.io.sequence import Sequence

@@ -14,7 +14,7 @@ from postfx.frame import ROLES, Frame, Role
 from postfx.io import encoders, writer
 from postfx.io import planes as planes_of_files
 from postfx.io.convert import Camera, convert
-from postfx.io.exr import scanlines
+from postfx.io.exr import zip as exr_zip
 from postfx.io.profile import load_profile
 from postfx.io.sequence import Sequence
 from postfx.system import Scratch
@@ -101,7 +101,7 @@ def test_files_written_in_pieces_are_the_same_bytes(
     whole = writer.write_frame(tmp_path / "whole" / name, frame)
     calls = []
     monkeypatch.setattr(encoders, "_PIECE", 1)
-    monkeypatch.setattr(scanlines, "_PIECE", 1)
+    monkeypatch.setattr(exr_zip, "_PIECE", 1)
     pieces = writer.write_frame(tmp_path / "pieces" / name, frame, relax=lambda: calls.append(1))
     one, other = (oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT) for path in (whole, pieces))
     np.testing.assert_array_equal(one, other)

@@ -1,1 +1,1 @@
-"""OpenEXR files as what they are made of: headers of attributes, and chunks of pixels that need not be decoded."""
+"""The OpenEXR format itself: containers, ZIP compression, and the passthrough of what a render holds beside the picture."""

@@ -1,6 +1,6 @@
-"""Chunks of ZIP-compressed scanlines out of channels as they are stored.
+"""ZIP-compressed scanline chunks, made from channels in their stored formats.
 
-The compression, as OpenEXR's ImfZip.cpp has it: bytes in even places before those in odd ones, then differences of
+The compression, as OpenEXR's ImfZip.cpp defines it: bytes in even places before those in odd ones, then differences of
 neighbours, then DEFLATE; a chunk that does not get smaller is stored as it is. DEFLATE is ISA-L's.
 """
 

@@ -1,4 +1,4 @@
-"""What the input holds beside the picture, bit for bit in the output: channels, parts and header attributes.
+"""Everything that the input holds beside the picture, bit for bit in the output: channels, parts and attributes.
 
 The picture is always R, G, B (and A) of a part with the attribute `postfx:picture`. Where it has the input's size and
 windows, and the input's colour is R, G, B of one part, it takes their place, and the part's other channels are written
@@ -7,8 +7,8 @@ their own pixels and size, the render's colour among them; so a larger picture l
 Parts that need not be written again, deep ones included, are copied as they are stored.
 
 A file has one display window, pixel aspect, time code and set of primaries. Where those of the picture differ, a part's
-own are kept under the name with `render:` before it; so is what is no longer true of a picture (its jitter, samples a
-pixel, a cut) in the part that it shares with other channels.
+own are kept under the name with `render:` before it. So are attributes that are no longer true of the picture (jitter,
+samples per pixel, a cut) in the part that it shares with other channels.
 """
 
 from __future__ import annotations
@@ -21,10 +21,17 @@ import numpy as np
 
 from postfx.files import beside
 from postfx.frame import Frame
-from postfx.io.exr.chunks import ExrContainer
-from postfx.io.exr.header import PIXEL_BYTES, SCANLINES, TILES, Header, pack_channels
-from postfx.io.exr.scanlines import ZIP, ZIP_LINES, Rows, zip_chunks
-from postfx.io.exr.write import NewPart, write_container
+from postfx.io.exr.container import (
+    PIXEL_BYTES,
+    SCANLINES,
+    TILES,
+    ExrContainer,
+    Header,
+    NewPart,
+    pack_channels,
+    write_container,
+)
+from postfx.io.exr.zip import ZIP, ZIP_LINES, Rows, zip_chunks
 from postfx.io.image_file import ImageFile
 from postfx.io.metadata import is_outdated
 from postfx.io.part import PICTURE
