@@ -18,10 +18,10 @@ from postfx.io.guides import GuideLayout, drop_smaller_planes, larger_planes, pl
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Header, Layout, Match, make_layout
 from postfx.io.left_alone import LeftAlone
-from postfx.io.part import AREA
 from postfx.io.planes import read_planes
 from postfx.io.profile import load_profile
 from postfx.io.transparents import take_opaque_colour
+from postfx.io.windows import AREA
 from postfx.stored import Stored
 from postfx.strength.entries import Entry
 from postfx.system import Scratch

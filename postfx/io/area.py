@@ -8,7 +8,7 @@ from typing import NamedTuple
 from postfx.frame import Role
 from postfx.io.convert import Camera
 from postfx.io.layout import Layout
-from postfx.io.part import Window
+from postfx.io.windows import Window
 
 
 class Area(NamedTuple):

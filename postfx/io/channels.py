@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.io.image_file import ImageFile
-from postfx.io.part import Part
 from postfx.io.profile import load_profile
+from postfx.io.windows import Part
 
 COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image", "noisy")
 """Words that stand for the colour plane where every plane has its own file."""

@@ -20,7 +20,7 @@ import OpenImageIO as oiio
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
 from postfx.io.exr.container import MAX_SIDE, ExrContainer
-from postfx.io.part import Part, Window, own_windows, part_of, some_rows, to_area
+from postfx.io.windows import Part, Window, own_windows, part_of, some_rows, to_area
 
 READABLE = (".exr", ".hdr")
 _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}

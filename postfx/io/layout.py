@@ -14,8 +14,8 @@ from postfx.frame import Role
 from postfx.io.channels import Channel, ChannelIndex
 from postfx.io.convert import Camera
 from postfx.io.depth import DepthOption, missing_error, missing_number
-from postfx.io.part import PICTURE
 from postfx.io.profile import PlaneRule, Profile, load_profile, profile_names
+from postfx.io.windows import PICTURE
 
 _PICTURE_RULES = (
     PlaneRule(Role.COLOUR, ("",), (("R", "G", "B"),)),

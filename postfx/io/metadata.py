@@ -10,7 +10,7 @@ from typing import Any
 import OpenImageIO as oiio
 
 from postfx.frame import Frame
-from postfx.io.part import AREA, EXR_NAMES
+from postfx.io.windows import AREA, EXR_NAMES
 
 _OUTDATED = (
     "postfx:jitter", "postfx:models", "postfx:reset", "postfx:settings", "postfx:spp", "postfx:version", "preview",

@@ -1,15 +1,170 @@
-"""Windows of what is written: those of the input, scaled to the output's size."""
+"""Rectangles: the windows of parts that are read, and those of what is written, scaled to the output's size."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
+import OpenImageIO as oiio
 
 from postfx.frame import Frame
-from postfx.io.part import AREA, Window
+
+EXR_NAMES = {
+    "Copyright": "owner",
+    "DateTime": "capDate",
+    "ExposureTime": "expTime",
+    "FramesPerSecond": "framesPerSecond",
+    "PixelAspectRatio": "pixelAspectRatio",
+    "smpte:TimeCode": "timeCode",
+    "smpte:KeyCode": "keyCode",
+}
+"""OpenImageIO's names of standard OpenEXR attributes -> OpenEXR's own, which are used everywhere else here."""
+
+
+_TALL = ("dwab", "htj2k")
+"""Compressions with chunks of up to 256 rows; those of the others divide 32."""
+
+
+PICTURE = "postfx:picture"
+"""Attribute of the part whose R, G, B and A are the result, so that these are read and not the render beside them."""
+
+
+AREA = "postfx:area"
+"""Key of a frame's metadata: the rectangle that its planes cover, overscan included, like a window."""
+
+
+class Window(NamedTuple):
+    """Pixel rectangle, bounds included, y down."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @property
+    def width(self) -> int:
+        return self.x1 - self.x0 + 1
+
+    @property
+    def height(self) -> int:
+        return self.y1 - self.y0 + 1
+
+    def holds(self, other: Window) -> bool:
+        """Whether another rectangle lies within this one."""
+        return self.x0 <= other.x0 and self.y0 <= other.y0 and self.x1 >= other.x1 and self.y1 >= other.y1
+
+    def around(self, other: Window) -> Window:
+        """The smallest rectangle that holds both."""
+        least, most = map(min, self[:2], other[:2]), map(max, self[2:], other[2:])
+        return Window(*least, *most)
+
+    def common(self, other: Window) -> Window | None:
+        """What lies within both; None where that is nothing."""
+        found = Window(*map(max, self[:2], other[:2]), *map(min, self[2:], other[2:]))
+        return found if found.width > 0 and found.height > 0 else None
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One part (sub-image) of a file.
+
+    `formats` are those of the channels: half, float or uint. Whole chunks lie in every `chunk` rows. Planes are read as
+    they lie in `area`: the display window, or more where there is overscan.
+    """
+
+    index: int
+    name: str
+    view: str
+    channels: tuple[str, ...]
+    formats: tuple[str, ...]
+    chunk: int
+    data: Window
+    display: Window
+    attributes: Mapping[str, Any]
+    area: Window
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether its R, G, B (and A) are a picture that postfx wrote."""
+        return PICTURE in self.attributes
+
+
+def to_area(pixels: np.ndarray, part: Part, fill: float) -> np.ndarray:
+    """(data height, data width) -> (area height, area width); pixels without data become `fill`."""
+    data, area = part.data, part.area
+    if data == area:
+        return pixels
+    result = np.full((area.height, area.width), fill, pixels.dtype)
+    if inside := data.common(area):
+        result[_slices(inside, area)] = pixels[_slices(inside, data)]
+    return result
+
+
+def some_rows(part: Part, first: int, last: int) -> Part:
+    """A part of which only these rows of the area are looked at."""
+    data, area = part.data, part.area
+    area = area._replace(y0=part.area.y0 + first, y1=part.area.y0 + last - 1)
+    top, bottom = max(data.y0, area.y0), min(data.y1, area.y1)
+    return replace(part, area=area, data=data._replace(y0=top, y1=max(bottom, top - 1)))
+
+
+def own_windows(parts: list[Part]) -> tuple[Part, ...]:
+    """The parts, each with a display window and area of its own where they hold the picture at two sizes.
+
+    OpenEXR wants one display window in all parts of a file, so it is that of the smaller or of the larger picture.
+    """
+    windows = sorted({part.data for part in parts}, key=lambda window: window.width)
+    two_sizes = len(windows) == 2 and _is_enlarged(*windows) and all(part.display in windows for part in parts)
+    return tuple(replace(part, display=part.data, area=part.data) if two_sizes else part for part in parts)
+
+
+def _is_enlarged(small: Window, large: Window) -> bool:
+    """Whether a window is another one enlarged up to 3 times, to the pixel, with the same origin."""
+    sides = ((large.width, small.width), (large.height, small.height))
+    least, most = max((outer - 1) / side for outer, side in sides), min((outer + 1) / side for outer, side in sides)
+    enlarged = all(outer > side for outer, side in sides) and least <= min(most, 3)
+    return enlarged and (small.x0, small.y0) == (large.x0, large.y0)
+
+
+def part_of(index: int, spec: oiio.ImageSpec) -> Part:
+    attributes = {EXR_NAMES.get(entry.name, entry.name): entry.value for entry in spec.extra_attribs}
+    if "framesPerSecond" in attributes:
+        attributes["framesPerSecond"] = _quotient(attributes["framesPerSecond"])
+    display = _window(spec.full_x, spec.full_y, spec.full_width, spec.full_height)
+    return Part(
+        index=index,
+        name=str(attributes.get("oiio:subimagename", "")),
+        view=str(attributes.get("view", "")),
+        channels=tuple(spec.channelnames),
+        formats=tuple(str(spec.channelformat(channel)) for channel in range(spec.nchannels)),
+        chunk=spec.tile_height or (256 if str(attributes.get("compression")).startswith(_TALL) else 32),
+        data=_window(spec.x, spec.y, spec.width, spec.height),
+        display=display,
+        attributes=attributes,
+        area=display,
+    )
+
+
+def _slices(window: Window, outer: Window) -> tuple[slice, slice]:
+    """Rows and columns of a rectangle in an array that covers another one."""
+    x, y = window.x0 - outer.x0, window.y0 - outer.y0
+    return slice(y, y + window.height), slice(x, x + window.width)
+
+
+def _quotient(rational: Any) -> float:
+    try:
+        numerator, denominator = rational if isinstance(rational, tuple) else (rational, 1)
+        return numerator / denominator if denominator else 0.0
+    except (TypeError, ValueError):  # it is stored as something else
+        return 0.0
+
+
+def _window(x: int, y: int, width: int, height: int) -> Window:
+    return Window(x, y, x + width - 1, y + height - 1)
+
 
 Pixels = Callable[[slice], np.ndarray]
 """Rows -> pixels (rows, width, channels) as they are stored."""

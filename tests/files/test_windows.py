@@ -14,9 +14,8 @@ import pytest
 from postfx.depth import depth_from_ray
 from postfx.frame import Frame, Role
 from postfx.io.aov import FrameFiles
-from postfx.io.part import Window
 from postfx.io.sequence import read_sequence
-from postfx.io.windows import output_windows
+from postfx.io.windows import Window, output_windows
 from postfx.io.writer import is_complete, write_frame
 
 GREY = dict.fromkeys("RGB", np.full((6, 8), 0.5, np.float32))

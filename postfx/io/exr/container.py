@@ -15,7 +15,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from postfx.errors import ReadError
-from postfx.io.part import Window
+from postfx.io.windows import Window
 
 MAGIC = 20000630
 VERSION = 2

@@ -34,7 +34,7 @@ from postfx.io.exr.container import (
 from postfx.io.exr.zip import ZIP, ZIP_LINES, Rows, zip_chunks
 from postfx.io.image_file import ImageFile
 from postfx.io.metadata import is_outdated
-from postfx.io.part import PICTURE
+from postfx.io.windows import PICTURE
 from postfx.stored import Stored
 
 RENDER = "render:"

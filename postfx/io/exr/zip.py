@@ -14,7 +14,7 @@ import numpy as np
 import OpenImageIO as oiio
 from isal import isal_zlib
 
-from postfx.io.part import Window
+from postfx.io.windows import Window
 from postfx.kernels.storing import part
 
 ZIP = 3
