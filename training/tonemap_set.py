@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 
 from postfx.colour.primaries import LINEAR_SPACES, REC709, matrix_between
-from postfx.io.colourspace import InputColours
+from postfx.io.convert import InputColours
 from training.charts import hue_chart, ramp
 from training.looks import Look, describe, exact_target, look_from
 from training.panorama import perspective

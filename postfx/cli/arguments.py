@@ -24,7 +24,7 @@ def count(text: str) -> int:
 
 
 def add_depth(parser: argparse._ActionsContainer) -> None:
-    """Add --depth, the text for `postfx.io.depth.parse_depth`."""
+    """Add --depth, the text for `postfx.io.convert.parse_depth`."""
     parser.add_argument(
         "--depth", metavar="KIND[,NAME=NUMBER]", help="what the depth plane holds: planar, ray, device, reversed, "
         "normalised or normalised-reversed, and near, far, fov, miss, scale; e.g. reversed,near=0.1 (default: by the "

@@ -12,11 +12,10 @@ import numpy as np
 from postfx.errors import MissingPlaneError
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.area import Area, area_of, camera_over
-from postfx.io.channels import Channel, ChannelIndex
-from postfx.io.depth import DepthOption
+from postfx.io.convert import DepthOption
 from postfx.io.guides import GuideLayout, drop_smaller_planes, larger_planes, planes_that_guide
 from postfx.io.image_file import ImageFile
-from postfx.io.layout import Header, Layout, Match, make_layout
+from postfx.io.layout import Channel, ChannelIndex, Header, Layout, Match, make_layout
 from postfx.io.left_alone import LeftAlone
 from postfx.io.planes import read_planes
 from postfx.io.profile import load_profile

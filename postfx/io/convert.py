@@ -1,14 +1,19 @@
-"""Bringing stored planes to postfx's one convention, as a profile's rules say."""
+"""Stored values to postfx's one convention: planes by a profile's rules, depth by `--depth`, colours to linear Rec.709.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from postfx.colour.primaries import LINEAR_SPACES, REC709, Chromaticities, are_same, matrix_between, name_of
 from postfx.depth import depth_from_device, depth_from_normalised, depth_from_ray, normals_to_world
-from postfx.frame import DEPTH_MISS, Role
+from postfx.errors import ColourError, DepthOptionError, ProfileError
+from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.io.profile import PlaneRule
 
 
@@ -106,3 +111,178 @@ def _empty(rule: PlaneRule) -> float:
 def _motion_pixels(plane: np.ndarray, unit: str, width: int, height: int) -> np.ndarray:
     size = {"pixels": None, "uv": (width, height), "ndc": (width / 2, height / 2)}[unit]
     return plane if size is None else plane * np.float32(size)
+
+
+KINDS = {
+    "planar": ("planar", False),
+    "ray": ("ray", False),
+    "device": ("device", False),
+    "reversed": ("device", True),
+    "normalised": ("normalised", False),
+    "normalised-reversed": ("normalised", True),
+}
+"""Words of `--depth` -> kind of the plane, and whether near is 1 instead of 0."""
+
+_NUMBERS = ("near", "far", "fov", "miss", "scale")
+_ENDLESS = ("far", "miss")
+
+
+@dataclass(frozen=True)
+class DepthOption:
+    """What a depth plane holds. Numbers that are None come from headers or the profile.
+
+    Attributes:
+        kind: planar, ray, device or normalised, as in profiles.
+        reversed: whether device or normalised depth is 1 at the near plane.
+        near, far: distances of the planes; without a far plane of a device it is infinitely far.
+        fov: horizontal field of view in degrees, for ray distance.
+        miss: stored value of pixels that hit nothing.
+        scale: factor of stored values, such as -1 for the z of a camera that looks along -z.
+    """
+
+    kind: str
+    reversed: bool
+    near: float | None = None
+    far: float | None = None
+    fov: float | None = None
+    miss: float | None = None
+    scale: float | None = None
+
+    def rule(self, rule: PlaneRule) -> PlaneRule:
+        """A profile's rule for depth, with this in place of its own meaning."""
+        scale = (1.0,) if self.scale is None else (self.scale,)
+        return replace(rule, kind=self.kind, reversed=self.reversed, miss=self.miss, scale=scale, offset=(0.0,))
+
+    def camera(self, camera: Camera) -> Camera:
+        """A header's camera, with the numbers given here in place of its own."""
+        given = {"near": self.near, "far": self.far, "fov_x": self.fov}
+        return replace(camera, **{name: value for name, value in given.items() if value is not None})
+
+
+def parse_depth(text: str) -> DepthOption:
+    """Option of a text: one of `KINDS`, then near=, far=, fov= (degrees), miss= or scale=, parted by commas.
+
+    'reversed,near=0.1' is a reversed depth buffer with an infinite far plane, 'device,near=0.1,far=100' a usual one,
+    'ray,fov=54.4,miss=0' the distance from the eye. Raises DepthOptionError for anything else.
+    """
+    kind, *pairs = [word.strip() for word in text.split(",")]
+    if kind not in KINDS:
+        raise DepthOptionError(f"depth '{text}': begin with {', '.join(KINDS)}")
+    numbers: dict[str, float] = {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        if name in numbers:
+            raise DepthOptionError(f"depth '{text}': {name} is given twice: give it once")
+        try:
+            numbers[name] = float(value)
+        except ValueError:
+            raise DepthOptionError(f"depth '{text}': '{pair}' is not a number after {'=, '.join(_NUMBERS)}=") from None
+        endless = math.isinf(numbers[name]) and name in _ENDLESS
+        if not (math.isfinite(numbers[name]) or endless) or (name == "scale" and not numbers[name]):
+            raise DepthOptionError(f"depth '{text}': {name} cannot be {value}")
+    unknown = sorted(set(numbers) - set(_NUMBERS))
+    if unknown:
+        raise DepthOptionError(f"depth '{text}': unknown '{unknown[0]}': use {', '.join(_NUMBERS)}")
+    return DepthOption(*KINDS[kind], **numbers)
+
+
+def missing_number(rule: PlaneRule, camera: Camera) -> str | None:
+    """What is needed to convert a depth plane and not known: 'near', 'far' or 'fov'; None when nothing is."""
+    if rule.kind == "ray":
+        return "fov" if camera.fov_x is None else None
+    if rule.kind in ("device", "normalised") and camera.near is None:
+        return "near"
+    return "far" if rule.kind == "normalised" and camera.far is None else None
+
+
+def missing_error(path: object, names: str, rule: PlaneRule, number: str) -> ProfileError:
+    """Error that says what a depth plane needs and where to give it."""
+    meaning = {"ray": "distance from the eye", "device": "a depth buffer", "normalised": "normalised"}[rule.kind]
+    wanted = {"near": "near plane", "far": "far plane", "fov": "horizontal field of view"}[number]
+    key = "fov_x" if number == "fov" else number
+    return ProfileError(
+        f"{path}: plane 'depth' ({names}) is {meaning} and its {wanted} is not known: "
+        f"give {number}= after --depth, {key} under [camera] in a profile, or the header postfx:{_header(key)}"
+    )
+
+
+def _header(key: str) -> str:
+    return "fovX" if key == "fov_x" else key
+
+
+NATIVE = "native"
+_INTEROP = {
+    "lin_rec709_scene": "rec709",
+    "lin_p3d65_scene": "p3",
+    "lin_rec2020_scene": "rec2020",
+    "lin_ap1_scene": "acescg",
+    "lin_ap0_scene": "aces2065-1",
+}
+"""Identifiers of the Color Interop Forum, header colorInteropID."""
+_REFLECTANCES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+_LIGHTS = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.OVERLAY)
+_PIECE = 256  # rows
+_LARGEST = 1e30
+
+
+@dataclass(frozen=True)
+class InputColours:
+    """What is known of the colours of files, and what is to become of them.
+
+    Attributes:
+        declared: the user's word, which counts more than headers; None: headers say it, and without any it is Rec.709,
+            as OpenEXR has it.
+        native: leave them as they are.
+    """
+
+    declared: Chromaticities | None = None
+    native: bool = False
+
+    def primaries(self, attributes: Mapping[str, Any]) -> Chromaticities:
+        """Primaries of files with such a header, by chromaticities or, without those, by colorInteropID."""
+        found = attributes.get("chromaticities")
+        if self.declared:
+            return self.declared
+        if np.size(found) == 8 and np.isfinite(found).all():
+            return next((own for own in LINEAR_SPACES.values() if are_same(own, found)), tuple(map(float, found)))
+        return LINEAR_SPACES[_INTEROP.get(str(attributes.get("colorInteropID")), "rec709")]
+
+    def warnings(self, attributes: Mapping[str, Any]) -> list[str]:
+        """What the user should know of files with such a header."""
+        primaries = self.primaries(attributes)
+        if primaries == REC709:
+            return []
+        kept = "kept as they are" if self.native else "turned to linear Rec.709"
+        return [f"colours are {name_of(primaries) or 'of primaries without a name'}: {kept}"]
+
+    def apply(self, frame: Frame) -> None:
+        """Turn a frame's colours and reflectances, guides included, in place; its header says what they are then.
+
+        Light outside the gamut of Rec.709 becomes negative there and is kept; reflectances are cut at 0.
+        """
+        primaries = self.primaries(frame.metadata)
+        converted = primaries != REC709 and not self.native
+        if converted:
+            matrix = np.float32(matrix_between(primaries, REC709))
+            for planes in (frame.planes, frame.guides):
+                for role in planes.keys() & {*_LIGHTS, *_REFLECTANCES}:
+                    _turn(planes[role], matrix, role in _REFLECTANCES)
+        if converted or self.declared:
+            frame.metadata.pop("colorInteropID", None)
+            frame.metadata["chromaticities"] = REC709 if converted else primaries
+
+
+def parse_colourspace(text: str | None) -> InputColours:
+    """Colours declared by a name, 'native' or None; ColourError for other names."""
+    if text is None or text == NATIVE:
+        return InputColours(native=text == NATIVE)
+    if text not in LINEAR_SPACES:
+        raise ColourError(f"unknown colour space '{text}': use one of {', '.join(LINEAR_SPACES)}, all linear")
+    return InputColours(LINEAR_SPACES[text])
+
+
+def _turn(plane: np.ndarray, matrix: np.ndarray, positive: bool) -> None:
+    for first in range(0, len(plane), _PIECE):
+        colour = plane[first:first + _PIECE, :, :3]
+        turned = np.clip(colour, -_LARGEST, _LARGEST) @ matrix.T  # infinity minus infinity would be NaN
+        colour[:] = np.maximum(turned, 0) if positive else turned

@@ -9,7 +9,7 @@ from typing import Any
 
 from postfx.errors import StrengthError
 from postfx.files import parse_json, read_text
-from postfx.io.channels import Channel, ChannelIndex
+from postfx.io.layout import Channel, ChannelIndex
 from postfx.strength.cryptomatte import Cryptomatte
 
 _PREFIX = "cryptomatte/"

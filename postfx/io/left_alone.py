@@ -9,9 +9,8 @@ import numpy as np
 
 from postfx.errors import StrengthError
 from postfx.frame import Role
-from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.cryptomattes import CryptomattePlanes, cryptomattes
-from postfx.io.layout import Header, Layout
+from postfx.io.layout import Channel, ChannelIndex, Header, Layout, read_channels
 from postfx.strength import converged
 from postfx.strength.cryptomatte import claimed, share_of, snapped
 from postfx.strength.entries import AUTO, Entry

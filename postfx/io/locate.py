@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 
 from postfx.errors import SequenceError
-from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.image_file import READABLE
+from postfx.io.layout import COLOUR_FILES, is_plane_word
 from postfx.io.pattern import PLANE, Pattern, number_in_name, parse_pattern, pattern_of, patterns_in
 
 

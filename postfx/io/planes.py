@@ -10,9 +10,8 @@ import OpenImageIO as oiio
 
 from postfx.errors import ReadError
 from postfx.frame import ROLES, Role
-from postfx.io.channels import Channel, read_channels
 from postfx.io.convert import Camera, convert, fill_value
-from postfx.io.layout import Match
+from postfx.io.layout import Channel, Match, read_channels
 from postfx.system import Scratch
 
 _ROWS = 64, 256

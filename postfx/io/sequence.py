@@ -13,8 +13,7 @@ from postfx.errors import MissingFrameError, SequenceError
 from postfx.frame import Frame, Role
 from postfx.io.aov import FrameFiles
 from postfx.io.area import Area
-from postfx.io.colourspace import parse_colourspace
-from postfx.io.depth import parse_depth
+from postfx.io.convert import parse_colourspace, parse_depth
 from postfx.io.locate import locate
 from postfx.io.pattern import parse_frames
 from postfx.io.windows import scaled_windows
@@ -233,7 +232,7 @@ def read_sequence(
         guides: files of planes at output size (albedos, normal, roughness, depth), named like `pattern`; frame numbers
             must match. None: planes of `pattern` that are larger than the colour, if there are any.
         depth: what the depth plane holds, in place of what the profile says: 'reversed,near=0.1', 'ray,fov=54.4',
-            'planar,miss=0', see `postfx.io.depth.parse_depth`.
+            'planar,miss=0', see `postfx.io.convert.parse_depth`.
         cuts: frame numbers at which a shot begins, in place of what the headers say; empty for nowhere. None: by the
             headers (postfx:reset). Frames after a gap are marked anyway.
         leave: what is left as it is, which becomes the plane strength: names in a Cryptomatte, ids, 'auto' for sky and

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from postfx.frame import Role
-from postfx.io.channels import ChannelIndex
-from postfx.io.layout import Layout, Match
+from postfx.io.layout import ChannelIndex, Layout, Match
 
 
 def take_opaque_colour(layout: Layout, index: ChannelIndex) -> None:

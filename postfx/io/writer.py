@@ -66,9 +66,9 @@ def write_frame(
     attributes; beside scene-linear colour also an overlay that was not composited, as a layer of that name; with `keep`
     also everything else that the frame's source holds, see `postfx.io.exr.passthrough`. Other files hold code values
     within the display window: JPEG and PNG 8 bits, dithered (`dither`: moving, static or none), TIFF and PNG for HDR
-    displays 16 bits. They are tagged with the display that they are for, see `postfx.io.tags`. Linear frames are clipped to 0..1
-    there and encoded as sRGB, so tone-map them first. The file appears under its name only when it is complete; folders
-    are made. `relax` is called again and again meanwhile. `provenance` are attributes for an EXR header that tell how
+    displays 16 bits. They are tagged with the display that they are for, see `postfx.io.tags`. Linear frames are clipped
+    to 0..1 there and encoded as sRGB, so tone-map them first. The file appears under its name only when it is complete;
+    folders are made. `relax` is called again and again meanwhile. `provenance` are attributes for an EXR header that tell how
     the frame came about.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot

@@ -5,7 +5,7 @@ import pytest
 
 from postfx import Role, read_sequence
 from postfx.errors import DepthOptionError, ProfileError
-from postfx.io.depth import parse_depth
+from postfx.io.convert import parse_depth
 
 DEPTH = np.array([[0.5, 2.0, 7.0, 30.0], [1.0, 4.0, 90.0, 1e10]])
 HIT = DEPTH < 1e10

@@ -1,1 +1,1 @@
-"""The OpenEXR format itself: containers, ZIP compression, and the passthrough of what a render holds beside the picture."""
+"""The OpenEXR format: containers, ZIP compression, and the passthrough of what a render holds beside the picture."""
