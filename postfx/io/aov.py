@@ -16,7 +16,7 @@ from postfx.io.convert import DepthOption
 from postfx.io.guides import GuideLayout, drop_smaller_planes, larger_planes, planes_that_guide
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Channel, ChannelIndex, Header, Layout, Match, make_layout
-from postfx.io.left_alone import LeftAlone
+from postfx.io.masks import LeftAlone
 from postfx.io.planes import read_planes
 from postfx.io.profile import load_profile
 from postfx.io.transparents import take_opaque_colour
