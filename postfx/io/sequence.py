@@ -14,8 +14,7 @@ from postfx.frame import Frame, Role
 from postfx.io.aov import FrameFiles
 from postfx.io.area import Area
 from postfx.io.convert import parse_colourspace, parse_depth
-from postfx.io.locate import locate
-from postfx.io.pattern import parse_frames
+from postfx.io.pattern import locate, parse_frames
 from postfx.io.windows import scaled_windows
 from postfx.strength.entries import parse_leave
 from postfx.strength.shares import Shares
