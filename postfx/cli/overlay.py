@@ -6,7 +6,7 @@ import argparse
 
 from postfx.errors import WriteError
 from postfx.frame import Role
-from postfx.io.aov import FrameFiles
+from postfx.io.frame_reader import FrameFiles
 from postfx.io.output import OutputFiles
 from postfx.plan import Skipped
 

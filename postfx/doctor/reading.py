@@ -9,8 +9,7 @@ from postfx.doctor.material import Material
 from postfx.doctor.statistics import count_values
 from postfx.errors import PostfxError
 from postfx.frame import Frame, Role
-from postfx.io.aov import FrameFiles
-from postfx.io.guides import GuideLayout
+from postfx.io.frame_reader import FrameFiles, GuideLayout
 from postfx.io.layout import Layout, Match
 from postfx.io.sequence import Sequence
 

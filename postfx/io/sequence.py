@@ -11,9 +11,8 @@ from pathlib import Path
 
 from postfx.errors import MissingFrameError, SequenceError
 from postfx.frame import Frame, Role
-from postfx.io.aov import FrameFiles
-from postfx.io.area import Area
 from postfx.io.convert import parse_colourspace, parse_depth
+from postfx.io.frame_reader import Area, FrameFiles
 from postfx.io.pattern import locate, parse_frames
 from postfx.io.windows import scaled_windows
 from postfx.strength.entries import parse_leave

@@ -13,7 +13,7 @@ import pytest
 
 from postfx.depth import depth_from_ray
 from postfx.frame import Frame, Role
-from postfx.io.aov import FrameFiles
+from postfx.io.frame_reader import FrameFiles
 from postfx.io.sequence import read_sequence
 from postfx.io.windows import Window, output_windows
 from postfx.io.writer import is_complete, write_frame

@@ -13,9 +13,9 @@ import numpy as np
 from postfx.cli.cuts import known_cuts
 from postfx.errors import CheckpointError, ManifestError, PostfxError, SequenceError
 from postfx.frame import Role
-from postfx.io.aov import FrameFiles
 from postfx.io.convert import parse_depth
 from postfx.io.exr.container import ExrContainer
+from postfx.io.frame_reader import FrameFiles
 from postfx.io.pattern import number_in_name, parse_frames, parse_pattern, pattern_of
 from postfx.io.profile import BUILTIN, load_profile
 from postfx.io.sequence import Sequence

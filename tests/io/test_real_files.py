@@ -7,7 +7,7 @@ import pytest
 
 from postfx.errors import PostfxError, ReadError
 from postfx.frame import DEPTH_MISS, Frame, Role
-from postfx.io.aov import FrameFiles
+from postfx.io.frame_reader import FrameFiles
 from postfx.io.sequence import read_sequence
 
 REFUSED = {"representativeDeepImage.exr": "deep data", "XYZ_YC.exr": "[Ss]ubsampled"}

@@ -7,7 +7,7 @@ import pytest
 
 from postfx.errors import MissingPlaneError, ProfileError, ReadError
 from postfx.frame import DEPTH_MISS, Role
-from postfx.io.aov import FrameFiles
+from postfx.io.frame_reader import FrameFiles
 from postfx.io.profile import load_profile, profile_names
 from postfx.io.sequence import Sequence
 from postfx.system import Scratch

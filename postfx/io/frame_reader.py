@@ -2,28 +2,201 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import OpenImageIO as oiio
 
-from postfx.errors import MissingPlaneError
-from postfx.frame import Frame, FrameSpec, Role
-from postfx.io.area import Area, area_of, camera_over
-from postfx.io.convert import DepthOption
-from postfx.io.guides import GuideLayout, drop_smaller_planes, larger_planes, planes_that_guide
+from postfx.errors import GuideError, MissingPlaneError, ReadError
+from postfx.frame import OUTPUT_SIZE_ROLES, ROLES, Frame, FrameSpec, GuideSpec, Role
+from postfx.io.convert import Camera, DepthOption, convert, fill_value
 from postfx.io.image_file import ImageFile
-from postfx.io.layout import Channel, ChannelIndex, Header, Layout, Match, make_layout
+from postfx.io.layout import Channel, ChannelIndex, Header, Layout, Match, make_layout, read_channels
 from postfx.io.masks import LeftAlone
-from postfx.io.planes import read_planes
 from postfx.io.profile import load_profile
-from postfx.io.transparents import take_opaque_colour
-from postfx.io.windows import AREA
+from postfx.io.windows import AREA, Window
 from postfx.stored import Stored
 from postfx.strength.entries import Entry
 from postfx.system import Scratch
+
+
+class Area(NamedTuple):
+    """A display window, and the rectangle that planes with this display window are read in."""
+
+    display: Window
+    window: Window
+
+    @property
+    def is_wider(self) -> bool:
+        """Whether there is more than the display window."""
+        return self.window != self.display
+
+
+def area_of(layout: Layout, given: Area | None = None) -> Area | None:
+    """Display window and data window together, of the colour or else of the first plane; None without planes.
+
+    Where a frame before had the same display window, `given`, that frame's area is kept: all frames are of one size.
+    """
+    match = layout.planes.get(Role.COLOUR) or next(iter(layout.planes.values()), None)
+    if match is None:
+        return None
+    part = match.channels[0].part
+    if given is not None and given.display == part.display:
+        return given
+    return Area(part.display, part.display.around(part.data))
+
+
+def camera_over(camera: Camera, area: Area) -> Camera:
+    """The camera of planes that cover an area: its field of view and motion still refer to the display window."""
+    display, window = area
+    shift = (_middle(window.x0, window.x1) - _middle(display.x0, display.x1),
+             _middle(window.y0, window.y1) - _middle(display.y0, display.y1))
+    return replace(camera, display_size=(display.width, display.height), shift=shift)
+
+
+def _middle(first: int, last: int) -> float:
+    return (first + last + 1) / 2
+
+
+def take_opaque_colour(layout: Layout, index: ChannelIndex) -> None:
+    """Let the colour before transparents be the frame's colour, as there is an overlay to composite over it.
+
+    Its own alpha, channel A beside it, becomes the frame's; the alpha of all together counts the overlay already.
+    """
+    match = layout.planes.pop(Role.OPAQUE_COLOUR, None)
+    if match is None:
+        return
+    layout.planes[Role.COLOUR] = match
+    together = layout.planes.pop(Role.ALPHA, None)
+    alpha = _alpha_beside(match, layout, index)
+    if alpha:
+        layout.planes[Role.ALPHA] = alpha
+    elif together:
+        layout.warnings.append(
+            f"alpha {together.names} counts the overlay and is not used: write the alpha before transparents beside "
+            f"{match.names}"
+        )
+
+
+def _alpha_beside(match: Match, layout: Layout, index: ChannelIndex) -> Match | None:
+    names = next(names for names in match.rule.candidates(layout.layer) if index.find(names) == match.channels)
+    channels = index.find([f"{names[0].rpartition('.')[0]}.A"])
+    rules = layout.profile.rules(Role.ALPHA)
+    return Match(rules[0], channels) if channels and rules else None
+
+
+@dataclass
+class GuideLayout:
+    """Where the guides of a frame are, and what the header of their file says about the camera."""
+
+    path: Path
+    planes: dict[Role, Match]
+    camera: Camera
+
+    def __post_init__(self) -> None:
+        if len({match.size for match in self.planes.values()}) > 1:
+            sizes = ", ".join(f"{role} {match.size[0]}x{match.size[1]}" for role, match in self.planes.items())
+            raise GuideError(f"{self.path}: guides differ in size: {sizes}: render them at one size, the output's")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return next(iter(self.planes.values())).size
+
+    def spec(self) -> GuideSpec:
+        """Size and roles."""
+        return GuideSpec(*self.size, tuple(self.planes), str(self.path))
+
+
+def larger_planes(layout: Layout) -> GuideLayout | None:
+    """Planes larger than the colour, taken out of the layout; None when there are none.
+
+    They are guides when the same file set holds the colour at render size.
+    """
+    if Role.COLOUR not in layout.planes:
+        return None
+    size = layout.planes[Role.COLOUR].size
+    found = {role: layout.planes[role] for role in OUTPUT_SIZE_ROLES if _is_larger(layout.planes.get(role), size)}
+    if not found:
+        return None
+    for role in found:
+        del layout.planes[role]
+    first = next(iter(found.values())).channels[0]
+    jitter = Header(replace(layout, attributes=first.part.attributes)).camera().jitter
+    return GuideLayout(first.file.path, found, replace(layout.camera, jitter=jitter))
+
+
+def drop_smaller_planes(layout: Layout) -> None:
+    """Take planes that are smaller than the colour out of the layout, where the colour is a picture that postfx wrote:
+    they are the render's, kept beside it."""
+    colour = layout.planes.get(Role.COLOUR)
+    if colour is None or not colour.channels[0].part.is_picture:
+        return
+    smaller = [role for role, match in layout.planes.items() if match.size[0] < colour.size[0]]
+    for role in smaller:
+        del layout.planes[role]
+    if smaller:
+        layout.warnings.append(f"planes {', '.join(smaller)} are of the render before it was enlarged: not read")
+
+
+def planes_that_guide(layout: Layout, path: Path) -> GuideLayout:
+    """Guides out of files of their own. Raises MissingPlaneError when they hold none."""
+    found = {role: layout.planes[role] for role in OUTPUT_SIZE_ROLES if role in layout.planes}
+    if not found:
+        raise MissingPlaneError(
+            f"{path}: holds none of the planes that guide ({', '.join(OUTPUT_SIZE_ROLES)}) by profile "
+            f"{layout.profile.name}: render one of them, or name it in a profile (--profile FILE.toml)"
+        )
+    return GuideLayout(path, found, layout.camera)
+
+
+def _is_larger(match: Match | None, size: tuple[int, int]) -> bool:
+    return match is not None and match.size != size and match.size[0] >= size[0] and match.size[1] >= size[1]
+
+
+_ROWS = 64, 256
+"""Rows that are read at once, with few threads and with many: so few that they are still in the cache when they are
+sorted into planes, and a chunk of ZIP for every thread."""
+
+
+def read_planes(
+    matches: Mapping[Role, Match], camera: Camera, scratch: Scratch | None = None
+) -> dict[Role, np.ndarray]:
+    """Planes at the sizes that they have, some rows of all at a time, in arrays of `scratch` if it is given."""
+    for match in matches.values():
+        _check(match)
+    new = scratch.empty if scratch else partial(np.empty, dtype=np.float32)
+    planes = {role: new((match.size[1], match.size[0], ROLES[role].channels)) for role, match in matches.items()}
+    for size in {match.size for match in matches.values()}:
+        alike = {role: match for role, match in matches.items() if match.size == size}
+        channels = {channel: fill_value(match.rule) for match in alike.values() for channel in match.channels}
+        # A piece is there as it is read, with channels between the wanted ones, and as it is converted.
+        row_bytes = 8 * sum(planes[role].nbytes for role in alike) // size[1]
+        for first, last in scratch.pieces(size[1], row_bytes) if scratch else _pieces(size[1], channels):
+            pixels = read_channels(channels, (first, last))
+            for role, match in alike.items():
+                piece = np.stack([pixels[channel] for channel in match.channels], axis=-1)
+                planes[role][first:last] = convert(piece, match.rule, camera, first, size[1])
+    return planes
+
+
+def _check(match: Match) -> None:
+    areas = [channel.part.area for channel in match.channels]
+    if len({(area.width, area.height) for area in areas}) > 1:
+        raise ReadError(f"{match.channels[0].file.path}: channels {match.names} differ in size; write them as one part")
+
+
+def _pieces(height: int, channels: Iterable[Channel]) -> Iterator[tuple[int, int]]:
+    """Rows of planes, whole chunks of files at once."""
+    chunk = max(channel.part.chunk for channel in channels)
+    rows = min(max(_ROWS[0], 16 * oiio.get_int_attribute("threads")), _ROWS[1])
+    rows = -(-rows // chunk) * chunk
+    return ((first, min(height, first + rows)) for first in range(0, height, rows))
 
 
 class FrameFiles:
