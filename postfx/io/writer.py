@@ -16,13 +16,10 @@ from postfx.errors import WriteError
 from postfx.files import output_file
 from postfx.frame import LINEAR, Frame, Role
 from postfx.io.dither import Dither, quantise
-from postfx.io.encoders import encode
-from postfx.io.ends import has_end
+from postfx.io.encode import JPEG, encode, halves, has_end, light_of, tag_codes, tag_light
 from postfx.io.exr.passthrough import add_rest
 from postfx.io.image_file import reason_of
-from postfx.io.light import halves, light_of
 from postfx.io.metadata import kept_attributes, set_attributes
-from postfx.io.tags import JPEG, tag_codes, tag_light
 from postfx.io.windows import OutputWindows, Pixels, cut, output_windows
 
 LINEAR_FORMATS = (".exr",)
@@ -61,15 +58,21 @@ def write_frame(
 ) -> Path:
     """Write colour and alpha of a frame; returns the path.
 
-    EXR holds linear light (a display-encoded frame is decoded, in its display's primaries, 1 is white), half floats
-    unless `half` is False, ZIP compression, the input's windows scaled to the frame's size and its useful header
-    attributes; beside scene-linear colour also an overlay that was not composited, as a layer of that name; with `keep`
-    also everything else that the frame's source holds, see `postfx.io.exr.passthrough`. Other files hold code values
-    within the display window: JPEG and PNG 8 bits, dithered (`dither`: moving, static or none), TIFF and PNG for HDR
-    displays 16 bits. They are tagged with the display that they are for, see `postfx.io.tags`. Linear frames are clipped
-    to 0..1 there and encoded as sRGB, so tone-map them first. The file appears under its name only when it is complete;
-    folders are made. `relax` is called again and again meanwhile. `provenance` are attributes for an EXR header that tell how
-    the frame came about.
+    EXR holds linear light: a display-encoded frame is decoded, in its display's primaries, and 1 is white. Half floats
+    unless `half` is False, ZIP compression, the input's windows scaled to the frame's size, and its useful header
+    attributes. Beside scene-linear colour also an overlay that was not composited, as a layer of that name.
+
+    Other files hold code values within the display window: JPEG and PNG 8 bits, dithered, TIFF and PNG for HDR displays
+    16 bits. They are tagged with the display that they are for, see `postfx.io.encode`. Linear frames are clipped to
+    0..1 there and encoded as sRGB, so tone-map them first.
+
+    The file appears under its name only when it is complete; folders are made.
+
+    Args:
+        relax: is called again and again meanwhile.
+        dither: moving, static or none.
+        provenance: attributes for an EXR header that tell how the frame came about.
+        keep: write everything else that the frame's source holds into an EXR, see `postfx.io.exr.passthrough`.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot
     hold an HDR picture, ReadError when what is kept cannot be read.

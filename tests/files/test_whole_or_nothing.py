@@ -113,7 +113,7 @@ def test_a_disk_that_fails_late(tmp_path: Path, suffix: str, monkeypatch: pytest
 def test_an_encoder_that_says_all_is_well_is_not_believed(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from postfx.io import encoders
+    from postfx.io import encode as encoders
     name = {".exr": "_write_exr", ".png": "_write_png"}.get(suffix, "_encode")
     encode = getattr(encoders, name)
 

@@ -11,8 +11,9 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.frame import ROLES, Frame, Role
-from postfx.io import encoders, writer
-from postfx.io import planes as planes_of_files
+from postfx.io import encode as encoders
+from postfx.io import frame_reader as planes_of_files
+from postfx.io import writer
 from postfx.io.convert import Camera, convert
 from postfx.io.exr import zip as exr_zip
 from postfx.io.profile import load_profile

@@ -11,7 +11,7 @@ import pytest
 
 from postfx.colour.displays import KINDS
 from postfx.frame import Frame, Role
-from postfx.io import encoders
+from postfx.io import encode as encoders
 from postfx.io.writer import write_frame
 
 SIZES = (1, 1), (1, 9), (9, 1), (45, 37)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.colour.displays import KINDS, parse_display
-from postfx.io.light import halves, light_of
+from postfx.io.encode import halves, light_of
 
 LEAST_NORMAL = 2.0**-14
 

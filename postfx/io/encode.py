@@ -1,0 +1,285 @@
+"""Encoders: picture files out of a header and rows of pixels, in the format of their suffix."""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import OpenImageIO as oiio
+from isal import isal_zlib
+
+from postfx.colour.displays import KINDS, Display
+from postfx.colour.icc import profile
+from postfx.colour.primaries import Chromaticities
+from postfx.errors import ReadError
+from postfx.io.exr.container import PIXEL_BYTES, ExrContainer, NewPart, read_headers, write_container
+from postfx.io.exr.zip import ZIP_LINES, zip_chunks
+from postfx.io.windows import Pixels
+from postfx.kernels.storing import halve, look_up, paeth
+
+_STEPS = 1 << 16
+
+
+def halves(light: np.ndarray) -> np.ndarray:
+    """float16 nearest to light of any shape, cut to +-65504; NaN stays."""
+    values = np.ascontiguousarray(light, np.float32).reshape(-1)
+    found = np.empty(values.shape, np.uint16)
+    halve(values, values.view(np.int32), found)
+    return found.view(np.float16).reshape(light.shape)
+
+
+def light_of(codes: np.ndarray, display: Display) -> np.ndarray:
+    """Code values (..., 3) of a display to its light, float32, 1 is white: what `Display.decode` gives, by a table
+    where all are from 0 to 1.
+
+    Where light is a normal half float it errs by less than 2e-6 of itself; a half float is as near as 2.4e-4.
+    """
+    values = np.ascontiguousarray(codes, np.float32).reshape(-1)
+    light = np.empty_like(values)
+    if not look_up(values, _table(display.name), light):
+        return display.decode(codes).astype(np.float32, copy=False)
+    return display.lit(light.reshape(codes.shape)).astype(np.float32, copy=False)
+
+
+@cache
+def _table(name: str) -> np.ndarray:
+    light = KINDS[name].curve.decode(np.linspace(0, 1, _STEPS + 1))
+    return np.append(light, light[-1]).astype(np.float32)
+
+
+JPEG = (".jpg", ".jpeg")
+
+
+def tag_codes(spec: oiio.ImageSpec, display: Display, path: Path) -> None:
+    """Say in a PNG, TIFF or JPEG for which display its code values are.
+
+    PNG: chunk sRGB, or for other displays iCCP, an ICC profile, and before it cICP (ITU-T H.273) where that can say it.
+    TIFF and JPEG: an ICC profile.
+    """
+    if path.suffix.lower() == ".png" and display.name == "srgb":
+        spec.attribute("oiio:ColorSpace", "sRGB")
+        return
+    icc = np.frombuffer(profile(display), np.uint8)
+    spec.attribute("oiio:ColorSpace", "unknown")  # else OpenImageIO adds that it is sRGB
+    spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(icc)}]"), icc)
+    if display.kind.cicp:
+        spec.attribute("CICP", oiio.TypeDesc("int[4]"), display.kind.cicp)
+
+
+def tag_light(spec: oiio.ImageSpec, primaries: Chromaticities, white: float | None = None) -> None:
+    """Say in an EXR of which primaries its light is, and how bright 1 is in cd/m2, if that is known."""
+    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), primaries)
+    if white is not None:
+        spec.attribute("whiteLuminance", float(white))
+
+
+_SIGNATURE = 8  # bytes
+_LEVEL = 1  # of ISA-L: a ninth of the time of zlib's level 3 for 1 % more bytes
+
+
+def write_png(path: Path, like: bytes, size: tuple[int, int], pieces: Iterable[np.ndarray]) -> None:
+    """Write a PNG of a width and height with all chunks of another, `like`, but for its pixels.
+
+    `pieces` are rows from the top, (rows, width, channels) uint8 or uint16, channels and type as in `like`.
+    """
+    with path.open("wb") as file:
+        file.write(like[:_SIGNATURE])
+        for kind, content in _chunks(like):
+            if kind == b"IHDR":
+                _write(file, kind, struct.pack(">2I", *size) + content[8:])
+            elif kind != b"IDAT":
+                _write(file, kind, content)
+            else:
+                for compressed in filter(None, _compressed(pieces)):
+                    _write(file, kind, compressed)
+
+
+def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Type and content of each chunk."""
+    at = _SIGNATURE
+    while at < len(content):
+        length, kind = struct.unpack_from(">I4s", content, at)
+        yield kind, content[at + 8 : at + 8 + length]
+        at += length + 12
+
+
+def _write(file: BinaryIO, kind: bytes, content: bytes) -> None:
+    file.write(struct.pack(">I4s", len(content), kind))
+    file.write(content)
+    file.write(struct.pack(">I", isal_zlib.crc32(content, isal_zlib.crc32(kind))))
+
+
+def _compressed(pieces: Iterable[np.ndarray]) -> Iterator[bytes]:
+    """One stream of zlib's format, in parts."""
+    stream, above = isal_zlib.compressobj(_LEVEL), None
+    for pixels in pieces:
+        step = pixels.shape[2] * pixels.itemsize
+        rows = pixels.astype(pixels.dtype.newbyteorder(">"), copy=False).view(np.uint8).reshape(len(pixels), -1)
+        filtered = np.empty((len(rows), rows.shape[1] + 1), np.uint8)
+        paeth(rows, np.zeros_like(rows[0]) if above is None else above, step, filtered)
+        above = rows[-1]
+        yield stream.compress(filtered)
+    yield stream.flush()
+
+
+_ENDS = {".png": b"\0\0\0\0IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
+_TIFF = {b"II*\0": "<HI", b"MM\0*": ">HI", b"II+\0": "<QQ", b"MM\0+": ">QQ"}
+# First bytes -> how a directory's count of entries and offsets are stored.
+_WHERE, _HOW_MANY = (273, 324), (279, 325)  # tags of strips and of tiles: offsets, and counts of bytes
+_WHOLE = {3: "H", 4: "I", 16: "Q"}
+
+
+
+def has_end(path: Path, suffix: str) -> bool:
+    """Whether a file of the format of a suffix ends well: PNG's and JPEG's last bytes are there, TIFF's directory and
+    all that it leads to, all chunks of all parts of an OpenEXR file."""
+    suffix = suffix.lower()
+    if suffix == ".exr":
+        return _is_whole_exr(path)
+    with path.open("rb") as file:
+        if suffix in _ENDS:
+            end = _ENDS[suffix]
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - len(end)))
+            return file.read() == end
+        return _is_whole_tiff(file, path.stat().st_size)
+
+
+def _is_whole_tiff(file: BinaryIO, size: int) -> bool:
+    """Whether the directory and the strips or tiles lie within the file (TIFF 6.0, section 2)."""
+    layout = _TIFF.get(file.read(4))
+    try:
+        return layout is not None and _last_byte(file, layout) <= size
+    except (struct.error, KeyError):
+        return False
+
+
+def _last_byte(file: BinaryIO, layout: str) -> int:
+    order, kind, offset = layout
+    wide = struct.calcsize(order + offset)
+    file.seek(wide)  # behind the first four bytes, or eight
+    file.seek(*_unpacked(file, order + offset))
+    (count,) = _unpacked(file, order + kind)
+    entries = [_unpacked(file, f"{order}HH{offset}{wide}s") for _ in range(min(count, 4096))]
+    found = {tag: _numbers(file, order, wide, *rest) for tag, *rest in entries if tag in _WHERE + _HOW_MANY}
+    starts, counts = ([found[tag] for tag in tags if tag in found] for tags in (_WHERE, _HOW_MANY))
+    if not starts or not counts or not all(starts[0]):
+        raise KeyError("strips")
+    return max(map(sum, zip(starts[0], counts[0], strict=False)))
+
+
+def _numbers(file: BinaryIO, order: str, wide: int, kind: int, count: int, value: bytes) -> tuple[int, ...]:
+    """Values of an entry: its own bytes, or those that they lead to."""
+    form = f"{order}{min(count, 1 << 20)}{_WHOLE[kind]}"
+    if struct.calcsize(form) <= wide:
+        return struct.unpack_from(form, value)
+    file.seek(*struct.unpack(order + ("I" if wide == 4 else "Q"), value))
+    return _unpacked(file, form)
+
+
+def _unpacked(file: BinaryIO, form: str) -> tuple:
+    return struct.unpack(form, file.read(struct.calcsize(form)))
+
+
+def _is_whole_exr(path: Path) -> bool:
+    try:
+        with ExrContainer(path) as file:
+            file.check_whole()
+    except ReadError:
+        return False
+    return True
+
+
+OPAQUE = 3  # channels
+_PIECE = 16 << 20  # bytes in float32 that are converted and written at once
+
+
+def encode(
+    path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None
+) -> None:
+    """Encode a file. OSError unless it got all its bytes, which the encoders of JPEG, PNG and TIFF do not tell."""
+    if suffix == ".exr":
+        _write_exr(path, spec, convert, relax)
+    elif suffix == ".png" and spec.nchannels == OPAQUE:
+        _write_png(path, spec, convert, relax)
+    elif suffix in JPEG:
+        _write_jpeg(path, spec, convert, relax)
+    else:
+        _encode(path, suffix, spec, convert, relax)
+    if not has_end(path, suffix):
+        raise OSError(errno.ENOSPC, "the file has no end")
+
+
+def _write_exr(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
+    """Scanlines in ZIP, in a third of the time that OpenImageIO takes; the header is that of a pixel that it writes."""
+    _write_pixel(path, ".exr", spec)
+    with path.open("rb") as file:
+        _, (header,) = read_headers(file)
+    last = spec.x + spec.width - 1, spec.y + spec.height - 1
+    header.set("dataWindow", "box2i", struct.pack("<4i", spec.x, spec.y, *last))
+    places = [spec.channelnames.index(channel.name) for channel in header.channels]
+
+    def rows(first: int, last: int) -> list[np.ndarray]:
+        pixels = convert(slice(first, last))
+        if relax is not None:
+            relax()
+        return [pixels[:, :, place] for place in places]
+
+    pixel_bytes = sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
+    chunks = zip_chunks(header.data, pixel_bytes, rows)
+    write_container(path, [NewPart(header, -(-spec.height // ZIP_LINES), chunks)])
+
+
+def _write_png(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
+    """In a third of the time that OpenImageIO takes; all but the pixels is that of a pixel that it writes."""
+    _write_pixel(path, ".png", spec)
+    write_png(path, path.read_bytes(), (spec.width, spec.height), _pieces(spec, convert, relax))
+
+
+def _write_pixel(path: Path, suffix: str, spec: oiio.ImageSpec) -> None:
+    """Write a file of one pixel, which holds all that is to be said of the picture."""
+    pixel = oiio.ImageSpec(spec)
+    pixel.width = pixel.height = 1
+    _encode(path, suffix, pixel, lambda rows: np.zeros((1, 1, spec.nchannels), np.float32), None)
+
+
+def _pieces(spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> Iterator[np.ndarray]:
+    """The picture some rows at a time."""
+    step = max(16, _PIECE // (4 * spec.width * spec.nchannels) // 16 * 16)
+    for first in range(0, spec.height, step):
+        yield np.ascontiguousarray(convert(slice(first, min(spec.height, first + step))))
+        if relax is not None:
+            relax()
+
+
+def _write_jpeg(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
+    """Encode through a pipe, as libjpeg ends the process where a disk is full."""
+    reading, writing = os.pipe()
+    with ThreadPoolExecutor(1) as reader, os.fdopen(reading, "rb") as encoded:
+        content = reader.submit(encoded.read)
+        try:
+            _encode(Path(f"/dev/fd/{writing}"), ".jpg", spec, convert, relax)
+        finally:
+            os.close(writing)
+        path.write_bytes(content.result())
+
+
+def _encode(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
+    output = oiio.ImageOutput.create(suffix[1:])
+    if output is None:
+        raise OSError(oiio.geterror())
+    written, row = output.open(str(path), spec), spec.y
+    for pixels in _pieces(spec, convert, relax) if written else ():
+        written = written and output.write_scanlines(row, row + len(pixels), 0, pixels)
+        row += len(pixels)
+    closed = output.close()
+    lines = [line for line in output.geterror().splitlines() if line and "Exif" not in line]  # of TIFF, harmless
+    if lines or not (written and closed):
+        raise OSError(lines[0] if lines else "unknown reason")
