@@ -12,8 +12,7 @@ import numpy as np
 from postfx.errors import PostfxError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import Frame, FrameSpec, GuideSpec, Role
-from postfx.io.ahead import read_ahead
-from postfx.io.retry import read_patiently
+from postfx.io.prefetch import read_ahead, read_patiently
 from postfx.io.sequence import Sequence
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
