@@ -1,12 +1,15 @@
-"""Values of planes at other places than their pixels. Positions count pixels, and are whole at pixel centres."""
+"""Values of planes between their pixels and around them. Positions count pixels, and are whole at pixel centres."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 Curve = Callable[[np.ndarray], np.ndarray]
+
+BAND = 128
+"""Rows of a band: whole squares of those in which `postfx.masks.misses` measures noise."""
 
 
 def bilinear(plane: np.ndarray, x: np.ndarray, y: np.ndarray, curve: Curve | None = None) -> np.ndarray:
@@ -46,3 +49,45 @@ def motion_at(
     h, w = motion.shape[:2]
     near = ((2 * rows + 1) * h // (2 * height))[:, None], (2 * columns + 1) * w // (2 * width)
     return motion[near] * np.array([width / w, height / h], np.float32)
+
+
+def bands(height: int, reach: int) -> Iterator[tuple[int, int, int, int]]:
+    """First and last row of each band of a picture, and of the band with up to `reach` rows around it.
+
+    Work on bands takes less memory than work on the whole picture.
+    """
+    for first in range(0, height, BAND):
+        last = min(height, first + BAND)
+        yield first, last, max(0, first - reach), min(height, last + reach)
+
+
+def local_mean(plane: np.ndarray, radius: int) -> np.ndarray:
+    """Mean over windows of (2 radius + 1)^2 pixels: (height, width, C) float32, of any floats; borders are repeated."""
+    for axis in (0, 1):
+        padding = [(radius + 1, radius) if side == axis else (0, 0) for side in range(3)]
+        sums = np.cumsum(np.pad(plane, padding, mode="edge"), axis=axis, dtype=np.float64)
+        size, window = plane.shape[axis], 2 * radius + 1
+        upper = np.take(sums, range(window, window + size), axis)
+        plane = ((upper - np.take(sums, range(size), axis)) / window).astype(np.float32)
+    return plane
+
+
+def local_maximum(plane: np.ndarray, radius: int) -> np.ndarray:
+    """Largest value within windows of (2 radius + 1)^2 pixels: (height, width) -> the same; borders are repeated."""
+    return _reduce_windows(np.maximum, plane, radius)
+
+
+def local_sum(plane: np.ndarray, radius: int) -> np.ndarray:
+    """Sum over windows of (2 radius + 1)^2 pixels: (height, width) -> the same; borders are repeated.
+
+    It takes no running sums: in these, the rounding of one huge value spreads along its whole row.
+    """
+    return _reduce_windows(np.add, plane, radius)
+
+
+def _reduce_windows(operation: np.ufunc, plane: np.ndarray, radius: int) -> np.ndarray:
+    height, width = plane.shape
+    padded, shifts = np.pad(plane, radius, mode="edge"), range(2 * radius + 1)
+    rows = operation.reduce([padded[shift:shift + height] for shift in shifts])
+    reduced: np.ndarray = operation.reduce([rows[:, shift:shift + width] for shift in shifts])
+    return reduced

@@ -21,7 +21,7 @@ import postfx
 from postfx import Role, integrate
 from postfx.bench.metrics import shown
 from postfx.kernels.resample import resampled
-from postfx.strength import Threshold, strength_of_converged
+from postfx.masks import Threshold, strength_of_converged
 
 TARGETS = (0.1, 0.05, 0.02, 0.01)
 STEP, REFERENCE = 16, 64

@@ -14,8 +14,8 @@ from postfx.cli.on_error import LEFT_OUT, Fault
 from postfx.cli.run_up import WatchedRunUp
 from postfx.frame import Role
 from postfx.io.sequence import Sequence
+from postfx.masks.entries import Coverage
 from postfx.plan import Plan, Skipped, from_files
-from postfx.strength.shares import Shares
 
 SHOWN_FRAMES = 3
 SHOWN_CUTS = 12
@@ -48,7 +48,7 @@ class Explanation:
             lines.append(f"run-up  of each shot: {listed} before frame {first} (--run-up 0 for none)")
         return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
 
-    def _alone(self) -> Shares | None:
+    def _alone(self) -> Coverage | None:
         """What the first frame leaves as it is, where that is asked for."""
         asked = self.sequence.leave and Role.STRENGTH in self.plan.planes
         return self.sequence.left_alone_of(self.sequence.numbers[0]) if asked else None
@@ -146,7 +146,7 @@ class Report:
     chosen: dict[str, dict[str, int]] = field(default_factory=dict)
     guides: dict[str, Any] | None = None
     cuts: list[int] = field(default_factory=list)
-    left_alone: Shares = field(default_factory=Shares)
+    left_alone: Coverage = field(default_factory=Coverage)
     broken: dict[str, dict[str, int]] = field(default_factory=dict)
     capture: str | None = None
     page: str | None = None

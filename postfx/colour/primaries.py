@@ -30,6 +30,8 @@ LINEAR_SPACES: Mapping[str, Chromaticities] = MappingProxyType(
 )
 """Linear colour spaces by the names that options use."""
 
+LUMA_REC709 = (0.2126, 0.7152, 0.0722)
+"""Weights of luminance, ITU-R BT.709-6, item 3.2."""
 LUMA_REC2020 = (0.2627, 0.6780, 0.0593)
 """Weights of luminance, ITU-R BT.2100-2, table 5."""
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
@@ -68,3 +70,9 @@ def matrix_between(source: Chromaticities, target: Chromaticities) -> np.ndarray
     if source == target:
         return np.eye(3)
     return np.linalg.inv(to_xyz(target)) @ adapted(source, tuple(to_xyz(target).sum(1)))
+
+
+def luminance(colour: np.ndarray) -> np.ndarray:
+    """Luminance (...) of linear Rec.709 (..., 3)."""
+    light: np.ndarray = colour @ np.array(LUMA_REC709, np.float32)
+    return light

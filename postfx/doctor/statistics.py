@@ -64,22 +64,6 @@ def blocks(plane: np.ndarray, size: int = BLOCK) -> np.ndarray:
     return plane[: rows * size, : columns * size].reshape(rows, size, columns, size).mean((1, 3))
 
 
-def local_mean(plane: np.ndarray, radius: int) -> np.ndarray:
-    """Means over windows of (2 radius + 1)^2 pixels of a (height, width, C) plane; borders are repeated."""
-    for axis in (0, 1):
-        padding = [(radius + 1, radius) if side == axis else (0, 0) for side in range(3)]
-        sums = np.cumsum(np.pad(plane, padding, mode="edge"), axis=axis, dtype=np.float64)
-        size, window = plane.shape[axis], 2 * radius + 1
-        upper = np.take(sums, range(window, window + size), axis)
-        plane = ((upper - np.take(sums, range(size), axis)) / window).astype(np.float32)
-    return plane
-
-
-def luminance(colour: np.ndarray) -> np.ndarray:
-    """(height, width) Rec.709 luminance."""
-    return colour @ np.float32([0.2126, 0.7152, 0.0722])
-
-
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
     """Pearson's coefficient of two equally long samples; 0 when one is constant or too short."""
     if a.size < 3 or a.std() < 1e-12 or b.std() < 1e-12:

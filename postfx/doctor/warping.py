@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.doctor.statistics import finite, local_mean, luminance
+from postfx.colour.primaries import luminance
+from postfx.doctor.statistics import finite
 from postfx.doctor.variants import VARIANTS, Variant
 from postfx.frame import Frame, Role
-from postfx.sampling import bilinear, is_inside
+from postfx.sampling import bilinear, is_inside, local_mean
 
 POINTS = 3000
 CONTRASTY = 0.75

@@ -20,8 +20,8 @@ from postfx.io.layout import Channel, ChannelIndex, Header, Layout, Match, make_
 from postfx.io.masks import LeftAlone
 from postfx.io.profile import load_profile
 from postfx.io.windows import AREA, Window
+from postfx.masks.entries import Entry
 from postfx.stored import Stored
-from postfx.strength.entries import Entry
 from postfx.system import Scratch
 
 

@@ -13,12 +13,10 @@ from postfx.errors import StrengthError
 from postfx.files import parse_json, read_text
 from postfx.frame import Role
 from postfx.io.layout import Channel, ChannelIndex, Header, Layout, read_channels
-from postfx.strength import converged
-from postfx.strength.cryptomatte import Cryptomatte, claimed, share_of, snapped
-from postfx.strength.entries import AUTO, Entry
-from postfx.strength.ids import range_of, within
-from postfx.strength.misses import READS, strength_in_bands
-from postfx.strength.shares import Shares
+from postfx.masks import converged
+from postfx.masks.cryptomatte import Cryptomatte, share_of, snap, split_shares
+from postfx.masks.entries import AUTO, Coverage, Entry, id_range, is_in_range
+from postfx.masks.misses import READS, strength_in_bands
 from postfx.system import Scratch
 
 _PREFIX = "cryptomatte/"
@@ -104,7 +102,7 @@ SHOWN = 8
 
 
 class LeftAlone:
-    """Entries of `postfx.strength.parse_leave`, found in a frame's files.
+    """Entries of `postfx.masks.parse_leave`, found in a frame's files.
 
     Raises StrengthError when the files hold no Cryptomatte or plane for one, when that has another size than the
     colour, when nothing tells misses or what has converged, and, if `strict`, when no name fits; else the thing is only
@@ -133,13 +131,13 @@ class LeftAlone:
         self.reads = tuple(role for role in layout.planes if role in looked)
         if self._auto() and not {Role.DEPTH, Role.NORMAL, Role.ALPHA} & set(self.reads):
             raise StrengthError(f"{path}: '{AUTO}' has nothing to look at: render depth, normals or alpha, too")
-        self.shares = Shares()
+        self.shares = Coverage()
 
     def strength(self, planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> np.ndarray:
         """Strength (height, width, 1) of a frame whose planes hold `reads`, times its own; in an array of `scratch`."""
         width, height = self._size
         basis = {str(entry): text for entry, text in self._basis.items()}
-        self.shares = Shares(1, 0.0, {str(entry): 0.0 for entry in self._entries}, basis=basis)
+        self.shares = Coverage(1, 0.0, {str(entry): 0.0 for entry in self._entries}, basis=basis)
         found = scratch.empty((height, width, 1)) if scratch else np.empty((height, width, 1), np.float32)
         for rows in scratch.pieces(height, self._row_bytes(width)) if scratch else [(0, height)]:
             found[slice(*rows)] = self._of_ids(rows)
@@ -159,7 +157,7 @@ class LeftAlone:
 
     def _basis_of(self, entry: Entry, layout: Layout) -> str:
         """What tells that something has converged."""
-        threshold = converged.threshold_of(entry)
+        threshold = converged.parse_threshold(entry)
         for role in layout.planes.keys() & {*converged.READS}:
             self._check_size(f"plane '{role}'", layout.planes[role].channels[0])
         try:
@@ -172,7 +170,7 @@ class LeftAlone:
         layers = [one for one in self._cryptomattes if entry.plane is None or one.is_called(entry.plane)]
         if not layers and entry.plane is not None:
             self._numbered.setdefault(self._plane_of(entry), []).append(entry)
-            range_of(entry)
+            id_range(entry)
         elif not layers:
             raise StrengthError(f"{self._path}: no Cryptomatte to find '{entry.name}' in: render one, or give ids of a "
                                 f"plane, such as 7@id or 7-9@id")
@@ -218,14 +216,14 @@ class LeftAlone:
         strength = np.ones((rows[1] - rows[0], self._size[0]), np.float32)
         owned = [self._owned(layer, rows) for layer in self._named]
         found = [entry for entry in dict.fromkeys(reversed(self._entries)) if any(entry in shares for shares in owned)]
-        for entry, share in claimed(owned, found[::-1]):
+        for entry, share in split_shares(owned, found[::-1]):
             strength -= (1 - entry.strength) * share
             self._count(entry, share)
-        strength = snapped(strength)
+        strength = snap(strength)
         for channel, entries in self._numbered.items():
             ids, own = channel.file.read_ids(channel.part, channel.name, rows), np.ones_like(strength)
             for entry in entries:
-                inside = within(ids, range_of(entry))
+                inside = is_in_range(ids, id_range(entry))
                 own[inside] = entry.strength
                 self._count(entry, inside)
             strength *= own
@@ -251,7 +249,7 @@ class LeftAlone:
     def _without_converged(
         self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray], scratch: Scratch | None
     ) -> None:
-        threshold, relax = converged.threshold_of(entry), scratch.relax if scratch else None
+        threshold, relax = converged.parse_threshold(entry), scratch.relax if scratch else None
         for rows, strength in converged.strength_in_bands(planes, threshold, self._samples, relax):
             found[rows] *= entry.strength + (1 - entry.strength) * strength
             self._count(entry, 1 - strength)

@@ -15,8 +15,7 @@ from postfx.io.convert import parse_colourspace, parse_depth
 from postfx.io.frame_reader import Area, FrameFiles
 from postfx.io.pattern import locate, parse_frames
 from postfx.io.windows import scaled_windows
-from postfx.strength.entries import parse_leave
-from postfx.strength.shares import Shares
+from postfx.masks.entries import Coverage, parse_leave
 from postfx.system import Scratch
 
 
@@ -60,7 +59,7 @@ class Sequence:
         self.leave = () if leave is None else parse_leave(leave)
         self._named = False
         self._area: Area | None = None  # of the first frame that was opened
-        self.left_alone = Shares()
+        self.left_alone = Coverage()
         self.colours = parse_colourspace(colourspace)
         self.without = frozenset(map(Role, without))
         self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth)
@@ -88,7 +87,7 @@ class Sequence:
     def reader(self) -> Sequence:
         """The same frames, read as they are now, for whoever reads them beside: `left_alone` is its own."""
         found = copy.copy(self)
-        found.left_alone = Shares()
+        found.left_alone = Coverage()
         return found
 
     def rewind(self) -> None:
@@ -172,7 +171,7 @@ class Sequence:
         with self.open(number) as files:
             return files.begins_shot
 
-    def left_alone_of(self, number: int) -> Shares:
+    def left_alone_of(self, number: int) -> Coverage:
         """How much of a frame `leave`, which must be given, leaves as it is."""
         with self.open(number) as files:
             files.read(number, [Role.STRENGTH], [])
@@ -234,7 +233,7 @@ def read_sequence(
         cuts: frame numbers at which a shot begins, in place of what the headers say; empty for nowhere. None: by the
             headers (postfx:reset). Frames after a gap are marked anyway.
         leave: what is left as it is, which becomes the plane strength: names in a Cryptomatte, ids, 'auto' for sky and
-            misses, such as 'auto,logo,glass_*=0.5,7-9@id', see `postfx.strength.parse_leave`.
+            misses, such as 'auto,logo,glass_*=0.5,7-9@id', see `postfx.masks.parse_leave`.
         colourspace: linear primaries of colours and reflectances, guides included: rec709, p3, rec2020, acescg or
             aces2065-1, in place of what headers say (chromaticities, colorInteropID; Rec.709 without any). They are
             turned to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.

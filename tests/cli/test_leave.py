@@ -7,7 +7,7 @@ import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
-from postfx.strength import id_of_name
+from postfx.masks import id_of_name
 
 RUN = ("run", "in/shot.####.exr", "--device", "cpu", "--model", "s")
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from postfx.doctor.geometry import fit_rotation, rays
-from postfx.doctor.statistics import local_mean
 from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.sampling import local_mean
 from tests.doctor import covers
 
 Frames = list[Frame]

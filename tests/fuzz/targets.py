@@ -20,6 +20,7 @@ from postfx.io.pattern import number_in_name, parse_frames, parse_pattern, patte
 from postfx.io.profile import BUILTIN, load_profile
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
+from postfx.masks import parse_leave
 from postfx.passes._tonemap_look import check_constants, find_model, shaper
 from postfx.runs.checkpoint import About, load_checkpoint, read_about, save_checkpoint
 from postfx.runs.claim import is_alive
@@ -27,7 +28,6 @@ from postfx.runs.manifest import NAME, Manifest, Output
 from postfx.runs.process import Process
 from postfx.runs.verify import verify
 from postfx.runtime import Device, Library
-from postfx.strength import parse_leave
 from postfx.system import parse_size
 from tests.files.exr_files import write_mixed, write_studio
 from tests.toys import save_model, value

@@ -14,7 +14,7 @@ from postfx.errors import PostfxError
 from postfx.frame import Role
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.sequence import Sequence, read_sequence
-from postfx.strength import StrengthError, id_of_name, parse_leave
+from postfx.masks import StrengthError, id_of_name, parse_leave
 from postfx.system import Scratch
 
 NAMES = ("sky_dome", "sky_sun", "logo")

@@ -10,10 +10,10 @@ import pytest
 
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
+from postfx.masks import Threshold, strength_of_converged
 from postfx.passes.denoise_upscale import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
-from postfx.strength import Threshold, strength_of_converged
 from tests.passes.denoise_frames import flat, guided, noisy
 from tests.passes.test_denoise_strength import masked, resampled
 

@@ -6,10 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from postfx.colour.primaries import luminance
 from postfx.doctor.findings import Finding, info, warning
 from postfx.doctor.material import Material
-from postfx.doctor.statistics import correlation, finite, local_mean, luminance, percent
+from postfx.doctor.statistics import correlation, finite, percent
 from postfx.frame import Role
+from postfx.sampling import local_mean
 
 LEAST_COVERAGE, LEAST_CHANGE, FEW = 0.02, 0.02, 200
 STRAIGHT = 0.3

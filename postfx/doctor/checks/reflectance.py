@@ -6,11 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from postfx.colour.primaries import luminance
 from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.material import Material
 from postfx.doctor.roughness import fit_roughness
-from postfx.doctor.statistics import correlation, finite, local_mean, luminance, noise_level, percent
+from postfx.doctor.statistics import correlation, finite, noise_level, percent
 from postfx.frame import Frame, Role
+from postfx.sampling import local_mean
 
 ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 NOISY = 0.012

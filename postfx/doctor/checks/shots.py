@@ -6,11 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from postfx.colour.primaries import luminance
 from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.material import Material
-from postfx.doctor.statistics import correlation, finite, local_mean, luminance, noise_level
+from postfx.doctor.statistics import correlation, finite, noise_level
 from postfx.doctor.warping import Warped, score_offset
 from postfx.frame import Frame, Role
+from postfx.sampling import local_mean
 
 LEAST_MOVE = 1.0  # pixels: below, a texture that stays looks like noise that stays
 REPEATED = 0.15

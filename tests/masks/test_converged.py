@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postfx import sampling
 from postfx.frame import Role
-from postfx.strength import StrengthError, Threshold, bands, converged, parse_leave, strength_of_converged, threshold_of
+from postfx.masks import StrengthError, Threshold, converged, parse_leave, parse_threshold, strength_of_converged
 
 SIZE = 40, 60
 ONE_PERCENT = Threshold(error=0.01)
@@ -114,14 +115,14 @@ def test_bands_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     planes, variance = rendered(0.012)
     planes, calls = told(Role.SAMPLE_VARIANCE, planes, variance, 64), []
     wanted = strength_of_converged(planes, ONE_PERCENT, 64)
-    monkeypatch.setattr(bands, "BAND", 16)
+    monkeypatch.setattr(sampling, "BAND", 16)
     found = list(converged.strength_in_bands(planes, ONE_PERCENT, 64, lambda: calls.append(1)))
     np.testing.assert_array_equal(np.concatenate([strength for _, strength in found]), wanted)
     assert len(found) == len(calls) == 3
 
 
 def test_entries_are_understood() -> None:
-    assert [threshold_of(entry) for entry in parse_leave("converged:0.01,converged:256spp=0.5")] == [
+    assert [parse_threshold(entry) for entry in parse_leave("converged:0.01,converged:256spp=0.5")] == [
         ONE_PERCENT, Threshold(samples=256)]
 
 
@@ -129,7 +130,7 @@ def test_entries_are_understood() -> None:
                                   "converged:inf", "converged:0spp", "converged:2.5spp", "converged:0.01@variance"])
 def test_entries_without_a_threshold_are_errors(text: str) -> None:
     with pytest.raises(StrengthError, match="give a relative error, such as converged:0.01, or a number of samples"):
-        threshold_of(parse_leave(text)[0])
+        parse_threshold(parse_leave(text)[0])
 
 
 @pytest.mark.parametrize(("threshold", "roles", "message"), [

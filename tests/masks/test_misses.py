@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postfx import sampling
 from postfx.frame import DEPTH_MISS, Role
-from postfx.strength import bands, misses, misses_of, strength_of_misses
+from postfx.masks import misses, misses_of, strength_of_misses
 
 SIZE = 150, 200
 HORIZON = 90
@@ -133,7 +134,7 @@ def test_smoke_with_alpha_and_without_depth_is_denoised() -> None:
 def test_bands_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     planes, calls = noisy_sky(0.008), []
     wanted = strength_of_misses(planes)
-    monkeypatch.setattr(bands, "BAND", 16)
+    monkeypatch.setattr(sampling, "BAND", 16)
     found = list(misses.strength_in_bands(planes, lambda: calls.append(1)))
     np.testing.assert_array_equal(np.concatenate([strength for _, strength, _ in found]), wanted)
     assert [rows.start for rows, _, _ in found] == list(range(0, 150, 16)) and len(calls) == 20

@@ -16,10 +16,10 @@ from typing import TypeVar
 import numpy as np
 
 from postfx.errors import StrengthError
-from postfx.strength.entries import Entry
+from postfx.masks.entries import Entry
 
 LEAST = 1e-3
-"""Strengths this close to 0 or 1 become 0 or 1: shares do not sum up to 1 to the last bit."""
+"""Strengths this close to 0 or 1 become 0 or 1: shares do not add up to 1 to the last bit."""
 NEAREST = 5
 _BITS = 0xFFFFFFFF
 Key = TypeVar("Key")
@@ -35,11 +35,11 @@ def id_of_name(name: str) -> int:
 
 @dataclass(frozen=True)
 class Cryptomatte:
-    """What a header says of one Cryptomatte.
+    """One Cryptomatte, as a header describes it.
 
     Attributes:
         name: such as 'CryptoObject'.
-        manifest: name -> id, or None where the file has none: then only whole names can be looked for.
+        manifest: name -> id, or None if the file has none: then only whole names can be looked up.
         where: file, for messages.
     """
 
@@ -54,13 +54,13 @@ class Cryptomatte:
         manifest.
         """
         if entry.name.lower().startswith("0x"):
-            return [self._number(entry.name)]
+            return [_parse_id(entry.name)]
         if self.manifest is None:
             if set("*?[") & set(entry.name):
                 raise StrengthError(f"{self.where}: Cryptomatte {self.name} has no manifest, so nothing tells what "
                                     f"fits '{entry.name}': give whole names")
             return [id_of_name(entry.name)]
-        return [self._checked(name) for name in entry.matched(list(self.manifest))]
+        return [self._check(name, self.manifest[name]) for name in entry.select(list(self.manifest))]
 
     def nearest(self, entry: Entry) -> list[str]:
         """Names of the manifest that are most like an entry's, best first."""
@@ -68,18 +68,9 @@ class Cryptomatte:
         folded = {name.lower(): name for name in names}
         return [folded[name] for name in get_close_matches(entry.name.lower(), folded, NEAREST, 0.4)]
 
-    def _number(self, text: str) -> int:
-        wrong = StrengthError(f"'{text}' is no id of a Cryptomatte: give 0x and 8 hexadecimal digits")
-        try:
-            found = int(text, 16)
-        except ValueError:
-            raise wrong from None
-        if found > _BITS:
-            raise wrong
-        return found
-
-    def _checked(self, name: str) -> int:
-        found, hashed = self.manifest[name], id_of_name(name)
+    def _check(self, name: str, found: int) -> int:
+        """The id that the manifest gives a name, if it is the name's hash."""
+        hashed = id_of_name(name)
         if found != hashed:
             raise StrengthError(f"{self.where}: Cryptomatte {self.name}: the manifest gives '{name}' the id "
                                 f"{found:08x}, its hash is {hashed:08x}: it may be another file's; give the id that is "
@@ -87,14 +78,25 @@ class Cryptomatte:
         return found
 
 
+def _parse_id(text: str) -> int:
+    wrong = StrengthError(f"'{text}' is no id of a Cryptomatte: give 0x and 8 hexadecimal digits")
+    try:
+        found = int(text, 16)
+    except ValueError:
+        raise wrong from None
+    if found > _BITS:
+        raise wrong
+    return found
+
+
 def strength_from_cryptomatte(
     ranks: np.ndarray | Sequence[np.ndarray], strengths: Mapping[str | int, float]
 ) -> np.ndarray:
-    """Strength (height, width, 1), 0..1: 1 less (1 - strength) of each thing times its share of the pixel.
+    """Strength (height, width, 1), 0..1: 1 minus (1 - strength) of each thing times its share of the pixel.
 
     ranks: (height, width, 2 n) float32, id and share in turn, as the channels R, G, B, A of the planes 00, 01, ... hold
     them; or a sequence of 2 n such planes (height, width). Ids must have all 32 bits. strengths: name or id -> 0 leave
-    as it is .. 1 denoise fully; what is not in it is denoised fully. Edges are as soft as the shares. StrengthError for
+    as it is .. 1 denoise fully; the rest is denoised fully. Edges are as soft as the shares. StrengthError for
     half a pair and strengths outside 0..1.
     """
     planes = list(np.moveaxis(ranks, -1, 0)) if isinstance(ranks, np.ndarray) else list(ranks)
@@ -104,7 +106,7 @@ def strength_from_cryptomatte(
     if not all(0 <= value <= 1 for value in table.values()):
         raise StrengthError(f"strengths {min(table.values()):g} to {max(table.values()):g}: give 0 to 1")
     lost = share_of(planes, {key: 1 - value for key, value in table.items()})
-    return snapped(1 - lost)[:, :, None]
+    return snap(1 - lost)[:, :, None]
 
 
 def share_of(planes: Sequence[np.ndarray], weights: Mapping[int, float]) -> np.ndarray:
@@ -122,15 +124,16 @@ def share_of(planes: Sequence[np.ndarray], weights: Mapping[int, float]) -> np.n
         at = np.minimum(np.searchsorted(ids, bits), ids.size - 1)
         known = np.clip(np.nan_to_num(share, nan=0.0), 0, 1)
         total += np.where(ids[at] == bits, factors[at] * known, np.float32(0))
-    return np.minimum(total, factors.max())
+    capped: np.ndarray = np.minimum(total, factors.max())
+    return capped
 
 
-def claimed(owned: Sequence[Mapping[Key, np.ndarray]], keys: Sequence[Key]) -> Iterator[tuple[Key, np.ndarray]]:
-    """Of several Cryptomattes of a picture, the share (height, width) of each pixel that each key has, last key first.
+def split_shares(owned: Sequence[Mapping[Key, np.ndarray]], keys: Sequence[Key]) -> Iterator[tuple[Key, np.ndarray]]:
+    """Each key and its share (height, width) of every pixel, over several Cryptomattes of a picture; last key first.
 
-    owned: for each Cryptomatte, key -> share of the ids that are this key's there. What a later key has of a pixel, in
-    whichever Cryptomatte, is not an earlier one's. How things of two of them overlap within a pixel is not known: as
-    much as can be is taken for the same.
+    owned: for each Cryptomatte, key -> share of the ids that belong to this key there. A later key takes its part of a
+    pixel from the earlier ones, in all Cryptomattes. How things of two of them overlap within a pixel is unknown: the
+    largest possible overlap is assumed.
     """
     later: list[np.ndarray | float] = [0.0] * len(owned)
     for key in reversed(keys):
@@ -140,8 +143,8 @@ def claimed(owned: Sequence[Mapping[Key, np.ndarray]], keys: Sequence[Key]) -> I
         later = [taken + own.get(key, 0.0) for own, taken in zip(owned, later, strict=True)]
 
 
-def snapped(strength: np.ndarray) -> np.ndarray:
-    """Strengths within 0..1, those close to an end on it; float32 of any shape."""
+def snap(strength: np.ndarray) -> np.ndarray:
+    """Strengths clipped to 0..1, those close to 0 or 1 moved there; float32 of any shape."""
     strength = np.clip(strength, 0, 1).astype(np.float32)
     strength[strength < LEAST] = 0
     strength[strength > 1 - LEAST] = 1
@@ -151,16 +154,16 @@ def snapped(strength: np.ndarray) -> np.ndarray:
 def _murmur3(data: bytes) -> int:
     found, whole = 0, len(data) // 4 * 4
     for at in range(0, whole, 4):
-        found = _rotated(found ^ _mixed(int.from_bytes(data[at:at + 4], "little")), 13) * 5 + 0xE6546B64 & _BITS
-    found ^= _mixed(int.from_bytes(data[whole:], "little")) ^ len(data)
+        found = _rotate(found ^ _mix(int.from_bytes(data[at:at + 4], "little")), 13) * 5 + 0xE6546B64 & _BITS
+    found ^= _mix(int.from_bytes(data[whole:], "little")) ^ len(data)
     found = (found ^ found >> 16) * 0x85EBCA6B & _BITS
     found = (found ^ found >> 13) * 0xC2B2AE35 & _BITS
     return found ^ found >> 16
 
 
-def _mixed(word: int) -> int:
-    return _rotated(word * 0xCC9E2D51 & _BITS, 15) * 0x1B873593 & _BITS
+def _mix(word: int) -> int:
+    return _rotate(word * 0xCC9E2D51 & _BITS, 15) * 0x1B873593 & _BITS
 
 
-def _rotated(word: int, count: int) -> int:
+def _rotate(word: int, count: int) -> int:
     return (word << count | word >> 32 - count) & _BITS

@@ -1,9 +1,9 @@
-"""Strength of what has converged: 0 where the renderer's own figures say that its noise is small enough.
+"""Strength of pixels that have converged: 0 where the renderer's own figures say that its noise is small enough.
 
 Renderers with adaptive sampling estimate the variance of each pixel. The standard error of a pixel's mean is the root
-of its samples' variance over their number; over the mean itself it does not depend on exposure, so one threshold does
-for a picture. An estimate from few samples is noisy, and one that missed a rare spike is too low: squares of pixels are
-taken together, and the largest error of the neighbourhood counts.
+of the variance of its samples over their number. Divided by the mean it does not depend on exposure, so one threshold
+fits a whole picture. An estimate from few samples is noisy, and one that missed a rare spike is too low: so squares of
+pixels are pooled, and the largest error of the neighbourhood counts.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postfx.doctor.statistics import local_mean, luminance
+from postfx.colour.primaries import luminance
 from postfx.errors import StrengthError
+from postfx.masks.cryptomatte import snap
+from postfx.masks.entries import Entry
 from postfx.roles import ERROR_ROLES, VARIANCES, Role
-from postfx.strength.bands import bands, spread, sum_near
-from postfx.strength.cryptomatte import snapped
-from postfx.strength.entries import Entry
+from postfx.sampling import bands, local_maximum, local_mean, local_sum
 
 READS = (Role.COLOUR, *ERROR_ROLES)
-"""Planes that are looked at, as far as a frame has them."""
+"""Planes that are looked at, if a frame has them."""
 
 POOLED = 2
 """Radius of the squares over which variance and light are averaged."""
 SOFT = 2
-"""Radius by which what has not converged is grown, and averaged then."""
+"""Radius by which the rest is grown, and then averaged."""
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """From where on a pixel has converged; one of the two.
+    """When a pixel counts as converged; give one of the two.
 
     Attributes:
         error: standard error of the mean over the mean, 0.01 for 1 %.
@@ -42,8 +42,10 @@ class Threshold:
     samples: int | None = None
 
     def basis(self, roles: Collection[Role], samples: int | None) -> str:
-        """What tells, of a frame with planes of these roles and a header's number of samples; StrengthError when
-        nothing does."""
+        """What says so, in words, in a frame with planes of these roles and a header's number of samples.
+
+        StrengthError if nothing does.
+        """
         counted = f"plane '{Role.SAMPLE_COUNT}'" if Role.SAMPLE_COUNT in roles else f"{samples} samples a pixel"
         is_counted = bool(Role.SAMPLE_COUNT in roles or samples)
         if self.samples and not is_counted:
@@ -61,7 +63,7 @@ class Threshold:
         return f"plane '{role}'" if role is Role.VARIANCE_OF_MEAN else f"plane '{role}' and {counted}"
 
 
-def threshold_of(entry: Entry) -> Threshold:
+def parse_threshold(entry: Entry) -> Threshold:
     """Threshold of an entry such as 'converged:0.01' or 'converged:256spp'; StrengthError for anything else."""
     text = entry.name.partition(":")[2]
     try:
@@ -79,12 +81,12 @@ def strength_of_converged(
 ) -> np.ndarray:
     """Strength (height, width, 1), 0..1: 0 where a frame has converged, 1 where its error is twice the threshold's.
 
-    planes: those of a frame, (height, width, channels), of which `READS` are looked at. samples: of each pixel, where
-    there is no plane of their number. For a number of samples N the error is that of n samples over that of N, the root
-    of N / n: strength is 1 up to N / 4 samples. Errors are those of luminance, as if noise were alike in all channels,
-    which is the largest that it can be. Where light and variance are 0, the error is 0; where one is not finite,
-    strength is 1. It is 1 up to two pixels from what has not converged, and soft within six. StrengthError when the
-    planes do not tell.
+    planes: those of a frame, (height, width, channels), of which `READS` are looked at. samples: of each pixel, for
+    frames without a plane of sample counts. For a threshold of N samples, the error of n samples is the root of N / n:
+    strength is 1 up to N / 4 samples. Errors are those of luminance if noise is alike in all channels, which is the
+    largest they can be. Where light and variance are 0, the error is 0; where one is not finite, strength is 1.
+    Strength is 1 up to two pixels from pixels that have not converged, and soft within six. StrengthError when the
+    planes do not hold enough.
     """
     threshold.basis(planes, samples)
     return np.concatenate([strength for _, strength in strength_in_bands(planes, threshold, samples)])
@@ -94,9 +96,9 @@ def strength_in_bands(
     planes: Mapping[Role, np.ndarray], threshold: Threshold, samples: int | None,
     relax: Callable[[], None] | None = None,
 ) -> Iterator[tuple[slice, np.ndarray]]:
-    """The same, some rows after the other: which ones, and their strength (rows, width, 1).
+    """`strength_of_converged` in bands: rows, and their strength (rows, width, 1).
 
-    relax: called after each band of rows that was looked at.
+    relax: called after each band.
     """
     unit = _unit(planes.get(Role.SAMPLE_COUNT), samples)
     seen = {role: planes[role] for role in READS if role in planes}
@@ -107,8 +109,8 @@ def strength_in_bands(
             error = np.sqrt(threshold.samples / count) if threshold.samples else _error(band, count) / threshold.error
             error = np.broadcast_to(error, band[Role.COLOUR].shape[:2])
             found = np.where(np.isfinite(error), np.clip(error - 1, 0, 1), 1)
-        soft = local_mean(spread(found, SOFT)[:, :, None], SOFT)
-        yield slice(first, last), snapped(soft[first - top:last - top])
+        soft = local_mean(local_maximum(found, SOFT)[:, :, None], SOFT)
+        yield slice(first, last), snap(soft[first - top:last - top])
         if relax:
             relax()
 
@@ -118,8 +120,8 @@ def _variance(roles: Collection[Role]) -> Role | None:
 
 
 def _unit(count: np.ndarray | None, samples: int | None) -> np.float32:
-    """Samples that 1 in the plane of counts stands for: those of the header where it holds shares of them, as Cycles
-    may; without a plane, the header's."""
+    """Samples that 1 in the plane of counts means: the header's number if the plane holds shares of it, as Cycles may
+    write, or if there is no plane."""
     is_share = count is None or (bool(samples) and count.max(initial=0) <= 1)
     return np.float32(samples or 0) if is_share else np.float32(1)
 
@@ -127,11 +129,12 @@ def _unit(count: np.ndarray | None, samples: int | None) -> np.float32:
 def _error(band: Mapping[Role, np.ndarray], count: np.ndarray | np.float32) -> np.ndarray:
     """Standard error of the mean over the mean: (height, width)."""
     role, colour = _variance(band), band[Role.COLOUR]
+    assert role is not None  # `Threshold.basis` has checked that
     variance = band[role]
     if role is Role.SECOND_MOMENT:
         variance, count = variance - colour * colour, count - 1
     power = luminance(np.sqrt(np.maximum(variance, 0))) ** 2
     if role is not Role.VARIANCE_OF_MEAN:
         power = np.where(count > 0, power / count, np.inf)
-    power, light = sum_near(power, POOLED), sum_near(luminance(colour), POOLED)
+    power, light = local_sum(power, POOLED), local_sum(luminance(colour), POOLED)
     return np.where(power == 0, light * 0, np.sqrt(power * (2 * POOLED + 1) ** 2) / np.abs(light))

@@ -1,8 +1,8 @@
 """Strength of sky and misses: 0 where the environment is seen directly and is free of noise.
 
-A miss seen through the primary ray has the environment's own colour, which no light path makes noisy. But fog scatters
-light in front of it, objects in motion or out of focus cover a part of it, and some renderers sample it. So the noise
-of the colour is measured, and what is noisy, near something noisy, or too small to be measured keeps full strength.
+Where the primary ray misses, a pixel has the environment's own colour, which no light path makes noisy. But fog
+scatters light in front of it, objects in motion or out of focus cover a part of it, and some renderers sample it. So
+the noise of the colour is measured. Pixels that are noisy, near noisy ones, or too few to be measured keep full strength.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from postfx.doctor.statistics import local_mean, luminance
+from postfx.colour.primaries import luminance
 from postfx.frame import DEPTH_MISS, Role
-from postfx.strength.bands import BAND, bands, spread
-from postfx.strength.cryptomatte import snapped
+from postfx.masks.cryptomatte import snap
+from postfx.sampling import BAND, bands, local_maximum, local_mean
 
 READS = (Role.COLOUR, Role.ALPHA, Role.DEPTH, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
-"""Planes that are looked at, as far as a frame has them."""
+"""Planes that are looked at, if a frame has them."""
 
 BLOCK = 8
 """Pixels on a side of the squares in which noise is measured."""
@@ -26,10 +26,10 @@ FEWEST = 8
 SPANS = (1, 2)
 """Distances in pixels at which neighbours are compared: a renderer's filter makes close ones alike."""
 NOISE = (0.008, 0.02)
-"""Standard deviation over mean, from invisible to visible: what the display curve sqrt(y / (1 + y)) shows of it is then
-at most 0.0015 to 0.004, as in `postfx.kernels.denoise_restore`."""
+"""Standard deviation over mean, from invisible to visible: the display curve sqrt(y / (1 + y)) turns it into at most
+0.0015 to 0.004, as in `postfx.kernels.denoise_restore`."""
 CROWD = (0.15, 0.35)
-"""Share of noisy misses from which on none are left alone: noise that is sparse is missing between its spikes, too."""
+"""Share of noisy misses from which on none are left alone: between its spikes, sparse noise cannot be measured."""
 GROWN, SOFT = 2, 2
 """Pixels by which everything else is grown, and radius by which it is grown once more and averaged."""
 
@@ -37,8 +37,8 @@ GROWN, SOFT = 2, 2
 def strength_of_misses(planes: Mapping[Role, np.ndarray]) -> np.ndarray:
     """Strength (height, width, 1), 0..1: 0 for misses without noise, 1 for everything else, soft in between.
 
-    planes: those of a frame, (height, width, channels), of which `READS` are looked at; colour is needed. What counts
-    as a miss is in `misses_of`. Pixels that are covered in part keep strength 1, as do two around them; the seventh has
+    planes: those of a frame, (height, width, channels), of which `READS` are looked at; colour is needed. `misses_of`
+    says what counts as a miss. Pixels that are covered in part keep strength 1, as do two around them; the seventh has
     strength 0. Noise is the second difference of luminance along both axes, at two distances, squared and averaged over
     the pixels of a square of 8 around which all are misses (after Immerkaer 1996, "Fast noise variance estimation"),
     its root over their mean luminance. A square takes the largest noise of its neighbours.
@@ -49,9 +49,9 @@ def strength_of_misses(planes: Mapping[Role, np.ndarray]) -> np.ndarray:
 def strength_in_bands(
     planes: Mapping[Role, np.ndarray], relax: Callable[[], None] | None = None
 ) -> Iterator[tuple[slice, np.ndarray, int]]:
-    """The same, some rows after the other: which ones, their strength (rows, width, 1), and how many misses they have.
+    """`strength_of_misses` in bands: rows, their strength (rows, width, 1), and how many misses they have.
 
-    relax: called after each band of rows that was looked at.
+    relax: called after each band.
     """
     height, width = planes[Role.COLOUR].shape[:2]
     see_through = _is_transparent(planes)
@@ -59,9 +59,9 @@ def strength_in_bands(
     for first, last, top, bottom in bands(height, GROWN + 2 * SOFT):
         kept = ~_misses({role: plane[top:bottom] for role, plane in planes.items()}, see_through)
         rows, inner = np.arange(top, bottom) // BLOCK, slice(first - top, last - top)
-        found = np.maximum(spread(kept.astype(np.float32), GROWN), noise[rows][:, np.arange(width) // BLOCK])
-        soft = local_mean(spread(found, SOFT)[:, :, None], SOFT)
-        yield slice(first, last), snapped(soft[inner]), kept[inner].size - int(kept[inner].sum())
+        found = np.maximum(local_maximum(kept.astype(np.float32), GROWN), noise[rows][:, np.arange(width) // BLOCK])
+        soft = local_mean(local_maximum(found, SOFT)[:, :, None], SOFT)
+        yield slice(first, last), snap(soft[inner]), kept[inner].size - int(kept[inner].sum())
         if relax:
             relax()
 
@@ -69,15 +69,15 @@ def strength_in_bands(
 def misses_of(planes: Mapping[Role, np.ndarray]) -> np.ndarray:
     """Pixels whose primary ray hit nothing: (height, width) of bool.
 
-    planes: (height, width, channels) each. A miss has depth 1e10 and normal 0, as far as the two planes are there;
-    without depth normal and albedos 0; without depth and normal alpha 0. If alpha is below 1 anywhere, misses have
-    alpha 0, too: what has more is covered in part. Without these planes nothing is a miss.
+    planes: (height, width, channels) each. A miss has depth 1e10 and normal 0, if the frame has these planes; without
+    depth, normal and albedos are 0; without depth and normal, alpha is 0. If alpha is below 1 anywhere, misses must
+    have alpha 0, too: a pixel with more is covered in part. Without any of these planes, no pixel is a miss.
     """
     return _misses(planes, _is_transparent(planes))
 
 
 def _is_transparent(planes: Mapping[Role, np.ndarray]) -> bool:
-    """Whether alpha tells coverage; where it is 1 all over, the environment is opaque."""
+    """Whether alpha means coverage; if it is 1 everywhere, the environment is opaque."""
     return Role.ALPHA in planes and any((planes[Role.ALPHA][top:top + BAND] < 1).any()
                                         for top in range(0, planes[Role.ALPHA].shape[0], BAND))
 
@@ -95,7 +95,7 @@ def _misses(planes: Mapping[Role, np.ndarray], see_through: bool) -> np.ndarray:
 def _noise_strength(
     planes: Mapping[Role, np.ndarray], see_through: bool, relax: Callable[[], None] | None
 ) -> np.ndarray:
-    """Strength that the noise of each square's misses asks for: (rows, columns) of squares, 1 where it is not known."""
+    """Strength by the noise of each square's misses: (rows, columns) of squares, 1 where the noise is unknown."""
     sums = []
     for first, last, top, bottom in bands(planes[Role.COLOUR].shape[0], max(SPANS)):
         band = {role: plane[top:bottom] for role, plane in planes.items() if role in READS}
@@ -111,14 +111,14 @@ def _noise_strength(
     strength = np.clip((noise - NOISE[0]) / (NOISE[1] - NOISE[0]), 0, 1)
     crowd = (strength * count).sum() / max(1.0, (count * known).sum())
     least = np.clip((crowd - CROWD[0]) / (CROWD[1] - CROWD[0]), 0, 1)
-    near = spread(known.astype(np.float32), 1) > 0
-    return np.where(near, np.maximum(spread(strength, 1), least), 1).astype(np.float32)
+    near = local_maximum(known.astype(np.float32), 1) > 0
+    return np.where(near, np.maximum(local_maximum(strength, 1), least), 1).astype(np.float32)
 
 
 def _band_sums(band: Mapping[Role, np.ndarray], missed: np.ndarray, first: int, last: int) -> np.ndarray:
-    """Of each square: mean noise power and pixels that it was measured at, light of the misses and their count.
+    """Of each square: sums of noise power, of the pixels it was measured at, of the misses' light and their number.
 
-    What is not finite is as noisy as can be.
+    Values that are not finite count as infinite noise.
     """
     light = luminance(band[Role.COLOUR])
     broken = missed & ~np.isfinite(light)
@@ -137,15 +137,17 @@ def _band_sums(band: Mapping[Role, np.ndarray], missed: np.ndarray, first: int, 
 
 
 def _crossed(plane: np.ndarray, span: int, weights: tuple[int, int, int]) -> np.ndarray:
-    """Weighted sums along rows and columns, of pixels that are `span` apart; without a border of so many pixels."""
+    """Weighted sums along rows and columns, of pixels that are `span` apart; without a border of `span` pixels."""
     before, here, after = weights
     rows = before * plane[:-2 * span] + here * plane[span:-span] + after * plane[2 * span:]
-    return before * rows[:, :-2 * span] + here * rows[:, span:-span] + after * rows[:, 2 * span:]
+    crossed: np.ndarray = before * rows[:, :-2 * span] + here * rows[:, span:-span] + after * rows[:, 2 * span:]
+    return crossed
 
 
 def _square_sums(plane: np.ndarray) -> np.ndarray:
-    """Sums over squares of `BLOCK` pixels, those at the end being smaller: float64."""
+    """Sums over squares of `BLOCK` pixels, float64; squares at the end may be smaller."""
     missing = [(0, -side % BLOCK) for side in plane.shape]
     padded = np.pad(plane.astype(np.float64), missing)
     rows, columns = (side // BLOCK for side in padded.shape)
-    return padded.reshape(rows, BLOCK, columns, BLOCK).sum((1, 3))
+    sums: np.ndarray = padded.reshape(rows, BLOCK, columns, BLOCK).sum((1, 3))
+    return sums

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.strength import (
+from postfx.masks import (
     Cryptomatte,
     Entry,
     StrengthError,

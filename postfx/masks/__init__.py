@@ -1,0 +1,28 @@
+"""Planes `strength` made from what a frame holds: names in a Cryptomatte, whole-number ids, sky and misses, or pixels
+that have converged.
+
+NumPy in, NumPy out, as in `frame.planes[Role.STRENGTH] = strength_of_misses(frame.planes)`. docs/masks.md explains it,
+and how to ask for the same on the command line.
+"""
+
+from postfx.errors import StrengthError
+from postfx.masks.converged import Threshold, parse_threshold, strength_of_converged
+from postfx.masks.cryptomatte import Cryptomatte, id_of_name, strength_from_cryptomatte
+from postfx.masks.entries import AUTO, Entry, parse_leave, strength_from_ids
+from postfx.masks.misses import misses_of, strength_of_misses
+
+__all__ = [
+    "AUTO",
+    "Cryptomatte",
+    "Entry",
+    "StrengthError",
+    "Threshold",
+    "id_of_name",
+    "misses_of",
+    "parse_leave",
+    "parse_threshold",
+    "strength_from_cryptomatte",
+    "strength_from_ids",
+    "strength_of_converged",
+    "strength_of_misses",
+]
