@@ -21,8 +21,8 @@ import numpy as np
 import onnx
 
 import postfx
+from postfx.colour.curves import srgb_encode
 from postfx.frame import Frame, Role
-from postfx.io.srgb import srgb_encode
 from postfx.passes._denoise_models import GUIDED, UNSCALED, exact, parted
 from postfx.runtime import Device, Library, PipelineState, Tensor
 from training.calibration import Calibration

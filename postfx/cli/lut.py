@@ -49,7 +49,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.exposure import ExposureMeter
     from postfx.frame import Role
     from postfx.io.sequence import Sequence
-    from postfx.lut import LookTable, exposed
+    from postfx.look_table import LookTable, expose_colour
     from postfx.runtime import Device
 
     path = Path(arguments.output)
@@ -61,7 +61,7 @@ def execute(arguments: argparse.Namespace) -> int:
     )
     numbers = sequence.numbers if arguments.frames else sequence.numbers[:: -(-len(sequence) // _MOST_FRAMES)]
     meter = ExposureMeter(arguments.exposure)
-    frames = [exposed(frame, meter(frame)) for frame in map(sequence.read, numbers)]
+    frames = [expose_colour(frame, meter(frame)) for frame in map(sequence.read, numbers)]
     others = frames[1::2] or frames
     table = LookTable(passes, frames[::2], Device(arguments.device), arguments.size)
     look = arguments.tonemap or ("no tone mapping" if arguments.no_tonemap else "the default network")

@@ -12,11 +12,11 @@ import numpy as np
 
 from postfx.cli.inspection import Inspection
 from postfx.cli.summary import Report
+from postfx.colour.curves import srgb_decode
 from postfx.errors import ReportError
 from postfx.exposure import ExposureMeter, measure
 from postfx.frame import Frame, Role
 from postfx.io.output import check_folder
-from postfx.io.srgb import srgb_decode
 from postfx.kernels.resample import resampled
 from postfx.pipeline import Pipeline
 from postfx.report.frame_log import FrameLog, Look

@@ -1,4 +1,4 @@
-"""How different pictures for one display look: PSNR of code values, and Delta E ITP."""
+"""How different two pictures for one display look: PSNR of code values, and Delta E ITP."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TO_ITP = np.array([[2048, 2048, 0], [3305, -6806.5, 3501.5], [17933, -17390, -5
 
 
 class Difference(NamedTuple):
-    """PSNR in dB, mean Delta E ITP, and the Delta E ITP that 99 % of the pixels stay below."""
+    """PSNR in dB, mean Delta E ITP, and the Delta E ITP that 99 % of the pixels stay below (`most`)."""
 
     psnr: float
     mean: float
@@ -27,7 +27,7 @@ class Difference(NamedTuple):
         return f"PSNR {self.psnr:.2f} dB, Delta E ITP {self.mean:.2f} (99 % of the pixels below {self.most:.2f})"
 
 
-def itp(codes: np.ndarray, display: Display) -> np.ndarray:
+def to_itp(codes: np.ndarray, display: Display) -> np.ndarray:
     """Code values (..., 3) in ITP: ITU-R BT.2100-2, table 7, with CT halved as in BT.2124."""
     nits = display.decode(np.asarray(codes, np.float64)) * (display.white or SDR_WHITE)
     light = np.maximum(nits @ matrix_between(display.kind.primaries, REC2020).T, 0)
@@ -36,11 +36,12 @@ def itp(codes: np.ndarray, display: Display) -> np.ndarray:
 
 def delta_e_itp(codes: np.ndarray, others: np.ndarray, display: Display) -> np.ndarray:
     """Delta E ITP (ITU-R BT.2124-0, annex 1) of each colour; about 1 can just be seen."""
-    return 720 * np.sqrt(np.square(itp(codes, display) - itp(others, display)).sum(-1))
+    distance: np.ndarray = np.sqrt(np.square(to_itp(codes, display) - to_itp(others, display)).sum(-1))
+    return 720 * distance
 
 
-def difference(codes: list[np.ndarray], others: list[np.ndarray], display: Display) -> Difference:
-    """Over all pixels of some pictures (height, width, 3), against others."""
+def measure_difference(codes: list[np.ndarray], others: list[np.ndarray], display: Display) -> Difference:
+    """Difference over all pixels between two lists of pictures (height, width, 3) of code values."""
     pairs = list(zip(codes, others, strict=True))
     squares = np.concatenate([np.square(a.astype(np.float64) - b).ravel() for a, b in pairs])
     seen = np.concatenate([delta_e_itp(a, b, display).ravel() for a, b in pairs])

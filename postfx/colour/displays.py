@@ -26,8 +26,8 @@ class Kind(NamedTuple):
     Attributes:
         title: name for people.
         primaries, curve: as in `postfx.colour`.
-        cicp: code points of ITU-T H.273: primaries, transfer, matrix (0: RGB), full range. None where its code for
-            the transfer function means a camera's, which viewers then undo, and not BT.1886.
+        cicp: code points of ITU-T H.273: primaries, transfer, matrix (0: RGB), full range. None for BT.1886: its code
+            in H.273 means a camera's transfer function, which viewers would undo.
     """
 
     title: str
@@ -68,60 +68,60 @@ class Display:
 
     @property
     def hdr(self) -> bool:
-        """Whether it shows light beyond diffuse white."""
+        """Whether it shows light above diffuse white."""
         return self.name in HDR
 
     @property
     def most(self) -> float:
-        """Most light that it shows, 1 being white."""
-        return self.peak / self.white if self.hdr else 1.0
+        """Most light that it shows; 1 is white."""
+        return self.peak / self.white if self.peak is not None and self.white is not None else 1.0
 
     @property
     def unit(self) -> float:
-        """Light by which the curve's 1 is meant, white being 1; for HLG before the system gamma is undone."""
+        """Light that the curve's 1 stands for; 1 is white. For HLG, before the system gamma is undone."""
         return {"pq": PQ_NITS / (self.white or 1), "hlg": self.most}.get(self.name, 1.0)
 
     @property
     def system_gamma(self) -> float:
         """Exponent of the HLG display's OOTF (ITU-R BT.2100-2, note 5f); 1 for all others."""
-        return 1.2 + 0.42 * math.log10(self.peak / 1000) if self.name == "hlg" else 1.0
+        return 1.2 + 0.42 * math.log10(self.peak / 1000) if self.name == "hlg" and self.peak is not None else 1.0
 
     def __str__(self) -> str:
         return f"{self.name},peak={self.peak:g},white={self.white:g}" if self.hdr else self.name
 
     def encode(self, light: np.ndarray) -> np.ndarray:
-        """Light (..., 3) to code values in [0, 1]; what the display cannot show is cut, channel by channel."""
+        """Light (..., 3) to code values in [0, 1]; light that the display cannot show is clipped in each channel."""
         light = np.clip(np.nan_to_num(light, posinf=self.most), 0, self.most) / self.unit
         return self.kind.curve.encode(light * self._gain(light, 1 / self.system_gamma - 1))
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
         """Code values (..., 3) to light."""
-        return self.lit(self.kind.curve.decode(codes))
+        return self.apply_ootf(self.kind.curve.decode(codes))
 
-    def lit(self, signal: np.ndarray) -> np.ndarray:
-        """What the display makes of what its curve gives for code values (..., 3): light, 1 is white."""
+    def apply_ootf(self, signal: np.ndarray) -> np.ndarray:
+        """Light (..., 3), 1 is white, from code values that the inverse of the curve was applied to."""
         return signal if not self.hdr else signal * self._gain(signal, self.system_gamma - 1) * self.unit
 
     def _gain(self, light: np.ndarray, exponent: float) -> np.ndarray | float:
-        """Power of the luminance, kept off zero."""
+        """Power of the luminance, kept above zero."""
         return np.maximum(light @ np.array(LUMA_REC2020), _DARK)[..., None] ** exponent if exponent else 1.0
 
 
 @cache
 def parse_display(text: str) -> Display:
-    """A display from 'p3' or 'pq,peak=1000,white=203'. Raises ColourError, which says what there is."""
+    """A display from 'p3' or 'pq,peak=1000,white=203'. Raises ColourError, which lists the displays."""
     name, *settings = text.split(",")
     if name not in KINDS:
         raise ColourError(f"unknown display '{name}': use {', '.join(KINDS)}, e.g. pq,peak=1000")
-    values = dict(_setting(text, item) for item in settings)
+    values = dict(_parse_setting(text, item) for item in settings)
     if name not in HDR:
         if values:
             raise ColourError(f"display '{text}': peak and white are for {' and '.join(HDR)}")
         return Display(name)
-    return _checked(Display(name, values.get("peak", PEAK), values.get("white", WHITE)))
+    return _hdr_display(name, values.get("peak", PEAK), values.get("white", WHITE))
 
 
-def _setting(text: str, item: str) -> tuple[str, float]:
+def _parse_setting(text: str, item: str) -> tuple[str, float]:
     key, _, value = item.partition("=")
     try:
         number = float(value)
@@ -132,9 +132,10 @@ def _setting(text: str, item: str) -> tuple[str, float]:
     return key, number
 
 
-def _checked(display: Display) -> Display:
-    if not 0 < display.white <= display.peak <= PQ_NITS:
+def _hdr_display(name: str, peak: float, white: float) -> Display:
+    display = Display(name, peak, white)
+    if not 0 < white <= peak <= PQ_NITS:
         raise ColourError(f"display '{display}': 0 < white <= peak <= {PQ_NITS:g} nits must hold")
-    if display.name == "hlg" and not _HLG_PEAKS[0] <= display.peak <= _HLG_PEAKS[1]:
+    if name == "hlg" and not _HLG_PEAKS[0] <= peak <= _HLG_PEAKS[1]:
         raise ColourError(f"display '{display}': HLG is defined for peaks of 400 to 2000 nits")
     return display

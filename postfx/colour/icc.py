@@ -1,4 +1,4 @@
-"""ICC profiles of displays, small and always the same bytes: three primaries and a curve (ICC.1:2022, version 4.4)."""
+"""ICC profiles of displays: three primaries and a curve (ICC.1:2022, version 4.4); small, and always the same bytes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from postfx.colour.curves import SRGB
 from postfx.colour.displays import Display
-from postfx.colour.primaries import D50_XYZ, adapted, to_xyz
+from postfx.colour.primaries import D50_XYZ, adapt, to_xyz
 
 _VERSION = 0x04400000
 _MADE = (2025, 1, 1, 0, 0, 0)
@@ -18,14 +18,14 @@ _HEADER, _ENTRY = 128, 12
 
 
 @cache
-def profile(display: Display) -> bytes:
+def make_profile(display: Display) -> bytes:
     """Profile of a display's code values.
 
-    PQ and HLG cannot be said by a curve up to their peak: it ends at diffuse white, so that software without HDR shows
-    the picture with lights cut there, and the tag `cicp` tells the others what it is.
+    A curve cannot describe PQ and HLG up to their peak. It ends at diffuse white, so software without HDR clips
+    brighter lights there; the tag `cicp` tells other software the true encoding.
     """
     primaries = display.kind.primaries
-    colorants = adapted(primaries, D50_XYZ)
+    colorants = adapt(primaries, D50_XYZ)
     curve = _curve(display)
     tags = {
         b"desc": _text(f"{display.kind.title} (postfx)"),
@@ -41,10 +41,10 @@ def profile(display: Display) -> bytes:
     }
     if display.kind.cicp:
         tags[b"cicp"] = b"cicp" + bytes(4) + bytes(display.kind.cicp)
-    return _assembled(tags)
+    return _assemble(tags)
 
 
-def _assembled(tags: dict[bytes, bytes]) -> bytes:
+def _assemble(tags: dict[bytes, bytes]) -> bytes:
     start = _HEADER + 4 + _ENTRY * len(tags)
     table, data, places = struct.pack(">I", len(tags)), b"", {}
     for name, content in tags.items():
@@ -69,7 +69,8 @@ def _curve(display: Display) -> bytes:
         return b"para" + struct.pack(">IHH", 0, 0, 0) + _fixed(2.4)
     codes = np.linspace(0, 1, _SAMPLES)
     light = np.minimum(display.decode(np.repeat(codes[:, None], 3, 1))[:, 0], 1)
-    return b"curv" + struct.pack(">II", 0, _SAMPLES) + np.rint(light * 65535).astype(">u2").tobytes()
+    samples: bytes = np.rint(light * 65535).astype(">u2").tobytes()
+    return b"curv" + struct.pack(">II", 0, _SAMPLES) + samples
 
 
 def _text(text: str) -> bytes:

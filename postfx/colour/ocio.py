@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from postfx.errors import ColourError
 PREFIX = "ocio:"
 BUILT_IN = "ocio://studio-config-v4.0.0_aces-v2.0_ocio-v2.5"
 INTERCHANGE = "aces_interchange"
-"""The role that every config which is to be used here must have; its space is ACES2065-1."""
+"""The role that a config must have to be used here; its space is ACES2065-1."""
 LUTS = (".cube", ".clf", ".ctf", ".3dl", ".spi3d", ".csp")
 DISPLAYS = {
     "srgb": ("sRGB - Display", "sRGB"),
@@ -30,9 +30,13 @@ DISPLAYS = {
     "pq": ("Rec.2100-PQ - Display", "Rec.2100-PQ"),
     "hlg": ("Rec.2100-HLG - Display", "Rec.2100-HLG"),
 }
-"""Names that configs give to our displays: of the ACES configs, and of older ones."""
+"""Names that configs give to our displays: first those of the ACES configs, then older ones."""
 _NOTE = re.compile(r"^#\s*postfx: input=(.+), output=(\S+)$", re.MULTILINE)
 _HEAD = 4096
+
+
+Apply = Callable[[oiio.ImageBuf], oiio.ImageBuf]
+"""OpenImageIO's side of a transform; the image that it returns tells what went wrong."""
 
 
 class Transform(NamedTuple):
@@ -44,13 +48,13 @@ class Transform(NamedTuple):
 
 
 def config_name() -> str:
-    """The config that is used: $OCIO, or the ACES 2 studio config that is built into OpenColorIO."""
+    """The config in use: $OCIO, or the ACES 2 studio config that is built into OpenColorIO."""
     return os.environ.get("OCIO") or BUILT_IN
 
 
 def view_transform(text: str, display: Display) -> Transform:
     """'VIEW' or 'VIEW@DISPLAY' of the config. VIEW may be part of a view's name; without one, it is the display's
-    default or, on an HDR display, the first for its peak. Raises ColourError, which says what there is."""
+    default or, on an HDR display, the first for its peak. Raises ColourError, which lists the views."""
     name, config = config_name(), _config(config_name())
     wanted, _, named = text.partition("@")
     shown = _display_name(config, name, named or display.name, (named,) if named else DISPLAYS[display.name])
@@ -59,16 +63,21 @@ def view_transform(text: str, display: Display) -> Transform:
     view = _view_name(config, shown, wanted, own)
     nits = re.search(r"(\d+) nits", view)
     if own.name == "pq" and nits:
-        own = replace(own, peak=max(float(nits[1]), own.white))
-    apply = partial(oiio.ImageBufAlgo.ociodisplay, display=shown, view=view, fromspace=INTERCHANGE, colorconfig=name)
+        own = replace(own, peak=max(float(nits[1]), own.white or 0.0))
+
+    def apply(image: oiio.ImageBuf) -> oiio.ImageBuf:
+        return oiio.ImageBufAlgo.ociodisplay(
+            image, display=shown, view=view, fromspace=INTERCHANGE, colorconfig=name, unpremult=False)
+
     return Transform(lambda x: _run(apply, x, f"{PREFIX}{text}"), own, f"{view}, {shown}")
 
 
 def file_transform(text: str) -> Transform:
-    """A look-up table in a file, 'FILE,input=SPACE,output=DISPLAY': what it takes, by OpenColorIO's name of the colour
-    space, and for which display the result is (default: srgb). Tables that postfx wrote say both themselves.
+    """A look-up table in a file: 'FILE,input=SPACE,output=DISPLAY'.
 
-    Raises ColourError when the file cannot be read or does not say what it takes.
+    SPACE is OpenColorIO's name of the colour space that the table takes, DISPLAY the display that its result is for
+    (default: srgb). Tables that postfx wrote name both themselves. Raises ColourError when the file cannot be read or
+    nothing names the space.
     """
     path, *settings = text.split(",")
     given = dict(item.partition("=")[::2] for item in settings)
@@ -85,16 +94,24 @@ def file_transform(text: str) -> Transform:
     name, config = config_name(), _config(config_name())
     if config.resolve(space) not in config.getColorSpaceNames():
         raise ColourError(f"{path}: {name} has no colour space '{space}': use ACEScct, 'Linear Rec.709 (sRGB)' or such")
-    convert = partial(oiio.ImageBufAlgo.colorconvert, fromspace=INTERCHANGE, tospace=space, colorconfig=name)
-    look_up = partial(oiio.ImageBufAlgo.ociofiletransform, name=str(Path(path).resolve()), colorconfig=name)
-    both = lambda image, **how: look_up(convert(image, **how), **how)  # noqa: E731
-    return Transform(lambda x: _run(both, x, path), parse_display(output), f"{Path(path).name}, takes {space}")
+    file = str(Path(path).resolve())
+
+    def apply(image: oiio.ImageBuf) -> oiio.ImageBuf:
+        own = oiio.ImageBufAlgo.colorconvert(
+            image, fromspace=INTERCHANGE, tospace=space, colorconfig=name, unpremult=False)
+        return oiio.ImageBufAlgo.ociofiletransform(own, name=file, colorconfig=name, unpremult=False)
+
+    return Transform(lambda x: _run(apply, x, path), parse_display(output), f"{Path(path).name}, takes {space}")
 
 
 def convert(light: np.ndarray, source: str, target: str) -> np.ndarray:
     """Colours (..., 3) from one colour space of the built-in config to another, float64."""
-    apply = partial(oiio.ImageBufAlgo.colorconvert, fromspace=source, tospace=target, colorconfig=BUILT_IN)
-    return _applied(apply, light, f"{source} to {target}")
+
+    def apply(image: oiio.ImageBuf) -> oiio.ImageBuf:
+        return oiio.ImageBufAlgo.colorconvert(
+            image, fromspace=source, tospace=target, colorconfig=BUILT_IN, unpremult=False)
+
+    return _apply(apply, light, f"{source} to {target}")
 
 
 def is_lut(text: str) -> bool:
@@ -138,17 +155,18 @@ def _view_name(config: oiio.ColorConfig, shown: str, wanted: str, display: Displ
     return matching[0]
 
 
-def _run(apply: Callable[..., oiio.ImageBuf], light: np.ndarray, what: str) -> np.ndarray:
-    """A transform of linear ACEScg (..., 3), cut to [0, 1]."""
-    return np.clip(_applied(apply, light @ matrix_between(ACESCG, ACES2065_1).T, what), 0, 1)
+def _run(apply: Apply, light: np.ndarray, what: str) -> np.ndarray:
+    """A transform of linear ACEScg (..., 3), clipped to [0, 1]."""
+    codes: np.ndarray = np.clip(_apply(apply, light @ matrix_between(ACESCG, ACES2065_1).T, what), 0, 1)
+    return codes
 
 
-def _applied(apply: Callable[..., oiio.ImageBuf], colours: np.ndarray, what: str) -> np.ndarray:
+def _apply(apply: Apply, colours: np.ndarray, what: str) -> np.ndarray:
     image = oiio.ImageBuf(np.ascontiguousarray(colours.reshape(-1, 1, 3), np.float32))
     try:
-        result = apply(image, unpremult=False)
-    except RuntimeError as error:  # OpenImageIO, where OpenColorIO's message has braces in it
+        result = apply(image)
+    except RuntimeError as error:  # OpenImageIO raises it if OpenColorIO's message has braces in it
         raise ColourError(f"{what}: cannot be read as a colour transform") from error
     if result.has_error:
         raise ColourError(f"{what}: {result.geterror().splitlines()[0]}")
-    return result.get_pixels("float").reshape(colours.shape).astype(np.float64)
+    return np.asarray(result.get_pixels("float")).reshape(colours.shape).astype(np.float64)

@@ -19,7 +19,7 @@ REC709: Chromaticities = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, *D65)
 P3_D65: Chromaticities = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *D65)
 """SMPTE EG 432-1; the primaries of Display P3."""
 REC2020: Chromaticities = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *D65)
-"""ITU-R BT.2020-2, table 2; those of BT.2100 too."""
+"""ITU-R BT.2020-2, table 2; the primaries of BT.2100 too."""
 ACESCG: Chromaticities = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
 """AP1, S-2014-004."""
 ACES2065_1: Chromaticities = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.0770, 0.32168, 0.33767)
@@ -40,7 +40,7 @@ _SAME = 2e-3
 
 
 def are_same(a: Chromaticities, b: Chromaticities) -> bool:
-    """Whether chromaticities differ by no more than what headers round off."""
+    """Whether chromaticities differ by no more than headers round off."""
     return len(a) == len(b) and bool(np.allclose(a, b, atol=_SAME))
 
 
@@ -55,13 +55,15 @@ def to_xyz(primaries: Chromaticities) -> np.ndarray:
     x, y = np.reshape(primaries, (4, 2)).T
     columns = np.stack([x / y, np.ones(4), (1 - x - y) / y])
     scale = np.linalg.solve(columns[:, :3], columns[:, 3])
-    return columns[:, :3] * scale
+    matrix: np.ndarray = columns[:, :3] * scale
+    return matrix
 
 
-def adapted(primaries: Chromaticities, white: tuple[float, float, float]) -> np.ndarray:
+def adapt(primaries: Chromaticities, white: tuple[float, float, float]) -> np.ndarray:
     """3x3 matrix, linear RGB -> CIE XYZ as seen under another white, by the Bradford transform."""
     own = _BRADFORD @ to_xyz(primaries).sum(1)
-    return np.linalg.inv(_BRADFORD) @ np.diag(_BRADFORD @ white / own) @ _BRADFORD @ to_xyz(primaries)
+    matrix: np.ndarray = np.linalg.inv(_BRADFORD) @ np.diag(_BRADFORD @ white / own) @ _BRADFORD @ to_xyz(primaries)
+    return matrix
 
 
 @cache
@@ -69,7 +71,9 @@ def matrix_between(source: Chromaticities, target: Chromaticities) -> np.ndarray
     """3x3 matrix, linear RGB -> linear RGB of other primaries; white stays white (Bradford); column vectors."""
     if source == target:
         return np.eye(3)
-    return np.linalg.inv(to_xyz(target)) @ adapted(source, tuple(to_xyz(target).sum(1)))
+    x, y, z = to_xyz(target).sum(1)
+    matrix: np.ndarray = np.linalg.inv(to_xyz(target)) @ adapt(source, (x, y, z))
+    return matrix
 
 
 def luminance(colour: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Views: what turns exposed scene-linear light into code values of a display, and their cubes.
+"""Views, which turn exposed scene-linear light into code values of a display, and their cubes.
 
-A view is a function of one colour. It is evaluated at the corners of a cube on logarithmic axes once, and the kernel
-`apply_cube` reads every pixel between them.
+A view is a function of one colour. It is evaluated once, at the corners of a cube on logarithmic axes, and the kernel
+`apply_cube` interpolates every pixel between them.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _START, _DESATURATION, _OFFSET = 0.8, 0.15, 0.04
 
 @dataclass(frozen=True)
 class View:
-    """A view and what it is between.
+    """A view, the light it takes and the display it is for.
 
     Attributes:
         apply: light (..., 3), at least 0 -> code values (..., 3) in [0, 1].
-        primaries: those of the light.
+        primaries: primaries of the light.
         display: the display that the code values are for.
-        title: what it is, for people.
+        title: name for people.
     """
 
     apply: Callable[[np.ndarray], np.ndarray]
@@ -40,8 +40,8 @@ class View:
 
     def from_rec709(self, light: np.ndarray) -> np.ndarray:
         """Code values of exposed scene-linear Rec.709 (..., 3), computed by the view itself."""
-        turned = light @ matrix_between(REC709, self.primaries).T
-        return self.apply(np.maximum(np.nan_to_num(turned, posinf=WHITEST), 0))
+        own = light @ matrix_between(REC709, self.primaries).T
+        return self.apply(np.maximum(np.nan_to_num(own, posinf=WHITEST), 0))
 
 
 def reinhard(light: np.ndarray, primaries: Chromaticities = REC709, most: float = 1.0) -> np.ndarray:
@@ -50,7 +50,8 @@ def reinhard(light: np.ndarray, primaries: Chromaticities = REC709, most: float 
     light (..., 3) scene-linear, at least 0; the result is display light, below `most` in luminance only.
     """
     luminance = light @ to_xyz(primaries)[1]
-    return light / (1 + luminance / most)[..., None]
+    mapped: np.ndarray = light / (1 + luminance / most)[..., None]
+    return mapped
 
 
 def neutral(light: np.ndarray) -> np.ndarray:
@@ -72,7 +73,7 @@ def neutral(light: np.ndarray) -> np.ndarray:
 def find_view(text: str, display: Display) -> View:
     """A view by name: 'reinhard', 'neutral', 'ocio:VIEW' or 'FILE.cube,input=SPACE', best made for a display.
 
-    The view's own display tells what came of it. Raises ColourError when there is no such view.
+    `View.display` tells which display was found. Raises ColourError when there is no such view.
     """
     if text == "reinhard":
         own = display.kind.primaries
@@ -93,7 +94,7 @@ def is_view(text: str) -> bool:
 
 
 def axis(size: int = SIZE) -> np.ndarray:
-    """Light at the corners along an axis of a cube, (size,)."""
+    """Light at the corners along one axis of a cube, (size,)."""
     return TOE * (np.exp2(np.linspace(0, 1, size) / SCALE) - 1)
 
 

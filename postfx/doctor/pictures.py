@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from postfx.colour.curves import srgb_encode
 from postfx.doctor.geometry import is_hit
 from postfx.doctor.statistics import finite
 from postfx.errors import WriteError
 from postfx.exposure import measure
 from postfx.exposure.views import shown
 from postfx.frame import Frame, Role
-from postfx.io.srgb import srgb_encode
 from postfx.report.pictures import png
 from postfx.roles import ERROR_ROLES
 

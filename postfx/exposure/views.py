@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.io.srgb import srgb_encode
+from postfx.colour.curves import srgb_encode
 
 LUMA = np.array((0.2126, 0.7152, 0.0722), np.float32)
 

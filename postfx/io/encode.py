@@ -16,7 +16,7 @@ import OpenImageIO as oiio
 from isal import isal_zlib
 
 from postfx.colour.displays import KINDS, Display
-from postfx.colour.icc import profile
+from postfx.colour.icc import make_profile
 from postfx.colour.primaries import Chromaticities
 from postfx.errors import ReadError
 from postfx.io.exr.container import PIXEL_BYTES, ExrContainer, NewPart, read_headers, write_container
@@ -45,7 +45,7 @@ def light_of(codes: np.ndarray, display: Display) -> np.ndarray:
     light = np.empty_like(values)
     if not look_up(values, _table(display.name), light):
         return display.decode(codes).astype(np.float32, copy=False)
-    return display.lit(light.reshape(codes.shape)).astype(np.float32, copy=False)
+    return display.apply_ootf(light.reshape(codes.shape)).astype(np.float32, copy=False)
 
 
 @cache
@@ -66,7 +66,7 @@ def tag_codes(spec: oiio.ImageSpec, display: Display, path: Path) -> None:
     if path.suffix.lower() == ".png" and display.name == "srgb":
         spec.attribute("oiio:ColorSpace", "sRGB")
         return
-    icc = np.frombuffer(profile(display), np.uint8)
+    icc = np.frombuffer(make_profile(display), np.uint8)
     spec.attribute("oiio:ColorSpace", "unknown")  # else OpenImageIO adds that it is sRGB
     spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(icc)}]"), icc)
     if display.kind.cicp:

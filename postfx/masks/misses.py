@@ -2,7 +2,8 @@
 
 Where the primary ray misses, a pixel has the environment's own colour, which no light path makes noisy. But fog
 scatters light in front of it, objects in motion or out of focus cover a part of it, and some renderers sample it. So
-the noise of the colour is measured. Pixels that are noisy, near noisy ones, or too few to be measured keep full strength.
+the noise of the colour is measured. Pixels that are noisy, near noisy ones, or too few to be measured keep full
+strength.
 """
 
 from __future__ import annotations

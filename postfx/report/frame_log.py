@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from postfx.colour.curves import srgb_encode
 from postfx.exposure.views import shown
-from postfx.io.srgb import srgb_encode
 from postfx.report.flicker import change
 from postfx.report.light import coded, packed
 from postfx.report.pictures import png_uri, reduced

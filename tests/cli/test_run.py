@@ -6,7 +6,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from postfx.io.srgb import srgb_encode
+from postfx.colour.curves import srgb_encode
 
 COPY = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise")
 """A run that changes no pixel."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from postfx.colour.displays import KINDS, parse_display
-from postfx.colour.icc import profile
+from postfx.colour.icc import make_profile
 from postfx.colour.primaries import REC2020
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
@@ -59,13 +59,13 @@ def test_icc_profiles_are_in_the_files(name: str, suffix: str, tmp_path: Path) -
         return
     with Image.open(write_frame(tmp_path / f"a{suffix}", frame(name))) as image:
         found = image.info.get("icc_profile")
-    assert found == (None if (name, suffix) == ("srgb", ".png") else profile(parse_display(name)))
+    assert found == (None if (name, suffix) == ("srgb", ".png") else make_profile(parse_display(name)))
 
 
 @pytest.mark.parametrize("name", SPACES)
 def test_icc_profiles_mean_the_display(name: str) -> None:
     """LittleCMS turns code values by the profile into Lab as colour-science does by the standard."""
-    own = ImageCms.ImageCmsProfile(io.BytesIO(profile(parse_display(name))))
+    own = ImageCms.ImageCmsProfile(io.BytesIO(make_profile(parse_display(name))))
     codes = np.random.default_rng(5).integers(0, 256, (64, 1, 3)).astype(np.uint8)
     transform = ImageCms.buildTransform(own, ImageCms.createProfile("LAB"), "RGB", "LAB", RELATIVE)
     found = np.asarray(ImageCms.applyTransform(Image.fromarray(codes), transform)).astype(np.int16)
@@ -79,13 +79,13 @@ def test_icc_profiles_mean_the_display(name: str) -> None:
 
 
 def test_profiles_are_the_same_bytes_every_time() -> None:
-    assert profile(parse_display("p3")) == profile.__wrapped__(parse_display("p3"))
-    assert len(profile(parse_display("p3"))) == struct.unpack(">I", profile(parse_display("p3"))[:4])[0]
+    assert make_profile(parse_display("p3")) == make_profile.__wrapped__(parse_display("p3"))
+    assert len(make_profile(parse_display("p3"))) == struct.unpack(">I", make_profile(parse_display("p3"))[:4])[0]
 
 
 def test_hdr_profiles_end_at_diffuse_white() -> None:
     """Software without HDR shows what is up to 203 nits as it is, and lights beyond as white."""
-    own = ImageCms.ImageCmsProfile(io.BytesIO(profile(parse_display("pq"))))
+    own = ImageCms.ImageCmsProfile(io.BytesIO(make_profile(parse_display("pq"))))
     transform = ImageCms.buildTransform(own, ImageCms.createProfile("sRGB"), "RGB", "RGB", RELATIVE)
     codes = parse_display("pq").encode(np.array([0.0, 0.18, 1.0, 4.0])[:, None, None].repeat(3, 2))
     shown = ImageCms.applyTransform(Image.fromarray(np.rint(codes * 255).astype(np.uint8)), transform)

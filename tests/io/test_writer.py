@@ -7,13 +7,13 @@ import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
+from postfx.colour.curves import srgb_decode, srgb_encode
 from postfx.colour.displays import parse_display
 from postfx.colour.primaries import REC709
 from postfx.errors import OutputExistsError, WriteError
 from postfx.frame import Frame, Role
 from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import read_sequence
-from postfx.io.srgb import srgb_decode, srgb_encode
 from postfx.io.writer import is_complete, write_frame
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from postfx.colour.curves import srgb_encode
 from postfx.exposure.views import shown
-from postfx.io.srgb import srgb_encode
 from postfx.report.light import LARGEST, TOE, coded, packed
 
 

@@ -9,8 +9,8 @@ pytest.importorskip("torch")
 pytest.importorskip("PyOpenColorIO")
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 
+from postfx.colour.curves import srgb_encode  # noqa: E402
 from postfx.frame import Frame, Role  # noqa: E402
-from postfx.io.srgb import srgb_encode  # noqa: E402
 from training.charts import hue_chart, ramp  # noqa: E402
 from training.evaluate_tonemap import Mapper  # noqa: E402
 from training.look_checks import greys, halo, hue_flips, sweep  # noqa: E402

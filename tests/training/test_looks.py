@@ -8,8 +8,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("PyOpenColorIO")
 
+from postfx.colour.curves import srgb_encode  # noqa: E402
 from postfx.colour.views import neutral  # noqa: E402
-from postfx.io.srgb import srgb_encode  # noqa: E402
 from training.looks import LOOKS, describe, exact_target, find_look, key, log_luminance, look_from, target  # noqa: E402
 from training.tonemap_set import Pictures, collect, lesson, load, save  # noqa: E402
 from training.views import ACES2, NEUTRAL, Lut, Ocio, bake, exact_view  # noqa: E402

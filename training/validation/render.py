@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.io.srgb import srgb_encode
+from postfx.colour.curves import srgb_encode
 from training.clips import GUIDES, HALF_MAX, exposure_of, first_only
 from training.factory import guide_frame, noisy_frame
 from training.held_out import FIRST_SEED, HeldOut, Kind, held_out_view

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from postfx.io.srgb import srgb_encode
+from postfx.colour.curves import srgb_encode
 from training.validation.pack import load
 from training.validation.plan import FULL
 

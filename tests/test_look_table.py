@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from postfx.colour import ocio
-from postfx.colour.difference import delta_e_itp, difference, itp
+from postfx.colour.difference import delta_e_itp, measure_difference, to_itp
 from postfx.colour.displays import parse_display
 from postfx.colour.views import find_view
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
-from postfx.lut import SHARE, LookTable, exposed
+from postfx.look_table import SHARE, LookTable, expose_colour
 from postfx.passes.tonemap import ToneMap
 from postfx.passes.view import View
 from postfx.pipeline import Pipeline
@@ -71,7 +71,7 @@ def test_a_networks_table_comes_near_it_and_says_how_near(device: Device, pictur
     found = table.measure(tmp_path / "a.cube", [picture])
     wanted = Pipeline([ToneMap()], device, exposure=0.0)(picture)[Role.COLOUR]
     made = Pipeline([View(view=str(tmp_path / "a.cube"))], device, exposure=0.0)(picture)[Role.COLOUR]
-    assert found == difference([made], [wanted], parse_display("srgb"))
+    assert found == measure_difference([made], [wanted], parse_display("srgb"))
     assert found.psnr > 25
 
 
@@ -87,7 +87,7 @@ def test_colours_among_the_pixels_hardly_change_what_the_network_does(device: De
 
 
 def test_only_exposed_colour_is_used(picture: Frame) -> None:
-    found = exposed(Frame({**picture.planes, Role.ALPHA: np.ones((90, 160, 1), np.float32)}, number=3), 2.0)
+    found = expose_colour(Frame({**picture.planes, Role.ALPHA: np.ones((90, 160, 1), np.float32)}, number=3), 2.0)
     assert list(found.planes) == [Role.COLOUR] and found.number == 3
     np.testing.assert_array_equal(found[Role.COLOUR], 2 * picture[Role.COLOUR])
 
@@ -106,4 +106,4 @@ def test_delta_e_itp_is_that_of_colour_science(display: str) -> None:
     nits = [colour.RGB_to_RGB(target.decode(x) * (target.white or 100), space, "ITU-R BT.2020") for x in (a, b)]
     wanted = colour.difference.delta_E_ITP(*(colour.RGB_to_ICtCp(x) for x in nits))
     np.testing.assert_allclose(delta_e_itp(a, b, target), wanted, rtol=5e-3)
-    np.testing.assert_allclose(itp(a, target)[:, 0], colour.RGB_to_ICtCp(nits[0])[:, 0], atol=1e-4)
+    np.testing.assert_allclose(to_itp(a, target)[:, 0], colour.RGB_to_ICtCp(nits[0])[:, 0], atol=1e-4)

@@ -1,7 +1,7 @@
-"""The global part of a look as a 3-D look-up table: how it changes colours, whatever is around them and wherever.
+"""The global part of a look as a 3-D look-up table: how it changes colours, whatever their place and surroundings.
 
-A look is asked, not opened: colours of a table are put among a picture's pixels, here and there, and what became of
-them is averaged over places and pictures. A network that decides by the rest of the picture keeps seeing the picture.
+The look is probed from outside: the colours of a table replace some pixels of a picture, here and there, and the
+results are averaged over places and pictures. A network that decides by the rest of the picture still sees it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from postfx.colour import ocio
-from postfx.colour.difference import Difference, difference
+from postfx.colour.difference import Difference, measure_difference
 from postfx.colour.displays import parse_display
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
@@ -23,18 +23,18 @@ from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
 SPACE = "ACEScct"
-"""Colour space that tables take: logarithmic, of the primaries AP1; 0..1 is light up to 222."""
+"""Colour space of a table's input: logarithmic, with the primaries AP1; 0..1 is light up to 222."""
 SHARE = 0.01
-"""Largest part of a picture that is replaced at once."""
+"""Largest part of a picture's pixels that is replaced at once."""
 TURNS = 4
 
 
 class LookTable:
-    """A table of a look, made on some exposed frames and measured on others.
+    """A table of a look, made from some exposed frames and measured on others.
 
     Attributes:
         cube: (size, size, size, 3) float64 code values; red, green, blue in ACEScct.
-        output: the display that it is for, as an encoding of frames.
+        output: the display that it is for, as a frame's encoding.
     """
 
     def __init__(self, passes: Sequence[Pass], frames: Iterable[Frame], device: Device, size: int = 33) -> None:
@@ -44,16 +44,17 @@ class LookTable:
         total, count = np.zeros(corners.shape), 0
         for frame in frames:
             for turn in range(TURNS):
-                total += self._asked(frame, corners, turn)
+                total += self._probe(frame, corners, turn)
                 count += 1
         self.cube = (total / count).reshape(size, size, size, 3)
-        self.output = self._pipeline.plan.output.encoding
+        self.output = self._pipeline.explain().output.encoding
 
     def measure(self, path: Path, frames: Iterable[Frame]) -> Difference:
-        """What a file of the table makes of frames against the look itself."""
+        """How pictures by a file of the table differ from those by the look itself."""
         by_table = Pipeline([View(view=f"{path},input={SPACE},output={self.output}")], self._device, 0.0, "none")
-        pairs = [(self._made(frame), by_table(frame)[Role.COLOUR]) for frame in frames]
-        return difference([table for _, table in pairs], [look for look, _ in pairs], parse_display(self.output))
+        pairs = [(self._apply(frame), by_table(frame)[Role.COLOUR]) for frame in frames]
+        looks, tables = zip(*pairs, strict=True)
+        return measure_difference(list(tables), list(looks), parse_display(self.output))
 
     def write(self, path: Path, notes: Sequence[str]) -> None:
         """Write a .cube file as OpenColorIO, DaVinci Resolve and others read it; WriteError when that fails."""
@@ -67,19 +68,19 @@ class LookTable:
         except OSError as error:
             raise WriteError(f"{path}: cannot be written: {error.strerror or error}") from error
 
-    def _asked(self, frame: Frame, corners: np.ndarray, turn: int) -> np.ndarray:
-        """What a frame's look makes of colours (count, 3) at places that differ from turn to turn."""
-        picture = _enlarged(frame[Role.COLOUR], len(corners) / SHARE)
+    def _probe(self, frame: Frame, corners: np.ndarray, turn: int) -> np.ndarray:
+        """The look's results (count, 3) for colours (count, 3) at places that differ from turn to turn."""
+        picture = _enlarge(frame[Role.COLOUR], len(corners) / SHARE)
         places = np.random.default_rng(turn).permutation(picture[..., 0].size)[: len(corners)]
         picture.reshape(-1, 3)[places] = corners
-        return self._made(replace(frame, planes={Role.COLOUR: picture})).reshape(-1, 3)[places]
+        return self._apply(replace(frame, planes={Role.COLOUR: picture})).reshape(-1, 3)[places]
 
-    def _made(self, frame: Frame) -> np.ndarray:
+    def _apply(self, frame: Frame) -> np.ndarray:
         return self._pipeline(replace(frame, reset=True))[Role.COLOUR]
 
 
-def exposed(frame: Frame, exposure: float) -> Frame:
-    """Only the colour of a frame, times the exposure."""
+def expose_colour(frame: Frame, exposure: float) -> Frame:
+    """The frame's colour alone, times an exposure."""
     return Frame({Role.COLOUR: frame[Role.COLOUR] * np.float32(exposure)}, number=frame.number)
 
 
@@ -90,7 +91,7 @@ def _corners(size: int) -> np.ndarray:
     return ocio.convert(codes, SPACE, "Linear Rec.709 (sRGB)")
 
 
-def _enlarged(colour: np.ndarray, pixels: float) -> np.ndarray:
-    """Each pixel as often as it takes to have at least so many."""
+def _enlarge(colour: np.ndarray, pixels: float) -> np.ndarray:
+    """Repeat pixels until there are at least so many."""
     factor = int(np.ceil(np.sqrt(pixels / colour[..., 0].size)))
     return colour.repeat(factor, 0).repeat(factor, 1)
