@@ -1,7 +1,7 @@
 """The shipped networks at 1x on a view of few and of many samples a pixel.
 
-many_samples.npz is of the data factory (`training.equivalent_samples render`, an outdoor view that no network was
-trained on, 96x64): colour and planes of 4 and of 64 samples a pixel, and the mean of 4096.
+many_samples.npz is of the data factory (`training.measure.equivalent_samples render`, an outdoor view that no network
+was trained on, 96x64): colour and planes of 4 and of 64 samples a pixel, and the mean of 4096.
 """
 
 from pathlib import Path

@@ -3,7 +3,7 @@
 Bindings (float32): colour (height, width, 3) scene-linear; params (3,): exposure, toe, scale of the shaper; matrix (9,)
 row-major, to the cube's primaries; cube (size, size, size, 3): red, green, blue, channel; output (height, width, 3).
 See `postfx.kernels.shaper` and `postfx.kernels.cube` for the two steps. What is negative after the matrix counts as 0,
-and so does NaN. The torch definition is `training.networks.tonemap_kernels.ApplyCube`.
+and so does NaN. The torch definition is `training.kernels.tonemap.ApplyCube`.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Bindings (float32): rows (height,) and columns (width,), 0 or 1 by turns from cell to cell; greys (2,), of cells where
 both are the same and of the others; output (height, width, 3). The torch definition is
-`training.networks.tonemap_kernels.Checkerboard`.
+`training.kernels.tonemap.Checkerboard`.
 """
 
 from __future__ import annotations

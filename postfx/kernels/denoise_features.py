@@ -2,7 +2,7 @@
 
 Channels: colour 0, accumulated colour 3 and last output 6 (demodulated, log-encoded), diffuse albedo 9, specular
 albedo 12, normal 15, roughness 18, depth 19, its change 20, valid history 21, sample count 22, jitter 23, length of
-motion 25, inverse scale 26, hidden state 27. The torch definition is ``training.networks.denoise_upscale.features``.
+motion 25, inverse scale 26, hidden state 27. The torch definition is ``training.denoise.model.features``.
 """
 
 import numpy as np

@@ -3,7 +3,7 @@ that judge how far these planes are to be trusted.
 
 Channels of ``guides``, for the corners of a render pixel at top left, top right, bottom left and bottom right: diffuse
 albedo 0, specular albedo 3, normal 6, roughness 9, depth 10. The torch definition is
-``training.networks.denoise_upscale.guide_features``.
+``training.denoise.model.guide_features``.
 """
 
 import numpy as np

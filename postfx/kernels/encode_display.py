@@ -4,7 +4,7 @@ Bindings (float32): colour (height, width, 3); params (12,): 3x3 matrix row-majo
 1), most light that is let through, exponent of the luminance that light is multiplied by; decode (4098,): light of
 code values 0..1, evenly spaced; encode (4098,): code values over the eighth root of light 0..1; output (height, width,
 3) code values 0..1. NaN becomes 0. The tables end with their last value twice; `postfx.passes.display` makes them. The
-torch definition is `training.networks.tonemap_kernels.EncodeDisplay`.
+torch definition is `training.kernels.tonemap.EncodeDisplay`.
 """
 
 from __future__ import annotations

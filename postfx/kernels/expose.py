@@ -3,7 +3,7 @@
 Bindings (float32): previous and result (3,): 2 ** stops, toe over the frame's exposure, and scale, which shape light as
 exposure, toe and scale do; current (1, 1): stops; keep (1, 4), of which the first number counts: see
 `postfx.kernels.follow`; params (3,): exposure, toe, scale of the frame. Stops are mixed, not factors. A past that is
-broken is none. The torch definition is `training.networks.following.expose`.
+broken is none. The torch definition is `training.tonemap.model.expose`.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ Roussel and Vogel 2012); a camera's motion moves the mean less than a grid, so t
 Bindings (float32): light (256, 3) of `postfx.kernels.light`; params (4,): keep and follow in [0, 1], whether there is a
 past (1, else 0), scale of the shaper, which is one stop; before and after (1, 4): part of the grid that is kept, the
 light that the grid is made for, the light, and what the kept part lacks to 1, which is 0 where there was no past. A
-past that is broken is none. The torch definition is `training.networks.following.follow`.
+past that is broken is none. The torch definition is `training.tonemap.model.follow`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Mean of each row and channel of the tone mapper's small copy: how much light there is.
 
 Bindings (float32): lowres (1, 3, 256, 256) in [0, 1]; light (256, 3). The torch definition is
-`training.networks.following.light`.
+`training.tonemap.model.light`.
 """
 
 from __future__ import annotations

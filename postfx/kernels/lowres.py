@@ -2,7 +2,7 @@
 
 Bindings (float32): colour (height, width, 3) scene-linear; params (3,): exposure, toe, scale of the shaper; matrix (9,)
 row-major, in front of it; lowres (1, 3, 256, 256) in [0, 1]. The average is taken after the shaper, so a firefly moves
-it by at most its share of the area. The torch definition is `training.networks.hdrnet.lowres`.
+it by at most its share of the area. The torch definition is `training.tonemap.model.lowres`.
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ def log_encode(exposed):
 
 @inline
 def demodulation(diffuse_albedo, specular_albedo, y, x):
-    """Reflectance that colour is divided by at a pixel: see ``training.networks.ops.demodulation``."""
+    """Reflectance that colour is divided by at a pixel: see ``training.ops.demodulation``."""
     r = clamp(diffuse_albedo[y, x, 0] + specular_albedo[y, x, 0], np.float32(0), np.float32(4))
     g = clamp(diffuse_albedo[y, x, 1] + specular_albedo[y, x, 1], np.float32(0), np.float32(4))
     b = clamp(diffuse_albedo[y, x, 2] + specular_albedo[y, x, 2], np.float32(0), np.float32(4))

@@ -4,7 +4,7 @@ Bindings (float32): colour (height, width, 3) scene-linear; params (3,): exposur
 row-major, to the cube's primaries; guide (112,): matrix 9, bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1; grid
 (1, 16, 16, 8, 12): y, x, guide level, 3x4 matrix row-major; cube (size, size, size, 3): red, green, blue, channel;
 output (height, width, 3) as the cube's values. Formula: Gharbi et al. 2017, between the shaper and the cube; the torch
-definition is `training.networks.hdrnet.slice_apply`.
+definition is `training.tonemap.model.slice_apply`.
 """
 
 from __future__ import annotations

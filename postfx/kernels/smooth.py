@@ -2,7 +2,7 @@
 
 Bindings (float32): previous, current and result (1, 16, 16, 8, 12); keep (1, 4), of which the first number counts: see
 `postfx.kernels.follow`. It is 0 at the first frame and at cuts. The torch definition is
-`training.networks.following.smooth`.
+`training.tonemap.model.smooth`.
 """
 
 from __future__ import annotations

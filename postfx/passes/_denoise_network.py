@@ -95,7 +95,7 @@ class Network:
         unmarked = [binding.name for binding in state.bindings if binding.name.startswith((CODING, SCALING))]
         if unmarked:
             raise ModelError(f"network '{state.name}': no card beside it marks {', '.join(unmarked)} as constant; take "
-                             "the card that it was made with, or make both again with training.quantise")
+                             "the card that it was made with, or make both again with training.denoise.quantise")
         made = {b.name: new(b.name, b.shape, b.dtype) for b in state.bindings if b.name.startswith(MADE)}
         constants = {name: _kept(state, name, array) for name, array in state.constants.items()
                      if name.startswith((CODING, SCALING))}

@@ -11,7 +11,7 @@ from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, in_fram
 
 torch = pytest.importorskip("torch")
 
-from training.export_denoise import KERNELS as DEFINITIONS  # noqa: E402
+from training.denoise.export import KERNELS as DEFINITIONS  # noqa: E402
 
 TOLERANCE = 1e-5
 

@@ -21,8 +21,8 @@ from tests.kernels.tonemap_cases import HOLDS, PACES, SHAPER, Hold, Pace, argume
 
 torch = pytest.importorskip("torch")
 
-from training.networks import hdrnet, tonemap_kernels  # noqa: E402
-from training.networks.cube import default_shaper, look_up  # noqa: E402
+from training.kernels import tonemap as tonemap_kernels  # noqa: E402
+from training.tonemap.model import default_shaper, look_up, shape  # noqa: E402
 
 TOLERANCE = 1e-5
 
@@ -97,7 +97,7 @@ def test_lowres_of_a_flat_picture_is_flat_and_a_firefly_hardly_moves_it() -> Non
 def test_light_beyond_the_range_keeps_its_hue() -> None:
     """Orange light of 2 and of 2000 times white are the same orange in the shaper, not yellow."""
     orange = np.float32([[[600.0, 200.0, 10.0]]]) * np.float32([1, 1000])[:, None, None]
-    shaped = hdrnet.shape(torch.from_numpy(orange).permute(0, 2, 1)[..., None], *default_shaper())[..., 0, 0]
+    shaped = shape(torch.from_numpy(orange).permute(0, 2, 1)[..., None], *default_shaper())[..., 0, 0]
     torch.testing.assert_close(shaped[1], shaped[0], atol=1e-6, rtol=0)
 
 

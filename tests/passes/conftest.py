@@ -16,8 +16,8 @@ def exported_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of the models 'denoise_upscale.small', 'denoise_upscale.small.guides' and 'denoise_upscale.low'."""
     pytest.importorskip("torch")
     from tests.training.small_denoiser import LOW, small_model
+    from training.denoise.export import card, export_trunk
     from training.export import write_card
-    from training.export_denoise import card, export_trunk
 
     folder = tmp_path_factory.mktemp("models")
     for guides, name in ((False, "denoise_upscale.small.onnx"), (True, "denoise_upscale.small.guides.onnx")):

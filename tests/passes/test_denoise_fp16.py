@@ -18,9 +18,9 @@ import onnx  # noqa: E402
 from onnx import TensorProto, shape_inference  # noqa: E402
 
 from tests.passes.denoise_frames import guided, noisy  # noqa: E402
-from training import halve  # noqa: E402
+from training.denoise import fp16  # noqa: E402
+from training.denoise.quantise import Shot, difference, pictures  # noqa: E402
 from training.export import ParityError, write_card  # noqa: E402
-from training.quantise import Shot, difference, pictures  # noqa: E402
 
 NAMES = ("denoise_upscale.small", "denoise_upscale.small.guides", "denoise_upscale.low")
 
@@ -34,13 +34,13 @@ def folder(exported_models: Path, tmp_path_factory: pytest.TempPathFactory) -> P
             shutil.copy(path, folder)
         card = Library(folder).card(name) or {"name": name}
         write_card(folder / f"{name}.onnx", card | {"quality": {"measured": "in float32"}})
-        halve.make_fp16(name, folder)
+        fp16.make_fp16(name, folder)
     return folder
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_all_arithmetic_is_in_half_precision(folder: Path, name: str) -> None:
-    model = onnx.load(folder / f"{halve.variant_name(name, 'fp16')}.onnx", load_external_data=True)
+    model = onnx.load(folder / f"{fp16.variant_name(name, 'fp16')}.onnx", load_external_data=True)
     graph = shape_inference.infer_shapes(model).graph
     types = {value.name: value.type.tensor_type.elem_type for value in (*graph.value_info, *graph.input, *graph.output)}
     constants = {weight.name for weight in graph.initializer}
@@ -53,7 +53,7 @@ def test_all_arithmetic_is_in_half_precision(folder: Path, name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_small_file_gives_the_same_pictures(folder: Path, name: str, small_models: Path) -> None:
     """As far as a CPU can tell, which computes in float32."""
-    half = halve.variant_name(name, "fp16")
+    half = fp16.variant_name(name, "fp16")
     assert (folder / f"{half}.onnx").stat().st_size < 0.6 * (folder / f"{name}.onnx").stat().st_size
     frames = [guided(noisy(t), 74, 100) if name.endswith("guides") else noisy(t) for t in (1, 2)]
     results = [pictures([Shot(2.0, frames)], Library(folder), variant) for variant in (half, name)]
@@ -63,7 +63,7 @@ def test_small_file_gives_the_same_pictures(folder: Path, name: str, small_model
 def test_a_network_for_1x_shares_the_weights_of_its_own(folder: Path, tmp_path: Path) -> None:
     name = "denoise_upscale.small.1x"
     shutil.copy(folder / f"{NAMES[0]}.onnx", tmp_path / f"{name}.onnx")
-    card = halve.make_fp16(name, tmp_path)
+    card = fp16.make_fp16(name, tmp_path)
     assert (card["name"], list(card["weights"])) == ("denoise_upscale.small.fp16.1x", [f"{name}.onnx"])
     assert Library(tmp_path).load(card["name"])
     results = [pictures([Shot(1, [noisy(1)])], Library(tmp_path), variant) for variant in (card["name"], name)]
@@ -73,7 +73,7 @@ def test_a_network_for_1x_shares_the_weights_of_its_own(folder: Path, tmp_path: 
 def test_card_tells_the_precision_and_nothing_measured_in_another(folder: Path) -> None:
     card = json.loads((folder / "denoise_upscale.small.fp16.json").read_text())
     assert (card["precision"], card["tag"]) == ("fp16", "small.fp16")
-    assert card["parity"]["max_relative_error"] <= halve.TOLERANCE
+    assert card["parity"]["max_relative_error"] <= fp16.TOLERANCE
     assert "quality" not in card
 
 
@@ -91,13 +91,13 @@ def test_weights_of_another_export_are_refused(folder: Path, tmp_path: Path) -> 
 
 def test_a_network_beyond_half_precision_is_found_out(folder: Path) -> None:
     model = onnx.load(folder / "denoise_upscale.small.onnx")
-    half = halve.halve(model)
+    half = fp16.halve(model)
     bias = next(weight for weight in half.graph.initializer if weight.name == "stems.0.bias")
     bias.CopyFrom(onnx.numpy_helper.from_array(np.full(16, np.inf, np.float16), bias.name))
     with pytest.raises(ParityError, match="half precision differs"):
-        halve.difference(half, model)
+        fp16.difference(half, model)
 
 
 @pytest.mark.parametrize("path", sorted(models_dir().glob("*.fp16*.json")), ids=lambda path: path.stem)
 def test_shipped_variant_fits_the_shipped_weights(path: Path) -> None:
-    assert Library().load(path.stem), "run training.halve again"
+    assert Library().load(path.stem), "run training.denoise.fp16 again"

@@ -27,7 +27,7 @@ def pipeline(**options) -> Pipeline:
 
 
 def demodulation(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
-    """What colour is divided by: see ``training.networks.ops.demodulation``."""
+    """What colour is divided by: see ``training.ops.demodulation``."""
     total = diffuse + specular
     return np.maximum(total, 0.15 * total.max(2, keepdims=True)) + 0.01
 

@@ -22,14 +22,22 @@ import onnx  # noqa: E402
 from onnx import numpy_helper  # noqa: E402
 
 from tests.passes.denoise_frames import guided, noisy  # noqa: E402
-from training import quantise  # noqa: E402
-from training.calibration import best_range  # noqa: E402
-from training.clips import GUIDES, PLANES, save_clip  # noqa: E402
-from training.graph_parts import value  # noqa: E402
-from training.integer_stem import LIMITS, Coding  # noqa: E402
-from training.qdq import Range, activations, convolutions, unfold_half  # noqa: E402
-from training.qdq import quantise as quantised  # noqa: E402
-from training.rounding import LIMIT, Moments, rounded  # noqa: E402
+from training.datagen.clip_file import GUIDES, PLANES, save_clip  # noqa: E402
+from training.denoise import quantise  # noqa: E402
+from training.denoise.int8 import (  # noqa: E402
+    LIMIT,
+    LIMITS,
+    Coding,
+    Moments,
+    Range,
+    activations,
+    convolutions,
+    rounded,
+    unfold_half,
+    value,
+)
+from training.denoise.int8 import quantise as quantised  # noqa: E402
+from training.denoise.quantise import best_range  # noqa: E402
 
 NAMES = ("denoise_upscale.small", "denoise_upscale.small.guides", "denoise_upscale.low")
 ROOM = Path(__file__).parents[2] / "samples/room/noisy.####.exr"
@@ -80,7 +88,7 @@ def test_a_variant_without_its_card_is_refused(tmp_path: Path) -> None:
     """The card says which outputs are constants, by which kernels code what the network reads."""
     shutil.copy(models_dir() / "denoise_upscale.s.int8.onnx", tmp_path)
     shots = [quantise.Shot(2.0, [noisy(1, 40, 56)])]
-    with pytest.raises(ModelError, match="'denoise_upscale.s.int8'.*card.*coding_features.*training.quantise"):
+    with pytest.raises(ModelError, match="'denoise_upscale.s.int8'.*card.*coding_features.*training.denoise.quantise"):
         quantise.pictures(shots, Library(tmp_path), "denoise_upscale.s.int8")
 
 
@@ -167,7 +175,7 @@ def test_a_channel_of_bias_alone_keeps_its_value(small_models: Path) -> None:
 @pytest.mark.parametrize("path", sorted(models_dir().glob("*.int8*.json")), ids=lambda path: path.stem)
 def test_shipped_variant_is_made_from_the_shipped_network(path: Path) -> None:
     made_from = json.loads(path.read_text())["made_from"]
-    assert made_from["sha256"] == Library().card(made_from["name"])["sha256"], "run training.quantise again"
+    assert made_from["sha256"] == Library().card(made_from["name"])["sha256"], "run training.denoise.quantise again"
 
 
 def test_shipped_variant_shows_the_room_as_the_float_network_does() -> None:

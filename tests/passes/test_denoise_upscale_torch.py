@@ -17,7 +17,7 @@ from tests.passes.denoise_frames import guided, noisy
 torch = pytest.importorskip("torch")
 
 from tests.training.small_denoiser import LOW, SMALL, one_thread, small_model  # noqa: E402, F401
-from training.networks import denoise_upscale as network  # noqa: E402
+from training.denoise import model as network  # noqa: E402
 
 TOLERANCE = 1e-3
 EXPOSURES = (1.0, 1.0, 2.5, 0.7)

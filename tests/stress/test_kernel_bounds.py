@@ -28,7 +28,7 @@ torch = pytest.importorskip("torch")
 from tests.kernels.test_cuda_kernels import by_cuda  # noqa: E402
 from tests.kernels.test_tonemap_kernels import DEFINITIONS as TONE  # noqa: E402
 from tests.passes.test_denoise_reflections import PLANES, params_of  # noqa: E402
-from training.export_denoise import KERNELS as DENOISE  # noqa: E402
+from training.denoise.export import KERNELS as DENOISE  # noqa: E402
 
 PAGE = Path(__file__).resolve().parent.parent.parent / "docs/reliability.md"
 ROUNDED = 2e-7

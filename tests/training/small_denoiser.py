@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from training.networks.denoise_upscale import DenoiseUpscale
-from training.networks.trunk import TrunkConfig
+from training.denoise.model import DenoiseUpscale, TrunkConfig
 
 SMALL = TrunkConfig((16, 16, 16, 16), 1)
 LOW = TrunkConfig((16, 16), 1)

@@ -1,0 +1,166 @@
+"""Export of the denoised upscaler: what is written is what was trained."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.kernels.denoise_open import OPEN_PHASED
+from postfx.passes._denoise_network import PHASED_FINE
+from postfx.runtime import Device, Library, ModelError
+from postfx.system import models_dir
+
+torch = pytest.importorskip("torch")
+
+import onnx  # noqa: E402
+import onnxruntime  # noqa: E402
+
+from training.denoise import export as denoise_export  # noqa: E402
+from training.denoise.model import FEATURES, FINE, GUIDES, DenoiseUpscale, TrunkConfig  # noqa: E402
+from training.denoise.restore import weights_of  # noqa: E402
+from training.export import PARITY, ParityError, parity, relative_error  # noqa: E402
+
+EXACT = sorted(path for path in models_dir().glob("denoise_upscale.*.onnx")
+               if not {"int8", "fp16"} & {*path.stem.split(".")})
+TINY = TrunkConfig((16, 16, 16, 16), 1)
+CONFIGS = {"tiny": TINY, "tiny.guides": replace(TINY, guides=True), "quad": replace(TINY, stem=24, reach=2),
+           "low": TrunkConfig((16, 16), 2)}
+
+
+@pytest.fixture(scope="module", params=CONFIGS)
+def checkpoint(request: pytest.FixtureRequest) -> dict:
+    """A checkpoint of a small network, as train.py writes them."""
+    torch.manual_seed(0)
+    model = DenoiseUpscale(CONFIGS[request.param])
+    weights = {key: value + 0.05 * torch.randn_like(value) for key, value in model.state_dict().items()}
+    return {"config": model.config.as_dict(), "weights": weights, "notes": {"steps": 7}}
+
+
+@pytest.fixture(scope="module")
+def tag(checkpoint: dict) -> str:
+    return next(tag for tag, config in CONFIGS.items() if config.as_dict() == checkpoint["config"])
+
+
+@pytest.fixture(scope="module")
+def name(tag: str) -> str:
+    return f"denoise_upscale.{tag}"
+
+
+@pytest.fixture(scope="module")
+def folder(checkpoint: dict, tag: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the command line leaves, without the kernels, which it would write as well."""
+    folder = tmp_path_factory.mktemp("models")
+    torch.save(checkpoint, folder / "checkpoint.pt")
+    (folder / "quality.json").write_text('{"room": {"psnr": 30.5}}')
+    arguments = ["export_denoise", "checkpoint.pt", "--tag", tag, "--quality", "quality.json", "--models", "."]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(sys, "argv", arguments)
+        patch.setattr(denoise_export, "KERNELS", {})
+        denoise_export.main()
+    return folder
+
+
+def test_file_runs_as_the_network_at_any_size(checkpoint: dict, folder: Path, name: str) -> None:
+    trunk = denoise_export.load_trunk(checkpoint)
+    path = folder / f"{name}.onnx"
+    for height, width in ((16, 16), (64, 96), (80, 32)):
+        examples = denoise_export.example(trunk, height, width)
+        exported = denoise_export.ExportedTrunk(trunk)
+        assert parity(exported, path, examples, {"height": height, "width": width}) <= PARITY
+
+
+def test_the_fine_head_is_opened_as_the_network_does(checkpoint: dict, folder: Path, name: str) -> None:
+    trunk = denoise_export.load_trunk(checkpoint)
+    examples = denoise_export.example(trunk, 48, 32)
+    session = onnxruntime.InferenceSession(folder / f"{name}.onnx", providers=["CPUExecutionProvider"])
+    reads = {value.name: example.numpy() for value, example in zip(session.get_inputs(), examples, strict=True)}
+    fine = np.empty((1, FINE, 48, 32), np.float32)
+    OPEN_PHASED.rows(0, 48, session.run([PHASED_FINE], reads)[0], fine)
+    with torch.no_grad():
+        assert relative_error(fine, trunk(torch.cat(examples[:2], 1), *examples[2:])[0].numpy()) <= PARITY
+
+
+def test_a_different_network_is_found_out(checkpoint: dict, folder: Path, name: str) -> None:
+    trunk = denoise_export.load_trunk(checkpoint)
+    with torch.no_grad():
+        trunk.stem.weight *= 1.1
+    with pytest.raises(ParityError, match="differs from torch by"):
+        parity(denoise_export.ExportedTrunk(trunk), folder / f"{name}.onnx", denoise_export.example(trunk, 32, 32))
+
+
+def test_sizes_are_fixed_by_name(checkpoint: dict, folder: Path, name: str) -> None:
+    device = Device("cpu")
+    state = device.pipeline_state(Library(folder), name, {"height": 48, "width": 80})
+    shapes = {binding.name: binding.shape for binding in state.bindings}
+    assert (shapes["first_features"], shapes["last_features"]) == ((1, 32, 48, 80), (1, FEATURES - 32, 48, 80))
+    assert shapes.get("guides") == ((1, GUIDES, 48, 80) if checkpoint["config"]["guides"] else None)
+    computed, alike = {3: (6, 10), 4: (3, 5)}, {"level3": (1, 26, 1, 1), "level4": (1, 25, 1, 1)}
+    computed, alike = ({}, alike) if name.endswith(".low") else (computed, {})
+    assert {i: shapes[f"level{i}"][2:] for i in (1, 2, *computed)} == {1: (24, 40), 2: (12, 20), **computed}
+    assert {name: array.shape for name, array in state.constants.items()} == alike
+    with pytest.raises(ModelError, match="width"):
+        device.pipeline_state(Library(folder), name, {"height": 48})
+
+
+def test_file_is_one_and_tells_nothing_of_the_machine(folder: Path, name: str) -> None:
+    path = folder / f"{name}.onnx"
+    model = onnx.load(path, load_external_data=False)
+    assert not any(tensor.data_location == onnx.TensorProto.EXTERNAL for tensor in model.graph.initializer)
+    assert not any(node.metadata_props or node.doc_string for node in model.graph.node)
+    assert str(Path(__file__).parents[3]).encode() not in path.read_bytes()
+
+
+def test_card_says_what_the_file_is(checkpoint: dict, folder: Path, name: str) -> None:
+    card = json.loads((folder / f"{name}.json").read_text())
+    content = (folder / f"{name}.onnx").read_bytes()
+    assert card["sha256"] == hashlib.sha256(content).hexdigest()
+    assert card["name"] == name and card["pass"] == "denoise_upscale"
+    assert card["parameters"] == sum(weight.numel() for weight in checkpoint["weights"].values())
+    assert card["training"]["steps"] == 7
+    assert card["quality"] == {"room": {"psnr": 30.5}}
+    assert card["parity"]["max_relative_error"] <= PARITY
+    graph = onnx.load_from_string(content).graph
+    assert set(card["inputs"]) == {value.name for value in graph.input}
+    assert set(card["outputs"]) == {value.name for value in graph.output}
+
+
+@pytest.mark.parametrize("path", EXACT, ids=lambda path: path.stem)
+def test_shipped_model_is_the_one_on_its_card(path: Path) -> None:
+    card = json.loads(path.with_suffix(".json").read_text())
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == card["sha256"]
+    assert card["name"] == path.stem == f"denoise_upscale.{card['tag']}"
+    assert card["parity"]["max_relative_error"] <= PARITY
+
+
+@pytest.mark.parametrize("path", [path for path in EXACT if path.stem.endswith(".1x")], ids=lambda path: path.stem)
+def test_shipped_model_for_1x_is_the_plain_one_with_other_weights(path: Path) -> None:
+    card, plain = (json.loads(each.with_suffix(".json").read_text())
+                   for each in (path, path.with_name(f"{path.stem.removesuffix('.1x')}.onnx")))
+    assert all(card[part] == plain[part] for part in ("parameters", "inputs", "outputs"))
+    assert TrunkConfig.from_dict(card["config"]) == TrunkConfig.from_dict(plain["config"])
+    assert card["sha256"] != plain["sha256"]
+
+
+def test_summary_says_what_a_network_is_for(checkpoint: dict) -> None:
+    found = [denoise_export.card(checkpoint, tag, 0.0, {})["summary"] for tag in ("m", "m.1x", "m.guides")]
+    assert [text.removeprefix("recurrent denoised upscaler, ") for text in found] == [
+        "1x to 3x", "for 1x", "1x to 3x, guides at output size"]
+
+
+def test_relative_error() -> None:
+    assert relative_error(np.array([1.0, 2.2]), np.array([1.0, 2.0])) == pytest.approx(0.1)
+    assert relative_error(np.zeros(2), np.zeros(3)) == float("inf")
+
+
+def test_training_goes_on_from_the_exported_network(folder: Path, name: str, checkpoint: dict) -> None:
+    weights = weights_of(folder / f"{name}.onnx")
+    assert weights.keys() == checkpoint["weights"].keys()
+    for key, value in checkpoint["weights"].items():
+        torch.testing.assert_close(weights[key], value, rtol=1e-3, atol=1e-6)

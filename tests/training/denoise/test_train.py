@@ -1,0 +1,261 @@
+"""The upscaler's training: augmentation of clips, steps and checkpoints."""
+
+from __future__ import annotations
+
+import argparse
+import random
+import subprocess
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from tests.training.small_denoiser import SMALL, one_thread, small_model  # noqa: E402, F401
+from training.datagen.clip_file import save_clip  # noqa: E402
+from training.denoise import loss as losses  # noqa: E402
+from training.denoise import train  # noqa: E402
+from training.denoise.dataset import Augment, Batch, ClipPool, Stack, load, to_batch  # noqa: E402
+from training.denoise.model import TrunkConfig  # noqa: E402
+from training.denoise.train import FlatGradient, GradientStep, copy_batch  # noqa: E402
+
+MOVE, TURN = torch.tensor([2.3, -1.1]), 0.03  # render pixels and radians a frame
+H, W = 48, 60
+
+
+def pattern(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """A smooth picture, defined everywhere in render pixels; (3, ...)."""
+    waves = [torch.sin(0.21 * x + 0.13 * y + c) + torch.sin(0.17 * x - 0.19 * y + 2 * c) for c in (0.0, 1.0, 2.0)]
+    return torch.stack(waves) * 0.2 + 0.5
+
+
+def rotated_back(x: torch.Tensor, y: torch.Tensor, frames: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Where the point at (x, y) in frame ``frames`` was in frame 0."""
+    for _ in range(frames):
+        dx, dy = x - W / 2, y - H / 2
+        x, y = x + MOVE[0] - TURN * dy, y + MOVE[1] + TURN * dx
+    return x, y
+
+
+def grid(h: int, w: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Centres of h x w pixels over the whole picture, in render pixels."""
+    y, x = torch.meshgrid((torch.arange(h) + 0.5) * H / h, (torch.arange(w) + 0.5) * W / w, indexing="ij")
+    return x, y
+
+
+def moving_clip(scale: int, frames: int = 2) -> Stack:
+    """A picture that turns and slides; colour holds point samples."""
+    jitter = torch.tensor([[0.3, -0.4], [-0.2, 0.35]])[:frames]
+    x, y = grid(H, W)
+    planes, reference = torch.rand(frames, 16, H, W), []
+    for t in range(frames):
+        planes[t, :3] = pattern(*rotated_back(x + jitter[t, 0], y + jitter[t, 1], t))
+        before = rotated_back(x, y, 1)
+        planes[t, 14], planes[t, 15] = before[0] - x, before[1] - y
+        reference.append(pattern(*rotated_back(*grid(scale * H, scale * W), t)))
+    guides = torch.rand(1, frames, 11, scale * H, scale * W)
+    return Stack(planes[None], jitter[None], torch.tensor([False]), torch.ones(1, frames), torch.stack(reference)[None],
+                 guides, torch.ones(1, 1, 1, 1))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_augmentations_keep_motion_and_jitter_true(seed: int) -> None:
+    clip = moving_clip(2)
+    random.seed(seed)
+    torch.manual_seed(seed)
+    for batch in (to_batch(clip), Augment(drop=0.0)(clip)):
+        moved = losses.reproject_reference(batch.references[0], batch.frames[1].motion)
+        assert inner(moved - batch.references[1]).abs().mean() < 0.02 * batch.references.mean()
+        assert inner(at_samples(batch, 1) - batch.frames[1].colour).abs().mean() < 0.02 * batch.references.mean()
+
+
+def at_samples(batch: Batch, t: int) -> torch.Tensor:
+    """The reference where frame ``t`` has its samples."""
+    inputs = batch.frames[t]
+    h, w = inputs.colour.shape[-2:]
+    y, x = torch.meshgrid(torch.arange(h) + 0.5, torch.arange(w) + 0.5, indexing="ij")
+    place = torch.stack(((x + inputs.jitter[0, 0]) / w, (y + inputs.jitter[0, 1]) / h), -1)[None] * 2 - 1
+    return torch.nn.functional.grid_sample(batch.references[t], place, align_corners=False)
+
+
+def inner(image: torch.Tensor) -> torch.Tensor:
+    return image[..., 12:-12, 12:-12]
+
+
+def test_a_wrong_jitter_would_be_noticed() -> None:
+    batch = to_batch(moving_clip(2))
+    mirrored = replace(batch, frames=[replace(f, jitter=-f.jitter) for f in batch.frames])
+    wrong = inner(at_samples(mirrored, 1) - batch.frames[1].colour).abs().mean()
+    assert wrong > 0.05 * batch.references.mean()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_guides_go_through_what_the_planes_go_through(seed: int) -> None:
+    clip = moving_clip(1)
+    random.seed(seed)
+    for frame in Augment(drop=2.0, clean=0.0)(replace(clip, guides=clip.planes[:, :, 3:14])).frames:
+        for field in fields(frame.guides):
+            assert torch.equal(getattr(frame.guides, field.name), getattr(frame, field.name))
+
+
+def test_only_renders_with_spread_samples_are_cleaned() -> None:
+    clip = moving_clip(1)
+    clip = replace(clip, planes=torch.rand_like(clip.planes))
+    for spread in (True, False):
+        random.seed(0)
+        torch.manual_seed(0)
+        batch = Augment(drop=0.0, clean=1.0, stops=0.0)(replace(clip, spread=torch.tensor([spread])))
+        noisy = (clip.planes[:, 0, :3] - clip.reference[:, 0]).abs().mean()
+        error = (batch.frames[0].colour - batch.references[0]).abs().mean()
+        assert error < 0.95 * noisy if spread else torch.isclose(error, noisy)
+
+
+def test_without_motion_every_frame_stands_alone() -> None:
+    random.seed(0)
+    batch = Augment(drop=100.0)(moving_clip(2))
+    assert not batch.keep.any()
+    assert (batch.frames[1].roughness == 0.5).all()
+    assert (batch.frames[1].guides.roughness == 0.5).all()
+
+
+def test_a_cut_in_a_clip_drops_the_history(tmp_path: Path) -> None:
+    write_clips(tmp_path, 1)
+    path = tmp_path / "clip0000.npz"
+    with np.load(path) as file:
+        np.savez(path, **{**file, "reset": np.array([1, 0], np.uint8)})
+    clip = load(path, torch.device("cpu"))
+    assert clip.keep.tolist() == [0.0, 1.0]
+
+
+def test_steps_lower_the_loss() -> None:
+    model, clip = small_model(), moving_clip(2)
+    batch = to_batch(replace(clip, planes=clip.planes[..., :32, :32], reference=clip.reference[..., :64, :64]))
+    steps_lower_the_loss(model, batch)
+
+
+def steps_lower_the_loss(model: torch.nn.Module, batch: Batch) -> None:
+    step = GradientStep(train.ClipLoss(model, flicker=1.0, reset=0.0), FlatGradient(list(model.parameters())))
+    optimiser = torch.optim.AdamW(model.parameters(), lr=3e-3)
+    values = []
+    for _ in range(8):
+        values.append(float(step(batch)[0]))
+        assert step.flat.finish(1.0, several=False) > 0
+        optimiser.step()
+    assert np.mean(values[-2:]) < 0.97 * values[0]
+
+
+def test_learning_rate_rises_slowly_and_falls_with_the_clock() -> None:
+    rises = [train.rate_at(0.0, step, 1.0) for step in range(0, 600, 50)]
+    assert rises == sorted(rises) and rises[0] < 0.01 and rises[1] < 0.11 and rises[-1] == 1
+    falls = [train.rate_at(0.1 * tenth, 10**6, 1.0) for tenth in range(11)]
+    assert falls == sorted(falls, reverse=True) and falls[0] == 1 and 0 < falls[-1] < 0.01
+
+
+def test_clips_of_little_noise_count_as_much_as_noisy_ones() -> None:
+    """The same relative mistake costs the same, until errors would count more than MOST_SCALE times."""
+    torch.manual_seed(1)
+    reference, noise = torch.rand(1, 3, 32, 32), torch.randn(1, 3, 32, 32)
+    faint, strong, least = (float(_even_loss(reference, noise * level)) for level in (0.05, 0.2, 1e-4))
+    assert faint == pytest.approx(strong, rel=0.02)
+    assert least < 0.1 * faint
+
+
+def _even_loss(reference: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    """The loss, without its part that is not scaled, of a result that leaves a tenth of the noise."""
+    scale = losses.even_scale(reference + noise, reference)
+    output = reference + noise / 10
+    return (losses.frame_loss(output, reference, scale)
+            - losses.SEEN * losses.difference(output, reference))
+
+
+def test_validation_counts_what_is_seen_however_clips_count(tmp_path: Path) -> None:
+    write_clips(tmp_path, 2)
+    pool = ClipPool(tmp_path, torch.device("cpu"))
+    pool.refresh()
+    model = small_model()
+    ways = [train.ClipLoss(model, flicker=1.0, reset=0.1, even=even) for even in (True, False)]
+    even, plain = (train.validate(way, model.state_dict(), pool) for way in ways)
+    assert even == plain and [way.even for way in ways] == [True, False]
+
+
+def test_the_scale_of_errors_is_found_at_the_inputs_size() -> None:
+    reference = torch.rand(2, 3, 8, 12).repeat_interleave(3, 2).repeat_interleave(3, 3)
+    colour = reference[..., ::3, ::3] + torch.tensor([0.1, 0.4])[:, None, None, None]
+    assert losses.even_scale(colour, reference).flatten().tolist() == pytest.approx([2, 1])
+
+
+def test_a_non_finite_gradient_becomes_no_step() -> None:
+    parameter = torch.nn.Parameter(torch.ones(3))
+    flat = FlatGradient([parameter])
+    flat.buffer[:] = torch.tensor([1.0, float("nan"), 2.0])
+    flat.finish(1.0, several=False)
+    assert torch.equal(parameter.grad, torch.zeros(3))
+
+
+def test_copying_a_batch_copies_all_of_it() -> None:
+    one, other = to_batch(moving_clip(2)), to_batch(moving_clip(2))
+    assert not torch.equal(one.frames[1].guides.depth, other.frames[1].guides.depth)
+    copy_batch(one, other)
+    for a, b in zip(one.frames, other.frames, strict=True):
+        planes = [f.name for f in fields(a) if f.name not in ("gain", "guides")]
+        assert all(torch.equal(getattr(a, name), getattr(b, name)) for name in planes)
+        assert torch.equal(a.guides.depth, b.guides.depth)
+    assert torch.equal(one.references, other.references)
+
+
+def write_clips(folder: Path, count: int) -> None:
+    """Clips as the data factory writes them, of a picture that turns."""
+    clip = moving_clip(2)
+    planes, jitter, reference = (x[0].numpy() for x in (clip.planes, clip.jitter, clip.reference))
+    names = {"colour": slice(0, 3), "diffuse_albedo": slice(3, 6), "specular_albedo": slice(6, 9),
+             "normal": slice(9, 12), "roughness": 12, "depth": 13, "motion": slice(14, 16)}
+    variant = {name: np.moveaxis(planes[:, at], 1, -1) if isinstance(at, slice) else planes[:, at] + 0.5
+               for name, at in names.items()}
+    facts = {"scale": 2.0, "seed": 0, "scene": "test", "meta": {}}
+    for number in range(count):
+        save_clip(folder / f"clip{number:04d}.npz", np.moveaxis(reference, 1, -1),
+                  [{**variant, "jitter": jitter, "spp": 1, "style": "realtime"}], facts)
+
+
+def trainer(clips: Path, out: Path, minutes: float, resume: Path | None = None,
+            both_ways: float = 0.0) -> train.Trainer:
+    args = argparse.Namespace(clips=clips, out=out, minutes=minutes, batch=2, rate=1e-3, widths=list(SMALL.widths),
+                              depth=SMALL.depth, flicker=1.0, reset=0.1, resume=resume, wait=2, seed=0, crop=48,
+                              guides=False, both_ways=both_ways, even=False, clean=0.0, stem=SMALL.stem,
+                              reach=SMALL.reach)
+    torch.manual_seed(0)
+    return train.Trainer(args, 0, 1, torch.device("cpu"))
+
+
+def test_a_clip_that_is_still_being_written_waits(tmp_path: Path) -> None:
+    write_clips(tmp_path, 2)
+    partial = tmp_path / ".clip0002.npz.17.partial.npz"
+    partial.write_bytes((tmp_path / "clip0001.npz").read_bytes()[:1000])
+    pool = ClipPool(tmp_path, torch.device("cpu"))
+    pool.refresh()
+    assert {path.name for path in pool.seen} == {"clip0000.npz", "clip0001.npz"}
+
+
+def test_a_checkpoint_holds_the_averaged_weights_and_can_be_resumed(tmp_path: Path) -> None:
+    write_clips(tmp_path, 3)
+    first = trainer(tmp_path, tmp_path, minutes=2 / 60)
+    start = {key: value.clone() for key, value in first.model.state_dict().items()}
+    first.run()
+    checkpoint = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    assert checkpoint["notes"]["steps"] == first.step > 0
+    assert np.isfinite(checkpoint["notes"]["validation_psnr"])
+    assert TrunkConfig.from_dict(checkpoint["config"]) == SMALL
+    assert any(not torch.equal(checkpoint["weights"][key], start[key]) for key in start)
+    again = trainer(tmp_path, tmp_path, minutes=0, resume=tmp_path / "checkpoint.pt")
+    for key, value in again.model.state_dict().items():
+        torch.testing.assert_close(value, checkpoint["weights"][key])
+
+
+def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
+    """Such machines have PyTorch, NumPy, Numba and ONNX, but not what reads pictures and runs networks."""
+    absent = ("OpenImageIO", "onnxruntime", "fileseq", "colour", "mitsuba")
+    program = f"import sys; sys.modules.update(dict.fromkeys({absent})); import training.denoise.train"
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -1,0 +1,230 @@
+"""Render training clips on all GPUs of a machine.
+
+    python -m training.datagen.render --out DIR --clips N --gpus 0,1,2,3 ...
+
+Clips that are there already are kept, so that the same command goes on where an earlier one ended. A worker that dies
+or hangs is started again; the clip it had goes to DIR/failed.txt and is left out from then on (delete the file to try
+again). What workers say goes to DIR/worker.K.log. SIGTERM and Ctrl-C end the job at once, without broken files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+from training.datagen.render_worker import add_options, clip_path
+
+GIVE_UP = 3  # deaths of a worker without a clip in between
+
+
+@dataclass
+class Worker:
+    """A process for one GPU and the clip it is at."""
+
+    gpu: str
+    number: int
+    process: subprocess.Popen | None = None
+    clip: int | None = None
+    ready: bool = False
+    since: float = 0.0
+    deaths: int = 0
+
+
+def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_farm(parser)
+    handed = add_options(parser)
+    args = parser.parse_args(argv)
+    return args, worker_command("training.datagen.render_worker", args, handed)
+
+
+def add_farm(parser: argparse.ArgumentParser) -> None:
+    """What a Farm is told."""
+    parser.add_argument("--out", type=Path, required=True, help="folder for clip.NNNNN.npz")
+    parser.add_argument("--clips", type=int, required=True, help="clips of the whole job, of earlier commands too")
+    parser.add_argument("--gpus", default="0", help="numbers of the GPUs, with commas between")
+    parser.add_argument("--processes-per-gpu", type=int, default=8)
+    parser.add_argument("--minutes", type=float, default=1e9, help="start no clip after this time")
+    parser.add_argument("--clip-minutes", type=float, default=5, help="a clip that takes longer is given up")
+    parser.add_argument("--report", type=float, default=10, help="seconds between two lines of progress")
+
+
+def worker_command(module: str, args: argparse.Namespace, handed: list[str]) -> list[str]:
+    """How to start a worker with the options that are handed on by name."""
+    values = {name: getattr(args, name) for name in handed}
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in values.items() if value is not None]
+    return [sys.executable, "-m", module, "--listen", f"--out={args.out}", f"--clips={args.clips}", *options]
+
+
+class Farm:
+    """Hands the clips to the workers and counts what comes back.
+
+    `command` starts a worker: it reads clip numbers from standard input and answers on standard output, {"ready": true}
+    once and {"clip": number, "samples": count} for each.
+    """
+
+    def __init__(self, args: argparse.Namespace, command: list[str]) -> None:
+        self._args, self._command = args, command
+        self._failed = args.out / "failed.txt"
+        lines = self._failed.read_text().splitlines() if self._failed.exists() else []
+        skipped = {int(line.split()[0]) for line in lines}
+        there = {index for index in range(args.clips) if clip_path(args.out, index).exists()}
+        self._todo = deque(index for index in range(args.clips) if index not in there | skipped)
+        self._events: queue.SimpleQueue = queue.SimpleQueue()
+        slots = [gpu for _ in range(args.processes_per_gpu) for gpu in args.gpus.split(",")]
+        self._workers = [Worker(gpu, k) for k, gpu in enumerate(slots)]
+        self._began, self._ended = time.monotonic(), False
+        self.there, self.made, self.samples, self.lost = len(there), 0, 0, 0
+
+    def stop(self, *_: object) -> None:
+        """End now; safe to call from a signal handler."""
+        self._ended = True
+        self._events.put((None, None, ""))
+
+    def run(self) -> bool:
+        """Until all is made, the time is up or `stop`; False when workers could not work."""
+        for worker in self._workers:
+            self._start(worker)
+        reported = time.monotonic()
+        while not self._ended and any(worker.process for worker in self._workers):
+            try:
+                worker, process, line = self._events.get(timeout=1)
+                if worker is not None and worker.process is process:
+                    self._answer(worker, line)
+            except queue.Empty:
+                pass
+            self._end_hanging()
+            if time.monotonic() - reported > self._args.report:
+                print(self.progress(), flush=True)
+                reported = time.monotonic()
+        self._kill()
+        self._count_untold()
+        return self._ended or all(worker.deaths < GIVE_UP for worker in self._workers)
+
+    def _start(self, worker: Worker) -> None:
+        """A new process with its first clip, or none where there is nothing left to do."""
+        worker.process, worker.clip, worker.ready = None, None, False
+        if not self._todo or self._late() or worker.deaths >= GIVE_UP:
+            return
+        environment = os.environ | {"CUDA_VISIBLE_DEVICES": worker.gpu}
+        environment.setdefault("OMP_NUM_THREADS", "2")
+        with open(self._args.out / f"worker.{worker.number}.log", "a") as log:
+            worker.process = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
+                                              text=True, env=environment)
+        threading.Thread(target=self._listen, args=(worker, worker.process), daemon=True).start()
+        self._next(worker)
+
+    def _listen(self, worker: Worker, process: subprocess.Popen) -> None:
+        for line in process.stdout:
+            self._events.put((worker, process, line))
+        process.wait()
+        self._events.put((worker, process, ""))
+
+    def _next(self, worker: Worker) -> None:
+        """Hand out a clip; without one the worker ends by itself."""
+        worker.clip = None
+        try:
+            if self._todo and not self._late():
+                worker.clip, worker.since = self._todo.popleft(), time.monotonic()
+                worker.process.stdin.write(f"{worker.clip}\n")
+                worker.process.stdin.flush()
+            else:
+                worker.process.stdin.close()
+        except BrokenPipeError:
+            pass  # it has died; the end of its output follows and says so
+
+    def _answer(self, worker: Worker, line: str) -> None:
+        if not line:
+            self._died(worker)
+        elif line.startswith("{"):
+            self._count(worker, json.loads(line))
+
+    def _count(self, worker: Worker, answer: dict) -> None:
+        worker.ready, worker.since = True, time.monotonic()
+        if "clip" in answer:
+            self.made, self.samples = self.made + 1, self.samples + answer["samples"]
+            worker.deaths = 0
+            self._next(worker)
+
+    def _died(self, worker: Worker) -> None:
+        """Start a worker again; the clip that it died of is left out, one that it never began goes back."""
+        self._sweep(worker.process.pid)
+        clip, reason = worker.clip, f"exit status {worker.process.returncode}, see worker.{worker.number}.log"
+        if clip is not None:
+            worker.deaths += 1
+            print(f"worker {worker.number} ended at clip {clip}: {reason}", flush=True)
+        if clip is not None and worker.ready:
+            self.lost += 1
+            with open(self._failed, "a") as file:
+                file.write(f"{clip} {reason}\n")
+        elif clip is not None:
+            self._todo.appendleft(clip)
+        self._start(worker)
+
+    def _end_hanging(self) -> None:
+        for worker in self._workers:
+            if worker.clip is not None and time.monotonic() - worker.since > 60 * self._args.clip_minutes:
+                worker.process.kill()
+
+    def _kill(self) -> None:
+        running = [worker.process for worker in self._workers if worker.process and worker.process.poll() is None]
+        for process in running:
+            process.kill()
+        for process in running:
+            process.wait()
+            self._sweep(process.pid)
+
+    def _count_untold(self) -> None:
+        """Clips that were handed out at the end, and are there all the same."""
+        untold = [worker.clip for worker in self._workers if worker.clip is not None]
+        self.made += sum(clip_path(self._args.out, clip).exists() for clip in untold)
+
+    def _sweep(self, pid: int) -> None:
+        """Remove what a killed worker had half written."""
+        for partial in self._args.out.glob(f".clip.*.{pid}.partial.npz"):
+            partial.unlink()
+
+    def _late(self) -> bool:
+        return time.monotonic() - self._began > 60 * self._args.minutes
+
+    def progress(self) -> str:
+        """One line: clips, speed, time left."""
+        seconds = time.monotonic() - self._began
+        rate, done = self.made / seconds, self.there + self.made
+        busy = sum(worker.clip is not None for worker in self._workers)
+        left = (len(self._todo) + busy) / rate / 60 if self.made else self._args.minutes
+        left = f"{min(left, max(self._args.minutes - seconds / 60, 0)):.1f}" if left < 1e6 else "?"
+        return (f"{done}/{self._args.clips} clips, {rate:.2f} clips/s, {self.samples / seconds / 1e6:.1f} M samples/s, "
+                f"{left} min left, {self.lost} failed")
+
+    def summary(self) -> str:
+        seconds = time.monotonic() - self._began
+        size = sum(path.stat().st_size for path in self._args.out.glob("clip.*.npz"))
+        return (f"made {self.made} clips in {seconds / 60:.1f} min: {self.made / seconds:.2f} clips/s, "
+                f"{self.samples / seconds / 1e6:.1f} M samples/s, {self.lost} failed; "
+                f"{self.there + self.made} of {self._args.clips} are in {self._args.out}, {size / 2**30:.2f} GiB")
+
+
+def run(args: argparse.Namespace, command: list[str]) -> int:
+    """Let a farm work until all is made; the exit code."""
+    args.out.mkdir(parents=True, exist_ok=True)
+    farm = Farm(args, command)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, farm.stop)
+    worked = farm.run()
+    print(farm.summary(), flush=True)
+    return 0 if worked else 1
+
+
+if __name__ == "__main__":
+    sys.exit(run(*arguments()))

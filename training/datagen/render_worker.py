@@ -1,0 +1,132 @@
+"""Render training clips in one process.
+
+    python -m training.datagen.render_worker --out DIR --clips N [--start K --stride M] ...
+
+Clip number n depends on --seed and n only, existing files are skipped, so any number of processes can share the work:
+give each the same --clips and --stride, and its own --start. `training.datagen.render` does that for all GPUs of a
+machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+
+def add_options(parser: argparse.ArgumentParser) -> list[str]:
+    """What a clip is made of; the names of the options, for those who hand them on."""
+    before = {action.dest for action in parser._actions}
+    parser.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
+    parser.add_argument("--real", type=Path, help="folder of converted scenes and environments/")
+    parser.add_argument("--real-share", type=float, default=0.25, help="part of the clips from real scenes")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--width", type=int, default=128, help="noisy width")
+    parser.add_argument("--height", type=int, default=128, help="noisy height")
+    parser.add_argument("--frames", type=int, default=8)
+    parser.add_argument("--variants", type=int, default=3, help="noisy renders of the same frames")
+    parser.add_argument("--reference-spp", type=int, default=128, help="half to four times of it are taken, by noise")
+    parser.add_argument("--reference-error", type=float, default=0.015, help="wanted error after x/(1+x)")
+    parser.add_argument("--even-spp", type=int, metavar="N", help="samples a pixel of noisy renders are drawn evenly in"
+                        " stops from 1 to N (default: mostly 1 to 8)")
+    parser.add_argument("--scale", type=float, help="one scale for all clips (default: drawn)")
+    return [action.dest for action in parser._actions if action.dest not in before]
+
+
+def arguments(argv: list[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_share(parser)
+    add_options(parser)
+    return parser.parse_args(argv)
+
+
+def add_share(parser: argparse.ArgumentParser) -> None:
+    """Which clips are this process's; `work` reads it."""
+    parser.add_argument("--out", type=Path, required=True, help="folder for clip.NNNNN.npz")
+    parser.add_argument("--clips", type=int, required=True, help="clips of the whole job")
+    parser.add_argument("--start", type=int, default=0, help="first clip of this process")
+    parser.add_argument("--stride", type=int, default=1, help="step between the clips of this process")
+    parser.add_argument("--minutes", type=float, default=1e9, help="stop after this time")
+    parser.add_argument("--listen", action="store_true", help="take clip numbers from standard input, one a line")
+
+
+def clip_path(folder: Path, index: int) -> Path:
+    return folder / f"clip.{index:05d}.npz"
+
+
+def light_paths(reference: np.ndarray, variants: list[dict], facts: dict) -> int:
+    """Camera samples that a clip took."""
+    count = reference[..., 0].size * facts["meta"]["reference_spp"]
+    return int(count + sum(v["colour"][..., 0].size * v["spp"] for v in variants))
+
+
+def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
+    """A function from a clip's number to what `save_clip` takes."""
+    import mitsuba as mi
+
+    mi.set_variant(args.variant)
+    from training.datagen.clip import (  # these import Mitsuba types, so only after the variant is set
+        ClipOptions,
+        make_clip,
+    )
+    from training.datagen.scenes.lights import Environments
+    from training.datagen.scenes.real import RealScenes
+    from training.datagen.tracing import Tracer
+
+    fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
+    options = ClipOptions(args.width, args.height, args.frames, args.variants, args.reference_spp,
+                          args.reference_error, real_share=args.real_share, even_spp=args.even_spp, **fixed)
+    maps, real = Environments(args.real and args.real / "environments"), RealScenes(args.real)
+    tracer = Tracer()
+    return lambda index: make_clip(tracer, options, maps, real, args.seed, index)
+
+
+def numbers(args: argparse.Namespace) -> Iterator[int]:
+    """The clips of this process that are not there yet."""
+    if args.listen:
+        yield from (int(line) for line in iter(sys.stdin.readline, ""))
+        return
+    began = time.perf_counter()
+    for index in range(args.start, args.clips, args.stride):
+        if time.perf_counter() - began > 60 * args.minutes:
+            return
+        if not clip_path(args.out, index).exists():
+            yield index
+
+
+def work(args: argparse.Namespace, make: Callable[[int], tuple[str, int]]) -> int:
+    """Make the clips of this process. `make` writes one; it tells what that shows, and its count of camera samples."""
+    args.out.mkdir(parents=True, exist_ok=True)
+    if args.listen:
+        print(json.dumps({"ready": True}), flush=True)
+    began, made = time.perf_counter(), 0
+    for index in numbers(args):
+        what, samples = make(index)
+        made += 1
+        rate = made / (time.perf_counter() - began)
+        print(f"clip.{index:05d} {what} {rate:.3f} clips/s", file=sys.stderr, flush=True)
+        if args.listen:
+            print(json.dumps({"clip": index, "samples": samples}), flush=True)
+    return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = arguments(argv)
+    make = maker(args)
+    from training.datagen.clip_file import save_clip
+
+    def write(index: int) -> tuple[str, int]:
+        reference, variants, facts = make(index)
+        save_clip(clip_path(args.out, index), reference, variants, facts)
+        return f"{facts['scene']} x{facts['scale']:g}", light_paths(reference, variants, facts)
+
+    return work(args, write)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

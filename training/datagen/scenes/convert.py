@@ -1,0 +1,166 @@
+"""Convert scenes (Mitsuba XML, glTF) into compact folders that `real.py` reads: geometry.npz, scene.json, textures.
+
+python -m training.datagen.scenes.convert SOURCE_FOLDER OUT_FOLDER      (each sub-folder of SOURCE_FOLDER is one scene)
+
+Shapes with the same material become one, metals keep their index, everything is turned y up; textures shrink to 512.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+from PIL import Image
+
+from training.datagen.scenes.gltf import load_gltf
+from training.datagen.scenes.meshes import Mesh, merge, quad
+
+TEXTURE = 512
+# How a scene is looked at: `around` from outside, or from inside; `open` lets an environment in; metre in scene units.
+HOW = {
+    "dining-room": {"around": False, "open": True, "indoor": True, "metre": 1.0},
+    "staircase": {"around": False, "open": False, "indoor": True, "metre": 0.6},
+    "matpreview": {"around": True, "open": True, "indoor": False, "metre": 1.0},
+    "camp": {"around": True, "open": True, "indoor": False, "metre": 0.7},
+    "cave": {"around": False, "open": True, "indoor": True, "metre": 0.7},
+    "small-city": {"around": True, "open": True, "indoor": False, "metre": 3.0},
+}
+DEFAULT = {"around": True, "open": True, "indoor": False, "metre": 1.0}
+PLAIN = {"kind": "diffuse", "albedo": [0.5] * 3, "texture": None, "alpha": 0.1, "ior": 1.5,
+         "eta": [1.0] * 3, "k": [0.0] * 3}
+
+
+def from_mitsuba(mesh: mi.Mesh) -> Mesh:
+    """A loaded mesh; without vertex normals its triangles are split, so that they stay flat."""
+    params = mi.traverse(mesh)
+    vertices = np.array(params["vertex_positions"], np.float64).reshape(-1, 3)
+    faces = np.array(params["faces"], np.uint32).reshape(-1, 3)
+    uvs = np.array(params["vertex_texcoords"], np.float64).reshape(-1, 2)
+    normals = np.array(params["vertex_normals"], np.float64).reshape(-1, 3)
+    if not len(uvs):
+        uvs = np.zeros((len(vertices), 2))
+    return Mesh(vertices, normals, uvs, faces) if len(normals) else flat(vertices, uvs, faces)
+
+
+def flat(vertices: np.ndarray, uvs: np.ndarray, faces: np.ndarray) -> Mesh:
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    return Mesh(corners.reshape(-1, 3), np.repeat(normals, 3, 0), uvs[faces].reshape(-1, 2),
+                np.arange(3 * len(faces), dtype=np.uint32).reshape(-1, 3))
+
+
+def _numbers(node: ElementTree.Element) -> list[float]:
+    """Three numbers; a single one stands for all."""
+    found = [float(x) for x in node.get("value").replace(",", " ").split()]
+    return found * 3 if len(found) == 1 else found
+
+
+def material_from_xml(node: ElementTree.Element) -> dict:
+    """Facts of a <bsdf>, looking through twosided and bumpmap."""
+    while node.get("type") in ("twosided", "bumpmap"):
+        node = node.find("bsdf")
+    facts = dict(PLAIN, kind={"plastic": "roughplastic"}.get(node.get("type"), node.get("type")))
+    values = {child.get("name"): child for child in node}
+    number = {name: float(c.get("value")) for name, c in values.items() if c.tag == "float"}
+    facts["alpha"] = number.get("alpha", 0.003 if node.get("type") == "plastic" else 0.1)
+    facts["ior"] = number.get("intIOR", number.get("int_ior", 1.5))
+    for name in ("eta", "k"):
+        if name in values:
+            facts[name] = _numbers(values[name])
+    colour = next((c for n, c in values.items() if n and "eflectance" in n and "pecular" not in n), None)
+    if colour is not None and colour.tag == "texture" and colour.get("type") == "bitmap":
+        facts["texture"] = next(c.get("value") for c in colour if c.get("name") == "filename")
+    elif colour is not None and colour.tag == "rgb":
+        facts["albedo"] = _numbers(colour)
+    return facts
+
+
+def load_xml(path: Path) -> tuple[list[tuple[Mesh, str, list | None]], dict[str, dict], list[dict]]:
+    """(mesh, material name, emission) of each shape; facts of each material; the camera."""
+    root = ElementTree.parse(path).getroot()
+    materials = {node.get("id"): material_from_xml(node) for node in root.iter("bsdf") if node.get("id")}
+    scene = mi.load_file(str(path))
+    shapes = []
+    for shape in scene.shapes():
+        name = shape.bsdf().id()
+        mesh = from_mitsuba(shape) if "faces" in mi.traverse(shape) else _rectangle(shape)
+        emission = None
+        if shape.is_emitter():
+            emission = np.array(mi.traverse(shape.emitter())["radiance.value"]).ravel()[:3].tolist()
+        shapes.append((mesh, name if name in materials else next(iter(materials)), emission))
+    pose = np.array(mi.traverse(scene.sensors()[0])["to_world"].matrix).reshape(4, 4)
+    reach = 0.4 * np.linalg.norm(np.ptp([s[0].vertices.mean(0) for s in shapes], axis=0)) + 1
+    return shapes, materials, [{"eye": pose[:3, 3].tolist(), "target": (pose[:3, 3] + reach * pose[:3, 2]).tolist()}]
+
+
+def _rectangle(shape: mi.Shape) -> Mesh:
+    matrix = np.array(mi.traverse(shape)["to_world"].matrix).reshape(4, 4)
+    return quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]).transformed(matrix)
+
+
+def write(name: str, loaded: tuple, folder: Path, source: Path) -> None:
+    shapes, materials, cameras = loaded
+    names = sorted({material for _, material, _ in shapes})
+    groups: dict[tuple, list[Mesh]] = {}
+    for mesh, material, emission in shapes:
+        groups.setdefault((names.index(material), tuple(emission or ())), []).append(mesh)
+    folder.mkdir(parents=True, exist_ok=True)
+    arrays, facts = {}, dict(HOW.get(name, DEFAULT), shapes=[], cameras=cameras)
+    points = []
+    for i, ((material, emission), meshes) in enumerate(groups.items()):
+        mesh = merge(meshes)
+        textured = materials[names[material]]["texture"]
+        arrays |= {f"v{i}": mesh.vertices.astype(np.float32), f"n{i}": np.round(mesh.normals * 127).astype(np.int8),
+                   f"t{i}": mesh.uvs.astype(np.float32) if textured else np.zeros((len(mesh.uvs), 2), np.float16),
+                   f"f{i}": mesh.faces.astype(np.uint32)}
+        facts["shapes"].append({"material": material, "emission": list(emission)})
+        points.append(mesh.vertices)
+    everything = np.concatenate(points)
+    low, high = everything.min(0), everything.max(0)
+    facts |= {"low": low.tolist(), "high": high.tolist(),
+              "inner": [(low + f * (high - low)).tolist() for f in ([0.2, 0.15, 0.2], [0.8, 0.6, 0.8])]}
+    facts["materials"] = [_with_texture(materials[n], source, folder) for n in names]
+    np.savez_compressed(folder / "geometry.npz", **arrays)
+    (folder / "scene.json").write_text(json.dumps(facts, indent=1))
+    print(f"{name}: {sum(len(m.faces) for m, *_ in shapes)} triangles, {len(groups)} shapes", file=sys.stderr)
+
+
+def _with_texture(facts: dict, source: Path, folder: Path) -> dict:
+    if not facts["texture"]:
+        return facts
+    image = Image.open(source / facts["texture"]).convert("RGB")
+    image.thumbnail((TEXTURE, TEXTURE), Image.LANCZOS)
+    name = Path(facts["texture"]).stem + ".jpg"
+    image.save(folder / name, quality=88)
+    return dict(facts, texture=name)
+
+
+def y_up(loaded: tuple) -> tuple:
+    shapes, materials, cameras = loaded
+    turn = np.eye(4)[[0, 2, 1, 3]] * np.array([[1], [1], [-1], [1]])
+    cameras = [{key: (turn[:3, :3] @ point).tolist() for key, point in camera.items()} for camera in cameras]
+    return [(m.transformed(turn), name, e) for m, name, e in shapes], materials, cameras
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("source", type=Path)
+    parser.add_argument("out", type=Path)
+    args = parser.parse_args()
+    mi.set_variant("scalar_rgb")
+    for source in sorted(p for p in args.source.iterdir() if p.is_dir()):
+        xml, gltf = source / "scene.xml", next(source.glob("*.gltf"), None)
+        if not xml.exists() and gltf is None:
+            continue
+        loaded = load_xml(xml) if xml.exists() else load_gltf(gltf, PLAIN)
+        write(source.name, y_up(loaded) if source.name == "matpreview" else loaded, args.out / source.name, source)
+
+
+if __name__ == "__main__":
+    main()

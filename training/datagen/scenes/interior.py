@@ -1,0 +1,119 @@
+"""Interiors lit by their windows: living rooms, bedrooms, kitchens, bathrooms, offices, halls, shops, attics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from training.datagen.scenes import daylight, fittings, fixtures, furnishing, houseplants, shell, tables, upholstery
+from training.datagen.scenes.build import Description
+from training.datagen.scenes.draft import Draft, View
+from training.datagen.scenes.furnishing import Kind
+from training.datagen.scenes.joinery import Joinery, Opening
+from training.datagen.scenes.lights import Environments
+from training.datagen.scenes.roles import Roles
+from training.datagen.scenes.shell import House, Side
+
+PLANT = houseplants.PLANTS
+KINDS = {
+    "living": Kind((upholstery.sofa, upholstery.sofa, fittings.bookcase, fittings.sideboard, fixtures.fireplace,
+                    *PLANT),
+                   (upholstery.sofa, upholstery.armchair, tables.coffee, tables.coffee, upholstery.rug, *PLANT)),
+    "bedroom": Kind((upholstery.bed, upholstery.bed, fittings.wardrobe, fittings.sideboard, upholstery.armchair,
+                     *PLANT),
+                    (upholstery.rug, upholstery.bed, upholstery.stool, upholstery.armchair)),
+    "kitchen": Kind((fittings.kitchen, fittings.kitchen, fittings.sideboard, fixtures.rack, houseplants.broad),
+                    (tables.dining, tables.dining, upholstery.stool, upholstery.rug)),
+    "bathroom": Kind((fixtures.bath, fixtures.basin, fixtures.toilet, fittings.towel_rail, fittings.towel_rail, *PLANT),
+                     (upholstery.stool, upholstery.rug, houseplants.rosette), (2.2, 2.8), 0.85),
+    "office": Kind((fittings.desk, fittings.desk, fittings.bookcase, fittings.bookcase, fittings.cabinet, *PLANT),
+                   (fittings.desk, tables.dining, tables.chair, *PLANT), (2.4, 3.4)),
+    "hall": Kind((fittings.sideboard, upholstery.stool, fixtures.radiator, fittings.wardrobe, *PLANT),
+                 (upholstery.rug, tables.coffee, houseplants.bushy), (2.6, 4.2)),
+    "shop": Kind((*5 * (fixtures.rack,), fittings.cabinet, houseplants.broad),
+                 (fixtures.rack, fixtures.rack, tables.dining, *PLANT), (2.7, 4.0)),
+    "dining": Kind((fittings.sideboard, fixtures.fireplace, fittings.bookcase, *PLANT),
+                   (tables.dining, tables.dining, upholstery.rug), (2.4, 3.4)),
+    "attic": Kind((upholstery.bed, fixtures.boxes_pile, fixtures.boxes_pile, fittings.bookcase, upholstery.armchair),
+                  (fixtures.boxes_pile, upholstery.sofa, tables.coffee, tables.dining, upholstery.rug), (0.7, 1.4)),
+}
+CHANCES = dict(zip(KINDS, (0.22, 0.16, 0.12, 0.12, 0.1, 0.08, 0.06, 0.08, 0.06), strict=True))
+
+
+def interior(rng: np.random.Generator, maps: Environments) -> Draft:
+    """A furnished room whose light comes through its windows, and views of it."""
+    name = str(rng.choice(list(KINDS), p=list(CHANCES.values())))
+    kind, d = KINDS[name], Description("interior")
+    size = (rng.uniform(2.2, 3.6), 0.0, rng.uniform(2.2, 3.6)) if name == "bathroom" else (
+        rng.uniform(3.0, 6.5), 0.0, rng.uniform(3.0, 7.0))
+    size = (size[0], float(rng.uniform(*kind.height)), size[2])
+    house = House(d, rng, Roles(d, rng), Joinery.draw(rng), size, rng.random() < 0.4)
+    if name == "attic":
+        house.pitch = float(np.tan(np.radians(rng.uniform(32, 50))))
+    _openings(house)
+    if rng.random() < kind.tiled:
+        house.style = replace(house.style, panels="none")
+        furnishing.tile_walls(house)
+    elif rng.random() < 0.12:
+        house.style = replace(house.style, panels="none")
+        furnishing.brick_wall(house)
+    shell.build(house)
+    shell.dress(house)
+    if name in ("hall", "living") and rng.random() < (0.7 if name == "hall" else 0.12):
+        furnishing.stairs(house)
+    furnishing.furnish(house, kind)
+    furnishing.hang(house)
+    furnishing.moving(house)
+    daylight.light(house, maps, calm=rng.random() < 0.5)
+    return Draft(d, lambda r: _view(house, r), 0.25)
+
+
+def _openings(house: House) -> None:
+    """Large windows in one or two walls, at times roof windows, doors in the others."""
+    rng, (w, h, depth) = house.rng, house.size
+    walls = shell.frames(w, depth)
+    count = 1 if rng.random() < (0.35 if house.sky else 0.65) else 2
+    lit = rng.permutation(4)[:count]
+    chances = [0.4, 0.5, 0.1] if house.sky else [0.2, 0.3, 0.5]
+    sill = float(rng.choice([0.02, rng.uniform(0.3, 0.6), rng.uniform(0.7, 1.0)], p=chances))
+    share = rng.uniform(0.7, 0.9) if house.sky else rng.uniform(0.45, 0.8)
+    for index, (matrix, width) in enumerate(walls):
+        holes = []
+        if index in lit and not house.pitch:
+            holes = _windows(rng, share * width, width, sill, h - rng.uniform(0.15, 0.5))
+        elif rng.random() < 0.55 and h > 2.2:
+            at, wide = rng.uniform(0.25, width - 1.25), rng.uniform(0.72, 0.95)
+            holes = [Opening(at, 0.0, at + wide, rng.uniform(1.95, 2.15), "door" if rng.random() < 0.75 else "arch")]
+        house.sides.append(Side(matrix, width, h, holes))
+    if house.pitch:
+        for index in (1, 3):
+            matrix, width, high = shell.slope_frame(house, index)
+            holes = _windows(rng, share * width, width, 0.25 * high, rng.uniform(0.6, 0.85) * high)
+            shut = index == 3 and rng.random() < 0.5
+            house.sides.append(Side(matrix, width, high, [] if shut else holes, True))
+
+
+def _windows(rng: np.random.Generator, glazed: float, width: float, sill: float, top: float) -> list[Opening]:
+    """One to four windows that take `glazed` metres of a wall's width."""
+    count = max(1, min(4, round(width / rng.uniform(1.2, 3.5))))
+    share = glazed / count
+    middle = (np.arange(count) + 0.5) * width / count
+    return [Opening(x - share / 2, sill, x + share / 2, max(top, sill + 0.7)) for x in middle]
+
+
+def _view(house: House, rng: np.random.Generator) -> View:
+    """From a free place at the height of eyes: across the room, or at something from near."""
+    w, _, depth = house.size
+    reach = rng.uniform(0.7, 2.5)
+    for _ in range(40):
+        x, z = rng.uniform(-0.46, 0.46, 2) * [w, depth]
+        eye = np.array([x, rng.uniform(0.6, 1.8), z])
+        clear = eye[1] < house.headroom(x) - 0.2 and not any(
+            a - 0.2 < x < b + 0.2 and c - 0.2 < z < d + 0.2 and eye[1] < top + 0.15 for a, b, c, d, top in house.taken)
+        target = np.array([rng.uniform(-0.45, 0.45) * w, rng.uniform(0.3, 1.7), rng.uniform(-0.45, 0.45) * depth])
+        if house.sights and rng.random() < 0.6:
+            target = house.sights[int(rng.integers(len(house.sights)))] + rng.normal(0, 0.2, 3)
+        if clear and np.linalg.norm(target - eye) > min(reach, 0.4 * (w + depth)):
+            return eye, target
+    return eye, target

@@ -1,0 +1,152 @@
+"""Rooms: windows, lamps, hidden light; furniture, pictures, moving things."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from training.datagen.scenes import furniture, lights, meshes, textures
+from training.datagen.scenes.build import Description
+from training.datagen.scenes.draft import Draft, Pool, View, add_glowing, draft_thing, moving_thing, place, surface
+from training.datagen.scenes.lights import Environments
+from training.datagen.scenes.materials import Material
+from training.datagen.scenes.motion import object_path
+
+LIGHTS = {"windows": 0.25, "small": 0.15, "ceiling": 0.2, "lamps": 0.15, "cove": 0.1, "both": 0.15}
+
+
+def wall(low: np.ndarray, edge: np.ndarray, height: float, holes: list[tuple[float, float, float, float]]) -> list:
+    """Quads of an upright wall from `low` along `edge`, leaving out holes (from, to as fractions; sill, top in m)."""
+    up, parts, x = np.array([0, height, 0]), [], 0.0
+    for start, end, sill, top in sorted(holes):
+        parts.append(meshes.quad(low + x * edge, (start - x) * edge, up))
+        parts.append(meshes.quad(low + start * edge, (end - start) * edge, np.array([0, sill, 0])))
+        parts.append(meshes.quad(low + start * edge + [0, top, 0], (end - start) * edge, [0, height - top, 0]))
+        x = end
+    parts.append(meshes.quad(low + x * edge, (1 - x) * edge, up))
+    return parts
+
+
+def _windows(rng: np.random.Generator, height: float, small: bool) -> list[tuple[float, float, float, float]]:
+    count = 1 if small else int(rng.integers(1, 4))
+    width = rng.uniform(0.12, 0.25) if small else rng.uniform(0.5, 0.85) / count
+    sill, top = rng.uniform(0.2, 1.1), height - rng.uniform(0.2, 0.7)
+    return [((k + 0.5) / count - width / 2, (k + 0.5) / count + width / 2, sill, top) for k in range(count)]
+
+
+def bars(low: np.ndarray, edge: np.ndarray, hole: tuple[float, float, float, float], count: int) -> list:
+    """Window bars, upright and across."""
+    start, end, sill, top = hole
+    a, span = low + start * edge, (end - start) * edge
+    half = np.array([0.02, 0.02, 0.02])
+    made = []
+    for k in range(count + 1):
+        foot = a + span * k / count
+        made.append(meshes.box(foot + [0, sill, 0] - half, foot + [0, top, 0] + half))
+        y = sill + (top - sill) * k / count
+        ends = np.stack([a + [0, y, 0], a + span + [0, y, 0]])
+        made.append(meshes.box(ends.min(0) - half, ends.max(0) + half))
+    return made
+
+
+def room(rng: np.random.Generator, maps: Environments) -> Draft:
+    d = Description("room")
+    w, h, depth = rng.uniform(3, 8), rng.uniform(2.3, 4), rng.uniform(3, 9)
+    calm = rng.random() < 0.3
+    pool = Pool(d, rng, int(rng.integers(5, 9)), gloss=0.4, metal=0.2, glass=0.1 if calm else 0.0)
+    floor, walls = d.material(surface(rng, 0.5)), d.material(surface(rng, 0.1))
+    pale = d.material(Material("diffuse", np.full((1, 1, 3), rng.uniform(0.5, 0.9), np.float32)))
+    other = walls if rng.random() < 0.5 else d.material(surface(rng, 0.2))
+    plain = pale if rng.random() < 0.6 else walls
+    d.add(meshes.quad([-w / 2, 0, depth / 2], [w, 0, 0], [0, 0, -depth]).scaled_uvs(rng.uniform(0.3, 1.2)), floor)
+    d.add(meshes.quad([-w / 2, h, -depth / 2], [w, 0, 0], [0, 0, depth]), plain)
+    light = str(rng.choice(list(LIGHTS), p=list(LIGHTS.values())))
+    openings = light in ("windows", "small", "both")
+    corners = np.array([[-w / 2, 0, -depth / 2], [w / 2, 0, -depth / 2], [w / 2, 0, depth / 2], [-w / 2, 0, depth / 2]])
+    sides = 0 if not openings else 1 if light == "small" else int(rng.integers(1, 3))
+    opened = set(rng.choice(4, sides, replace=False))
+    uv, outside = rng.uniform(0.3, 1.2), []
+    for side in range(4):
+        low, edge = corners[side], corners[(side + 1) % 4] - corners[side]
+        holes = _windows(rng, h, light == "small") if side in opened else []
+        for part in wall(low, edge, h, holes):
+            d.add(part.scaled_uvs(uv), other if side == 1 else plain if side == 0 else walls)
+        outside += [_outside(low, edge, hole) for hole in holes]
+        panes = int(rng.choice([0, 1, 2, 3]))
+        for hole in holes:
+            for bar in bars(low, edge, hole, panes) if panes else []:
+                d.add(bar, pale)
+    if outside and rng.random() < 0.5:
+        d.emit(meshes.merge(outside), lights.tint(rng) * rng.uniform(4, 12))
+    elif outside:
+        lights.set_environment(d, rng, maps, calm, gain=float(rng.uniform(2, 8)))
+    _light_room(d, rng, light, (w, h, depth))
+    _furnish(d, rng, pool, (w, h, depth))
+    if rng.random() < 0.12:
+        home = np.array([rng.uniform(-0.4, 0.4) * w, rng.uniform(0, 1.5), rng.uniform(-0.4, 0.4) * depth])
+        add_glowing(d, rng, home, rng.uniform(2, 20))
+    if rng.random() < 0.22:
+        mirror = d.material(Material("conductor"))
+        d.add(meshes.quad([w / 2 - 0.01, 0.5, -0.5], [0, 0, 1], [0, 1.5, 0]), mirror)
+
+    def view(rng: np.random.Generator) -> View:
+        x, z = rng.uniform(-0.45, 0.45, 2) * [w, depth]
+        eye = np.array([x, rng.uniform(0.5, min(h - 0.3, 2.2)), z])
+        target = np.array([rng.uniform(-0.3, 0.3) * w, rng.uniform(0.2, 1.4), rng.uniform(-0.3, 0.3) * depth])
+        return eye, target
+
+    return Draft(d, view)
+
+
+def _outside(low: np.ndarray, edge: np.ndarray, hole: tuple[float, float, float, float]) -> meshes.Mesh:
+    """A sheet just outside a window: a bright sky that is sampled much better than an environment."""
+    start, end, sill, top = hole
+    out = 0.3 * np.array([edge[2], 0, -edge[0]]) / np.linalg.norm(edge)
+    corner = low + (start - 0.05) * edge + out + [0, sill - 0.3, 0]
+    return meshes.quad(corner, (end - start + 0.1) * edge, np.array([0, top - sill + 0.6, 0]))
+
+
+def _light_room(d: Description, rng: np.random.Generator, light: str, size: tuple) -> None:
+    w, h, depth = size
+    if light in ("ceiling", "both"):
+        for _ in range(int(rng.integers(1, 3))):
+            x, z = rng.uniform(-0.35, 0.35) * w, rng.uniform(-0.35, 0.35) * depth
+            lights.panel(d, rng, np.array([x, h - 0.01, z]), float(rng.choice([0.3, 0.8, 2.0])), rng.uniform(2, 20))
+    if light == "lamps":
+        for _ in range(int(rng.integers(1, 4))):
+            centre = np.array([rng.uniform(-0.4, 0.4) * w, rng.uniform(0.6, h - 0.4), rng.uniform(-0.4, 0.4) * depth])
+            mover = None
+            if rng.random() < 0.4:
+                d.movers.append(object_path(centre, rng.normal(0, 0.05, 3) * [1, 0.3, 1], np.array([0, 1.0, 0]), 0.0))
+                mover, centre = len(d.movers) - 1, np.zeros(3)
+            lights.bulb(d, rng, centre, rng.uniform(0.05, 0.25), rng.uniform(5, 30), mover)
+    if light == "cove":
+        shade = d.material(Material("diffuse", np.full((1, 1, 3), 0.6, np.float32)))
+        y = h - rng.uniform(0.3, 0.6)
+        d.add(meshes.box([-w / 2, y, -depth / 2], [w / 2, y + 0.03, -depth / 2 + 0.5]), shade)
+        strip = meshes.quad([-w / 2, y + 0.05, -depth / 2 + 0.3], [0, 0, 0.15], [w, 0, 0])
+        d.emit(strip, lights.tint(rng) * rng.uniform(5, 20))
+
+
+def _furnish(d: Description, rng: np.random.Generator, pool: Pool, size: tuple) -> None:
+    w, h, depth = size
+    moving = int(rng.choice([0, 1, 2, 3], p=[0.35, 0.35, 0.2, 0.1]))
+    for index in range(int(rng.integers(5, 14))):
+        thing = draft_thing(rng, furniture.FURNITURE if rng.random() < 0.6 else furniture.OBJECTS)
+        home = np.array([rng.uniform(-0.42, 0.42) * w, 0, rng.uniform(-0.42, 0.42) * depth])
+        uv = float(rng.choice([0.5, 1, 2, 4]))
+        if index < moving:
+            moving_thing(d, rng, thing, pool.slots(), home, uv)
+        else:
+            turn = meshes.rotation(furniture.Y, float(rng.choice([0, 1, 2, 3]) * np.pi / 2 + rng.normal(0, 0.15)))
+            place(d, thing, pool.slots(), meshes.translation(*home) @ turn, uv)
+    frame = d.material(Material("roughplastic", textures.wood(rng), 0.1))
+    for _ in range(int(rng.integers(0, 4))):
+        image = textures.picture(rng) if rng.random() < 0.6 else textures.texture(rng, flat=0)
+        art = d.material(Material("diffuse", image))
+        a, b = rng.uniform(0.3, 0.8), rng.uniform(0.3, 0.8)
+        x, y = rng.uniform(-0.35, 0.35) * w, rng.uniform(1.0, h - 0.8)
+        corner = np.array([a / 2 + 0.04, b / 2 + 0.04, 0])
+        centre = np.array([x, y, -depth / 2])
+        d.add(meshes.box(centre - corner, centre + corner + [0, 0, 0.03]), frame)
+        picture = meshes.quad([x - a / 2, y - b / 2, -depth / 2 + 0.032], [a, 0, 0], [0, b, 0])
+        d.add(meshes.Mesh(picture.vertices, picture.normals, picture.uvs / [a, b], picture.faces), art)

@@ -1,0 +1,309 @@
+"""Training clips resident on the GPU, and the batches drawn from them.
+
+A clip (``training/datagen/clip_file.py``) is a reference and several independent noisy renders of it. Everything is
+kept as float16 on the device, so that a batch costs no transfer; depth is kept as its logarithm to fit the range.
+"""
+
+import random
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from postfx.temporal.reverse_motion import invert_motion
+from training import ops
+from training.denoise.model import Guides, Inputs
+
+# Clips and batches --------------------------------------------------------------------------------------------------
+
+PLANES = (("colour", 3), ("diffuse_albedo", 3), ("specular_albedo", 3), ("normal", 3), ("roughness", 1), ("depth", 1),
+          ("motion", 2))
+GUIDES = PLANES[1:6]
+CHANNELS = sum(channels for _, channels in PLANES)
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+
+
+@dataclass
+class Clip:
+    """``planes`` (V, T, 16, h, w) float16, ``jitter`` (V, T, 2), ``reference`` (T, 3, H, W) float16.
+
+    Two more channels are the motion to the next frame, if it was asked for (0 in the last frame).
+    ``spread`` (V,) tells which renders spread their samples over the pixel; ``keep`` (T,) is 0 at cuts and at the
+    first frame; ``guides`` (T, 11, H, W) float16 are the planes at output size, if they were asked for.
+    """
+
+    name: str
+    planes: Tensor
+    jitter: Tensor
+    spread: list[bool]
+    keep: Tensor
+    reference: Tensor
+    guides: Tensor | None
+    exposure: float
+
+
+@dataclass
+class Batch:
+    """``frames`` are T inputs of one draw, ``references`` (T, N, 3, H, W) exposed linear colour.
+
+    ``keep`` (T, N, 1, 1, 1) is 0 where history does not continue. ``inverse`` are T motions to the next frame
+    (N, 2, h, w) for clips that are run backwards, too.
+    """
+
+    frames: list[Inputs]
+    references: Tensor
+    keep: Tensor
+    inverse: list[Tensor] | None = None
+
+
+@dataclass
+class Stack:
+    """Windows of some clips on top of each other: the fields of ``Clip`` with N in front, exposure (N, 1, 1, 1)."""
+
+    planes: Tensor
+    jitter: Tensor
+    spread: Tensor
+    keep: Tensor
+    reference: Tensor
+    guides: Tensor | None
+    exposure: Tensor
+
+
+def grey_exposure(colour: np.ndarray) -> float:
+    """Multiplier that brings the log-average luminance of (H, W, 3) to 0.18."""
+    luminance = colour.astype(np.float64) @ np.array(LUMINANCE)
+    return float(0.18 / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean() + 1e-9))))
+
+
+def load(path: Path, device: torch.device, guides: bool = False, inverse: bool = False) -> Clip:
+    """Read one clip file and move it to ``device``, with its guides and its inverse motion or without."""
+    data = np.load(path)
+    variants = sorted({k.split("_", 1)[0] for k in data.files if k.startswith("v") and k[1].isdigit()})
+
+    def plane(key: str) -> Tensor:
+        values = torch.from_numpy(data[key]).to(device)
+        values = values.movedim(-1, 1) if values.ndim == 4 else values[:, None]
+        if key.startswith("v") and key.endswith("_depth"):
+            values = values.clamp(1e-4, 1e10).log2()
+        return values.half()
+
+    def render(variant: str) -> Tensor:
+        planes = [plane(f"{variant}_{name}") for name, _ in PLANES]
+        return torch.cat([*planes, turned(data, variant, device)] if inverse else planes, 1)
+
+    reference = data["reference"]
+    keep = 1 - data["reset"].astype(np.float32) if "reset" in data.files else np.ones(len(reference), np.float32)
+    return Clip(
+        path.stem,
+        torch.stack([render(v) for v in variants]),
+        torch.from_numpy(np.stack([data[f"{v}_jitter"] for v in variants]).astype(np.float32)).to(device),
+        [str(data[f"{v}_style"]) != "realtime" for v in variants],
+        torch.from_numpy(keep).to(device),
+        plane("reference"),
+        torch.cat([plane(f"guide_{name}") for name, _ in GUIDES], 1) if guides else None,
+        grey_exposure(reference[0]),
+    )
+
+
+def turned(data: Mapping[str, np.ndarray], variant: str, device: torch.device) -> Tensor:
+    """Motion to the next frame (T, 2, h, w) float16 of one noisy render, of whole frames; 0 in the last."""
+    motion, depth = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"][..., None].astype(np.float32)
+    pairs = pairwise(zip(motion, depth, strict=True))
+    motion = [*(invert_motion(*after, shown) for (_, shown), after in pairs), np.zeros_like(motion[-1])]
+    return torch.from_numpy(np.stack(motion)).movedim(-1, 1).to(device).half()
+
+
+class ClipPool:
+    """All clips of a folder; grows while the data factory is still writing."""
+
+    def __init__(self, folder: Path, device: torch.device, guides: bool = False, share: int = 0, shares: int = 1,
+                 held_out: int = 20, inverse: bool = False):
+        self.folder, self.device, self.guides, self.inverse = folder, device, guides, inverse
+        self.share, self.shares, self.held_out = share, shares, held_out
+        self.seen: set[Path] = set()
+        self.training: dict[tuple[int, ...], list[Clip]] = {}
+        self.validation: list[Clip] = []
+
+    def refresh(self) -> int:
+        """Load files that are new; one in ``held_out`` scenes is kept for validation."""
+        fresh = [p for p in sorted(self.folder.glob("[!.]*.npz")) if p not in self.seen]
+        mine = [p for p in fresh if self._number(p) % self.shares == self.share]
+        self.seen.update(mine)
+        with ThreadPoolExecutor(8) as threads:
+            clips = list(threads.map(lambda path: load(path, self.device, self.guides, self.inverse), mine))
+        for path, clip in zip(mine, clips, strict=True):
+            if (self._number(path) // self.shares) % self.held_out == 0:
+                self.validation.append(clip)
+            else:
+                self.training.setdefault(tuple(clip.reference.shape), []).append(clip)
+        return len(self)
+
+    @staticmethod
+    def _number(path: Path) -> int:
+        return int("".join(c for c in path.stem if c.isdigit()) or 0)
+
+    def __len__(self) -> int:
+        return sum(map(len, self.training.values()))
+
+    def draw(self, size: int, crop: int, seed: int) -> Stack:
+        """Windows of clips of one output size; ``seed`` picks the size, so that all GPUs work on the same one."""
+        shapes = sorted(self.training)
+        shape = random.Random(seed).choices(shapes, [len(self.training[s]) for s in shapes])[0]
+        clips = random.choices(self.training[shape], k=size)
+        return collate(clips, [random.randrange(len(c.planes)) for c in clips], crop)
+
+
+def collate(clips: list[Clip], variants: list[int], crop: int | None = None) -> Stack:
+    """Stack one noisy render of each clip, whole or in windows of ``crop`` render pixels."""
+    windows = [_window(clip, crop) for clip in clips]
+    chosen = list(zip(clips, variants, windows, strict=True))
+    guided = clips[0].guides is not None
+    device = clips[0].planes.device
+    return Stack(
+        torch.stack([c.planes[v, ..., w[0], w[1]] for c, v, w in chosen]).float(),
+        torch.stack([c.jitter[v] for c, v, _ in chosen]),
+        torch.tensor([c.spread[v] for c, v, _ in chosen], device=device),
+        torch.stack([c.keep for c in clips]),
+        torch.stack([c.reference[..., w[2], w[3]] for c, _, w in chosen]).float(),
+        torch.stack([c.guides[..., w[2], w[3]] for c, _, w in chosen]).float() if guided else None,
+        torch.tensor([c.exposure for c in clips], device=device, dtype=torch.float32)[:, None, None, None],
+    )
+
+
+def _window(clip: Clip, crop: int | None) -> tuple[slice, slice, slice, slice]:
+    """Rows and columns at render size, then at output size; even offsets fit scale 1.5 as well."""
+    inner, outer = [], []
+    for size, full in zip(clip.planes.shape[-2:], clip.reference.shape[-2:], strict=True):
+        length = min(crop or size, size)
+        start = 2 * random.randrange((size - length) // 2 + 1)
+        inner.append(slice(start, start + length))
+        outer.append(slice(start * full // size, (start + length) * full // size))
+    return *inner, *outer
+
+
+def to_batch(stack: Stack) -> Batch:
+    guides = [None] * stack.planes.shape[1] if stack.guides is None else stack.guides.unbind(1)
+    planes, inverse = stack.planes[:, :, :CHANNELS], stack.planes[:, :, CHANNELS:]
+    frames = [_inputs(p, j, g, stack.exposure)
+              for p, j, g in zip(planes.unbind(1), stack.jitter.unbind(1), guides, strict=True)]
+    references = (stack.reference * stack.exposure[:, None]).clamp(0, 1e4).transpose(0, 1)
+    return Batch(frames, references, stack.keep.T[..., None, None, None],
+                 list(inverse.unbind(1)) if inverse.shape[2] else None)
+
+
+def _inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None, exposure: Tensor) -> Inputs:
+    """Inputs of one frame from stacked planes (N, 16, h, w); ``exposure`` (N, 1, 1, 1)."""
+    split = _split(planes, PLANES)
+    split["colour"] = (torch.nan_to_num(split["colour"]).clamp(min=0) * exposure).clamp(max=1e4)
+    return Inputs(**split, jitter=jitter, guides=None if guides is None else Guides(**_split(guides, GUIDES)))
+
+
+def _split(stacked: Tensor, planes: tuple[tuple[str, int], ...]) -> dict[str, Tensor]:
+    split = dict(zip([name for name, _ in planes], stacked.split([c for _, c in planes], 1), strict=True))
+    return split | {"depth": torch.exp2(split["depth"])}
+
+
+# Augmentation -------------------------------------------------------------------------------------------------------
+# Random views of the same clips: mirrored, turned, recoloured, exposed otherwise, nearly free of noise, or with
+# planes missing.
+
+NORMAL, MOTION = 9, 14  # first channels of these planes in a stack; inverse motion, if it is there, follows motion
+# What stands in for a plane that a file lacks; postfx/passes/denoise_upscale.py fills the same values.
+ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0, "motion": 0.0}
+# Planes that are missing together, and how often: renderers seldom write roughness.
+LOSSES = (
+    (("roughness",), 0.2),
+    (("specular_albedo",), 0.04),
+    (("specular_albedo", "roughness"), 0.06),
+    (("normal",), 0.05),
+    (("depth",), 0.05),
+    (("diffuse_albedo",), 0.03),
+    (("diffuse_albedo", "specular_albedo"), 0.05),
+    (("motion",), 0.03),
+    (tuple(ABSENT), 0.05),
+)
+
+
+@dataclass
+class Augment:
+    """Every choice is drawn once a batch entry or, mirroring and turning, once a batch.
+
+    stops: exposure varies by as much either way. drop: factor on the chances that planes are missing. clean: chance of
+    colour of far more samples, up to all, which teaches the network to leave good pixels alone.
+    """
+
+    stops: float = 1.5
+    drop: float = 1.0
+    clean: float = 0.25
+
+    def __call__(self, stack: Stack) -> Batch:
+        stack = _permute_channels(_flip(self._converge(stack)))
+        stops = (torch.rand_like(stack.exposure) * 2 - 1) * self.stops
+        return self._drop_planes(to_batch(replace(stack, exposure=stack.exposure * torch.exp2(stops))))
+
+    def _converge(self, stack: Stack) -> Stack:
+        """Move some colours towards the reference, where samples are spread over the pixel as the reference's are."""
+        planes, reference = stack.planes, stack.reference
+        h, w = planes.shape[-2:]
+        chosen = (torch.rand_like(stack.exposure) < self.clean) & stack.spread[:, None, None, None]
+        share = (chosen * (1 - torch.rand_like(stack.exposure) ** 3))[:, None]
+        mean = ops.box_mean(reference.flatten(0, 1), h, w).unflatten(0, planes.shape[:2])
+        return replace(stack, planes=torch.cat((torch.lerp(planes[:, :, :3], mean, share), planes[:, :, 3:]), 2))
+
+    def _drop_planes(self, batch: Batch) -> Batch:
+        """Files do not always have every plane: leave some out, for the whole clip, as the reader would fill them."""
+        entries, device = batch.keep.shape[1], batch.keep.device
+        lost = {name: torch.zeros(entries, 1, 1, 1, dtype=torch.bool, device=device) for name in ABSENT}
+        for names, chance in LOSSES:
+            chosen = torch.rand(entries, 1, 1, 1, device=device) < chance * self.drop
+            lost |= {name: lost[name] | chosen for name in names}
+        inverse = batch.inverse and [torch.where(lost["motion"], ABSENT["motion"], motion) for motion in batch.inverse]
+        return replace(batch, frames=[_without(frame, lost) for frame in batch.frames],
+                       keep=batch.keep * ~lost["motion"], inverse=inverse)
+
+
+def _without(planes: Inputs | Guides, lost: dict[str, Tensor]) -> Inputs | Guides:
+    """The planes with what stands in for the lost ones, in the entries where they are lost; guides likewise."""
+    changed = {f.name: torch.where(lost[f.name], ABSENT[f.name], getattr(planes, f.name))
+               for f in fields(planes) if f.name in lost}
+    guides = getattr(planes, "guides", None)
+    return replace(planes, **changed, **({} if guides is None else {"guides": _without(guides, lost)}))
+
+
+def _flip(stack: Stack) -> Stack:
+    """Mirror and transpose the picture; motion and jitter follow."""
+    planes, jitter, reference, guides = stack.planes, stack.jitter.clone(), stack.reference, stack.guides
+    signs = torch.ones(planes.shape[2], device=planes.device)
+    for axis in (0, 1):
+        if random.random() < 0.5:
+            planes, reference = planes.flip(-1 - axis), reference.flip(-1 - axis)
+            guides = None if guides is None else guides.flip(-1 - axis)
+            signs[MOTION + axis::2] = -1
+            jitter[..., axis] *= -1
+    planes = planes * signs[:, None, None]
+    if random.random() < 0.5:
+        planes, reference = planes.transpose(-1, -2), reference.transpose(-1, -2)
+        guides = None if guides is None else guides.transpose(-1, -2)
+        motions = planes[:, :, MOTION:].unflatten(2, (-1, 2)).flip(3).flatten(2, 3)
+        planes = torch.cat((planes[:, :, :MOTION], motions), 2)
+        jitter = jitter.flip(-1)
+    return replace(stack, planes=planes, jitter=jitter, reference=reference, guides=guides)
+
+
+def _permute_channels(stack: Stack) -> Stack:
+    """Shuffle the colour primaries and the axes of the world; neither has a preferred order."""
+    rgb, xyz = random.sample(range(3), 3), random.sample(range(3), 3)
+    rest = range(12, stack.planes.shape[2])
+    order = [*rgb, *(3 + i for i in rgb), *(6 + i for i in rgb), *(9 + i for i in xyz), *rest]
+    signs = torch.ones(len(order), device=stack.planes.device)
+    signs[NORMAL:NORMAL + 3] = torch.tensor([random.choice((-1.0, 1.0)) for _ in range(3)])
+    planes = stack.planes[:, :, order] * signs[:, None, None]
+    guides = stack.guides
+    if guides is not None:
+        guides = guides[:, :, [c - 3 for c in order[3:MOTION]]] * signs[3:MOTION, None, None]
+    return replace(stack, planes=planes, reference=stack.reference[:, :, rgb], guides=guides)

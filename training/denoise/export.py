@@ -1,0 +1,216 @@
+"""Export the denoised upscaler: network and card to models/, its compute kernels to models/kernels/.
+
+    python -m training.denoise.export checkpoint.pt --tag m [--quality quality.json]
+    python -m training.denoise.export checkpoint.pt --tag m.1x
+    python -m training.denoise.export
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from postfx.kernels import (
+    denoise_assemble,
+    denoise_features,
+    denoise_filter,
+    denoise_guides,
+    denoise_half,
+    denoise_history,
+    denoise_open,
+    denoise_prepare,
+    denoise_products,
+    denoise_reactive,
+    denoise_reflections,
+    denoise_resize,
+    denoise_restore,
+    denoise_store,
+    denoise_strength,
+    denoise_upsample,
+)
+from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
+from postfx.kernels.resample import RESAMPLE
+from postfx.passes._denoise_models import GUIDED, UNSCALED, parted
+from postfx.passes._denoise_network import FEATURE_PARTS, PHASED_FINE
+from training.denoise.model import FINE, GUIDES, HIDDEN, KERNEL, PHASES, Trunk, TrunkConfig, stem
+from training.export import export, export_kernel, parity, parser, read_quality, write_card
+from training.kernels import denoise as kernels
+from training.kernels import extras
+
+CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
+SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, for 1x",
+             GUIDED: "recurrent denoised upscaler, 1x to 3x, guides at output size"}
+OUTPUTS = (PHASED_FINE, "level1", "level2", "level3", "level4")
+MEANING = {
+    PHASED_FINE: f"logits of 5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and sharpening at "
+    f"four phases 4 + 4, mix, distrust, importance, hidden state {HIDDEN}; of each the four phases of 2x2 pixels",
+    "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
+    "level4": f"5x5 kernel {KERNEL}",
+}
+ALIKE = "the same at all pixels"
+
+
+# Kernel -> its torch definition, and the sizes to trace with: 21x33 pixels of a picture of 25x45, padded to 32x48,
+# enlarged to 29x51 of 35x70.
+SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35, "width": 70, "out_th": 29,
+         "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3,
+         "finer_h": 63, "finer_w": 97, "coarse_h": 17, "coarse_w": 25,
+         "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
+         "keep_h": 15, "keep_w": 27, "cells_h": 3, "cells_w": 5, "wide": 8}
+KERNELS = {
+    denoise_prepare.SCALE: kernels.Scale,
+    denoise_prepare.DILATE: kernels.Dilate,
+    denoise_history.HISTORY: kernels.History,
+    denoise_features.FEATURE: kernels.Features,
+    denoise_guides.GUIDE: kernels.GuideFeatures,
+    denoise_guides.TRUST: kernels.Trust,
+    denoise_prepare.ACCUMULATE: kernels.Accumulate,
+    denoise_resize.RESIZE: kernels.Resize,
+    denoise_reflections.REFLECTIONS: extras.Reflections,
+    denoise_filter.POOL: kernels.Pool,
+    denoise_filter.MIX_LEVELS: kernels.Mix,
+    denoise_filter.FILTER: kernels.Filter,
+    denoise_filter.REMODULATE: kernels.Remodulate,
+    denoise_filter.REMODULATE_GUIDED: kernels.RemodulateGuided,
+    denoise_upsample.UPSAMPLE: kernels.Upsample,
+    denoise_upsample.UPSAMPLE_GUIDED: kernels.UpsampleGuided,
+    denoise_restore.JUDGE: extras.Judge,
+    denoise_restore.DETAIL: extras.Detail,
+    denoise_restore.RESTORE: extras.Restore,
+    denoise_strength.STRENGTH: kernels.Strength,
+    denoise_reactive.REACTIVE: extras.Reactive,
+    denoise_reactive.SPREAD_MASK: extras.Spread,
+    denoise_reactive.KEEP: extras.Keep,
+    denoise_assemble.ASSEMBLE: kernels.Assemble,
+    RESAMPLE: kernels.Resample,
+    ENLARGE: extras.Enlarge,
+    OVER: extras.Over,
+    OVER_ALPHA: extras.OverAlpha,
+    denoise_half.PACK: kernels.Pack,
+    denoise_half.OPEN: kernels.Open,
+    denoise_half.OPEN_FINE: kernels.OpenFine,
+    denoise_open.OPEN_PHASED: kernels.OpenPhased,
+    denoise_products.OPEN_PRODUCTS: kernels.OpenProducts,
+    denoise_products.OPEN_FINE_PRODUCTS: kernels.OpenFineProducts,
+    denoise_store.STORE: kernels.Store,
+    denoise_store.STORE_RINGED: kernels.StoreRinged,
+}
+
+
+def export_kernels(folder: Path) -> None:
+    """Write the portable definitions of all kernels."""
+    for kernel, definition in KERNELS.items():
+        export_kernel(kernel, definition(), SIZES, folder)
+
+
+def load_trunk(checkpoint: dict[str, Any]) -> Trunk:
+    """The trunk of a checkpoint of train.py: weights rounded to half precision, kept as float32."""
+    trunk = Trunk(TrunkConfig.from_dict(checkpoint["config"]))
+    weights = {key.removeprefix("trunk."): value.half().float() for key, value in checkpoint["weights"].items()}
+    trunk.load_state_dict(weights)
+    return trunk.eval()
+
+
+def example(trunk: Trunk, height: int, width: int) -> tuple[torch.Tensor, ...]:
+    """Features, and guides where the network reads them, with the ranges of real ones."""
+    generator = torch.Generator().manual_seed(0)
+    sizes = inputs(trunk.config).values()
+    return tuple(torch.rand(1, channels, height, width, generator=generator) * 2 - 0.5 for channels in sizes)
+
+
+def inputs(config: TrunkConfig) -> dict[str, int]:
+    """Names of the network's inputs and their channels."""
+    return FEATURE_PARTS | ({"guides": GUIDES} if config.guides else {})
+
+
+class ExportedTrunk(Trunk):
+    """The same network, which reads the features in two parts, and whose fine head ends with its convolution:
+    `postfx.kernels.denoise_open` has the rest."""
+
+    def __init__(self, trunk: Trunk):
+        super().__init__(trunk.config)
+        self.load_state_dict(trunk.state_dict())
+        shares = self.stem.weight.detach().split(list(FEATURE_PARTS.values()), 1)
+        self.stems = nn.ModuleList(stem(self.config, share.shape[1], bias=i == 0) for i, share in enumerate(shares))
+        for part, share in zip(self.stems, shares, strict=True):
+            part.weight = nn.Parameter(share.contiguous())
+        self.stems[0].bias = self.stem.bias
+
+    def forward(self, first: torch.Tensor, last: torch.Tensor,
+                guides: torch.Tensor | None = None) -> tuple[torch.Tensor, ...]:
+        return self.behind(self.stems[0](first) + self.stems[1](last), guides)
+
+    def _fine(self, x: torch.Tensor) -> torch.Tensor:
+        return self.fine(x)
+
+
+def export_trunk(trunk: Trunk, path: Path) -> float:
+    """Write the network and hold it to torch; returns the largest relative error. Raises ParityError."""
+    # torch checks that the sizes of skip connections match, so it must know what the input is a multiple of.
+    free = {2: trunk.align * torch.export.Dim("rows", min=1), 3: trunk.align * torch.export.Dim("columns", min=1)}
+    reads = inputs(trunk.config)
+    names = {name: (1, channels, "height", "width") for name, channels in reads.items()}
+    names |= {name: (1, _channels(name), *("??" if has_level(trunk.config, name) else (1, 1))) for name in OUTPUTS}
+    export(ExportedTrunk(trunk), example(trunk, 64, 96), list(reads), OUTPUTS, path, [free] * len(reads), names)
+    height, width = CHECKED
+    return parity(ExportedTrunk(trunk), path, example(trunk, height, width), {"height": height, "width": width})
+
+
+def has_level(config: TrunkConfig, output: str) -> bool:
+    """Whether the network computes an output, which otherwise is the same at all pixels."""
+    return output == PHASED_FINE or int(output[-1]) <= len(config.widths)
+
+
+def _channels(name: str) -> int:
+    return {PHASED_FINE: 4 * FINE, "level4": KERNEL}.get(name, KERNEL + 1)
+
+
+def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, Any]) -> dict[str, Any]:
+    """What the run-time and a reader need to know about the model."""
+    config = TrunkConfig.from_dict(checkpoint["config"])
+    return {
+        "name": f"denoise_upscale.{tag}",
+        "pass": "denoise_upscale",
+        "tag": tag,
+        "summary": SUMMARIES[parted(tag)[1]],
+        "parameters": sum(weight.numel() for weight in checkpoint["weights"].values()),
+        "inputs": {
+            name: {
+                "shape": [1, channels, "height", "width"],
+                "meaning": f"see training/denoise/model.py; height and width multiples of {config.align}",
+            }
+            for name, channels in inputs(config).items()
+        },
+        "outputs": {name: _output(config, name) for name in OUTPUTS},
+        "config": checkpoint["config"],
+        "training": {"script": "training/denoise/train.py", **checkpoint["notes"]},
+        "parity": {"max_relative_error": float(f"{error:.2g}"), "against": f"torch {torch.__version__}"},
+        "quality": quality,
+    }
+
+
+def _output(config: TrunkConfig, name: str) -> dict[str, Any]:
+    meaning = MEANING.get(name, MEANING["level"])
+    if not has_level(config, name):
+        return {"shape": [1, _channels(name), 1, 1], "meaning": f"{meaning}; {ALIKE}", "constant": True}
+    level = 1 if name == PHASED_FINE else int(name[-1])
+    return {"shape": [1, _channels(name), f"height/{2**level}", f"width/{2**level}"], "meaning": meaning}
+
+
+def main() -> None:
+    args = parser(__doc__, "m").parse_args()
+    export_kernels(args.models / "kernels")
+    if not args.checkpoint:
+        return
+    checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
+    path = args.models / f"denoise_upscale.{args.tag}.onnx"
+    error = export_trunk(load_trunk(checkpoint), path)
+    write_card(path, card(checkpoint, args.tag, error, read_quality(args.quality)))
+    print(f"largest relative error to torch: {error:.2g}")
+
+
+if __name__ == "__main__":
+    main()

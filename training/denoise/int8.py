@@ -1,0 +1,539 @@
+"""Rewrite an exported network for int8 arithmetic: pairs of quantise and dequantise nodes around convolutions.
+
+A run-time that knows the pattern dequantise - convolution - quantise runs it in integers; any other gets the same
+numbers in float. Activations are unsigned 8 bits with one scale a tensor; weights are signed with one scale an output
+channel (`training.denoise.int8`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import onnx
+from onnx import NodeProto, TensorProto, helper, numpy_helper
+
+from postfx.passes._denoise_network import (
+    CODING,
+    FEATURE_PARTS,
+    PHASED_FINE,
+    PRODUCTS,
+    SCALING,
+    STORED,
+    stored_channels,
+)
+
+# Small steps of a graph ---------------------------------------------------------------------------------------------
+# Small steps that rewriting ONNX graphs is made of.
+
+FIRST_TO_LAST, LAST_TO_FIRST = (0, 2, 3, 1), (0, 3, 1, 2)
+"""Axes of channels brought to the end, and back."""
+
+
+def node(made: list[NodeProto], kind: str, inputs: list[str], output: str, **attributes: object) -> str:
+    """Append a node with one output, whose name is returned."""
+    made.append(helper.make_node(kind, inputs, [output], name=f"node_{output}", **attributes))
+    return output
+
+
+def constant(graph: onnx.GraphProto, name: str, array: np.ndarray) -> None:
+    """Give a graph a constant, unless it has one of that name."""
+    if all(weight.name != name for weight in graph.initializer):
+        graph.initializer.append(numpy_helper.from_array(np.array(array, order="C"), name))
+
+
+def value(graph: onnx.GraphProto, name: str) -> np.ndarray:
+    """A constant's, which may be kept in half precision with a cast."""
+    cast = next((node for node in graph.node if node.op_type == "Cast" and node.output[0] == name), None)
+    stored = cast.input[0] if cast else name
+    return numpy_helper.to_array(next(weight for weight in graph.initializer if weight.name == stored))
+
+
+def prune(graph: onnx.GraphProto) -> None:
+    """Leave what outputs need."""
+    needed, nodes = {value.name for value in graph.output}, []
+    for one in reversed(graph.node):
+        if needed & set(one.output):
+            nodes.append(one)
+            needed |= set(one.input)
+    replace(graph, nodes[::-1])
+    weights = [weight for weight in graph.initializer if weight.name in needed]
+    del graph.initializer[:]
+    graph.initializer.extend(weights)
+
+
+def replace(graph: onnx.GraphProto, nodes: list[NodeProto]) -> None:
+    """Give a graph these nodes alone, some of which may be its own."""
+    nodes = [NodeProto.FromString(one.SerializeToString()) for one in nodes]
+    del graph.node[:]
+    graph.node.extend(nodes)
+
+
+# Rounding -----------------------------------------------------------------------------------------------------------
+# Rounding of a convolution's weights to integers, each making up for those before it.
+#
+# That is Frantar et al., "GPTQ" (2022): what rounding one weight changes in the sums is taken from the weights that are
+# not yet rounded, by the second moments of what the convolution reads.
+
+LIMIT = 63
+"""Greatest integer: 7 bits, because x86 processors without VNNI add two products in 16 bits and saturate."""
+PATCHES = 256
+"""Places of a frame whose moments are noted."""
+DAMPING = 0.01
+"""Part of the mean moment that is added to all, so that what hardly varies is not relied upon."""
+SHARES = (1.0, 0.9, 0.8, 0.7, 0.6)
+"""Parts of the largest weight that are tried as the largest kept."""
+
+
+class Rounded(NamedTuple):
+    """Weights as integers in the shape of the weights, and what a step of each output channel stands for, float32."""
+
+    factors: np.ndarray
+    steps: np.ndarray
+
+
+class Moments:
+    """Mean products of the values that a convolution adds up: over its window and the channels that it reads."""
+
+    def __init__(self, side: int, pad: int, stride: int) -> None:
+        self._side, self._pad, self._stride = side, pad, stride
+        self._sum, self._random = np.float32(0), np.random.default_rng(0)
+
+    @classmethod
+    def of(cls, convolution: NodeProto) -> Moments:
+        """For a square one, as far from every border."""
+        facts = {fact.name: list(fact.ints) for fact in convolution.attribute}
+        return cls(*(facts[name][0] for name in ("kernel_shape", "pads", "strides")))
+
+    def add(self, planes: np.ndarray) -> None:
+        """Note some places of what it reads, (1, C, h, w)."""
+        padded = np.pad(planes[0], ((0, 0), *2 * [(self._pad, self._pad)]))
+        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * (self._side,), (1, 2))
+        windows = windows[:, ::self._stride, ::self._stride]
+        rows, columns = (self._random.integers(0, size, PATCHES) for size in windows.shape[1:3])
+        some = windows[:, rows, columns].transpose(1, 0, 2, 3).reshape(PATCHES, -1).astype(np.float32)
+        self._sum = self._sum + some.T @ some / PATCHES
+
+    def rounded(self, weight: np.ndarray) -> Rounded:
+        """The convolution's weights (outputs, C, side, side) in integers."""
+        factors, steps = rounded(weight.reshape(len(weight), -1), np.float64(self._sum))
+        return Rounded(factors.reshape(weight.shape), steps)
+
+
+def rounded(weights: np.ndarray, moments: np.ndarray, limit: int = LIMIT) -> Rounded:
+    """Integers up to `limit` for weights (outputs, inputs), by least squared error of the sums.
+
+    Args:
+        moments: (inputs, inputs), the mean product of inputs.
+    """
+    count = weights.shape[1]
+    damped = moments + (DAMPING * np.trace(moments) / count or 1.0) * np.eye(count)  # 1: inputs that are always zero
+    upper = np.linalg.cholesky(np.linalg.inv(damped)).T
+    best = np.full(len(weights), np.inf)
+    factors, steps = np.zeros(weights.shape), np.ones(len(weights), np.float32)
+    for share in SHARES:
+        step = np.maximum(np.abs(weights).max(1) * share / limit, 1e-12).astype(np.float32)
+        tried = _compensated(weights.astype(np.float64), upper, step, limit)
+        apart = tried * step[:, None] - weights
+        error = ((apart @ damped) * apart).sum(1)
+        better = error < best
+        best[better], factors[better], steps[better] = error[better], tried[better], step[better]
+    return Rounded(factors, steps)
+
+
+def _compensated(left: np.ndarray, upper: np.ndarray, step: np.ndarray, limit: int) -> np.ndarray:
+    """Rounds one column after the other; what each leaves is taken from those behind it."""
+    found = np.empty_like(left)
+    for i in range(left.shape[1]):
+        found[:, i] = np.clip(np.rint(left[:, i] / step), -limit, limit)
+        missing = (left[:, i] - found[:, i] * step) / upper[i, i]
+        left[:, i:] -= missing[:, None] * upper[i, i:]
+    return found
+
+
+# Quantised convolutions ---------------------------------------------------------------------------------------------
+
+ACTIVATION_LEVELS = 255
+BIAS_LIMIT = 2**30
+SAME_RANGE = ("MaxPool", "Resize")  # what they give are values that they were given
+
+
+class Range(NamedTuple):
+    """How a tensor is kept in 8 bits: value = scale * (stored - zero)."""
+
+    scale: float
+    zero: int
+
+    @classmethod
+    def of(cls, low: float, high: float) -> Range:
+        """Covers low..high and zero, which is exact: borders are filled with it."""
+        low, high = min(low, 0.0), max(high, 0.0)
+        scale = max((high - low) / ACTIVATION_LEVELS, 1e-12)
+        return cls(scale, round(-low / scale))
+
+    def rounded(self, values: np.ndarray) -> np.ndarray:
+        """What is left of values."""
+        stored = np.clip(np.rint(values / self.scale) + self.zero, 0, ACTIVATION_LEVELS)
+        return (stored - self.zero) * self.scale
+
+
+def unfold_half(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The model with its weights as float32 instead of half precision and a cast."""
+    model = onnx.ModelProto.FromString(model.SerializeToString())
+    weights = {weight.name: weight for weight in model.graph.initializer}
+    casts = [node for node in model.graph.node if node.op_type == "Cast" and node.input[0] in weights]
+    for cast in casts:
+        values = numpy_helper.to_array(weights[cast.input[0]]).astype(np.float32)
+        weights[cast.input[0]].CopyFrom(numpy_helper.from_array(values, cast.output[0]))
+        model.graph.node.remove(cast)
+    return model
+
+
+def convolutions(graph: onnx.GraphProto, layers: Collection[str]) -> list[NodeProto]:
+    """Convolutions of the torch modules called `layers` ('up.0.2.weight' is of 'up' and of 'up.0')."""
+    starts = tuple(f"{layer}." for layer in layers)
+    return [node for node in graph.node if node.op_type == "Conv" and node.input[1].startswith(starts)]
+
+
+def activations(graph: onnx.GraphProto, layers: Collection[str]) -> dict[str, str]:
+    """Tensors to keep in 8 bits: what the convolutions read and write, and what comes from that by copying.
+
+    Each with the tensor whose range it takes: itself, or the one that it is a copy of.
+    """
+    activated = {node.input[0]: node.output[0] for node in graph.node if node.op_type == "Relu"}
+    found = {}
+    for node in convolutions(graph, layers):
+        found |= {name: name for name in (node.input[0], activated.get(node.output[0], node.output[0]))}
+    for node in graph.node:
+        if node.op_type in SAME_RANGE and node.input[0] in found:
+            found[node.output[0]] = found[node.input[0]]
+    return found
+
+
+def quantise(model: onnx.ModelProto, layers: Collection[str], ranges: Mapping[str, Range],
+             weights: Mapping[str, Rounded]) -> onnx.ModelProto:
+    """A float32 model with the convolutions of `layers` in int8.
+
+    Args:
+        ranges: for each of `activations`, how it is kept.
+        weights: for the weights of each of these convolutions, the same.
+    """
+    model = onnx.ModelProto.FromString(model.SerializeToString())
+    graph, rewriter = model.graph, _Rewriter(model.graph, ranges, weights)
+    chosen = [node.name for node in convolutions(graph, layers)]
+    for name in [value.name for value in graph.input]:
+        rewriter.keep(name)
+    for node in graph.node:
+        rewriter.add(node, node.name in chosen)
+    del graph.node[:], graph.initializer[:]
+    graph.node.extend(rewriter.nodes)
+    graph.initializer.extend(rewriter.weights.values())
+    onnx.checker.check_model(model)
+    return model
+
+
+class _Rewriter:
+    """Takes nodes in order and gives those of the quantised graph."""
+
+    def __init__(self, graph: onnx.GraphProto, ranges: Mapping[str, Range], rounded: Mapping[str, Rounded]) -> None:
+        self.nodes: list[NodeProto] = []
+        self.weights = {weight.name: weight for weight in graph.initializer}
+        self._ranges, self._rounded = ranges, rounded
+        self._kept: dict[str, str] = {}
+
+    def add(self, node: NodeProto, integer: bool) -> None:
+        """One node of the float graph; `integer` for a convolution that is to run in int8."""
+        if integer:
+            self._quantise_weights(node)
+        for index, name in enumerate(node.input):
+            if node.op_type == "Add" and name in self.weights:
+                self._keep_constant(name)
+            node.input[index] = self._kept.get(name, name)
+        self.nodes.append(node)
+        for name in node.output:
+            self.keep(name)
+
+    def keep(self, name: str) -> None:
+        """Keep a tensor in 8 bits, if it has a range: whoever reads it later reads what is left of it."""
+        if name in self._ranges:
+            scale, zero = self._ranges[name]
+            self._store(f"{name}_scale", np.float32(scale))
+            self._store(f"{name}_zero", np.uint8(zero))
+            stored = [f"{name}_quantised", f"{name}_scale", f"{name}_zero"]
+            self.nodes.append(helper.make_node("QuantizeLinear", [name, *stored[1:]], stored[:1]))
+            self.nodes.append(helper.make_node("DequantizeLinear", stored, [f"{name}_kept"]))
+            self._kept[name] = f"{name}_kept"
+
+    def _keep_constant(self, name: str) -> None:
+        """Keep what is added to a tensor in 8 bits: a sum is in integers where both of its parts are."""
+        values = numpy_helper.to_array(self.weights.pop(name))
+        scale, zero = Range.of(float(values.min()), float(values.max()))
+        stored = [f"{name}_quantised", f"{name}_scale", f"{name}_zero"]
+        for key, held in zip(stored, (np.rint(values / scale) + zero, scale, zero), strict=True):
+            self._store(key, np.asarray(held, np.float32 if key == stored[1] else np.uint8))
+        self.nodes.append(helper.make_node("DequantizeLinear", stored, [f"{name}_kept"]))
+        self._kept[name] = f"{name}_kept"
+
+    def _quantise_weights(self, node: NodeProto) -> None:
+        """Weights in 7 bits with a scale for each output channel, the bias in 32 bits as ONNX Runtime wants it."""
+        read = np.float32(self._ranges[node.input[0]].scale)
+        factors, scale = self._rounded[node.input[1]]
+        weight = numpy_helper.to_array(self.weights.pop(node.input[1]))
+        bias = numpy_helper.to_array(self.weights.pop(node.input[2])) if len(node.input) > 2 else None
+        if bias is not None:  # a channel that has hardly any weight: its bias must still fit
+            wider = np.maximum(scale, np.abs(bias) / (read * BIAS_LIMIT)).astype(np.float32)
+            factors = np.where((wider > scale)[:, None, None, None], weight / wider[:, None, None, None], factors)
+            scale = wider
+        node.input[1] = self._constant(node.input[1], factors, scale, np.int8)
+        if bias is not None:
+            node.input[2] = self._constant(node.input[2], bias / (scale * read), scale * read, np.int32)
+
+    def _constant(self, name: str, values: np.ndarray, scale: np.ndarray, dtype: type) -> str:
+        self._store(f"{name}_quantised", np.rint(values).astype(dtype))
+        self._store(f"{name}_scale", scale)
+        self._store(f"{name}_zero", np.zeros(len(scale), dtype))
+        stored = [f"{name}_quantised", f"{name}_scale", f"{name}_zero"]
+        self.nodes.append(helper.make_node("DequantizeLinear", stored, [f"{name}_kept"], axis=0))
+        return f"{name}_kept"
+
+    def _store(self, name: str, values: np.ndarray) -> None:
+        self.weights[name] = numpy_helper.from_array(np.asarray(values), name)
+
+
+def show(model: onnx.ModelProto, names: Iterable[str]) -> onnx.ModelProto:
+    """The model with these tensors as its only outputs, of any shape."""
+    model = onnx.ModelProto.FromString(model.SerializeToString())
+    del model.graph.output[:]
+    model.graph.output.extend(helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in names)
+    return model
+
+
+# Integer forms ------------------------------------------------------------------------------------------------------
+# Forms of a quantised network that ONNX Runtime computes in less time than those that quantise nodes give it.
+#
+# Enlarging by repeated pixels copies 8-bit values, channels last, as the convolutions around it keep them. Heads are
+# products of 8-bit values, summed in 32 bits: a kernel scales and activates them (`postfx.kernels.denoise_products`),
+# which no node can do without another pass over 160 MB. Weights come first in these products, so that each channel is a
+# plane: brought there afterwards, 32 bits each, they take twice as long to open.
+
+KEPT, QUANTISED = "_kept", "_quantised"
+SIGN, MIDDLE = 128, 64
+"""What is taken from codes of values, and what is added to weights: as the processor's products have them."""
+
+
+def in_integers(model: onnx.ModelProto, weights: Mapping[str, Rounded], stem: Stem | None = None) -> onnx.ModelProto:
+    """A model of `quantise` with its enlargements and heads in integers, and with that `stem`, if any.
+
+    The outputs ``phased_fine`` and ``level1`` .. ``level4`` become ``products_fine``, ``products_level1`` and so on,
+    (C, h * w) of int32, each with ``scaling_...`` (2, C): scale and bias of the logits. With a stem, the inputs
+    become ``stored_features`` and ``stored_guides``, (1, h, w, C) of uint8, with ``coding_...`` (2, C) among the
+    outputs.
+
+    Args:
+        weights: those of the heads in integers, by name.
+    """
+    model = onnx.ModelProto.FromString(model.SerializeToString())
+    for resize in [one for one in model.graph.node if one.op_type == "Resize" and one.input[0].endswith(KEPT)]:
+        _repeat(model.graph, resize)
+    for name, head in heads(model.graph).items():
+        _multiply(model.graph, name, head, weights[head.input[1]])
+    if stem:
+        stem.write(model.graph)
+    prune(model.graph)
+    onnx.checker.check_model(model)
+    return model
+
+
+def facts(model: onnx.ModelProto) -> dict[str, Any]:
+    """What a card tells of such a model's inputs and outputs."""
+    found = {"outputs": _listed(model.graph.output, "denoise_products")}
+    for weight in model.graph.initializer:
+        if weight.name in found["outputs"]:
+            found["outputs"][weight.name]["constant"] = True
+    if model.graph.input[0].name.startswith(STORED):
+        found["inputs"] = _listed(model.graph.input, "denoise_store")
+    return found
+
+
+def _listed(values: Iterable[onnx.ValueInfoProto], kernels: str) -> dict[str, Any]:
+    return {value.name: {"shape": [dim.dim_value or dim.dim_param for dim in value.type.tensor_type.shape.dim],
+                         "meaning": f"see postfx/kernels/{kernels}.py"} for value in values}
+
+
+def _repeat(graph: onnx.GraphProto, resize: NodeProto) -> None:
+    """Every pixel of 8 bits twice as wide and as high, in place of a node that enlarges."""
+    name, source = resize.output[0], resize.input[0].removesuffix(KEPT) + QUANTISED
+    made: list[NodeProto] = []
+    shape = node(made, "Shape", [source], f"{name}_shape")
+    last = node(made, "Transpose", [source], f"{name}_last", perm=FIRST_TO_LAST)
+    for side, axis in (("columns", 2), ("rows", 1)):
+        count = node(made, "Gather", [shape, f"{side}_axis"], f"{name}_{side}")
+        twice = node(made, "Range", ["zero", node(made, "Mul", [count, "two"], f"{name}_{side}_end"), "one"],
+                      f"{name}_{side}_range")
+        places = node(made, "Div", [twice, "two"], f"{name}_{side}_places")
+        last = node(made, "Gather", [last, places], f"{name}_{side}_repeated", axis=axis)
+    node(made, "Transpose", [last], f"{name}{QUANTISED}", perm=LAST_TO_FIRST)
+    for key, number in {"zero": 0, "one": 1, "two": 2, "rows_axis": 2, "columns_axis": 3}.items():
+        constant(graph, key, np.array(number, np.int64))
+    quantiser = next(one for one in graph.node if one.input[:1] == [name])
+    at = list(graph.node).index(quantiser)
+    nodes = [one for one in graph.node if one is not resize and one is not quantiser]
+    replace(graph, [*nodes[:at - 1], *made, *nodes[at - 1:]])
+
+
+def heads(graph: onnx.GraphProto) -> dict[str, NodeProto]:
+    """Outputs and the convolutions that give their logits; none of those that are constants."""
+    makers = {output: one for one in graph.node for output in one.output}
+    found = {}
+    for output in (one for one in graph.output if one.name in makers):
+        maker = makers[output.name]
+        while maker.op_type != "Conv":
+            maker = makers[maker.input[0]]
+        found[output.name] = maker
+    return found
+
+
+def _multiply(graph: onnx.GraphProto, output: str, convolution: NodeProto, weights: Rounded) -> None:
+    """A product of 8-bit values in place of a convolution of single pixels and what follows it."""
+    name, source = "fine" if output == PHASED_FINE else output, convolution.input[0].removesuffix(KEPT)
+    constant(graph, f"{name}_factors", (weights.factors[:, :, 0, 0] + MIDDLE).astype(np.uint8))
+    scaling = np.stack([weights.steps * value(graph, f"{source}_scale"), value(graph, convolution.input[2])])
+    constant(graph, f"{SCALING}{name}", scaling.astype(np.float32))
+    made = _signed(graph, source, weights.factors.shape[1])
+    signed = [f"{name}_factors", f"{source}_signed", "middle", f"{source}_signed_zero"]
+    node(made, "MatMulInteger", signed, f"{PRODUCTS}{name}")
+    graph.node.extend(made)
+    graph.output.remove(next(one for one in graph.output if one.name == output))
+    places = f"height*width/{4 ** (1 if name == 'fine' else int(name[-1]))}"
+    graph.output.extend([
+        helper.make_tensor_value_info(f"{PRODUCTS}{name}", TensorProto.INT32, [len(weights.steps), places]),
+        helper.make_tensor_value_info(f"{SCALING}{name}", TensorProto.FLOAT, [2, len(weights.steps)])])
+
+
+def _signed(graph: onnx.GraphProto, source: str, channels: int) -> list[NodeProto]:
+    """Nodes that give a tensor's 8-bit values a sign, as the second factor of a product has to have: codes less 128,
+    (C, h * w). None where they are there."""
+    made: list[NodeProto] = []
+    name, codes = f"{source}_signed", f"{source}{QUANTISED}"
+    if any(name in one.output for one in graph.node):
+        return made
+    flat = node(made, "Reshape", [codes, f"{source}_flat"], f"{source}_codes")
+    node(made, "Cast", [node(made, "BitwiseXor", [flat, "sign"], f"{source}_turned")], name, to=TensorProto.INT8)
+    zero = np.int8(int(value(graph, f"{source}_zero")) - SIGN)
+    for key, held in {f"{source}_flat": np.array([channels, -1]), "sign": np.uint8(SIGN), "middle": np.uint8(MIDDLE),
+                      f"{name}_zero": zero}.items():
+        constant(graph, key, held)
+    return made
+
+
+# The stem -----------------------------------------------------------------------------------------------------------
+# The first convolution of a quantised network: it reads features as 8-bit codes (`postfx.kernels.denoise_store`).
+#
+# Channels have ranges of their own, so the weights of one output channel differ by much more than 7 bits hold well:
+# only rounding that makes up for itself (`rounded`) leaves as much as float32 does.
+
+MOST = 255
+LIGHT, ALBEDO = (0.0, 5.5), (0.0, 1.25)
+SEEN = (*6 * [ALBEDO], *3 * [(-1.0, 1.0)], (0.0, 1.0), (0.0, 1.0))
+"""Ranges of both albedos, normal, roughness and depth."""
+LIMITS = {
+    "features": np.array([*9 * [LIGHT], *SEEN, (-1.0, 1.0), *2 * [(0.0, 1.0)], *2 * [(-0.5, 0.5)], (0.0, 1.25),
+                          (0.0, 1.0), *8 * [(-1.0, 1.0)]]),
+    "guides": np.array(4 * SEEN)}
+"""Least and greatest of each channel that codes tell apart: light of 240 times white, motion of 150 pixels."""
+
+
+class Coding(NamedTuple):
+    """What a channel is multiplied by, and the code of zero; both (C,)."""
+
+    scale: np.ndarray
+    zero: np.ndarray
+
+    @classmethod
+    def of(cls, name: str) -> Coding:
+        """That of some planes, with the channels that fill them up."""
+        low, high = LIMITS[name].T
+        signed = low < 0
+        scale = np.where(signed, (MOST // 2) / high, MOST / high)
+        filled = (0, stored_channels(name) - len(low))
+        zero = (MOST + 1) // 2 * signed
+        return cls(*(np.pad(values, filled).astype(np.float32) for values in (scale, zero)))
+
+    def codes(self, planes: np.ndarray) -> np.ndarray:
+        """Codes less that of zero, of planes (1, C, h, w): float32, with the channels that fill them up."""
+        scale, zero = (x[:, None, None] for x in self)
+        planes = np.pad(planes, ((0, 0), (0, len(self.scale) - planes.shape[1]), (0, 0), (0, 0)))
+        return np.clip(np.floor(planes * scale + zero + np.float32(0.5)), 0, MOST) - zero
+
+
+class Stem:
+    """The first convolution of a float network, over all the planes that it reads.
+
+    Attributes:
+        names: of the planes, 'features' and 'guides' or the first alone.
+        ring: pixels around the picture that it reads.
+    """
+
+    def __init__(self, graph: onnx.GraphProto) -> None:
+        found = {one.input[0]: one for one in graph.node if one.op_type == "Conv" and one.input[0] in
+                 (*FEATURE_PARTS, "guides")}
+        weights = {name: value(graph, one.input[1]).astype(np.float32) for name, one in found.items()}
+        self._bias = sum(value(graph, one.input[2]).astype(np.float32) for one in found.values() if len(one.input) > 2)
+        self.ring = next(list(a.ints) for a in found[next(iter(FEATURE_PARTS))].attribute if a.name == "pads")[0]
+        parts = {"features": np.concatenate([weights[part] for part in FEATURE_PARTS], 1)}
+        if "guides" in weights:
+            parts["guides"] = weights["guides"]
+        self.names = tuple(parts)
+        self._coding = {name: Coding.of(name) for name in parts}
+        self._weights = np.concatenate([self._folded(name, weight) for name, weight in parts.items()], 1)
+        self._moments = Moments(self._weights.shape[2], self.ring, stride=2)
+
+    def _folded(self, name: str, weight: np.ndarray) -> np.ndarray:
+        """Weights of codes."""
+        scale = self._coding[name].scale
+        more = len(scale) - weight.shape[1]
+        return np.pad(weight, ((0, 0), (0, more), (0, 0), (0, 0))) / np.where(scale, scale, 1)[:, None, None]
+
+    def add(self, reads: Mapping[str, np.ndarray]) -> None:
+        """Note what a run of the float network reads."""
+        planes = {"features": np.concatenate([reads[part] for part in FEATURE_PARTS], 1), **reads}
+        codes = np.concatenate([self._coding[name].codes(planes[name]) for name in self.names], 1)
+        self._moments.add(codes)
+
+    def write(self, graph: onnx.GraphProto) -> None:
+        """Put it into a quantised graph, in place of the float convolutions and their inputs."""
+        target = next(one for one in graph.node if one.op_type == "Relu").input[0]
+        behind = [NodeProto.FromString(one.SerializeToString()) for one in graph.node]
+        for one in behind:
+            one.input[:] = ["stem" if name == target else name for name in one.input]
+        made = self._convolution(graph)
+        del graph.node[:], graph.input[:]
+        graph.node.extend([*made, *behind])
+        sides = [f"ringed_{side}" if self.ring else side for side in ("height", "width")]
+        for name in self.names:
+            count = stored_channels(name)
+            constant(graph, f"{CODING}{name}", np.stack(self._coding[name]))
+            graph.input.append(helper.make_tensor_value_info(f"{STORED}{name}", TensorProto.UINT8, [1, *sides, count]))
+            graph.output.append(helper.make_tensor_value_info(f"{CODING}{name}", TensorProto.FLOAT, [2, count]))
+
+    def _convolution(self, graph: onnx.GraphProto) -> list[NodeProto]:
+        """Nodes that give 'stem' of the stored planes; codes of zero are taken off by the bias."""
+        factors, steps = self._moments.rounded(self._weights)
+        zero = np.concatenate([self._coding[name].zero for name in self.names])
+        offset = np.rint(self._bias / steps) - (factors * zero[:, None, None]).sum((1, 2, 3))
+        made: list[NodeProto] = []
+        stored = [f"{STORED}{name}" for name in self.names]
+        last = node(made, "Concat", stored, "stored", axis=3) if len(stored) > 1 else stored[0]
+        first = node(made, "Transpose", [last], "stem_codes", perm=LAST_TO_FIRST)
+        reads = [node(made, "DequantizeLinear", [first, "stem_one", "stem_zero"], "stem_read")]
+        for name, kept in (("weight", factors.astype(np.int8)), ("bias", offset.astype(np.int32))):
+            constant(graph, f"stem_{name}", kept)
+            constant(graph, f"stem_{name}_zero", np.zeros(len(steps), kept.dtype))
+            coded = [f"stem_{name}", "stem_steps", f"stem_{name}_zero"]
+            reads.append(node(made, "DequantizeLinear", coded, f"stem_{name}_kept", axis=0))
+        constant(graph, "stem_steps", steps)
+        constant(graph, "stem_one", np.float32(1))
+        constant(graph, "stem_zero", np.uint8(0))
+        node(made, "Conv", reads, "stem", strides=[2, 2], pads=[0] * 4, kernel_shape=list(factors.shape[2:]))
+        return made

@@ -1,0 +1,220 @@
+"""What the upscaler is trained to minimise, in the display curve that quality is scored on."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from training import ops
+from training.denoise.dataset import Batch
+from training.denoise.model import DenoiseUpscale, Inputs, empty_state
+
+# Perceived difference -----------------------------------------------------------------------------------------------
+# How different two pictures look, differentiable: the colour part of FLIP (Andersson et al. 2020).
+#
+# Both are filtered as the eye does at a distance, brought to Lab with less chroma where it is dark (Hunt), and
+# compared by HyAB; an exponent of 0.7 lets small differences count.
+
+DENSITY = 67.0  # pixels a degree
+# Bands of the contrast sensitivity of lightness, red-green and blue-yellow, in degrees^2; the last one is the mean by
+# weight of two Gaussians.
+BANDS = (0.0047, 0.0053, (34.1 * 0.04 + 13.5 * 0.025) / (34.1 + 13.5))
+TO_XYZ = ((0.4123908, 0.3575843, 0.1804808), (0.2126390, 0.7151687, 0.0721923), (0.0193308, 0.1191948, 0.9505322))
+EXPONENT, SCALE = 0.7, 0.95 / (0.4 * 41.2760)  # 41.276: what green and blue, the farthest colours, differ by
+SOFT = 1.0  # Lab units; no kink at 0, where noise of the reference would hold the result at its median
+LAB_KNEE = 6 / 29
+_MATRIX = np.array(TO_XYZ) / np.sum(TO_XYZ, 1, keepdims=True)
+FORTH, BACK = _MATRIX.tolist(), np.linalg.inv(_MATRIX).tolist()  # linear RGB -> XYZ over that of white, and back
+
+
+def turned(matrix: list[list[float]], image: Tensor) -> Tensor:
+    """``matrix`` (3, 3) times each pixel of (N, 3, H, W)."""
+    x, y, z = image.unbind(1)
+    return torch.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix], 1)
+
+
+def filters(size: int, device: torch.device) -> Tensor:
+    """(3, size, size): what a line of pixels is multiplied by to pass each band of the contrast sensitivity, a
+    Gaussian; its edge pixels repeat."""
+    lines = []
+    for band in BANDS:
+        sigma = math.sqrt(band / 2) / math.pi * DENSITY
+        radius = math.ceil(3 * sigma)
+        step = torch.arange(-radius, radius + 1, device=device)
+        weights = torch.exp(-step.square() / (2 * sigma**2))
+        reached = (torch.arange(size, device=device)[:, None] + step).clamp(0, size - 1)
+        line = torch.zeros(size, size, device=device)
+        lines.append(line.scatter_add(1, reached, (weights / weights.sum()).expand(size, -1)))
+    return torch.stack(lines)
+
+
+def seen(display: Tensor) -> Tensor:
+    """sRGB code values (N, 3, H, W) in [0, 1] -> filtered Lab, chroma by the hundredth of the lightness."""
+    linear = torch.where(display <= 0.04045, display / 12.92, ((display.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
+    x, y, z = turned(FORTH, linear).unbind(1)
+    opponent, (height, width) = torch.stack((y, x - y, y - z), 1), display.shape[-2:]
+    with torch.autocast(display.device.type, enabled=False):  # eight bits are too few
+        passed = filters(height, display.device) @ opponent @ filters(width, display.device).mT
+    y, red, blue = passed.unbind(1)
+    linear = turned(BACK, torch.stack((red + y, y, y - blue), 1)).clamp(0, 1)
+    value = turned(FORTH, linear)
+    root = torch.where(value > LAB_KNEE**3, value.clamp(min=LAB_KNEE**3) ** (1 / 3), value / (3 * LAB_KNEE**2) + 4 / 29)
+    x, y, z = root.unbind(1)
+    lightness = 116 * y - 16
+    share = lightness / 100
+    return torch.stack((lightness, 500 * share * (x - y), 200 * share * (y - z)), 1)
+
+
+def difference(output: Tensor, reference: Tensor) -> Tensor:
+    """Mean FLIP of two pictures of sRGB code values (N, 3, H, W), without its attention to edges."""
+    change = seen(output) - seen(reference)
+    chroma = (change[:, 1:].square().sum(1) + 1e-6).sqrt()
+    distance = change[:, 0].abs() + chroma
+    return SCALE * (distance.square() + SOFT**2).pow(EXPONENT / 2).mean()
+
+
+# Losses of a frame --------------------------------------------------------------------------------------------------
+
+COARSE = (4, 8, 16)  # output pixels
+KNEE, COARSE_KNEE = 0.02, 0.005  # code values
+SEEN = 0.5  # weight of how different pictures look
+NOISY, MOST_SCALE = 0.2, 8.0  # the display-encoded error of an input whose frames count once, and how much they may
+
+
+def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
+    return image[..., :, 1:] - image[..., :, :-1], image[..., 1:, :] - image[..., :-1, :]
+
+
+def huber(error: Tensor, knee: float) -> Tensor:
+    """Mean of an error that is squared below ``knee`` and absolute above (pseudo-Huber). References keep some noise,
+    which is skewed: small errors squared find its mean, where absolute ones would find its median, which is darker."""
+    return ((error.square() + knee**2).sqrt() - knee).mean()
+
+
+def frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
+    """Error of two display-encoded pictures, times ``scale`` (N, 1, 1, 1): by value, squared (what PSNR counts), of
+    gradients, of coarser pictures, where blotches are what is left of it, and, not scaled, as the eye sees it (what
+    FLIP counts)."""
+    error = (output - reference) * scale
+    edges = sum(change.abs().mean() for change in gradient(error))
+    blotches = sum(huber(F.avg_pool2d(error, size), COARSE_KNEE) for size in COARSE)
+    seen = difference(output, reference)
+    return huber(error, KNEE) + 4 * error.square().mean() + 0.5 * edges + blotches + SEEN * seen
+
+
+def flicker_loss(output: Tensor, previous: Tensor, reference: Tensor, reference_previous: Tensor,
+                 explained: Tensor, scale: Tensor) -> Tensor:
+    """Error of the motion-compensated temporal difference, times ``scale`` (N, 1, 1, 1), where motion explains the
+    reference's change."""
+    change = ((output - previous) - (reference - reference_previous)) * scale
+    return (change.abs() * explained).sum() / (3 * explained.sum() + 1)
+
+
+def explained_by_motion(reference: Tensor, reference_previous: Tensor) -> Tensor:
+    """1 where the reprojected reference stays within 0.1 of the new one, (N, 1, H, W)."""
+    return ((reference - reference_previous).abs().amax(1, keepdim=True) < 0.1).to(reference.dtype)
+
+
+def reproject_reference(reference: Tensor, motion: Tensor) -> Tensor:
+    """The previous reference (N, 3, H, W) moved by motion (N, 2, h, w) in render pixels."""
+    return ops.warp(reference, ops.enlarge_motion(motion, *reference.shape[-2:]))
+
+
+def even_scale(colour: Tensor, reference: Tensor) -> Tensor:
+    """(N, 1, 1, 1): what errors of display-encoded pictures are multiplied by, so that frames of many samples count as
+    those of few: ``NOISY`` by the error of the input ``colour`` (N, 3, h, w), 1 to ``MOST_SCALE``."""
+    error = colour - F.adaptive_avg_pool2d(reference, colour.shape[-2:])
+    return (NOISY / error.square().mean((1, 2, 3), keepdim=True).sqrt().clamp(min=1e-6)).clamp(1, MOST_SCALE)
+
+
+def psnr(output: Tensor, reference: Tensor) -> Tensor:
+    """Decibels of two display-encoded pictures, a value a batch entry."""
+    return -10 * torch.log10((output - reference).square().flatten(1).mean(1) + 1e-12)
+
+
+# Loss of a clip -----------------------------------------------------------------------------------------------------
+# The loss of clips that run through the recurrent step, forwards or both ways.
+
+OWN = 0.5  # share of the two directions' own losses in that of clips run both ways; the rest is the blend's
+
+Scores = tuple[Tensor, Tensor, Tensor]  # loss, and without gradient PSNR and flicker
+
+
+class Truth:
+    """What the frames of a clip should show, how that moves, and by what errors are multiplied: 1, or if clips are to
+    count ``even``, the more the less noise their input has."""
+
+    def __init__(self, batch: Batch, even: bool = False):
+        self.shown = [ops.display(reference) for reference in batch.references]
+        ones = torch.ones_like(batch.keep[0])
+        self.scale = [even_scale(ops.display(inputs.colour), shown) if even else ones
+                      for inputs, shown in zip(batch.frames, self.shown, strict=True)]
+        self.motion = [inputs.motion for inputs in batch.frames]
+        self.moved = [reproject_reference(before, motion)
+                      for before, motion in zip(self.shown[:-1], self.motion[1:], strict=True)]
+        self.explained = [explained_by_motion(now, moved) * keep
+                          for now, moved, keep in zip(self.shown[1:], self.moved, batch.keep[1:], strict=True)]
+
+    def scores(self, outputs: list[Tensor], weight: float) -> Scores:
+        """Loss of the exposed linear ``outputs`` with a ``weight`` of flicker, the mean PSNR of the clip's second half
+        and the mean flicker."""
+        shown = [ops.display(output) for output in outputs]
+        pictures = sum(map(frame_loss, shown, self.shown, self.scale))
+        flicker = torch.stack([self._flicker(shown, t) for t in range(1, len(shown))])
+        late = range(len(shown) // 2, len(shown))
+        quality = torch.stack([psnr(shown[t].detach(), self.shown[t]).mean() for t in late])
+        return (pictures + weight * flicker.sum()) / len(shown), quality.mean(), flicker.detach().mean()
+
+    def _flicker(self, shown: list[Tensor], t: int) -> Tensor:
+        moved = reproject_reference(shown[t - 1], self.motion[t])
+        return flicker_loss(shown[t], moved, self.shown[t], self.moved[t - 1], self.explained[t - 1],
+                                   self.scale[t])
+
+
+class ClipLoss(nn.Module):
+    """Run a clip through the recurrent step and sum the losses of its frames.
+
+    ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history; ``even``
+    lets clips of little noise count as much as noisy ones. A batch with inverse motion is run backwards, too: each
+    direction has its own loss, and their blend has one.
+    """
+
+    def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: bool = False):
+        super().__init__()
+        self.model, self.flicker, self.reset, self.even = model, flicker, reset, even
+
+    def forward(self, batch: Batch) -> Scores:
+        # One context for the whole clip, so that weights are cast once and not once a frame.
+        with torch.autocast(batch.references.device.type, torch.bfloat16):
+            return self._clip(batch)
+
+    def _clip(self, batch: Batch) -> Scores:
+        truth, size = Truth(batch, self.even), batch.references.shape[-2:]
+        ahead, counts = self._run(batch.frames, list(batch.keep), size)
+        if batch.inverse is None:
+            return truth.scores(ahead, self.flicker)
+        back, back_counts = (x[::-1] for x in self._run(*backwards(batch), size))
+        both = [torch.lerp(b, a, n / (n + m)) for a, b, n, m in zip(ahead, back, counts, back_counts, strict=True)]
+        own = [truth.scores(outputs, self.flicker)[0] for outputs in (ahead, back)]
+        loss, quality, flicker = truth.scores(both, self.flicker)
+        return OWN * (own[0] + own[1]) / 2 + (1 - OWN) * loss, quality, flicker
+
+    def _run(self, frames: list[Inputs], keep: list[Tensor],
+             size: tuple[int, int]) -> tuple[list[Tensor], list[Tensor]]:
+        """Exposed linear outputs, and how many frames each has seen, itself included, (N, 1, 1, 1)."""
+        state, outputs, counts = empty_state(frames[0], *size), [], [torch.zeros_like(keep[0])]
+        for inputs, kept in zip(frames, keep, strict=True):
+            kept = (torch.rand_like(kept) >= self.reset) * kept
+            output, state, _ = self.model(inputs, state.drop(kept))
+            outputs.append(output)
+            counts.append(1 + kept * counts[-1])
+        return outputs, counts[1:]
+
+
+def backwards(batch: Batch) -> tuple[list[Inputs], list[Tensor]]:
+    """The frames from last to first, with motion to the frame after, and where history goes on there."""
+    frames = [replace(inputs, motion=motion) for inputs, motion in zip(batch.frames, batch.inverse, strict=True)]
+    return frames[::-1], [torch.zeros_like(batch.keep[0]), *batch.keep[1:].flip(0)]

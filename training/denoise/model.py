@@ -1,0 +1,608 @@
+"""Recurrent denoised upscaler: one step takes a noisy frame and the state, and gives the output and the next state.
+
+A network (``Trunk``) predicts filters; everything that touches colour is a small fixed operation:
+accumulate demodulated colour over time, filter it in a pyramid of 5x5 kernels from coarse to fine, put the albedo
+back, upsample with 3x3 kernels that know where the samples lie, and blend with the reprojected last output.
+"""
+
+from dataclasses import asdict, dataclass, fields, replace
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from postfx.kernels.denoise_layout import DOUBT, FAINT, TRUST_CELL
+from training import ops
+from training.ops import TINY, nearest_index, pick, shifted
+
+# The network --------------------------------------------------------------------------------------------------------
+# U-Net that looks at a frame's features and says how to filter it: the machine-learning part of the upscaler.
+
+HIDDEN = 8
+KERNEL = 25
+PHASES = 36
+# Channels of the fine head, in order: 5x5 kernel, 3x3 weights at four phases, history blend and sharpening at four
+# phases each, mix, distrust, importance, hidden state.
+BLEND = KERNEL + PHASES
+SHARPEN = BLEND + 4
+MIX, DISTRUST, IMPORTANCE = BLEND + 8, BLEND + 9, BLEND + 10
+MEMORY = BLEND + 11
+FINE = MEMORY + HIDDEN
+FEATURES = 27 + HIDDEN
+GUIDES = 4 * 11  # diffuse and specular albedo, normal, roughness, depth at each of the four phases
+NO_SHARPENING = -3.0  # where the head's biases start
+LEVELS = 4  # of the filter pyramid, below the render size
+
+
+@dataclass(frozen=True)
+class TrunkConfig:
+    """Channels of the levels at 1/2, 1/4, 1/8 and 1/16 of the render size, convolutions a level, guides read or not;
+    channels of the stem, the first level's if None, and its side: 4 pixels, or the 2 that each of its places holds.
+
+    The network may have fewer levels than the filter pyramid: the coarser ones then have one filter each.
+    """
+
+    widths: tuple[int, ...] = (64, 128, 192, 256)
+    depth: int = 2
+    guides: bool = False
+    stem: int | None = None
+    reach: int = 4
+
+    @property
+    def first(self) -> int:
+        """Channels of the stem."""
+        return self.stem or self.widths[0]
+
+    @property
+    def align(self) -> int:
+        """What height and width of the network's input are multiples of."""
+        return 2 ** len(self.widths)
+
+    @property
+    def heads(self) -> tuple[int, ...]:
+        """Channels of the heads of all levels of the pyramid: 5x5 kernel and, but for the coarsest, mix."""
+        return (*[KERNEL + 1] * (LEVELS - 1), KERNEL)
+
+    def as_dict(self) -> dict:
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, config: dict) -> "TrunkConfig":
+        """From what a checkpoint holds; older ones do not name all."""
+        known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
+        return cls(**{**known, "widths": tuple(config["widths"])})
+
+
+def weights_from(logits: Tensor) -> Tensor:
+    """Positive filter weights; bounded so that sums in half precision neither vanish nor overflow."""
+    return torch.exp(logits.clamp(-8, 8))
+
+
+def activated(fine: Tensor) -> Tensor:
+    """The fine head (N, 80, h, w) from its logits."""
+    return torch.cat((weights_from(fine[:, :BLEND]), torch.sigmoid(fine[:, BLEND:MEMORY]),
+                      torch.tanh(fine[:, MEMORY:])), 1)
+
+
+def filters(head: Tensor) -> Tensor:
+    """A level's 5x5 kernel and mix, if it has one, from their logits."""
+    return torch.cat((weights_from(head[:, :KERNEL]), torch.sigmoid(head[:, KERNEL:])), 1)
+
+
+def logits_of(head: Tensor) -> Tensor:
+    """The inverse of `filters`."""
+    return torch.cat((head[:, :KERNEL].log(), head[:, KERNEL:].logit(1e-6)), 1)
+
+
+class Block(nn.Sequential):
+    """3x3 convolutions with ReLU, no normalisation: half-precision friendly and cheap everywhere."""
+
+    def __init__(self, inputs: int, outputs: int, depth: int):
+        layers: list[nn.Module] = []
+        for i in range(depth):
+            layers += [nn.Conv2d(inputs if i == 0 else outputs, outputs, 3, padding=1), nn.ReLU()]
+        super().__init__(*layers)
+
+
+def stem(config: TrunkConfig, inputs: int, bias: bool = True) -> nn.Conv2d:
+    """What reads some planes of render size and writes half as many rows and columns."""
+    return nn.Conv2d(inputs, config.first, config.reach, stride=2, padding=config.reach // 2 - 1, bias=bias)
+
+
+class Trunk(nn.Module):
+    """Features (N, 35, h, w) and guides (N, 44, h, w) or none, h and w multiples of ``config.align`` -> the heads, all
+    activated.
+
+    ``fine`` (N, 80, h, w); ``level1`` .. ``level3`` (N, 26, h/2 .. h/8, w/2 .. w/8): 5x5 kernel and mix;
+    ``level4`` (N, 25, h/16, w/16): 5x5 kernel. Levels that the network does not have are (1, 26 or 25, 1, 1): the same
+    at all pixels.
+    """
+
+    def __init__(self, config: TrunkConfig | None = None):
+        super().__init__()
+        self.config = config or TrunkConfig()
+        w, d = self.config.widths, self.config.depth
+        count, heads, self.align = len(w), self.config.heads, self.config.align
+        self.stem = stem(self.config, FEATURES)
+        self.guide_stem = stem(self.config, GUIDES, bias=False) if self.config.guides else None
+        above = (self.config.first, *w)
+        self.down = nn.ModuleList([Block(above[i], w[i], 1 if i == 0 else d) for i in range(count)])
+        self.lift = nn.ModuleList([nn.Conv2d(w[i + 1], w[i], 1) for i in range(count - 1)])
+        self.up = nn.ModuleList([Block(w[i], w[i], d) for i in range(min(count, LEVELS - 1))])
+        self.heads = nn.ModuleList([nn.Conv2d(c, k, 1) for c, k in zip(w, heads[:count], strict=True)])
+        self.alike = nn.ParameterList([nn.Parameter(torch.zeros(1, k, 1, 1)) for k in heads[count:]])
+        self.rest = nn.Parameter(torch.zeros(1, w[-1], 1, 1)) if self.alike else None
+        self.fine = nn.Conv2d(w[0], 4 * FINE, 1)
+        for head in (*self.heads, self.fine):
+            nn.init.normal_(head.weight, std=0.01)
+            nn.init.zeros_(head.bias)
+        nn.init.constant_(self.fine.bias[4 * SHARPEN:4 * MIX], NO_SHARPENING)
+
+    def forward(self, features: Tensor, guides: Tensor | None = None) -> tuple[Tensor, ...]:
+        return self.behind(self.stem(features), guides)
+
+    def behind(self, x: Tensor, guides: Tensor | None) -> tuple[Tensor, ...]:
+        """The heads from what the stem makes of the features."""
+        x = F.relu(x if self.guide_stem is None else x + self.guide_stem(guides))
+        skips = []
+        for i, block in enumerate(self.down):
+            x = block(F.max_pool2d(x, 2) if i else x)
+            skips.append(x)
+        levels = [filters(logits) for logits in self.alike]
+        for i in reversed(range(len(skips))):
+            x = self._up(i, skips[i], x)
+            levels.insert(0, filters(self.heads[i](x)))
+        return (self._fine(x), *levels)
+
+    def _up(self, level: int, skip: Tensor, coarser: Tensor) -> Tensor:
+        """What a level makes of its own and of what comes from the coarser one; of the coarsest that is a constant,
+        where the pyramid goes on, or nothing."""
+        if level + 1 < len(self.down):
+            return self.up[level](skip + F.interpolate(self.lift[level](coarser), scale_factor=2.0, mode="nearest"))
+        return skip if self.rest is None else self.up[level](skip + self.rest)
+
+    def _fine(self, x: Tensor) -> Tensor:
+        return activated(F.pixel_shuffle(self.fine(x), 2))
+
+
+# From render size to output size ------------------------------------------------------------------------------------
+# From render size to output size: kernels and controls at the four quarter-pixel corners of a render pixel, NCHW.
+#
+# The corners are where output centres lie at scale 2; at other scales what was predicted there is interpolated.
+
+PHASE_TAPS = 3
+SAMPLE_SIGMA = 0.5  # render pixels: a sample says little about what lies farther away
+BLUR_SIGMA = 1.0  # what sharpening is measured against
+
+
+class Centres(NamedTuple):
+    """Render pixels that hold the centres of output rows and columns, and the centres' offsets from theirs."""
+
+    rows: Tensor
+    y: Tensor
+    columns: Tensor
+    x: Tensor
+
+
+def centres(h: int, w: int, height: int, width: int, device: torch.device) -> Centres:
+    """Of a whole picture."""
+    return Centres(*nearest_index(h, height, device), *nearest_index(w, width, device))
+
+
+def corner_index(size: int, out_size: int, device: torch.device) -> Tensor:
+    """For each of ``size`` pixels the output pixels that hold its points at 1/4 and 3/4: (2, size)."""
+    quarters = 4 * torch.arange(size, device=device) + torch.tensor([[1], [3]], device=device)
+    return quarters * out_size // (4 * size)
+
+
+def tap_offsets(device: torch.device) -> Tensor:
+    """(9, 2) offsets x, y of the 3x3 neighbourhood, rows first."""
+    line = torch.arange(-1.0, 2.0, device=device)
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    return torch.stack((x, y), -1).reshape(-1, 2)
+
+
+def sample_prior(jitter: Tensor, x: Tensor, y: Tensor, sigma: float = SAMPLE_SIGMA) -> Tensor:
+    """Gaussian weight of each 3x3 tap by the distance from its sample to the output pixel.
+
+    ``jitter`` (N, 2) in render pixels; ``x`` and ``y`` are offsets of output centres from their render pixel's
+    centre. Returns (N, 9, len(y), len(x)).
+    """
+    sample = tap_offsets(jitter.device)[None] + jitter[:, None]
+    gx = torch.exp(-((sample[..., 0:1] - x) ** 2) / (2 * sigma**2))
+    gy = torch.exp(-((sample[..., 1:2] - y) ** 2) / (2 * sigma**2))
+    return gy[..., :, None] * gx[..., None, :]
+
+
+def interpolate_phases(phases: Tensor, height: int, width: int) -> Tensor:
+    """(N, C, 4, h, w), one value at each quarter-pixel corner (rows first), to output size (N, C, H, W).
+
+    Between the corners values are linear, beyond them constant. At scale 2 output centres are the corners.
+    """
+    n, c, _, h, w = phases.shape
+    if (height, width) == (2 * h, 2 * w):
+        return F.pixel_shuffle(phases.reshape(n, c * 4, h, w), 2)
+    return interpolate_any(phases, height, width)
+
+
+def interpolate_any(phases: Tensor, height: int, width: int) -> Tensor:
+    """The same without the short cut of scale 2."""
+    return interpolate_at(phases, centres(*phases.shape[-2:], height, width, phases.device))
+
+
+def interpolate_at(phases: Tensor, at: Centres) -> Tensor:
+    """The same at some rows and columns."""
+    ty, tx = (2 * at.y + 0.5).clamp(0, 1)[:, None], (2 * at.x + 0.5).clamp(0, 1)
+    at = pick(phases, at.rows, at.columns)
+    top = at[:, :, 0] * (1 - tx) + at[:, :, 1] * tx
+    bottom = at[:, :, 2] * (1 - tx) + at[:, :, 3] * tx
+    return top * (1 - ty) + bottom * ty
+
+
+def upsample(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Radiance at output size, twice: by predicted 3x3 weights (N, 9, 4, h, w) times the prior of ``sample_prior``,
+    and softened by a wide Gaussian, against which the first can be sharpened."""
+    h, w = radiance.shape[-2:]
+    if (height, width) == (2 * h, 2 * w):
+        return upsample_double(radiance, weights, jitter)
+    return upsample_any(radiance, weights, jitter, height, width)
+
+
+def upsample_double(radiance: Tensor, weights: Tensor, jitter: Tensor) -> tuple[Tensor, Tensor]:
+    """Scale 2, where the four output pixels of a render pixel lie at its corners: all work at render size."""
+    n, channels, h, w = radiance.shape
+    taps = shifted(radiance, PHASE_TAPS, "replicate")
+    corners = torch.arange(2, device=radiance.device) * 0.5 - 0.25
+    blend = weights * sample_prior(jitter, corners, corners).reshape(-1, 9, 4, 1, 1)
+    wide = sample_prior(jitter, corners, corners, BLUR_SIGMA).reshape(-1, 9, 4, 1, 1)
+    return tuple(F.pixel_shuffle(torch.stack([weighted_mean(taps, x[:, :, p]) for p in range(4)], 2)
+                                 .reshape(n, 4 * channels, h, w), 2) for x in (blend, wide))
+
+
+def upsample_any(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Any scale."""
+    return upsample_at(radiance, weights, jitter, centres(*radiance.shape[-2:], height, width, radiance.device))
+
+
+def upsample_at(radiance: Tensor, weights: Tensor, jitter: Tensor, at: Centres) -> tuple[Tensor, Tensor]:
+    """The same at some rows and columns."""
+    blend = interpolate_at(weights, at) * sample_prior(jitter, at.x, at.y)
+    taps = pick(shifted(radiance, PHASE_TAPS, "replicate"), at.rows, at.columns)
+    return weighted_mean(taps, blend), weighted_mean(taps, sample_prior(jitter, at.x, at.y, BLUR_SIGMA))
+
+
+def weighted_mean(taps: Tensor, weights: Tensor) -> Tensor:
+    """Mean over the taps of (N, C, K, h, w) by weights (N, K, h, w), or (N, K, 1, 1)."""
+    return (taps * weights[:, None]).sum(2) / weights.sum(1)[:, None].clamp(min=TINY)
+
+
+# Trust in guides ----------------------------------------------------------------------------------------------------
+# How far guides are trusted to say the reflectance at output size.
+#
+# Their mean over a render pixel should be what the planes of the render size hold. Where it is not, by as much as the
+# guides vary, they are noise: one sample a pixel of a texture finer than that, or another surface than the planes show.
+
+def trust(own: Tensor, guides: Tensor, at: ops.Place, h: int | Tensor, w: int | Tensor, valid: Tensor) -> Tensor:
+    """(N, 1, cells, cells): 1 - DOUBT * apart / spread of cells of 8x8 render pixels, 1 where nothing is ``valid``.
+
+    ``own`` (N, 3, h, w) is the reflectance of the render pixels ``at`` rows and columns of a frame of ``h`` by ``w``,
+    ``guides`` (N, 3, H, W) that of the whole frame at output size, ``valid`` (N, 1, h, w) 1 where pixels count, else 0.
+    """
+    mean, spread = _differences(own, guides, *(ops.span(index, size, full) for index, size, full in zip(
+        at, (h, w), guides.shape[-2:], strict=True)))
+    apart = mean.square().sum(1, keepdim=True)
+    cells = F.avg_pool2d(torch.cat((apart, spread, 3 * torch.ones_like(spread)), 1) * valid, TRUST_CELL, ceil_mode=True)
+    apart, spread, count = cells.split(1, 1)
+    return 1 - float(DOUBT) * apart / (spread + float(FAINT) * count).clamp(min=ops.TINY)
+
+
+def trust_at(cells: Tensor, at: Centres, h: int | Tensor, w: int | Tensor) -> Tensor:
+    """Trust at output pixels (N, 1, H, W), linear between the centres of cells; ``h`` by ``w`` render pixels of these
+    count."""
+    across = _between(cells, at.columns + at.x, w, -1)
+    return _between(across, at.rows + at.y, h, -2)
+
+
+def _differences(own: Tensor, guides: Tensor, rows: tuple[Tensor, Tensor],
+                 columns: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    """Mean relative difference (N, 3, h, w) of the guides from their render pixel, and mean square of it over the
+    pixels that this touches, summed over the channels (N, 1, h, w)."""
+    mean = spread = torch.zeros((), device=own.device)
+    height, width = guides.shape[-2:]
+    for k in range(ops.MAX_SPAN):
+        down = (rows[0] + k < rows[1]).to(own.dtype) / (rows[1] - rows[0])
+        for i in range(ops.MAX_SPAN):
+            share = down[:, None] * ((columns[0] + i < columns[1]).to(own.dtype) / (columns[1] - columns[0]))
+            found = ops.pick(guides, (rows[0] + k).clamp(max=height - 1), (columns[0] + i).clamp(max=width - 1))
+            apart = found / own - 1
+            mean, spread = mean + share * apart, spread + share * apart.square().sum(1, keepdim=True)
+    return mean, spread
+
+
+def _between(cells: Tensor, at: Tensor, size: int | Tensor, axis: int) -> Tensor:
+    """Values at places in render pixels along an axis."""
+    last = (size - 1) // TRUST_CELL
+    place = ((at + 0.5) / TRUST_CELL - 0.5).clamp(min=0)
+    place = (place - last).clamp(max=0) + last
+    before = place.floor()
+    after = (before + 1).clamp(max=cells.shape[axis] - 1)
+    share = (place - before).to(cells.dtype).unflatten(0, (-1, *[1] * (-1 - axis)))
+    return torch.lerp(cells.index_select(axis, before.long()), cells.index_select(axis, after.long()), share)
+
+
+# The output ---------------------------------------------------------------------------------------------------------
+# From filtered radiance at render size to the output: enlarged, given the guides' reflectance, sharpened, and blended
+# with the history.
+
+MOST_LOG = 20.0  # beyond what is ever kept, as is NaN
+
+
+@dataclass(frozen=True)
+class Reflectance:
+    """What guides say of it at output size, (N, 3, H, W), and how far they are trusted, (N, 1, H, W)."""
+
+    factor: Tensor
+    trust: Tensor
+
+
+def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, inside: Tensor,
+            guided: Reflectance | None, at: Centres | None = None) -> Tensor:
+    """Upsample radiance, sharpen it, and blend it with the reprojected history ``warped``, which is log-encoded, as is
+    the result. ``guided`` radiance (N, 6, h, w) is without reflectance and with that of the render size: the first is
+    multiplied by the guides' and counts as far as these are trusted. ``at`` says where the output's pixels lie; None:
+    they fill the same area. What is broken, NaN or beyond what is ever kept, counts as nothing."""
+    n, _, h, w = radiance.shape
+    height, width = warped.shape[-2:]
+    weights = fine[:, KERNEL:BLEND].reshape(n, 9, 4, h, w)
+    controls = fine[:, BLEND:MIX].reshape(n, 2, 4, h, w)
+    if at is None:
+        controls = interpolate_phases(controls, height, width)
+        pictures = upsample(radiance, weights, jitter, height, width)
+    else:
+        controls = interpolate_at(controls, at)
+        pictures = upsample_at(radiance, weights, jitter, at)
+    blend, sharpen = controls[:, :, None].unbind(1)
+    if guided is not None:
+        pictures = (torch.lerp(plain, exact * guided.factor, guided.trust)
+                    for exact, plain in (picture.chunk(2, 1) for picture in pictures))
+    detail, soft = (ops.log_encode(x) for x in pictures)
+    current = (detail + sharpen * (detail - soft)).clamp(min=0)
+    current = torch.where(current <= MOST_LOG, current, 0)
+    mixed = current + inside * (1 - blend) * (warped - current)  # what is infinite stays so, whatever the share
+    return torch.where(mixed <= MOST_LOG, mixed.clamp(min=0), current)  # rounding makes no light negative
+
+
+def reflectance(factor: Tensor, own: Tensor) -> Reflectance:
+    """The guides' ``factor`` (N, 3, H, W), trusted as far as the planes' ``own`` (N, 3, h, w) bears it out."""
+    h, w = own.shape[-2:]
+    whole = torch.arange(h, device=own.device), torch.arange(w, device=own.device)
+    cells = trust(own, factor, whole, h, w, torch.ones_like(own[:, :1]))
+    return Reflectance(factor, trust_at(cells, centres(h, w, *factor.shape[-2:], own.device), h, w))
+
+
+# The recurrent step -------------------------------------------------------------------------------------------------
+
+MAX_COUNT = 32.0
+MAX_DEPTH = 1e10
+MAX_FLOAT = 3e38
+ALIGN = 16
+
+
+@dataclass(frozen=True)
+class Guides:
+    """Planes at output size (H, W), in the conventions of ``postfx.frame``; all NCHW float32."""
+
+    diffuse_albedo: Tensor
+    specular_albedo: Tensor
+    normal: Tensor
+    roughness: Tensor
+    depth: Tensor
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """A frame at render size (h, w), in the conventions of ``postfx.frame``; all NCHW float32.
+
+    ``colour`` is already multiplied by the exposure; ``jitter`` is (N, 2); ``gain`` (N, 1, 1, 1) is the exposure over
+    that of the frame before, None where it did not change. Planes may hold NaN and infinity.
+    """
+
+    colour: Tensor
+    diffuse_albedo: Tensor
+    specular_albedo: Tensor
+    normal: Tensor
+    roughness: Tensor
+    depth: Tensor
+    motion: Tensor
+    jitter: Tensor
+    gain: Tensor | None = None
+    guides: Guides | None = None
+
+
+@dataclass(frozen=True)
+class State:
+    """What a frame leaves to the next. ``output`` is log(1 + exposed colour) at output size, the rest render size."""
+
+    output: Tensor
+    accumulated: Tensor
+    count: Tensor
+    hidden: Tensor
+    depth: Tensor
+    fresh: Tensor
+
+    def drop(self, keep: Tensor) -> "State":
+        """Forget the history of the batch entries where ``keep`` (N, 1, 1, 1) is 0."""
+        return replace(self, fresh=self.fresh * keep)
+
+
+@dataclass(frozen=True)
+class Reprojected:
+    """The state seen from the current frame."""
+
+    motion: Tensor
+    output: Tensor
+    inside: Tensor
+    accumulated: Tensor
+    count: Tensor
+    hidden: Tensor
+    depth_change: Tensor
+    valid: Tensor
+
+
+def empty_state(inputs: Inputs, height: int, width: int) -> State:
+    n, _, h, w = inputs.colour.shape
+    new = inputs.colour.new_zeros
+    return State(new(n, 3, height, width), new(n, 3, h, w), new(n, 1, h, w), new(n, HIDDEN, h, w),
+                 new(n, 1, h, w) + 1, new(n, 1, 1, 1))
+
+
+def reproject(inputs: Inputs, state: State) -> Reprojected:
+    """Move the state along the motion; what comes from beyond the border or before a reset is marked invalid."""
+    motion = ops.dilate_motion(inputs.motion, inputs.depth)
+    return recall(inputs, state, motion, reproject_output(state.output, motion, inputs.gain))
+
+
+def reproject_output(output: Tensor, motion: Tensor, gain: Tensor | None) -> Tensor:
+    """The last output where its pixels are now, rescaled where the exposure changed."""
+    moved = ops.warp(output, ops.enlarge_motion(motion, *output.shape[-2:]), "bicubic").clamp(min=0)
+    return moved if gain is None else torch.log1p(torch.expm1(moved) * gain)
+
+
+def recall(inputs: Inputs, state: State, motion: Tensor, output: Tensor, place: ops.Place | None = None) -> Reprojected:
+    """The rest of the state moved along the dilated ``motion``, beside the reprojected ``output``; all of the frame, or
+    what lies at a ``place`` in it."""
+    valid = ops.inside(motion, place, state.depth.shape[-2:]) * state.fresh
+    inside = ops.inside(ops.enlarge_motion(motion, *output.shape[-2:])) * state.fresh
+    rest = ops.warp(torch.cat((state.accumulated, state.count, state.hidden), 1), motion, place=place)
+    accumulated, rest = rest[:, :3] * (valid > 0), rest[:, 3:] * valid  # a mean that counts less is still that mean
+    accumulated = accumulated if inputs.gain is None else accumulated * inputs.gain
+    depth = ops.warp_nearest(state.depth, motion, place)
+    before, now = (ops.sanitise(z, 1e-6, MAX_DEPTH) for z in (depth, inputs.depth))
+    change = (4 * torch.log(before / now)).clamp(-1, 1) * valid
+    return Reprojected(motion, output, inside, accumulated, rest[:, :1], rest[:, 1:], change, valid)
+
+
+def demodulate(colour: Tensor, factor: Tensor) -> Tensor:
+    """Colour without reflectance, in [0, 1e4]."""
+    return (ops.sanitise(colour, 0, MAX_FLOAT) / factor).clamp(max=ops.MAX_COLOUR)
+
+
+def features(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor) -> Tensor:
+    """The trunk's input (N, 35, h, w), with the ``scale`` of depth; ``postfx/kernels`` fills the same channels."""
+    h, w = inputs.colour.shape[-2:]
+    return features_of(inputs, past, factor, scale, ops.box_mean(past.output, h, w), w / past.output.shape[-1])
+
+
+def features_of(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor, mean: Tensor,
+                shrink: float | Tensor) -> Tensor:
+    """The same from the ``mean`` of the last output at each render pixel, and render over output size."""
+    plane = torch.ones_like(inputs.depth)
+    history = torch.expm1(mean) * past.valid
+    return torch.cat((
+        torch.log1p(demodulate(inputs.colour, factor)),
+        ops.log_encode(past.accumulated * past.valid), ops.log_encode(history / factor),
+        ops.sanitise(inputs.diffuse_albedo, 0, 2), ops.sanitise(inputs.specular_albedo, 0, 2),
+        ops.sanitise(inputs.normal, -1, 1), ops.sanitise(inputs.roughness, 0, 1),
+        scale / (scale + ops.sanitise(inputs.depth, 0, MAX_DEPTH)),
+        past.depth_change, past.valid, past.count / MAX_COUNT,
+        plane * inputs.jitter[:, :, None, None],
+        torch.log1p(past.motion.norm(dim=1, keepdim=True)) / 4,
+        plane * shrink, past.hidden), 1)
+
+
+def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:
+    """The guides at the four quarter-pixel corners of each render pixel, nearest sample: (N, 44, h, w)."""
+    at = seen_guides(guides, scale)
+    rows, columns = corner_index(h, at.shape[-2], at.device), corner_index(w, at.shape[-1], at.device)
+    return torch.cat([ops.pick(at, rows[i], columns[j]) for i in range(2) for j in range(2)], 1)
+
+
+def seen_guides(guides: Guides, scale: Tensor) -> Tensor:
+    """What the trunk sees of each pixel of the guides: (N, 11, H, W)."""
+    return torch.cat((
+        ops.sanitise(guides.diffuse_albedo, 0, 2), ops.sanitise(guides.specular_albedo, 0, 2),
+        ops.sanitise(guides.normal, -1, 1), ops.sanitise(guides.roughness, 0, 1),
+        scale / (scale + ops.sanitise(guides.depth, 0, MAX_DEPTH))), 1)
+
+
+def aligned(image: Tensor, multiple: int = ALIGN) -> Tensor:
+    """``image`` (N, C, h, w) mirrored at its right and lower edge up to the next multiple."""
+    h, w = image.shape[-2:]
+    rows, columns = (ops.mirrored(size, size + -size % multiple, image.device) for size in (h, w))
+    return ops.pick(image, rows, columns)
+
+
+def accumulate(colour: Tensor, mean: Tensor, count: Tensor, distrust: Tensor) -> tuple[Tensor, Tensor]:
+    """Running ``mean`` of demodulated colour and its effective sample count; ``distrust`` 1 starts anew."""
+    share = 1 / (count + 1)
+    alpha = share + (1 - share) * distrust
+    return torch.lerp(mean, colour, alpha), (1 / alpha).clamp(max=MAX_COUNT)
+
+
+def filled(head: Tensor, level: Tensor) -> Tensor:
+    """A head with as many rows and columns as its level, or the one that it has."""
+    (h, w), (rows, columns) = level.shape[-2:], head.shape[-2:]
+    return head if (rows, columns) in ((1, 1), (h, w)) else F.pad(head, (0, w - columns, 0, h - rows))
+
+
+def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tuple[Tensor, ...], height: int,
+                   width: int) -> Tensor:
+    """Coarse to fine: mix a level's own colour with the coarser result, then smooth both by the level's kernels.
+
+    The heads may be smaller than their levels: what they lack lies beyond the picture; one of 1x1 holds for all of it.
+    """
+    valid = [ops.valid_area(colour, height, width)]
+    colours, weight = [colour], importance * valid[0]
+    for _ in levels:
+        pooled, weight = ops.pool(colours[-1], weight)
+        colours.append(pooled)
+        valid.append(F.max_pool2d(valid[-1], 2))
+    fine, *levels = (filled(head, of) for head, of in zip((fine, *levels), colours, strict=True))
+    result = ops.filter_kernels(colours[-1], levels[-1], valid[-1])
+    heads = [(fine[:, :KERNEL], fine[:, MIX:MIX + 1]), *((x[:, :KERNEL], x[:, KERNEL:]) for x in levels[:-1])]
+    for i in reversed(range(len(heads))):
+        kernels, mix = heads[i]
+        coarse = F.interpolate(result, scale_factor=2.0, mode="nearest")
+        result = ops.filter_kernels(torch.lerp(coarse, colours[i], mix), kernels, valid[i])
+    return result
+
+
+class DenoiseUpscale(nn.Module):
+    """One recurrent step. Output size is free: any width and height of 1 to 3 times the render size.
+
+    ``trunk`` is a ready network that gives what ``Trunk`` gives; None makes one of ``config``.
+    """
+
+    def __init__(self, config: TrunkConfig | None = None, trunk: nn.Module | None = None):
+        super().__init__()
+        self.trunk = trunk or Trunk(config)
+        self.config = self.trunk.config
+
+    def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, State, Tensor]:
+        """Exposed linear output (N, 3, H, W), the next state, and the last output reprojected (log-encoded)."""
+        h, w = inputs.colour.shape[-2:]
+        align = self.trunk.align
+        past = reproject(inputs, state)
+        factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
+        scale, guides = ops.depth_scale(inputs.depth), inputs.guides
+        seen = [features(inputs, past, factor, scale)]
+        if self.config.guides:
+            seen.append(guide_features(guides, h, w, scale))
+        heads = self.trunk(*(aligned(x, align) if h % align or w % align else x for x in seen))
+        fine, *levels = (head.float() for head in heads)
+        coarsest = 2 ** len(levels)
+        pad = (0, -w % coarsest, 0, -h % coarsest)
+        here = fine[..., :h, :w]
+        noisy, distrust = demodulate(inputs.colour, factor), here[:, DISTRUST:IMPORTANCE]
+        accumulated, count = accumulate(noisy, past.accumulated, past.count, distrust)
+        importance = F.pad(here[:, IMPORTANCE:MEMORY], pad)
+        filtered = filter_pyramid(F.pad(accumulated, pad), importance, fine, tuple(levels), h, w)
+        radiance = filtered[..., :h, :w]
+        guided = None
+        if self.config.guides:
+            guided = reflectance(ops.demodulation(guides.diffuse_albedo, guides.specular_albedo), factor)
+        shaded = radiance * factor if guided is None else torch.cat((radiance, radiance * factor), 1)
+        output = resolve(shaded, here, inputs.jitter, past.output, past.inside, guided)
+        state = State(output, accumulated, count, here[:, MEMORY:], inputs.depth, torch.ones_like(state.fresh))
+        return torch.expm1(output), state, past.output

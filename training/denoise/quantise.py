@@ -1,0 +1,265 @@
+"""Make the int8 variant of a denoised upscaler, for CPUs, from noisy frames like those that it was trained on.
+
+    python -m training.denoise.quantise denoise_upscale.m --clips FOLDER_OF_CLIPS
+    python -m training.denoise.quantise denoise_upscale.m.guides --clips 'shot/noisy.####.exr'
+    python -m training.denoise.quantise denoise_upscale.m.1x --clips FOLDER_OF_CLIPS
+
+Runs the network over the frames with its history, notes what its layers compute, rounds activations to 8 bits where
+that loses least, and compares the pictures of both variants. Needs no checkpoint. A few dozen numbers, the ranges
+of tensors, are all that is taken from the frames.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import onnx
+import onnxruntime
+from onnx import NodeProto
+
+import postfx
+from postfx.colour.curves import srgb_encode
+from postfx.frame import Frame, Role
+from postfx.passes._denoise_models import GUIDED, UNSCALED, exact, parted
+from postfx.runtime import Device, Library, PipelineState, Tensor
+from training.datagen.clip_file import GUIDES, PLANES, guide_depth, load_clip
+from training.denoise.int8 import (
+    Moments,
+    Range,
+    Rounded,
+    Stem,
+    activations,
+    convolutions,
+    facts,
+    heads,
+    in_integers,
+    quantise,
+    show,
+    unfold_half,
+    value,
+)
+from training.export import MODELS, store_half, write_card
+
+# Calibration --------------------------------------------------------------------------------------------------------
+# What a float network computes in runs over frames: ranges to keep its tensors in, and moments to round weights by.
+
+SAMPLED = 4096
+"""Values of a tensor that are noted of each frame."""
+SHARES = np.geomspace(0.01, 1, 120)
+"""Parts of a tensor's full range that are tried."""
+POWER = 1.5
+"""Of the error that is least in sum. With 2, few extremes of few frames make ranges too wide for all others: pictures
+are then 1.4 dB further from float32 (`m` and `s`, held-out frames); with 1, extremes fall out and one frame suffers."""
+
+
+class Calibration:
+    """Notes the runs of a float32 network.
+
+    Args:
+        tensors: names whose ranges are wanted.
+        convolutions: nodes whose weights are to be rounded.
+        stem: rounded as well, if any.
+    """
+
+    def __init__(self, model: onnx.ModelProto, tensors: Iterable[str], convolutions: Iterable[NodeProto],
+                 stem: Stem | None = None) -> None:
+        self._graph, self._nodes, self._stem = model.graph, list(convolutions), stem
+        self._moments = {node.input[1]: Moments.of(node) for node in self._nodes}
+        self._seen: dict[str, list[np.ndarray]] = {name: [] for name in tensors}
+        inputs = {known.name for known in model.graph.input}
+        read = (node.input[0] for node in self._nodes)
+        self._computed = [name for name in dict.fromkeys([*self._seen, *read]) if name not in inputs]
+        self._session = onnxruntime.InferenceSession(show(model, self._computed).SerializeToString(),
+                                                     providers=["CPUExecutionProvider"])
+        self._random = np.random.default_rng(0)
+
+    def add(self, reads: Mapping[str, np.ndarray]) -> None:
+        """Note a run with these inputs."""
+        values = {**reads, **dict(zip(self._computed, self._session.run(None, dict(reads)), strict=True))}
+        for name, seen in self._seen.items():
+            flat = values[name].ravel()
+            seen.append(flat[self._random.integers(0, flat.size, SAMPLED)])
+        for node in self._nodes:
+            self._moments[node.input[1]].add(values[node.input[0]])
+        if self._stem:
+            self._stem.add(reads)
+
+    def ranges(self) -> dict[str, Range]:
+        """For each tensor the range with the least error."""
+        return {name: best_range(np.concatenate(seen)) for name, seen in self._seen.items()}
+
+    def weights(self) -> dict[str, Rounded]:
+        """Weights of the convolutions in integers, by name."""
+        return {name: moments.rounded(value(self._graph, name)) for name, moments in self._moments.items()}
+
+
+def best_range(values: np.ndarray) -> Range:
+    """The part of the range of values that leaves the least error when it is kept in 8 bits."""
+    counts, edges = np.histogram(values, 16384)
+    middles = (edges[:-1] + edges[1:]) / 2
+    tried = [Range.of(share * values.min(), share * values.max()) for share in SHARES]
+    return min(tried, key=lambda kept: (counts * np.abs(kept.rounded(middles) - middles) ** POWER).sum())
+
+
+# The command --------------------------------------------------------------------------------------------------------
+
+PRECISION = "int8"
+LAYERS = ("down", "lift", "up")
+"""Modules of the trunk whose ranges are measured. Heads and, but for 1x, the stem are in integers as well: heads read
+what these write, and the stem has ranges of its own (`training.denoise.int8`). At 1x it stays in float: in 8 bits it
+costs 0.9 dB of frames of many samples."""
+FINE = {"m": ("down.0",), "s": ("down.0", "down.1")}
+"""Size of a network -> its first layers, which stay in float at 1x: frames of many samples would lose up to a decibel
+by them. The second costs `m` 60 ms of 430 at 960x540 and gains 0.01 dB, `s` 8 ms of 166 and gains 0.04 dB."""
+
+Look = Callable[[Mapping[str, np.ndarray]], None]
+
+
+class Shot(NamedTuple):
+    """Frames in order, and output size over render size; None for the size of the guides, or 2."""
+
+    scale: float | None
+    frames: Iterable[Frame]
+
+
+class WatchedDevice(Device):
+    """A CPU that runs one given network whatever a pass asks for, and shows what it reads to `look`."""
+
+    def __init__(self, library: Library, name: str, look: Look) -> None:
+        super().__init__("cpu")
+        self._library, self._name, self._look = library, name, look
+
+    def pipeline_state(self, library: Library, name: str, dims: Mapping[str, int] | None = None) -> PipelineState:
+        state = super().pipeline_state(self._library, self._name, dims)
+        state.prepare = partial(self._prepare, state, state.prepare)
+        return state
+
+    def _prepare(self, state: PipelineState, prepare: Callable, tensors: list[Tensor]) -> Callable[[], None]:
+        run = prepare(tensors)
+        reads = {b.name: t.host_view() for b, t in zip(state.bindings, tensors, strict=True) if b.access == "read"}
+
+        def looked() -> None:
+            self._look(reads)
+            run()
+
+        return looked
+
+
+def shots(source: str, ending: str) -> Iterator[Shot]:
+    """Frames of a folder of clips or of a sequence, for a network whose name has this ending: with guides only those
+    that have some, else all without them; at scale 1 whatever their references have.
+
+    Raises ValueError when there are none.
+    """
+    found, guided, unscaled = 0, ending == GUIDED, ending == UNSCALED
+    clips = sorted(Path(source).glob("[!.]*.npz")) if Path(source).is_dir() else []
+    for clip in map(load_clip, clips):
+        if guided and ("guide_jitter" not in clip or clip["scale"] == 1):  # which has no use for guides
+            continue
+        for variant in range(clip["variants"]):
+            frames = [_frame(clip, variant, t, guided) for t in range(len(clip["reference"]))]
+            yield Shot(1 if unscaled else clip["scale"], frames)
+            found += 1
+    if not clips:
+        frames = postfx.read_sequence(source)
+        yield Shot(1 if unscaled else None, (frame for frame in frames if frame.guides or not guided))
+        found = len(frames)
+    if not found:
+        raise ValueError(f"{source}: no clip with guides")
+
+
+def _frame(clip: Mapping[str, Any], variant: int, t: int, guided: bool) -> Frame:
+    v = f"v{variant}_"
+    planes = {Role(name): _plane(clip[v + name][t]) for name in PLANES}
+    guides = {Role(name): _plane(clip[f"guide_{name}"][t]) for name in GUIDES if guided}
+    if guided:
+        guides[Role.DEPTH] = _plane(guide_depth(clip["guide_depth"][t]))
+    return Frame(planes, t + 1, tuple(clip[v + "jitter"][t].tolist()), reset=bool(clip["reset"][t]), guides=guides)
+
+
+def _plane(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values.reshape(*values.shape[:2], -1), np.float32)
+
+
+def pictures(found: Iterable[Shot], library: Library, name: str, look: Look = lambda reads: None) -> list[np.ndarray]:
+    """Results of a network for all shots as they are seen: exposed, x/(1+x), sRGB."""
+    device, tag = WatchedDevice(library, name, look), name.split(".")[1]
+    results = []
+    for shot in found:
+        pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model=exact(tag), scale=shot.scale)], device)
+        for frame in shot.frames:
+            light = np.maximum(pipeline(frame)[Role.COLOUR] * pipeline.exposure, 0)
+            results.append(srgb_encode(light / (1 + light)).astype(np.float16))
+    return results
+
+
+def variant_name(name: str, precision: str) -> str:
+    """'denoise_upscale.m.guides' -> 'denoise_upscale.m.int8.guides'."""
+    plain, ending = parted(name)
+    return f"{plain}.{precision}{ending}"
+
+
+def layers_of(graph: onnx.GraphProto, name: str) -> list[str]:
+    """The modules of a network that are quantised, as 'up.0'."""
+    size, ending = name.split(".")[1], parted(name)[1]
+    kept = FINE.get(size, ()) if ending == UNSCALED else ()
+    found = dict.fromkeys(".".join(node.input[1].split(".")[:2]) for node in convolutions(graph, LAYERS))
+    return [layer for layer in found if layer not in kept]
+
+
+def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[str, Any]:
+    """Write a network's int8 variant and its card to a folder; returns the card."""
+    model = unfold_half(onnx.load_from_string(library.load(name)))
+    ending = parted(name)[1]
+    layers = layers_of(model.graph, name)
+    kept = activations(model.graph, layers)
+    stem = None if ending == UNSCALED else Stem(model.graph)
+    quantised = convolutions(model.graph, layers)
+    calibration = Calibration(model, dict.fromkeys(kept.values()), [*quantised, *heads(model.graph).values()], stem)
+    before = pictures(shots(source, ending), library, name, calibration.add)
+    ranges, weights = calibration.ranges(), calibration.weights()
+    small = quantise(model, layers, {tensor: ranges[like] for tensor, like in kept.items()}, weights)
+    small = in_integers(small, weights, stem)
+    store_half(small.graph)
+    path = folder / f"{variant_name(name, PRECISION)}.onnx"
+    path.write_bytes(small.SerializeToString(deterministic=True))
+    card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION}
+    for measured_otherwise in ("quality", "parity"):
+        card.pop(measured_otherwise, None)
+    known, found = library.card(name).get("outputs", {}), facts(small)
+    found["outputs"] = {output: known.get(output, told) for output, told in found["outputs"].items()}
+    card |= {"made_from": {"name": name, "sha256": library.card(name).get("sha256")},
+             **found, "int8_layers": len(quantised) + (stem is not None)}
+    write_card(path, card)  # which says what is constant
+    after = pictures(shots(source, ending), Library(folder), path.stem)
+    card["difference"] = {**difference(after, before), "frames": len(before)}
+    write_card(path, card)
+    return card
+
+
+def difference(found: list[np.ndarray], wanted: list[np.ndarray]) -> dict[str, float]:
+    """PSNR in dB of pictures 0..1 against others: mean over the pictures, and of the worst one."""
+    errors = [np.square(a.astype(np.float32) - b).mean() for a, b in zip(found, wanted, strict=True)]
+    decibels = -10 * np.log10(np.maximum(errors, 1e-12))
+    return {"psnr_db": round(float(decibels.mean()), 2), "worst_psnr_db": round(float(decibels.min()), 2)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", help="model of the library, as denoise_upscale.m or denoise_upscale.m.1x")
+    parser.add_argument("--clips", required=True, metavar="SOURCE", help="folder of clips (.npz), or a noisy sequence")
+    parser.add_argument("-o", "--models", type=Path, default=MODELS, metavar="FOLDER", help="where to write")
+    args = parser.parse_args()
+    card = make_int8(args.name, Library(), args.clips, args.models)
+    path = args.models / f"{card['name']}.onnx"
+    print(f"{path}: {path.stat().st_size} bytes, {card['int8_layers']} convolutions in int8; "
+          f"against float32 {card['difference']['psnr_db']} dB, worst frame {card['difference']['worst_psnr_db']} dB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""Write what was measured into docs/quality.md: its tables and pictures.
+
+python -m training.measure.quality_report RESULTS [--doc docs/quality.md] [--images docs/images/quality] [--check]
+
+RESULTS holds what our own commands write:
+
+    RESULTS/SEQUENCE/              postfx bench ... -o RESULTS/SEQUENCE
+    RESULTS/SEQUENCE-ablations/    postfx bench ... --ablations (or in RESULTS/SEQUENCE, measured in one go)
+    RESULTS/validation/            python -m training.measure.validation compare CLIPS -o RESULTS/validation
+    RESULTS/equivalent/            python -m training.measure.equivalent_samples measure VIEW -o RESULTS/equivalent
+    RESULTS/convergence/           python -m training.measure.convergence VIEW -o RESULTS/convergence
+    RESULTS/curves.png             python -m training.measure.plot_curves RUN -o RESULTS/curves.png
+
+What stands between a line `<!-- table: NAME ARGUMENTS -->` and a line `<!-- end -->` is replaced; everything else is
+written by hand. Arguments are folders of RESULTS, so the document says which sequences it tells of, and in which order:
+
+    conditions SEQUENCE...         how they were measured
+    gains SEQUENCE...              ours against the best of the others, figure by figure
+    methods SEQUENCE               all figures of all methods
+    frames SEQUENCE...             single frames against OIDN's
+    history SEQUENCE...            with history against without
+    front psnr|flicker SEQUENCE... run time against error
+    times SEQUENCE                 run time and memory
+    ablations MODEL SEQUENCE...    networks that lack planes
+    scales                         the validation set, scale by scale
+    equal_rays                     the validation set, light paths spent both ways
+    equivalent FOLDER...           equivalent sample counts
+    convergence FOLDER...          least gain over the input, whatever its sample count
+    networks                       cards of models/*.json
+    picture FILE WORDS...          RESULTS/FILE, made smaller, with WORDS for those who cannot see it
+
+A block whose data is missing stays as it is and is named on standard error. --check writes nothing and ends with 1 when
+a block or a picture differs from what was measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from inspect import Parameter, signature
+from pathlib import Path
+
+from training.measure.quality_report.document import Block, compose, parse
+from training.measure.quality_report.errors import Missing, ReportError
+from training.measure.quality_report.makers import MAKERS
+from training.measure.quality_report.pictures import Album
+from training.measure.quality_report.results import Results
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+
+def arguments(argv: list[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("results", type=Path, metavar="RESULTS")
+    parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/quality.md")
+    parser.add_argument("--images", type=Path, default=REPOSITORY / "docs/images/quality")
+    parser.add_argument("--models", type=Path, default=REPOSITORY / "models", help="folder of the networks' cards")
+    parser.add_argument("--check", action="store_true", help="write nothing; tell whether all is up to date")
+    return parser.parse_args(argv)
+
+
+def make(block: Block, results: Results, album: Album) -> str:
+    """A block's lines, each ended; raises Missing or ReportError."""
+    maker = album.add if block.name == "picture" else MAKERS[block.name]
+    wanted = list(signature(maker).parameters.values())[1:]
+    endless = any(parameter.kind is Parameter.VAR_POSITIONAL for parameter in wanted)
+    if len(block.arguments) < len(wanted) or not endless and len(block.arguments) > len(wanted):
+        takes = " ".join(parameter.name.upper() for parameter in wanted) + ("..." if endless else "")
+        raise ReportError(f"'{block.title}' takes {takes or 'nothing'}")
+    try:
+        return maker(results, *block.arguments)
+    except KeyError as error:
+        raise ReportError(f"'{block.title}': the results lack {error}: measure again") from error
+
+
+def report(args: argparse.Namespace) -> int:
+    """Returns the exit code; raises ReportError."""
+    if not args.results.is_dir():
+        raise ReportError(f"{args.results} is not a folder: name the one that holds the results")
+    text = args.doc.read_text(encoding="utf-8")
+    parts = parse(text, args.doc, {*MAKERS, "picture"})
+    results, album = Results(args.results, args.models), Album(args.images, args.doc.parent)
+    made: dict[int, str] = {}
+    for block in [part for part in parts if isinstance(part, Block)]:
+        try:
+            made[block.line] = make(block, results, album)
+        except Missing as missing:
+            print(f"left as it is: {args.doc}:{block.line} '{block.title}': {missing}", file=sys.stderr)
+        except ReportError as error:
+            raise ReportError(f"{args.doc}:{block.line}: {error}") from error
+    album.check_size()
+    if args.check:
+        old = [part for part in parts if isinstance(part, Block) and made.get(part.line, part.text) != part.text]
+        stale = [f"{args.doc}:{block.line} '{block.title}'" for block in old] + album.stale()
+        print("\n".join(f"out of date: {what}" for what in stale) or "up to date")
+        return 1 if stale else 0
+    args.doc.write_text(compose(parts, made), encoding="utf-8")
+    album.write()
+    print(f"wrote {len(made)} blocks of {args.doc}")
+    return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    try:
+        return report(arguments(argv))
+    except (ReportError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,186 @@
+"""Tables of what `postfx bench` measured on sequences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from postfx.bench.report import is_better, offered
+from training.measure.quality_report.errors import Missing, ReportError
+from training.measure.quality_report.markdown import FORMS, NAMES, bold, is_network, number, place, table, titled
+from training.measure.quality_report.results import Facts, Results
+
+GAINS = {"psnr": ("+.2f", ""), "ssim": ("+.4f", ""), "flip": (".2f", "x"), "flicker": (".2f", "x")}
+"""Figures of comparisons: differences (PSNR in dB, SSIM) or quotients."""
+PARTS = {"oidn": 0, "plain": 1, "ours": 2}
+
+
+def conditions(results: Results, *names: str) -> str:
+    """How the sequences were measured."""
+    rows = []
+    for name, facts in _benches(results, names).items():
+        sizes = " to ".join("x".join(map(str, facts[key])) for key in ("render_size", "output_size"))
+        versions = ", ".join(f"{key} {value}" for key, value in facts["versions"].items())
+        where = f"{facts['device']}, {facts['threads']} threads, {facts['machine']['processor']}"
+        rows.append([place(name), sizes, str(len(facts["sequence"]["frames"])), "yes" if facts["guides"] else "no",
+                     where, str(facts["runs"]), versions])
+    return table(["sequence", "size", "frames", "guides", "measured on", "runs", "with"], rows)
+
+
+def methods(results: Results, name: str) -> str:
+    """All figures of all methods, the best of each bold."""
+    rows = sorted(offered(results.bench(name)["methods"]), key=lambda row: PARTS[row["family"]])
+    best = {figure: _best(rows, figure) for figure in FORMS}
+    cells = [[titled(row["name"]), *(_figure(row, figure, best[figure]) for figure in FORMS)] for row in rows]
+    return table(["method", *NAMES.values()], cells)
+
+
+def gains(results: Results, *names: str) -> str:
+    """Our networks against the best of the other methods, figure by figure, with the mean over the sequences."""
+    benches = _benches(results, names)
+    networks = dict.fromkeys(row["name"] for facts in benches.values() for row in facts["methods"] if is_network(row))
+    rows = []
+    for figure, (form, unit) in GAINS.items():
+        best = [_best([row for row in facts["methods"] if row["family"] != "ours"], figure)
+                for facts in benches.values()]
+        if None in best:
+            raise Missing("a sequence was measured without other methods than ours")
+        told = [f"{_score(row, figure):{FORMS[figure]}} ({titled(row['name'])})" for row in best]
+        rows.append([f"{NAMES[figure]}{', dB' if figure == 'psnr' else ''}", "best of the others", *told, ""])
+        for network in networks:
+            values = [_gain(facts, network, figure) for facts in benches.values()]
+            rows.append(["", titled(network), *(number(value, form, unit) for value in values),
+                         _mean(values, form, unit)])
+    return table(["figure", "method", *map(place, names), "mean"], rows)
+
+
+def frames(results: Results, *names: str) -> str:
+    """How many frames of each network have less PSNR than OIDN high's, and the frame where it is least above it."""
+
+    def cell(facts: Facts, network: str) -> str:
+        own, other = _row(facts, network), _row(facts, "oidn-high")
+        if not own or not other:
+            return "-"
+        pairs = [(mine["psnr"] - its["psnr"], mine["frame"])
+                 for mine, its in zip(own["frames"], other["frames"], strict=True)]
+        least, frame = min(pairs)
+        return f"{sum(gap < 0 for gap, _ in pairs)} of {len(pairs)}, least {number(least, '+.2f')} dB (frame {frame})"
+
+    return _by_network(_benches(results, names), cell)
+
+
+def history(results: Results, *names: str) -> str:
+    """Each network with its history against itself without."""
+
+    def cell(facts: Facts, network: str) -> str:
+        own, alone = _row(facts, network), _row(facts, f"{network}-alone")
+        if not own or not alone:
+            return "-"
+        gap = _score(own, "psnr") - _score(alone, "psnr")
+        pairs = list(zip(own["frames"], alone["frames"], strict=True))[1:]  # the first has no history either way
+        least = min((one["psnr"] - other["psnr"] for one, other in pairs), default=None)
+        ratio = _score(own, "flicker") / _score(alone, "flicker")
+        return f"{number(gap, '+.2f')} dB, least frame {number(least, '+.2f')} dB, flicker {ratio:.2f}x"
+
+    return _by_network(_benches(results, names), cell)
+
+
+def front(results: Results, figure: str, *names: str) -> str:
+    """Run time and a figure of all methods, bold where no other method is better in both."""
+    if f"{figure}_late" not in ("psnr_late", "flicker_late"):
+        raise ReportError(f"front {figure}: there are fronts of psnr and flicker")
+    benches = _benches(results, names)
+    time = {name: "wall_ms" if facts["device"] == "cpu" else "gpu_ms" for name, facts in benches.items()}
+    known = {row["name"]: row for facts in benches.values() for row in offered(facts["methods"])}
+    fronts = {name: facts["fronts"][f"{figure}_late"] for name, facts in benches.items()}
+    rows = []
+    for method in sorted(known, key=lambda name: PARTS[known[name]["family"]]):
+        found = {name: _row(facts, method) for name, facts in benches.items()}
+        if known[method]["alone"] and not any(method in found for found in fronts.values()):
+            continue
+        rows.append([titled(method), *("-" if row is None else bold(
+            f"{number(row['time'][time[name]], '.0f')} ms, {number(_score(row, figure), FORMS[figure])}",
+            method in fronts[name]) for name, row in found.items())])
+    return table(["method", *(f"{place(name)}: ms a frame, {NAMES[figure]}" for name in names)], rows)
+
+
+def times(results: Results, name: str) -> str:
+    """Run time and memory of all methods."""
+    facts = results.bench(name)
+    gpu = facts["device"] != "cpu"
+    rows = []
+    for row in [row for row in offered(facts["methods"]) if not row["alone"]]:
+        time = row["time"]
+        span = f"{time['wall_ms_min']:.0f} to {time['wall_ms_max']:.0f}"
+        rows.append([titled(row["name"]), f"{time['wall_ms']:.0f}", span, f"{time['cpu_s']:.3f}",
+                     *([number(time["gpu_ms"], ".2f")] if gpu else []), f"{time['peak_mb']:.0f}"])
+    return table(["method", "ms a frame", "least to most", "CPU s", *(["GPU ms"] if gpu else []), "peak MB"], rows)
+
+
+def ablations(results: Results, model: str, *names: str) -> str:
+    """What a network loses without each plane: PSNR and flicker against the same with all."""
+    found = {name: {entry["name"].removeprefix(f"{model}-without-"): entry for entry in results.ablations(name)
+                    if entry["of"] == model} for name in names}
+    empty = [name for name, entries in found.items() if not entries]
+    if empty:
+        raise Missing(f"{empty[0]} has no ablations of {model}")
+    planes = dict.fromkeys(plane for entries in found.values() for plane in entries)
+    ordered = sorted(planes, key=lambda plane: plane == "all")
+    rows = [[plane.replace("_", " ") if plane != "all" else "all: colour only",
+             *(_loss(entries.get(plane)) for entries in found.values())] for plane in ordered]
+    return table(["without", *map(place, names)], rows)
+
+
+def _loss(entry: Facts | None) -> str:
+    if entry is None:
+        return "not in the files"
+    return f"{number(entry['psnr_late'], '+.2f')} dB, flicker {number(entry['flicker_late'], '.2f', 'x')}"
+
+
+def _by_network(benches: dict[str, Facts], cell: Any) -> str:
+    networks = dict.fromkeys(row["name"] for facts in benches.values() for row in facts["methods"] if is_network(row))
+    rows = [[titled(network), *(cell(facts, network) for facts in benches.values())] for network in networks]
+    rows = [row for row in rows if set(row[1:]) != {"-"}]
+    if not rows:
+        raise Missing("the methods that it compares were not measured")
+    return table(["network", *map(place, benches)], rows)
+
+
+def _benches(results: Results, names: tuple[str, ...]) -> dict[str, Facts]:
+    return {name: results.bench(name) for name in names}
+
+
+def _row(facts: Facts, name: str) -> Facts | None:
+    return next((row for row in facts["methods"] if row["name"] == name), None)
+
+
+def _score(row: Facts, figure: str) -> float | None:
+    return row["scores"][f"{figure}_late"]
+
+
+def _best(rows: list[Facts], figure: str) -> Facts | None:
+    """The row that is best in a figure."""
+    found = None
+    for row in [row for row in rows if _score(row, figure) is not None]:
+        if found is None or is_better(f"{figure}_late", _score(row, figure), _score(found, figure)):
+            found = row
+    return found
+
+
+def _figure(row: Facts, figure: str, best: Facts | None) -> str:
+    """Bold where the best one's reads the same."""
+    text = number(_score(row, figure), FORMS[figure])
+    return bold(text, best is not None and text == number(_score(best, figure), FORMS[figure]))
+
+
+def _gain(facts: Facts, network: str, figure: str) -> float | None:
+    found = next((entry for entry in facts["against_best_baseline"] if entry["name"] == network), None)
+    return found[f"{figure}_late"] if found else None
+
+
+def _mean(values: list[float | None], form: str, unit: str) -> str:
+    """Over the sequences that are known, which are counted where some are not."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return "-"
+    text = number(sum(known) / len(known), form, unit)
+    return text if len(known) == len(values) else f"{text} ({len(known)} of {len(values)})"

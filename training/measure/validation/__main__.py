@@ -1,0 +1,79 @@
+"""The validation set: held-out scenes at 1x, 1.5x, 2x and 3x, and every method measured on them.
+
+python -m training.measure.validation render --out CLIPS --clips 6 [--gpus 0,1]      needs Mitsuba; a GPU helps
+python -m training.measure.validation sheet CLIPS sheet.png                          a picture of the clips
+python -m training.measure.validation compare CLIPS -o RESULTS [--models m]          needs postfx[bench]
+python -m training.measure.validation expand CLIPS FOLDER                            the clips as EXR sequences
+
+A clip is eight frames of a scene with references, 1x at 1 sample a pixel, 2x at 4 (as many light paths), 1.5x and 3x at
+1 to 8, all planes, and guides at output size (see plan.py). `render` writes CLIPS/clip.NNNNN.npz and goes on where it
+was ended; `training.datagen.render` tells of its options. `compare` runs what `postfx bench` runs on every render.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from training.datagen.render import add_farm, run, worker_command
+from training.measure.validation.worker import add_options
+
+
+def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
+    """The arguments, and the names of those that workers are handed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    render = commands.add_parser("render", help="render clips on all GPUs of a machine")
+    add_farm(render)
+    render.set_defaults(processes_per_gpu=2)
+    handed = add_options(render)
+    for name, target in (("sheet", "picture to write"), ("expand", "folder to write"), ("compare", None)):
+        command = commands.add_parser(name)
+        command.add_argument("clips", type=Path, help="folder that 'render' filled")
+        if target:
+            command.add_argument("target", type=Path, help=target)
+    compare = commands.choices["compare"]
+    compare.add_argument("-o", "--results", type=Path, required=True)
+    compare.add_argument("--methods", help="as 'postfx bench' takes them (default: all)")
+    compare.add_argument("--models", help="tags of networks (default: all)")
+    compare.add_argument("--renders", default="x1,x1.5,x2,x3", help="which renders of the clips")
+    compare.add_argument("--runs", type=int, default=1)
+    compare.add_argument("--device", default="auto")
+    compare.add_argument("--keep", action="store_true", help="take what an earlier run measured")
+    return parser.parse_args(argv), handed
+
+
+def clips(folder: Path) -> list[Path]:
+    """Clips of a folder; ends the program where there are none."""
+    found = sorted(folder.glob("clip.*.npz"))
+    if not found:
+        raise SystemExit(f"error: {folder} holds no clip: run 'render --out {folder} --clips 6' first")
+    return found
+
+
+def main(argv: list[str] | None = None) -> int:
+    args, handed = arguments(argv)
+    if args.command == "render":
+        return run(args, worker_command("training.measure.validation.worker", args, handed))
+    if args.command == "sheet":
+        from training.measure.validation.sheet import draw
+
+        draw(clips(args.clips), args.target)
+    if args.command == "expand":
+        from training.measure.validation.expand import (
+            expand,  # needs OpenImageIO, which the machine that renders need not have
+        )
+
+        for clip in clips(args.clips):
+            print(expand(clip, args.target)[0])
+    if args.command == "compare":
+        from training.measure.validation.compare import compare
+        from training.measure.validation.report import report
+
+        report(args.results, compare(clips(args.clips), args))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

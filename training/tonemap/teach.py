@@ -1,0 +1,294 @@
+"""Teaching the tone mapper a look whose pipeline is known; the result is a checkpoint to export."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from training.tonemap.exposure_net import Exposure, levels
+from training.tonemap.local_laplacian import LUMINANCE
+from training.tonemap.looks import Look, before_view, describe, key_stops, log_luminance
+from training.tonemap.loop import (
+    CONSISTENCY,
+    SHIFT,
+    Recipe,
+    Report,
+    Source,
+    run_of,
+    score,
+    start_network,
+    train,
+    validate,
+    windows,
+)
+from training.tonemap.model import HDRNet, default_shaper, look_up, lowres, shape
+from training.tonemap.pictures import LARGEST, WIDE, Lesson, Pictures, perspective
+
+# Examples -----------------------------------------------------------------------------------------------------------
+# Random views for the tone mapper, made on the device that trains: crops, panoramas, light fields, lamps, exposure.
+#
+# All colour is scene-linear Rec.709. Few pictures become many by what light does to them: a smooth light field with
+# hard edges multiplies the picture (windows, shadows), lamps are added, white balance and saturation move, some are
+# taken for wide-gamut ones, some get noise, and the result is exposed again as the run-time's meter would, plus a
+# random error of some stops. Charts made from nothing are always among them, so pictures may be missing.
+
+SHAPES = ((320, 512), (384, 384), (512, 320), (288, 512))
+
+CHARTS = 0.12  # share of views that are made from nothing
+
+
+class Views:
+    """Endless batches of views of pictures, each with what a look makes of it."""
+
+    def __init__(
+        self, pictures: Pictures, look: Look, cube: torch.Tensor, device: torch.device, seed: int = 1
+    ) -> None:
+        self.device, self.look, self.cube = device, look, cube.to(device)
+        self.random = np.random.default_rng(seed)
+        self.pictures = [(self._load(picture), name in pictures.panoramas) for name, picture in pictures.train.items()]
+
+    def _load(self, picture: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(picture.astype(np.float32)).permute(2, 0, 1).contiguous().to(self.device)
+
+    def uniform(self, low: float, high: float) -> float:
+        return float(self.random.uniform(low, high))
+
+    def chance(self, p: float) -> bool:
+        return bool(self.random.random() < p)
+
+    def batch(self, size: int, scale: float = 1.0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Exposed views (size,3,H+8,W+8) of one random shape, the look of them, and their shaped colour before it.
+
+        `scale` shrinks the shape for toy runs.
+        """
+        views = self.views(size, scale)
+        shaped = shape(before_view(views, self.look), *default_shaper(self.device))
+        return views, look_up(shaped, self.cube), shaped
+
+    def views(self, size: int, scale: float = 1.0) -> torch.Tensor:
+        """The exposed views of a batch alone."""
+        h, w = SHAPES[self.random.integers(len(SHAPES))]
+        size_in_pixels = (int(h * scale) + SHIFT, int(w * scale) + SHIFT)
+        return torch.stack([self._view(size_in_pixels) for _ in range(size)])
+
+    def _view(self, shape: tuple[int, int]) -> torch.Tensor:
+        x = self._synthetic(shape) if not self.pictures or self.chance(CHARTS) else self._picture(shape)
+        x = self._grade(x)
+        if self.chance(0.5):
+            x = x * self._light(shape)
+        if self.chance(0.25):
+            x = x + self._lamps(shape)
+        if self.chance(0.2):
+            x = x * (1 + self.uniform(0.0, 0.15) * torch.randn(3, *shape, device=self.device)).clamp_min(0)
+        if self.chance(0.2):
+            x = torch.einsum("ij,jhw->ihw", WIDE[self.random.integers(len(WIDE))].to(x), x)
+        return self._expose(x)
+
+    def _picture(self, shape: tuple[int, int]) -> torch.Tensor:
+        picture, panorama = self.pictures[int(self.random.integers(len(self.pictures)))]
+        if panorama and self.chance(0.7):
+            x = perspective(picture, self.uniform(-180, 180), self.uniform(-35, 35), self.uniform(45, 120), shape)
+        else:
+            x = self._crop(picture, shape)
+        x = x.flip(-1) if self.chance(0.5) else x
+        return x.flip(-2) if self.chance(0.1) else x
+
+    def _crop(self, picture: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:
+        """A window of random size and place with the wanted aspect, resampled to `shape`."""
+        h, w = picture.shape[-2:]
+        largest = min(h / shape[0], w / shape[1])
+        size = largest * self.uniform(0.4, 1.0)
+        ch, cw = max(8, int(shape[0] * size)), max(8, int(shape[1] * size))
+        y, x = int(self.random.integers(h - ch + 1)), int(self.random.integers(w - cw + 1))
+        window = picture[None, :, y : y + ch, x : x + cw]
+        return F.interpolate(window, size=shape, mode="bilinear", align_corners=False, antialias=True)[0].clamp_min(0)
+
+    def _noise(self, shape: tuple[int, int], cells: int, channels: int = 1) -> torch.Tensor:
+        """Smooth random field (channels,H,W), about normal, `cells` bumps across."""
+        seeds = torch.from_numpy(self.random.standard_normal((1, channels, cells, cells), np.float32)).to(self.device)
+        return F.interpolate(seeds, size=shape, mode="bicubic", align_corners=False)[0]
+
+    def _region(self, shape: tuple[int, int]) -> torch.Tensor:
+        """Mask (1,H,W) in [0,1] of a half plane, box or ellipse, with an edge from hard to very soft."""
+        y, x = torch.meshgrid(
+            torch.linspace(-1, 1, shape[0], device=self.device),
+            torch.linspace(-1, 1, shape[1], device=self.device),
+            indexing="ij",
+        )
+        angle = self.uniform(0, 2 * math.pi)
+        x, y = x - self.uniform(-1, 1), y - self.uniform(-1, 1)
+        u, v = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
+        a, b = self.uniform(0.08, 0.9), self.uniform(0.08, 0.9)
+        kind = self.random.integers(3)
+        if kind == 0:
+            distance = u
+        elif kind == 1:
+            distance = torch.maximum(u.abs() - a, v.abs() - b)
+        else:
+            distance = (torch.sqrt((u / a) ** 2 + (v / b) ** 2) - 1) * min(a, b)
+        softness = 2.0 ** self.uniform(-9, -1)
+        return torch.sigmoid(-distance / softness)[None]
+
+    def _light(self, shape: tuple[int, int]) -> torch.Tensor:
+        """Multiplier (3,H,W): smooth light of a few stops, regions up to +-5 stops, faintly coloured."""
+        stops = self._noise(shape, int(self.random.integers(2, 6))) * self.uniform(0, 1.5)
+        for _ in range(int(self.random.integers(0, 4))):
+            stops = stops + self._region(shape) * self.uniform(-5, 5)
+        tint = self._noise(shape, 3, 3) * 0.15
+        return torch.exp2((stops + tint).clamp(-10, 10))
+
+    def _colour(self, spread: float) -> torch.Tensor:
+        tint = self.random.standard_normal((3, 1, 1)) * spread
+        return torch.exp2(torch.tensor(tint, dtype=torch.float32, device=self.device))
+
+    def _lamps(self, shape: tuple[int, int]) -> torch.Tensor:
+        lamps = torch.zeros(3, *shape, device=self.device)
+        for _ in range(int(self.random.integers(1, 4))):
+            lamps = lamps + self._region(shape) * self._colour(self.uniform(0.3, 3)) * 2.0 ** self.uniform(-1, 7)
+        return lamps
+
+    def _synthetic(self, shape: tuple[int, int]) -> torch.Tensor:
+        """Gradients over up to 16 stops with coloured regions: what photographs seldom hold."""
+        ramp = self._noise(shape, int(self.random.integers(2, 8))) * self.uniform(0.5, 4)
+        colour = self._noise(shape, int(self.random.integers(2, 8)), 3) * self.uniform(0.1, 2.5)
+        stops = ramp + colour
+        for _ in range(int(self.random.integers(0, 6))):
+            stops = stops + self._region(shape) * torch.log2(self._colour(self.uniform(0.5, 4)))
+        return torch.exp2(stops.clamp(-12, 12))
+
+    def _grade(self, x: torch.Tensor) -> torch.Tensor:
+        """White balance, saturation, sometimes other hues and another contrast."""
+        x = x * self._colour(0.25)
+        if self.chance(0.25):
+            x = x[self.random.permutation(3).tolist()]
+        weights = torch.tensor(LUMINANCE, device=self.device).view(3, 1, 1)
+        grey = (x * weights).sum(0, keepdim=True)
+        saturation = self.uniform(1.4, 3.0) if self.chance(0.15) else self.uniform(0.4, 1.4)
+        x = (grey + (x - grey) * saturation).clamp_min(0)
+        if self.chance(0.3):
+            contrast = self.uniform(0.6, 1.3)
+            x = x * ((grey + 1e-4) / 0.18) ** (contrast - 1)
+        return x
+
+    def _expose(self, x: torch.Tensor) -> torch.Tensor:
+        """Geometric mean to mid grey, then an error: mostly within 1.5 stops, sometimes up to 3 either way."""
+        log = log_luminance(x[None])
+        error = self.uniform(-3, 3) if self.chance(0.25) else float(self.random.normal(0.0, 0.8))
+        return (x * torch.exp2(math.log2(0.18) - log.mean() + error)).clamp(-LARGEST, LARGEST)
+
+
+# The exposure network -----------------------------------------------------------------------------------------------
+# Teaching a look whose all is one exposure before its view: a regression on the stops of many views.
+
+VIEWS, STEPS, BATCH, RATE, DECAY = 8000, 8000, 256, 3e-3, 1e-3
+ROUND = 0.05  # stops: below, errors count squared
+
+
+def teach_exposure(
+    source: Views, recipe: Recipe, held: dict[str, np.ndarray], wanted: dict[str, np.ndarray],
+    watch: Callable[[Report], None],
+) -> dict[str, Any]:
+    """The part of a checkpoint that comes of it; of a recipe only the seed counts, as this takes but some minutes."""
+    start = time.monotonic()
+    found = examples(source, VIEWS)
+    net = Exposure(source.cube)
+    wrong, apart = fit(net, found, recipe.seed)
+    scores = validate(net, held, wanted)
+    report = Report(STEPS, round(time.monotonic() - start, 1), wrong, apart, scores)
+    watch(report)
+    run = run_of(recipe, report, source.device)
+    facts = {name: run[name] for name in ("steps", "device", "torch", "seconds", "seed")}
+    history = {**facts, "views": VIEWS, "batch": BATCH, "rate": RATE}
+    return {"weights": net.cpu().state_dict(), "psnr": scores, "history": [history]}
+
+
+@dataclass(frozen=True)
+class Examples:
+    """Of N views, each seen twice, shifted as two frames are: the means (N,2,1) and levels (N,2,7) of their luminance,
+    and the stops (N,2,1) that the look adds."""
+
+    means: torch.Tensor
+    levels: torch.Tensor
+    stops: torch.Tensor
+
+
+@torch.no_grad()
+def examples(source: Views, count: int) -> Examples:
+    """Of `count` views, as a source makes them."""
+    found, shaper = [], default_shaper(source.device)
+    for _ in range(count):
+        view = source.views(1)
+        pair = torch.cat([windows(view, 0, 0), windows(view, *source.random.integers(0, SHIFT + 1, 2))])
+        found.append((*levels(lowres(pair, shaper)), key_stops(pair)[:, None] + source.look.gain))
+    return Examples(*(torch.stack(each) for each in zip(*found, strict=True)))
+
+
+def fit(net: Exposure, found: Examples, seed: int) -> tuple[float, float]:
+    """Fit the dense layers to examples; what is left, in stops: the mean error, and by how much two views' differ."""
+    net.to(found.stops.device)
+    random = torch.Generator().manual_seed(seed)
+    optimizer = torch.optim.AdamW(net.dense.parameters(), lr=RATE, weight_decay=DECAY)
+    for step in range(STEPS):
+        for group in optimizer.param_groups:
+            group["lr"] = RATE * (0.5 + 0.5 * math.cos(math.pi * step / STEPS))
+        some = torch.randint(len(found.stops), (BATCH,), generator=random).to(found.stops.device)
+        error = net.stops(found.means[some], found.levels[some]) - found.stops[some]
+        wrong = F.smooth_l1_loss(error, torch.zeros_like(error), beta=ROUND)
+        optimizer.zero_grad(set_to_none=True)
+        (wrong + CONSISTENCY * apart(error)).backward()
+        optimizer.step()
+    with torch.no_grad():
+        error = net.stops(found.means, found.levels) - found.stops
+        return float(error.abs().mean()), float(apart(error))
+
+
+def apart(error: torch.Tensor) -> torch.Tensor:
+    """The mean difference of the errors (N,2,1) of both views: what two frames flicker by that their light does not."""
+    return (error[:, 0] - error[:, 1]).abs().mean()
+
+
+# The look -----------------------------------------------------------------------------------------------------------
+
+Checkpoint = dict[str, Any]
+"""cube; weights, None where the cube is all; look; pictures trained on; psnr of those held out; history of runs."""
+Watch = Callable[[Report], None]
+HeldOut = dict[str, np.ndarray]
+
+
+def teach_look(
+    task: Lesson, pictures: Pictures, start: str, recipe: Recipe, device: torch.device, watch: Watch
+) -> Checkpoint:
+    """Learn a look whose pipeline is known; what depends on colour alone needs no training."""
+    common = {"look": describe(task.look), "cube": task.cube, "pictures": list(pictures.train)}
+    if task.look.is_global:
+        return {**common, "weights": None, "history": [], "psnr": cube_psnr(task.cube, pictures.held, task.wanted)}
+    source = Views(pictures, task.look, task.cube, device, recipe.seed)
+    if task.look.is_exposure:
+        return {**common, **teach_exposure(source, recipe, pictures.held, task.wanted, watch)}
+    net = start_network(start, task.cube).to(device)
+    return {**common, **run(net, source, recipe, pictures.held, task.wanted, watch)}
+
+
+def run(net: HDRNet, source: Source, recipe: Recipe, held: HeldOut, wanted: HeldOut, watch: Watch) -> Checkpoint:
+    """Train; the part of a checkpoint that comes of it."""
+    for average, report in train(net, source, recipe, held, wanted):  # noqa: B007
+        watch(report)
+    weights = copy.deepcopy(average).cpu().state_dict()
+    return {"weights": weights, "psnr": report.psnr, "history": [run_of(recipe, report, net.cube.device)]}
+
+
+def cube_psnr(cube: torch.Tensor, held: HeldOut, wanted: HeldOut) -> dict[str, float]:
+    """PSNR in sRGB values of each held-out picture by a cube alone."""
+    scores = {}
+    for name, rgb in held.items():
+        x = torch.from_numpy(rgb.astype(np.float32)).permute(2, 0, 1)[None]
+        scores[name] = score(look_up(shape(x, *default_shaper()), cube), wanted[name])
+    return scores
