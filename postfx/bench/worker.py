@@ -18,7 +18,7 @@ from postfx.errors import PostfxError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
-from postfx.kernels.numeric import cache_folder
+from postfx.kernels.compile_cache import SUFFIX, cache_folder
 from postfx.runtime import Device
 
 
@@ -100,10 +100,10 @@ def peak_memory() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * factor / 1e6
 
 
-def _compiled_kernels() -> set[tuple[str, float]]:
-    """Files of compiled kernels and their times; empty where none can be kept."""
+def _compiled_kernels() -> set[str]:
+    """Files of compiled kernels; empty where none can be kept."""
     folder = cache_folder()
-    return {(str(path), path.stat().st_mtime) for path in Path(folder).rglob("*.nbc")} if folder else set()
+    return {path.name for path in folder.glob(f"*{SUFFIX}")} if folder else set()
 
 
 def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> dict:

@@ -26,7 +26,7 @@ from postfx.io.output import Existing, OutputFiles
 from postfx.io.prefetch import WriteBehind, read_ahead, read_patiently
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
-from postfx.kernels.numeric import is_first_run
+from postfx.kernels.compile_cache import is_first_run
 from postfx.passes.base import Pass
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline

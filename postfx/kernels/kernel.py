@@ -18,7 +18,7 @@ class Kernel:
         reads: names of the arguments that are read, in argument order; scalars are small vectors such as 'params'.
         writes: names of the arguments that are written, in argument order.
         rows: `rows(y0, y1, *reads, *writes)` computes rows y0 to y1 - 1 of every written argument and nothing else.
-            Compile it with `@njit(nogil=True, cache=True)`; `fastmath` only where parity with the portable
+            Compile it with `kernel_jit` of `postfx.kernels.numeric`; `fastmath` only where parity with the portable
             definition holds; no `parallel=True`: the device owns the threads.
         row_axis: the written binding and its axis that count the rows, for example ('output', 0).
         shapes: binding name -> dimensions, each a number or a symbol such as 'height'; a symbol has one value

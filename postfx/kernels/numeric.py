@@ -1,46 +1,23 @@
 """How kernels are compiled, and the small functions that they inline."""
 
-import hashlib
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numba import config, njit
+from numba import njit
 
-from postfx.system import private_folder
+from postfx.kernels.compile_cache import KernelCache
 
 MAX_COLOUR = 1e4
 
 
-@cache
-def cache_folder() -> str:
-    """Where compiled kernels are kept: a folder named by the content of all kernel sources.
+def kernel_jit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Numba's decorator for kernels: no lock held, compiled code kept between runs."""
 
-    Numba's own index looks at one file's time stamp, so a constant changed in another file would leave wrong code.
-    Numba unpickles what it finds there, so a folder that is another user's, or that others may write to, is not used.
-    """
-    digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
-    folder = private_folder(f"kernels-{digest.hexdigest()[:16]}")
-    return str(folder) if folder else ""
-
-
-def is_first_run() -> bool:
-    """Whether no compiled kernel is kept yet, so that the first frame will wait for the compiler."""
-    return not cache_folder() or not any(Path(cache_folder()).rglob("*.nbi"))
-
-
-def kernel_jit(**options) -> Callable[[Callable], Callable]:
-    """Numba's decorator for kernels: no lock held, compiled code kept in ``cache_folder`` between runs."""
-
-    def decorate(function: Callable) -> Callable:
-        before, config.CACHE_DIR = config.CACHE_DIR, cache_folder()
-        try:
-            return njit(nogil=True, cache=bool(cache_folder()), error_model="numpy", **options)(function)
-        finally:
-            config.CACHE_DIR = before
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
+        dispatcher._cache = KernelCache(dispatcher)
+        return dispatcher
 
     return decorate
 

@@ -1,0 +1,214 @@
+"""Compiled kernels, kept between runs and named by what they are made of.
+
+Numba's own cache looks at the time stamp of one file: a comment makes it compile the whole file anew, and a constant
+changed in another file leaves wrong code. Here a digest names the file of each compiled function: its bytecode, the
+options it is compiled with, the values of the constants and the digests of the functions that it uses, as well as its
+argument types, the processor and the versions of Python and Numba.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core.caching import _Cache
+from numba.core.compiler import CompileResult
+from numba.core.dispatcher import Dispatcher
+from numba.core.serialize import dumps
+from numba.extending import _Intrinsic
+
+from postfx.files import write_atomically
+from postfx.system import private_folder
+
+FOLDER = "kernels"
+SUFFIX = ".nbc"
+UNUSED = 30 * 86400
+"""Seconds after which a file that no run loaded is removed."""
+OUTDATED = 86400
+"""Seconds after which a folder that an older version left is removed."""
+FOREIGN = {"numba", "llvmlite", "numpy", *sys.stdlib_module_names}
+"""Packages whose functions are told apart by name alone; the versions of Numba and Python stand for them."""
+
+
+@cache
+def cache_folder() -> Path | None:
+    """Where compiled kernels are kept, None where they cannot be.
+
+    They are unpickled from there, so a folder of another user, or that others may write to, is not used.
+    """
+    return private_folder(FOLDER)
+
+
+def is_first_run() -> bool:
+    """Whether no compiled kernel is kept yet, so that the first frame will wait for the compiler."""
+    folder = cache_folder()
+    return folder is None or next(folder.glob(f"*{SUFFIX}"), None) is None
+
+
+class KernelCache(_Cache):  # type: ignore[misc]  # numba has no types
+    """The compiled forms of one function; a dispatcher loads and saves them."""
+
+    def __init__(self, dispatcher: Dispatcher) -> None:
+        self._dispatcher = dispatcher
+
+    @property
+    def cache_path(self) -> str:
+        """The folder, as text; empty where nothing is kept."""
+        return str(cache_folder() or "")
+
+    def load_overload(self, sig: Any, target_context: Any) -> CompileResult | None:
+        """The compiled function for a signature; None where none is kept."""
+        target_context.refresh()
+        path = self._path(sig, target_context.codegen())
+        try:
+            content = path.read_bytes() if path else None
+        except OSError:
+            return None
+        if path is None or content is None:
+            return None
+        with suppress(OSError):
+            path.touch()  # tells that it is in use
+        return CompileResult._rebuild(target_context, *pickle.loads(content))
+
+    def save_overload(self, sig: Any, data: CompileResult) -> None:
+        """Keep a compiled function. One that refers to addresses of this process, or a full disk: nothing is kept."""
+        path = self._path(sig, data.codegen)
+        if path is None or data.lifted or data.library.has_dynamic_globals:
+            return
+        with suppress(OSError):
+            content = dumps(data._reduce())
+            write_atomically(path, lambda file: file.write(content))
+            _remove_unused(path.parent)
+
+    def enable(self) -> None:
+        """It always is."""
+
+    def disable(self) -> None:
+        """Nothing needs it."""
+
+    def flush(self) -> None:
+        """What is kept under a digest never becomes wrong."""
+
+    def _path(self, sig: Any, codegen: Any) -> Path | None:
+        folder = cache_folder()
+        try:
+            made_of = digest(self._dispatcher)  # not before: a function may use what is defined after it
+        except TypeError:  # a pass of someone else may use anything
+            return None
+        facts = (made_of, str(sig), codegen.magic_tuple(), numba.__version__, sys.implementation.cache_tag)
+        name = self._dispatcher.py_func.__qualname__.replace("<locals>.", "")
+        name = f"{name}-{hashlib.sha256(repr(facts).encode()).hexdigest()[:32]}{SUFFIX}"
+        return folder / name if folder else None
+
+
+@cache
+def digest(function: Callable[..., Any]) -> str:
+    """Hexadecimal digest of all that a function's compiled code depends on. Comments, docstrings and line numbers do
+    not count. Raises TypeError for a global value that it cannot tell."""
+    if isinstance(function, Dispatcher):
+        parts = _all_parts((dict(function.targetoptions), function.py_func))
+    else:
+        parts = _function_parts(function)
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(part.encode() if isinstance(part, str) else part)
+        found.update(b"\0")
+    return found.hexdigest()
+
+
+def _function_parts(function: FunctionType) -> Iterator[str | bytes]:
+    yield _name(function)
+    names: set[str] = set()
+    for code in _codes(function.__code__):
+        names.update(code.co_names)
+        yield code.co_code
+        yield repr((code.co_names, code.co_varnames, code.co_argcount, code.co_kwonlyargcount, code.co_flags))
+        constants = [one for one in code.co_consts if not isinstance(one, CodeType)]
+        yield from _all_parts(constants[function.__doc__ is not None and code is function.__code__:])
+    yield from _all_parts(function.__defaults__ or ())
+    used = [(name, function.__globals__[name]) for name in sorted(names) if name in function.__globals__]
+    used += zip(function.__code__.co_freevars, (cell.cell_contents for cell in function.__closure__ or ()), strict=True)
+    for module in [value for _, value in used if isinstance(value, ModuleType)]:
+        if not _is_foreign(module.__name__):  # all that may be read of it
+            used += [(name, getattr(module, name)) for name in sorted(names) if hasattr(module, name)]
+    for name, value in used:
+        yield name
+        if getattr(value, "py_func", value) is not function:  # it may call itself
+            yield from _parts(value)
+
+
+def _parts(value: Any) -> Iterator[str | bytes]:
+    """What a value is, as texts and bytes; of functions, the digest."""
+    if isinstance(value, Dispatcher):
+        yield digest(value)
+    elif isinstance(value, _Intrinsic):
+        yield digest(value._defn)
+    elif isinstance(value, FunctionType):
+        yield _name(value) if _is_foreign(value.__module__) else digest(value)
+    elif value is None or isinstance(value, bool | int | float | complex | str | bytes):
+        yield repr(value)
+    elif isinstance(value, np.ndarray | np.generic):
+        yield f"{value.dtype} {value.shape}"
+        yield value.tobytes()
+    elif isinstance(value, dict):
+        yield from _all_parts(sorted(value.items(), key=repr))
+    elif isinstance(value, set | frozenset):
+        yield from _all_parts(sorted(value, key=repr))
+    elif isinstance(value, tuple | list | range):
+        yield from _all_parts(value)
+    elif isinstance(value, ModuleType | np.ufunc):
+        yield value.__name__
+    elif isinstance(value, numba.types.Type):
+        yield str(value)
+    elif hasattr(value, "__qualname__"):  # classes, functions written in C
+        yield _name(value)
+    else:
+        raise TypeError(f"a kernel uses {value!r}, of which no digest can be made")
+
+
+def _all_parts(values: Iterable[Any]) -> Iterator[str | bytes]:
+    yield "("
+    for value in values:
+        yield from _parts(value)
+    yield ")"
+
+
+def _name(value: Any) -> str:
+    return f"{value.__module__}.{value.__qualname__}"
+
+
+def _is_foreign(module: str) -> bool:
+    return module.split(".")[0] in FOREIGN
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """A function's code and that of the functions inside it."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _codes(constant)
+
+
+@cache
+def _remove_unused(folder: Path) -> None:
+    """Remove, once a process, files that no run loaded for long, and what older versions kept."""
+    now = time.time()
+    for path in folder.iterdir():
+        with suppress(OSError):
+            if now - path.stat().st_mtime > UNUSED:
+                path.unlink()
+    for path in folder.parent.glob(f"{FOLDER}-*"):  # a folder for each version of all sources
+        with suppress(OSError):
+            if now - path.stat().st_mtime > OUTDATED:
+                shutil.rmtree(path)
