@@ -18,7 +18,7 @@ from torch import nn
 from torch.export import Dim
 
 from postfx.kernels.kernel import Kernel
-from postfx.runtime.shapes import parse
+from postfx.runtime.states import parse
 
 logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of optional packages at every export
 

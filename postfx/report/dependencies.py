@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from postfx.runtime.ranges import Ranges
+from postfx.runtime.memory import Ranges
 
 
 def edges(commands: list[dict[str, Any]]) -> list[dict[str, Any]]:

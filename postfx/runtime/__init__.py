@@ -10,16 +10,14 @@ from postfx.errors import (
     HazardError,
     ModelError,
 )
-from postfx.runtime.arguments import ArgumentTable
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
 from postfx.runtime.device import Device
 from postfx.runtime.encoders import ComputeEncoder, MachineLearningEncoder
 from postfx.runtime.heap import Heap
 from postfx.runtime.library import Library
-from postfx.runtime.states import Binding, CompiledComputeState, PipelineState, PortableComputeState
-from postfx.runtime.tensor import Tensor
-from postfx.runtime.tensor_state import TensorState
+from postfx.runtime.states import ArgumentTable, Binding, CompiledComputeState, PipelineState, PortableComputeState
+from postfx.runtime.tensor import Tensor, TensorState
 
 __all__ = [
     "ArgumentTable",

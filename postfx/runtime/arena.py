@@ -13,9 +13,8 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from postfx.caching import LRUCache
-from postfx.runtime.memory import ALIGNMENT
+from postfx.runtime.memory import ALIGNMENT, Ranges
 from postfx.runtime.memory_plan import Plan, Present, Uses, make_plan
-from postfx.runtime.ranges import Ranges
 from postfx.runtime.records import Dispatch, EncoderBarrier, Record
 from postfx.runtime.tensor import Allocation, Tensor, size_in_bytes
 

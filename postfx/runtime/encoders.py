@@ -6,10 +6,9 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Self
 
 from postfx.errors import BindingError, EncodingError
-from postfx.runtime.arguments import ArgumentTable
 from postfx.runtime.hazard_errors import check_dispatch
 from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
-from postfx.runtime.states import State
+from postfx.runtime.states import ArgumentTable, State
 
 if TYPE_CHECKING:
     from postfx.runtime.commands import CommandBuffer

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from postfx.runtime.ranges import Ranges
+from postfx.runtime.memory import Ranges
 from postfx.runtime.records import Dispatch, Record
 from postfx.runtime.tensor import Allocation, Tensor
 

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 from postfx.errors import CommandError
 from postfx.runtime import hazard_errors
 from postfx.runtime.footprint import Footprint, Need
+from postfx.runtime.memory import Ranges
 from postfx.runtime.ordering import find_conflict
-from postfx.runtime.ranges import Ranges
 from postfx.runtime.records import Dispatch
-from postfx.runtime.tensor import Allocation, Tensor
-from postfx.runtime.tensor_state import TensorState, Use
+from postfx.runtime.tensor import Allocation, Tensor, TensorState, Use
 
 if TYPE_CHECKING:
     from postfx.runtime.commands import CommandBuffer

@@ -1,4 +1,4 @@
-"""Memory of a device: chunks to carve tensors from, and copies between a chunk and the host."""
+"""Memory of a device: chunks to carve tensors from, copies between a chunk and the host, and sets of byte ranges."""
 
 from __future__ import annotations
 
@@ -159,3 +159,46 @@ def view_at(pointer: int, shape: tuple[int, ...], dtype: str, owner: object) -> 
     buffer = (ctypes.c_char * nbytes).from_address(pointer)
     buffer.owner = owner
     return np.frombuffer(buffer, dtype).reshape(shape)
+
+
+class Ranges:
+    """A set of half-open byte ranges [start, end), kept sorted and merged."""
+
+    def __init__(self, spans: tuple[tuple[int, int], ...] = ()) -> None:
+        self.spans = spans
+
+    def copy(self) -> Ranges:
+        """An independent copy."""
+        return Ranges(self.spans)
+
+    def add(self, start: int, end: int) -> None:
+        """Include [start, end)."""
+        if self.covers(start, end):
+            return
+        apart = [span for span in self.spans if span[1] < start or span[0] > end]
+        joined = [span for span in self.spans if not (span[1] < start or span[0] > end)]
+        merged = (min([start, *(s for s, _ in joined)]), max([end, *(e for _, e in joined)]))
+        self.spans = tuple(sorted([*apart, merged]))
+
+    def remove(self, start: int, end: int) -> None:
+        """Exclude [start, end)."""
+        left = [(s, min(e, start)) for s, e in self.spans if s < start]
+        right = [(max(s, end), e) for s, e in self.spans if e > end]
+        self.spans = tuple(sorted({*left, *right}))
+
+    def subtract(self, other: Ranges) -> None:
+        """Exclude all of another set."""
+        for span in other.spans:
+            self.remove(*span)
+
+    def covers(self, start: int, end: int) -> bool:
+        """Whether every byte of [start, end) is included."""
+        return any(s <= start and end <= e for s, e in self.spans)
+
+    def includes(self, other: Ranges) -> bool:
+        """Whether every byte of another set is included."""
+        return all(self.covers(*span) for span in other.spans)
+
+    def touches(self, other: Ranges) -> bool:
+        """Whether any byte of another set is included."""
+        return any(s < end and start < e for s, e in self.spans for start, end in other.spans)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from postfx.runtime.tensor import Tensor
 
 if TYPE_CHECKING:
-    from postfx.runtime.arguments import Arguments
+    from postfx.runtime.states import Arguments
 
 STAGES = ("compute", "machine-learning")
 """Stages of the queue: compute kernels and networks."""

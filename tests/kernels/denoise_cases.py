@@ -31,7 +31,7 @@ from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
 from postfx.kernels.resample import RESAMPLE, positions
 from postfx.passes._denoise_window import Sizes, Window
 from postfx.runtime import ArgumentTable, Device
-from postfx.runtime.shapes import parse
+from postfx.runtime.states import parse
 
 KERNELS = (
     denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_history.HISTORY, denoise_features.FEATURE,

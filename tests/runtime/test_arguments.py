@@ -5,7 +5,7 @@ import pytest
 
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import ArgumentTable, BindingError, Device, EncodingError, HazardError
-from postfx.runtime.shapes import could_match, solve
+from postfx.runtime.states import could_match, solve
 from tests import toys
 
 

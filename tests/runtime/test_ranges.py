@@ -2,7 +2,7 @@
 
 import random
 
-from postfx.runtime.ranges import Ranges
+from postfx.runtime.memory import Ranges
 
 
 def test_random_operations_match_a_set_of_bytes():

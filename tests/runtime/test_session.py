@@ -6,7 +6,7 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from postfx.runtime import Device, Library, ModelError, optimised
+from postfx.runtime import Device, Library, ModelError, session
 from postfx.system import models_dir
 
 WINDOW = {"height": 16, "width": 32}
@@ -25,25 +25,25 @@ def made(model: bytes, dims: dict[str, int]) -> ort.InferenceSession:
             found.add_free_dimension_override_by_name(name, size)
         return found
 
-    return optimised.make_session(model, dims, options)
+    return session.make_session(model, dims, options)
 
 
 def content(name: str = "denoise_upscale.s") -> bytes:
     return (models_dir() / f"{name}.onnx").read_bytes()
 
 
-def results(session: ort.InferenceSession) -> list[np.ndarray]:
+def results(ready: ort.InferenceSession) -> list[np.ndarray]:
     random = np.random.default_rng(0)
-    return session.run(None, {value.name: random.random(value.shape, np.float32) for value in session.get_inputs()})
+    return ready.run(None, {value.name: random.random(value.shape, np.float32) for value in ready.get_inputs()})
 
 
 @pytest.mark.parametrize("name", ["denoise_upscale.s", "tonemap.agx", "tonemap.auto"])
 def test_same_bits_from_the_file(folder, name, monkeypatch):
     anew = results(made(content(name), WINDOW))
-    monkeypatch.setattr(optimised, "_kept_anew", lambda *_: pytest.fail("it is not kept"))
+    monkeypatch.setattr(session, "_optimise", lambda *_: pytest.fail("it is not kept"))
     for one, other in zip(results(made(content(name), WINDOW)), anew, strict=True):
         np.testing.assert_array_equal(one, other)
-    monkeypatch.setattr(optimised, "private_folder", lambda _: None)
+    monkeypatch.setattr(session, "private_folder", lambda _: None)
     for one, other in zip(results(made(content(name), WINDOW)), anew, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -57,7 +57,7 @@ def test_file_for_all_that_it_depends_on(folder, monkeypatch):
     assert len(list(folder.iterdir())) == 3
     monkeypatch.setattr(ort, "__version__", "another")
     made(content(), WINDOW)
-    monkeypatch.setattr(optimised, "_processor", lambda: "another")
+    monkeypatch.setattr(session, "_processor", lambda: "another")
     made(content(), WINDOW)
     assert len(list(folder.iterdir())) == 5
 
@@ -74,12 +74,12 @@ def test_damaged_file_is_made_anew(folder, damage, monkeypatch):
     for one, other in zip(results(made(content(), WINDOW)), wanted, strict=True):
         np.testing.assert_array_equal(one, other)
     assert list(folder.iterdir()) == [file]
-    monkeypatch.setattr(optimised, "_kept_anew", lambda *_: pytest.fail("it is not kept"))
+    monkeypatch.setattr(session, "_optimise", lambda *_: pytest.fail("it is not kept"))
     made(content(), WINDOW)
 
 
 def test_large_models_are_not_kept(folder, monkeypatch):
-    monkeypatch.setattr(optimised, "LARGEST", len(content()) - 1)
+    monkeypatch.setattr(session, "LARGEST_MODEL", len(content()) - 1)
     assert results(made(content(), WINDOW)) and not folder.exists()
 
 
@@ -95,14 +95,14 @@ def test_full_disk_is_no_harm(folder, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(optimised, "atomic_file", full)
+    monkeypatch.setattr(session, "atomic_file", full)
     assert results(made(content(), WINDOW)) and not list(folder.iterdir())
 
 
 def test_last_used_files_are_kept(folder, monkeypatch):
     made(content(), WINDOW)
     (file,) = folder.iterdir()
-    monkeypatch.setattr(optimised, "MOST", 3 * file.stat().st_size)
+    monkeypatch.setattr(session, "MOST_BYTES", 3 * file.stat().st_size)
     for width in (48, 64, 80, 96):
         made(content(), {"height": 16, "width": width})
     kept = list(folder.iterdir())
