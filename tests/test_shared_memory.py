@@ -15,8 +15,8 @@ from postfx.frame import GUIDE_ROLES, ROLES, Frame, Role
 from postfx.report.bisect import compare
 from postfx.report.capture_page import write_capture
 from postfx.runtime import Device
+from postfx.runtime.device import ProviderMemory
 from postfx.runtime.heap import Heap
-from postfx.runtime.provider_memory import ProviderMemory
 from postfx.runtime.session import Placement
 from tests import toys
 

@@ -12,7 +12,7 @@ from postfx.files import parse_json, read_text
 from postfx.report.dependencies import edges
 from postfx.report.plain import finite_or_text
 from postfx.runtime.capture import Capture
-from postfx.runtime.captured import (
+from postfx.runtime.snapshot import (
     CapturedBarrier,
     CapturedBuffer,
     CapturedDispatch,

@@ -13,8 +13,7 @@ from postfx.report.networks import describe
 from postfx.report.page import page
 from postfx.report.pictures import picture, sheet
 from postfx.runtime.capture import Capture
-from postfx.runtime.captured import CapturedDispatch, CapturedValue
-from postfx.runtime.snapshot import Snapshot
+from postfx.runtime.snapshot import CapturedDispatch, CapturedValue, Snapshot
 
 PAGE = "capture.html"
 SCRIPTS = ("capture_graph.js", "network_layout.js", "network_graph.js", "network_rows.js",

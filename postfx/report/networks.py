@@ -12,7 +12,7 @@ import numpy as np
 from postfx.errors import CaptureError, ModelError
 from postfx.report.network_blocks import Node, blocks
 from postfx.report.plain import finite_or_text
-from postfx.runtime.onnx_files import constant_nodes, load_graph, reads
+from postfx.runtime.capture_network import constant_nodes, load_graph, reads
 from postfx.runtime.snapshot import statistics
 
 if TYPE_CHECKING:

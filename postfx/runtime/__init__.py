@@ -11,11 +11,10 @@ from postfx.errors import (
     ModelError,
 )
 from postfx.runtime.capture import Capture
-from postfx.runtime.commands import CommandBuffer
+from postfx.runtime.commands import CommandBuffer, ComputeEncoder, MachineLearningEncoder
 from postfx.runtime.device import Device
-from postfx.runtime.encoders import ComputeEncoder, MachineLearningEncoder
 from postfx.runtime.heap import Heap
-from postfx.runtime.library import Library
+from postfx.runtime.models import Library
 from postfx.runtime.states import ArgumentTable, Binding, CompiledComputeState, PipelineState, PortableComputeState
 from postfx.runtime.tensor import Tensor, TensorState
 

@@ -14,13 +14,22 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from postfx.errors import CaptureError, CommandError
-from postfx.runtime.captured import CapturedBarrier, CapturedBuffer, CapturedDispatch, CapturedTensor
+from postfx.runtime.capture_network import look_inside, require_onnx
 from postfx.runtime.memory import Ranges
-from postfx.runtime.network_capture import look_inside
-from postfx.runtime.onnx_files import require_onnx
 from postfx.runtime.records import ConsumerBarrier, Dispatch, EncoderBarrier, Record
 from postfx.runtime.session import first_line
-from postfx.runtime.snapshot import MOST_SLICES, NODE_PICTURES, Pictures, Snapshot, content, take
+from postfx.runtime.snapshot import (
+    MOST_SLICES,
+    NODE_PICTURES,
+    CapturedBarrier,
+    CapturedBuffer,
+    CapturedDispatch,
+    CapturedTensor,
+    Pictures,
+    Snapshot,
+    content,
+    take,
+)
 from postfx.runtime.tensor import Tensor
 
 if TYPE_CHECKING:

@@ -1,37 +1,36 @@
-"""The device: memory, threads, queue, and the states that run on it."""
+"""The device: memory, threads, queue, and the states that run on it; how a name picks provider and memory."""
 
 from __future__ import annotations
 
 import itertools
 import os
+import re
 import threading
+import warnings
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import onnxruntime as ort
 
-from postfx.errors import BindingError, DeviceError, ModelError
-from postfx.runtime.bands import Helpers
+from postfx.errors import BindingError, DeviceError, ModelError, PostfxError
 from postfx.runtime.capture import Capture
-from postfx.runtime.commands import CommandBuffer
+from postfx.runtime.commands import CommandBuffer, wait_for_all
 from postfx.runtime.cuda import CudaMemory, has_source
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
-from postfx.runtime.library import Library
-from postfx.runtime.memory import HostMemory, Memory, address
-from postfx.runtime.placement import choose
-from postfx.runtime.queue import CommandQueue
-from postfx.runtime.session import Session
+from postfx.runtime.memory import HostMemory, Immediate, Memory, address
+from postfx.runtime.models import Library
+from postfx.runtime.session import Placement, Session, first_line
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import Allocation, Tensor
-from postfx.runtime.waiting import wait_for_all
+from postfx.runtime.threads import CommandQueue, Helpers
 from postfx.system import Scratch, models_dir, usable_cores
 
 if TYPE_CHECKING:
     from postfx.kernels.kernel import Kernel
-
 
 class Device:
     """Where passes run.
@@ -228,3 +227,87 @@ def _check_portable(kernel: Kernel, session: Session) -> None:
 
 def _text(values: list[tuple[str, str]]) -> str:
     return ", ".join(f"{name} {dtype}" for name, dtype in values)
+
+
+_NAME = re.compile(r"(auto|cpu|cuda)(?::(\d+))?")
+
+
+def choose(name: str, threads: int, graphs: bool = True) -> tuple[Placement, Memory]:
+    """Placement and memory of 'cpu', 'cuda', 'cuda:1' or 'auto'. Raises DeviceError when it is not available."""
+    match = _NAME.fullmatch(name)
+    if match is None or (match[2] and match[1] != "cuda"):
+        raise DeviceError(f"no device '{name}': use auto, cpu, cuda or cuda:N")
+    index = int(match[2] or 0)
+    fault = None if match[1] == "cpu" else cuda_fault(index)
+    if match[1] == "cuda" and fault:
+        raise DeviceError(f"device '{name}' is not available: {fault}")
+    if match[1] == "cpu" or fault:
+        return Placement("CPUExecutionProvider", "cpu", 0, threads), HostMemory()
+    try:
+        memory = CudaMemory(index, graphs)
+    except DeviceError:
+        placement = Placement("CUDAExecutionProvider", "cuda", index, threads)
+        return placement, ProviderMemory(placement)
+    return Placement("CUDAExecutionProvider", "cuda", index, threads, memory.stream), memory
+
+
+@cache
+def cuda_fault(index: int) -> str | None:
+    """Why CUDA device `index` cannot be used, or None when a copy to it and back works."""
+    if "CUDAExecutionProvider" not in ort.get_available_providers():
+        return "this onnxruntime has no CUDA provider; install it by pip install 'postfx[cuda]'"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            getattr(ort, "preload_dlls", lambda: None)()  # since 1.21: CUDA libraries that came by pip
+            ProviderMemory(Placement("CUDAExecutionProvider", "cuda", index, 1)).check()
+    except (PostfxError, RuntimeError, OSError) as error:
+        return first_line(error)
+    return None
+
+
+_COPY = Path(__file__).with_name("copy.onnx")
+
+
+class ProviderChunk:
+    """A chunk that ONNX Runtime allocated on the provider's device."""
+
+    def __init__(self, placement: Placement, nbytes: int) -> None:
+        self._value = ort.OrtValue.ortvalue_from_shape_and_type([nbytes], np.uint8, placement.memory, placement.index)
+        self.pointer = self._value.data_ptr()
+        self.nbytes = nbytes
+
+
+class ProviderMemory(Immediate):
+    """Memory of `placement`. ONNX Runtime copies between devices where a session's inputs and outputs are bound, and
+    waits at the end of each run."""
+
+    host_visible = False
+
+    def __init__(self, placement: Placement) -> None:
+        self._placement = placement
+        self._copy = Session(_COPY.read_bytes(), "copy", placement, {})
+
+    def allocate(self, nbytes: int) -> ProviderChunk:
+        """A new chunk on the device."""
+        return ProviderChunk(self._placement, nbytes)
+
+    def write(self, pointer: int, array: np.ndarray) -> None:
+        """Copy a C-contiguous host array to the device."""
+        self._copy.copy_bytes(("cpu", 0, address(array)), self._here(pointer), array.nbytes)
+
+    def read(self, pointer: int, array: np.ndarray) -> None:
+        """Copy from the device into a C-contiguous host array."""
+        self._copy.copy_bytes(self._here(pointer), ("cpu", 0, address(array)), array.nbytes)
+
+    def check(self) -> None:
+        """Copy a few bytes to the device and back; DeviceError when they come back changed."""
+        sent, received = np.arange(64, dtype=np.uint8), np.zeros(64, np.uint8)
+        chunk = self.allocate(sent.nbytes)
+        self.write(chunk.pointer, sent)
+        self.read(chunk.pointer, received)
+        if not np.array_equal(sent, received):
+            raise DeviceError(f"a copy to {self._placement.memory} came back changed")
+
+    def _here(self, pointer: int) -> tuple[str, int, int]:
+        return self._placement.memory, self._placement.index, pointer

@@ -1,4 +1,4 @@
-"""Hazard checks at commit, and what commands do with memory now.
+"""Hazards: which dispatches barriers put in order, what commands need and leave behind, and what is refused at commit.
 
 The accesses checked are those of the tensors bound at dispatch, by the names and directions that the model file or
 the kernel itself declares, and memory is compared by address: nothing a caller says can hide an access.
@@ -8,20 +8,16 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
-from postfx.errors import CommandError
-from postfx.runtime import hazard_errors
-from postfx.runtime.footprint import Footprint, Need
+from postfx.errors import CommandError, HazardError
 from postfx.runtime.memory import Ranges
-from postfx.runtime.ordering import find_conflict
-from postfx.runtime.records import Dispatch
+from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.tensor import Allocation, Tensor, TensorState, Use
 
 if TYPE_CHECKING:
     from postfx.runtime.commands import CommandBuffer
-
 
 class Hazards:
     """What is in flight on one device. A buffer is in flight from commit until the host waited for it or a later one.
@@ -127,16 +123,16 @@ class Hazards:
     def _check_content(self, footprint: Footprint) -> None:
         for allocation, (tensor, dispatch) in footprint.users.items():
             if allocation.released:
-                raise hazard_errors.released(tensor, dispatch)
+                raise _released_error(tensor, dispatch)
         for need in footprint.needs.values():
             self._check_need(need, footprint)
 
     def _check_need(self, need: Need, footprint: Footprint) -> None:
         allocation = need.tensor.allocation
         if not allocation.written.includes(need.missing):
-            raise hazard_errors.undefined(need, footprint.dispatches)
+            raise _undefined_error(need, footprint.dispatches)
         if allocation.lost and (failed := self._failure(allocation, need.missing)):
-            raise hazard_errors.lost(need, failed)
+            raise _lost_error(need, failed)
 
     def _check_order(self, commands: CommandBuffer, footprint: Footprint) -> None:
         if footprint.ordered and not self._flying:
@@ -144,7 +140,7 @@ class Hazards:
         conflict = find_conflict([buffer.footprint() for buffer in self._flying], footprint)
         if conflict is not None:
             dispatches = list(_dispatches([*self._flying, commands]))
-            raise hazard_errors.conflict(conflict, dispatches[conflict.first], dispatches[conflict.second])
+            raise _conflict_error(conflict, dispatches[conflict.first], dispatches[conflict.second])
         footprint.ordered = True
 
 
@@ -158,3 +154,289 @@ def _uses(tensors: Iterable[Tensor], tensor: Tensor) -> bool:
 
 def _use(commands: CommandBuffer, dispatch: Dispatch) -> Use:
     return Use(dispatch.label, dispatch.command, commands.label)
+
+
+class Need(NamedTuple):
+    """Bytes of an allocation that a dispatch reads and that none of the commands before it wrote."""
+
+    dispatch: Dispatch
+    tensor: Tensor
+    missing: Ranges
+
+
+class Span(NamedTuple):
+    """A byte range of device memory, and which dispatches write it or access it at all: bit masks of their indices."""
+
+    start: int
+    end: int
+    writers: int
+    users: int
+
+
+class Footprint:
+    """The accesses of one command buffer's records.
+
+    Attributes:
+        records: dispatches and barriers, in order.
+        dispatches: the dispatches, in order.
+        users: every allocation, with the first tensor and dispatch that use it.
+        needs: what has to hold data before the commands run, by allocation and byte range of the tensor.
+        writes: what holds data afterwards.
+        spans: the byte ranges that the dispatches' tensors take, each once.
+        ordered: whether a search found every conflict among these commands ordered; that stays true.
+    """
+
+    def __init__(self, records: Sequence[Record]) -> None:
+        self.records = records
+        self.dispatches = [record for record in records if isinstance(record, Dispatch)]
+        self.users: dict[Allocation, tuple[Tensor, Dispatch]] = {}
+        self.needs: dict[tuple[Allocation, tuple[int, int]], Need] = {}
+        self.writes: dict[Allocation, Ranges] = {}
+        self.spans = _spans(self.dispatches)
+        self.ordered = False
+        for dispatch in self.dispatches:
+            for tensor in dispatch.reads:
+                self.users.setdefault(tensor.allocation, (tensor, dispatch))
+                self._read(dispatch, tensor)
+            for tensor in dispatch.writes:
+                self.users.setdefault(tensor.allocation, (tensor, dispatch))
+                self._write(tensor)
+
+    def _read(self, dispatch: Dispatch, tensor: Tensor) -> None:
+        allocation, span = tensor.allocation, tensor.span()
+        written = self.writes.get(allocation)
+        if not tensor.nbytes or (allocation, span) in self.needs or (written is not None and written.covers(*span)):
+            return
+        missing = Ranges((span,))
+        if written is not None:
+            missing.subtract(written)
+        self.needs[allocation, span] = Need(dispatch, tensor, missing)
+
+    def _write(self, tensor: Tensor) -> None:
+        if not tensor.nbytes:
+            return
+        written = self.writes.get(tensor.allocation)
+        if written is None:
+            self.writes[tensor.allocation] = Ranges((tensor.span(),))
+        else:
+            written.add(*tensor.span())
+
+
+def _spans(dispatches: Iterable[Dispatch]) -> list[Span]:
+    writers: dict[tuple[int, int], int] = {}
+    users: dict[tuple[int, int], int] = {}
+    for index, dispatch in enumerate(dispatches):
+        bit = 1 << index
+        for tensor in dispatch.reads:
+            span = tensor.start, tensor.end
+            users[span] = users.get(span, 0) | bit
+        for tensor in dispatch.writes:
+            span = tensor.start, tensor.end
+            users[span] = users.get(span, 0) | bit
+            writers[span] = writers.get(span, 0) | bit
+    return [Span(start, end, writers.get((start, end), 0), mask) for (start, end), mask in users.items() if start < end]
+
+
+class Conflict(NamedTuple):
+    """Two dispatches, by their index, that touch the same bytes in no certain order; at least one writes them."""
+
+    first: int
+    second: int
+    kind: str
+    tensor: Tensor
+
+
+def predecessors(records: Iterable[Record]) -> list[int]:
+    """For every dispatch, in order, the set of dispatches that barriers put before it, as a bit mask of indices.
+
+    A barrier orders two dispatches when one lies in its first scope and the other in its second; the order is
+    transitive.
+    """
+    result: list[int] = []
+    finished = dict.fromkeys(STAGES, 0)   # dispatches of earlier encoders by stage, with all that comes before them
+    waits = dict.fromkeys(STAGES, 0)      # what every dispatch of the stage comes after from here on
+    later = dict.fromkeys(STAGES, 0)      # what it comes after from the next encoder on
+    encoder, current, inner, stage = -1, 0, 0, STAGES[0]
+    for record in records:
+        if record.encoder != encoder:
+            finished[stage] |= current
+            waits = {name: waits[name] | later[name] for name in STAGES}
+            encoder, current, inner = record.encoder, 0, 0
+        if isinstance(record, Dispatch):
+            stage = record.stage
+            before = waits[stage] | inner
+            current |= before | 1 << len(result)
+            result.append(before)
+        elif isinstance(record, EncoderBarrier):
+            inner |= current
+        elif isinstance(record, ConsumerBarrier):
+            _order(finished, record, waits)
+        elif isinstance(record, ProducerBarrier):
+            _order(finished | {stage: finished[stage] | current}, record, later)
+    return result
+
+
+def _order(done: dict[str, int], barrier: ConsumerBarrier | ProducerBarrier, waits: dict[str, int]) -> None:
+    """Let the barrier's second scope wait for what is done of its first."""
+    mask = 0
+    for name in barrier.after:
+        mask |= done[name]
+    for name in barrier.before:
+        waits[name] |= mask
+
+
+def find_conflict(earlier: Sequence[Footprint], new: Footprint) -> Conflict | None:
+    """The first conflict of new commands with each other or with earlier ones, which were checked before.
+
+    Commands that are `ordered` are not compared with each other again: barriers recorded elsewhere change nothing
+    among them. Indices in the result count the dispatches of all earlier commands, then those of the new ones.
+    """
+    first_new = sum(len(part.dispatches) for part in earlier)
+    suspects = _suspects(earlier, new, first_new)
+    if not any(suspects):
+        return None
+    parts = (*earlier, new)
+    before = predecessors(record for part in parts for record in part.records)
+    for index, others in enumerate(suspects, first_new):
+        if unordered := others & ~before[index]:
+            return _conflict([item for part in parts for item in part.dispatches], _lowest(unordered), index)
+    return None
+
+
+def _suspects(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> list[int]:
+    """For each new dispatch, the dispatches before it that share a byte with it which one of the two writes."""
+    near = _near(earlier, new, first_new)
+    result = []
+    for index, dispatch in enumerate(new.dispatches, first_new):
+        others = 0
+        for tensor in dispatch.reads:
+            others |= near.get((tensor.start, tensor.end), _NOBODY)[0]
+        for tensor in dispatch.writes:
+            others |= near.get((tensor.start, tensor.end), _NOBODY)[1]
+        result.append(others & (1 << index) - 1)
+    return result
+
+
+_NOBODY = (0, 0)
+
+
+def _near(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> dict[tuple[int, int], tuple[int, int]]:
+    """For the byte ranges of new commands, who writes and who uses any byte of them, as far as it is to be compared."""
+    spans: list[tuple[Span, bool]] = []
+    shift = 0
+    for part in earlier:
+        spans += [(_shifted(span, shift), False) for span in part.spans]
+        shift += len(part.dispatches)
+    for span in new.spans:
+        spans.append((Span(span.start, span.end, 0, 0) if new.ordered else _shifted(span, first_new), True))
+    result = {}
+    for group in _overlapping(spans):
+        for target, is_new in group:
+            if is_new:
+                result[target[:2]] = _union([s for s, _ in group if s.start < target.end and target.start < s.end])
+    return result
+
+
+def _shifted(span: Span, count: int) -> Span:
+    return Span(span.start, span.end, span.writers << count, span.users << count)
+
+
+def _overlapping(spans: list[tuple[Span, bool]]) -> Iterator[list[tuple[Span, bool]]]:
+    """Byte ranges in groups that share no byte with each other; most groups are one tensor's."""
+    group: list[tuple[Span, bool]] = []
+    end = 0
+    for item in sorted(spans):
+        if group and item[0].start >= end:
+            yield group
+            group = []
+        end = max(end, item[0].end) if group else item[0].end
+        group.append(item)
+    if group:
+        yield group
+
+
+def _union(spans: Iterable[Span]) -> tuple[int, int]:
+    writers = users = 0
+    for span in spans:
+        writers |= span.writers
+        users |= span.users
+    return writers, users
+
+
+def _lowest(mask: int) -> int:
+    return (mask & -mask).bit_length() - 1
+
+
+def _conflict(dispatches: Sequence[Dispatch], first: int, second: int) -> Conflict:
+    """What two unordered dispatches do to the same bytes."""
+    one, two = dispatches[first], dispatches[second]
+    kinds = (
+        ("read after write", one.writes, two.reads),
+        ("write after read", one.reads, two.writes),
+        ("write after write", one.writes, two.writes),
+    )
+    return next(
+        Conflict(first, second, kind, tensor)
+        for kind, earlier, later in kinds
+        for tensor in later
+        if any(tensor.overlaps(other) for other in earlier)
+    )
+
+
+def check_dispatch(dispatch: Dispatch) -> None:
+    """HazardError when one dispatch reads and writes, or writes twice, the same memory."""
+    for index, written in enumerate(dispatch.writes):
+        for other in (*dispatch.reads, *dispatch.writes[:index]):
+            if written.overlaps(other):
+                pair = f"'{other.name}' and '{written.name}'" if other.name != written.name else f"'{written.name}'"
+                message = f"{dispatch} has {pair} on the same memory, one of them written: bind separate tensors"
+                raise HazardError(message, "aliasing", written.name, None, dispatch.label)
+
+
+def _released_error(tensor: Tensor, dispatch: Dispatch) -> HazardError:
+    """A dispatch uses a tensor whose memory was given back."""
+    message = f"{dispatch} uses '{tensor.name}', which was released before commit: record it with a new tensor"
+    return HazardError(message, "released", tensor.name, None, dispatch.label)
+
+
+def _undefined_error(need: Need, dispatches: list[Dispatch]) -> HazardError:
+    """A dispatch reads what nothing wrote before, though perhaps one of `dispatches` does so later."""
+    name, label = need.tensor.name, need.dispatch.label
+    later = dispatches[dispatches.index(need.dispatch) + 1:]
+    writer = next((item for item in later if any(need.tensor.overlaps(other) for other in item.writes)), None)
+    mend = f"only {writer} writes it, later: record it first" if writer else "upload to it, or write it by a command"
+    what = f"'{name}', which nothing wrote before"
+    if need.tensor.allocation.transient:
+        what = f"transient '{name}', which nothing in this command buffer wrote before"
+        mend = mend if writer else "write it by a command, or make what is kept from buffer to buffer by heap.tensor"
+    message = f"read before write: {need.dispatch} reads {what}: {mend}"
+    return HazardError(message, "read before write", name, writer.label if writer else None, label)
+
+
+def _lost_error(need: Need, failed: CommandError) -> HazardError:
+    """A dispatch reads what a failed command should have written."""
+    name = need.tensor.name
+    mend = f"commit that again, or upload to '{name}'"
+    message = f"read before write: {need.dispatch} reads '{name}', but {failed}: {mend}"
+    return HazardError(message, "read before write", name, failed.label, need.dispatch.label)
+
+
+def _conflict_error(
+    found: Conflict, first: tuple[CommandBuffer, Dispatch], second: tuple[CommandBuffer, Dispatch]
+) -> HazardError:
+    """Two dispatches, each with its buffer, touch the same memory in no certain order."""
+    (one_buffer, one), (two_buffer, two) = first, second
+    same = one_buffer is two_buffer
+    does, did = ("writes" if word == "write" else "reads" for word in found.kind.split(" after "))
+    earlier = str(one) if same else f"{one} of '{one_buffer.label}'"
+    later = str(two) if same else f"{two} of '{two_buffer.label}'"
+    name = found.tensor.name
+    what = f"{later} {does} '{name}', which {earlier} {did}, in no certain order"
+    return HazardError(f"{found.kind}: {what}: record {_mend(one, two)}", found.kind, name, one.label, two.label)
+
+
+def _mend(one: Dispatch, two: Dispatch) -> str:
+    if one.encoder == two.encoder:
+        return f"barrier() between them in '{two.label}'"
+    consumer = f"barrier(after='{one.stage}', before='{two.stage}') in '{two.label}' before it"
+    return f"{consumer}, or barrier(after='{one.stage}', before_queue='{two.stage}') in '{one.label}' after it"

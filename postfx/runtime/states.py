@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from postfx.errors import BindingError
-from postfx.runtime.bands import Band
 from postfx.runtime.session import Session
 from postfx.runtime.tensor import Allocation, Tensor
+from postfx.runtime.threads import Band
 
 if TYPE_CHECKING:
     from postfx.kernels.kernel import Kernel

@@ -17,7 +17,7 @@ import atheris
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 WATCHED = ["postfx.io", "postfx.masks", "postfx.cli.cuts", "postfx.system", "postfx.files", "postfx.runs",
-           "postfx.passes._tonemap_look", "postfx.runtime.library", "postfx.runtime.model_check",
+           "postfx.passes._tonemap_look", "postfx.runtime.models",
            "postfx.runtime.model_file", "postfx.runtime.wire"]
 
 KERNELS = Path(__file__).resolve().parents[2] / "postfx/kernels"

@@ -11,8 +11,8 @@ import pytest
 from onnx import helper, numpy_helper
 
 from postfx.runtime import Library, ModelError
-from postfx.runtime.model_check import MOST_BYTES, OPERATORS, check_model
 from postfx.runtime.model_file import MOST_PARTS
+from postfx.runtime.models import MOST_BYTES, OPERATORS, check_model
 from postfx.system import models_dir
 from tests.reliability.model_files import model_of, outside
 

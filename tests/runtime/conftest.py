@@ -7,7 +7,7 @@ import pytest
 
 import postfx.runtime.device as device_module
 from postfx.runtime import ArgumentTable, Device, Library, PipelineState
-from postfx.runtime.provider_memory import ProviderMemory
+from postfx.runtime.device import ProviderMemory
 from postfx.runtime.session import Placement
 from tests import toys
 from tests.runtime.chain import Chain

@@ -5,8 +5,7 @@ import pytest
 
 from postfx.pipeline import Pipeline
 from postfx.runtime import ArgumentTable, CaptureError, CommandError, Device
-from postfx.runtime.captured import CapturedBarrier
-from postfx.runtime.snapshot import PICTURE_WIDTH, as_planes, statistics
+from postfx.runtime.snapshot import PICTURE_WIDTH, CapturedBarrier, as_planes, statistics
 from tests import toys
 
 

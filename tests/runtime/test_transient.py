@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.runtime import ArgumentTable, BindingError, HazardError, arena
-from postfx.runtime.memory_plan import Plan
+from postfx.runtime.arena import Plan
 from tests import toys
 from tests.runtime.chain import Chain, shared, spans
 

@@ -6,9 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from postfx.runtime import DeviceError, cuda_graphs
-from postfx.runtime.cuda import CudaMemory
-from postfx.runtime.cuda_graphs import MOST, CudaGraphs, Event
+from postfx.runtime import DeviceError, cuda
+from postfx.runtime.cuda import MOST, CudaGraphs, CudaMemory, Event
 from postfx.runtime.memory import Memory
 
 STREAM = 77
@@ -42,7 +41,7 @@ class Driver:
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
     played = Driver()
-    monkeypatch.setattr(cuda_graphs, "driver", lambda: played)
+    monkeypatch.setattr(cuda, "driver", lambda: played)
     return played
 
 

@@ -7,8 +7,7 @@ import random
 
 import pytest
 
-from postfx.runtime.footprint import Footprint
-from postfx.runtime.ordering import find_conflict, predecessors
+from postfx.runtime.hazards import Footprint, find_conflict, predecessors
 from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
 from postfx.runtime.tensor import Tensor
 

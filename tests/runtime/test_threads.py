@@ -8,9 +8,9 @@ import time
 import numpy as np
 import pytest
 
-from postfx.kernels import spinning
 from postfx.kernels.numeric import compiled
-from postfx.runtime.bands import LOOK, Band, Helpers
+from postfx.runtime import threads
+from postfx.runtime.threads import LOOK, Band, Helpers
 
 
 @compiled
@@ -85,11 +85,11 @@ def test_a_helper_that_is_not_called_goes() -> None:
     helpers, counts = Helpers(1), np.zeros(8)
     helpers.work(bands_of(count_rows, [0, 4, 8], counts))
     deadline = time.monotonic() + 10
-    while helpers._flags[0, 0] != spinning.AWAY and time.monotonic() < deadline:
+    while helpers._flags[0, 0] != threads.AWAY and time.monotonic() < deadline:
         time.sleep(0.01)
-    assert helpers._flags[0, 0] == spinning.AWAY
+    assert helpers._flags[0, 0] == threads.AWAY
 
 
 def test_pauses_are_counted_by_the_clock() -> None:
-    assert spinning.pauses_in(1e-9) == 1
-    assert 0.2 < spinning.pauses_in(1e-3) / (10 * spinning.pauses_in(1e-4)) < 5
+    assert threads.pauses_in(1e-9) == 1
+    assert 0.2 < threads.pauses_in(1e-3) / (10 * threads.pauses_in(1e-4)) < 5

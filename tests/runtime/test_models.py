@@ -10,7 +10,7 @@ import pytest
 from onnx import TensorProto, helper
 
 from postfx.runtime import ArgumentTable, Binding, Library, ModelError
-from postfx.runtime.onnx_files import constant_nodes
+from postfx.runtime.capture_network import constant_nodes
 from tests import toys
 
 
@@ -97,7 +97,7 @@ def test_sessions_share_one_arena_and_spin_only_while_they_run(device, library):
 
 
 def test_copy_model_is_one_identity_node():
-    from postfx.runtime.provider_memory import _COPY
+    from postfx.runtime.device import _COPY
 
     session = onnxruntime.InferenceSession(_COPY.read_bytes(), providers=["CPUExecutionProvider"])
     sent = np.arange(10, dtype=np.uint8)

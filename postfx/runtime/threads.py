@@ -1,0 +1,228 @@
+"""Threads of a device: one that runs committed work in order, and helpers for the rows of kernels.
+
+To wake a thread takes longer than many kernels do. So a helper that is done looks for its next band for some
+microseconds before it goes, without the interpreter's lock, and a thread that waits for helpers does the same. A flag
+tells threads of each other's work: one of ``AWAY``, ``WAITING`` and ``BUSY``, the first number of a row of ``flags``
+(n, LINE) of int64, so that rows do not share what a processor's cache holds at once.
+"""
+
+from __future__ import annotations
+
+import atexit
+import platform
+import queue
+import threading
+import time
+import weakref
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from postfx.kernels.numeric import compiled
+
+LOOK = 100e-6
+"""Seconds that a thread looks before it goes or sleeps: more than there are between two kernels."""
+DELAY = 5e-6
+"""Seconds after which a helper asks for the interpreter's lock: until then who gave it a band has let go of it."""
+NAP = 20e-6
+AWAY, WAITING, BUSY = range(3)
+LINE = 8
+SAMPLE = 2000
+PAUSES = {"x86_64": ("llvm.x86.sse2.pause", ()), "aarch64": ("llvm.aarch64.hint", (1,))}
+"""What tells a processor that a thread only waits: LLVM's name and its arguments."""
+
+Work = queue.SimpleQueue[Callable[[], None] | None]
+
+
+class CommandQueue:
+    """Runs functions one after the other on a thread of its own. The thread ends with the queue object."""
+
+    def __init__(self, name: str) -> None:
+        self._work: Work = queue.SimpleQueue()
+        thread = threading.Thread(target=_serve, args=(self._work,), name=name, daemon=True)
+        thread.start()
+        weakref.finalize(self, self._work.put, None).atexit = False
+        _threads[thread] = self._work
+
+    def submit(self, work: Callable[[], None]) -> None:
+        """Run `work` after everything submitted before."""
+        self._work.put(work)
+
+
+def _serve(work: Work) -> None:
+    while (item := work.get()) is not None:
+        item()
+        # A finished command buffer must not be kept alive until the next one arrives.
+        del item
+
+
+_threads: weakref.WeakKeyDictionary[threading.Thread, Work] = weakref.WeakKeyDictionary()
+
+
+@atexit.register
+def _end_all() -> None:
+    """A thread that the interpreter stops while it is inside of a library would abort the process."""
+    for thread, work in list(_threads.items()):
+        work.put(None)
+        thread.join()
+
+
+class Band(NamedTuple):
+    """Some rows of a kernel's work."""
+
+    rows: Callable[..., None]
+    first: int
+    last: int
+    arrays: Sequence[np.ndarray]
+
+    def work(self) -> None:
+        self.rows(self.first, self.last, *self.arrays)
+
+
+class Helpers:
+    """Up to `count` threads that work on bands beside the thread that calls, which is one at a time."""
+
+    def __init__(self, count: int) -> None:
+        self._pool = ThreadPoolExecutor(count, thread_name_prefix="postfx band")
+        self._flags = np.full((count, LINE), AWAY, np.int64)
+        self._bands: list[Band | None] = [None] * count
+        self._failures: list[BaseException | None] = [None] * count
+        self._looks, self._delay = pauses_in(LOOK), pauses_in(DELAY)
+
+    def work(self, bands: Sequence[Band]) -> None:
+        """Work on all bands, the first one in this thread; raises what one of them raised."""
+        own, *others = bands
+        handed = 0
+        try:
+            for i, band in enumerate(others):
+                self._hand(i, band)
+                handed += 1
+            own.work()
+        finally:
+            # The tensors must not be handed on while a band still writes them, whatever this band did.
+            failures = [self._failure(i) for i in range(handed)]
+        for failure in failures:
+            if failure is not None:
+                raise failure
+
+    def _hand(self, i: int, band: Band) -> None:
+        self._bands[i], self._failures[i] = band, None
+        if not is_taken(self._flags, i):
+            self._flags[i, 0] = BUSY
+            self._pool.submit(self._help, i)
+
+    def _failure(self, i: int) -> BaseException | None:
+        """What a helper's band raised, once it is done."""
+        while not is_done(self._flags, i, self._looks):
+            time.sleep(NAP)
+        return self._failures[i]
+
+    def _help(self, i: int) -> None:
+        called = True
+        while called:
+            try:
+                self._bands[i].work()
+            except BaseException as error:  # whatever it is, the waiting thread must learn of it
+                self._failures[i] = error
+            self._bands[i] = None
+            called = is_called(self._flags, i, self._looks, self._delay)
+
+
+@intrinsic
+def load_flag(typingctx, flags, i):
+    """The flag of row i, as other threads left it."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.load_atomic(_place(context, builder, signature, arguments), "seq_cst", LINE)
+
+    return types.int64(flags, i), generate
+
+
+@intrinsic
+def replace_flag(typingctx, flags, i, known, new):
+    """Set the flag of row i to `new` if it is `known`, in one step; whether it was."""
+
+    def generate(context, builder, signature, arguments):
+        place = _place(context, builder, signature, arguments)
+        found = builder.cmpxchg(place, arguments[2], arguments[3], "seq_cst", "seq_cst")
+        return builder.extract_value(found, 1)
+
+    return types.boolean(flags, i, types.int64, types.int64), generate
+
+
+@intrinsic
+def pause(typingctx):
+    """Let some moments pass."""
+
+    def generate(context, builder, signature, arguments):
+        name, given = PAUSES.get(platform.machine(), (None, ()))
+        if name:
+            kinds = [ir.IntType(32)] * len(given)
+            function = builder.module.declare_intrinsic(name, (), ir.FunctionType(ir.VoidType(), kinds))
+            builder.call(function, [kind(value) for kind, value in zip(kinds, given, strict=True)])
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+def _place(context, builder, signature, arguments):
+    flags = context.make_array(signature.args[0])(context, builder, arguments[0])
+    return builder.gep(flags.data, [builder.mul(arguments[1], arguments[1].type(LINE))])
+
+
+@compiled
+def pauses(count):
+    for _ in range(count):
+        pause()
+
+
+@compiled
+def is_taken(flags, i):
+    """Give a helper that waits its next band; False when it does not wait any more."""
+    return replace_flag(flags, i, WAITING, BUSY)
+
+
+@compiled
+def is_called(flags, i, looks, delay):
+    """Tell that a helper is done with its band, and look for the next one for a while.
+
+    True when there is one, after `delay` pauses, in which the thread that gave it can let go of the interpreter's lock;
+    False when the helper is away from now on.
+    """
+    replace_flag(flags, i, BUSY, WAITING)
+    for _ in range(looks):
+        if load_flag(flags, i) == BUSY:
+            pauses(delay)
+            return True
+        pause()
+    return not replace_flag(flags, i, WAITING, AWAY)
+
+
+@compiled
+def is_done(flags, i, looks):
+    """Look for a while whether a helper is done with its band."""
+    for _ in range(looks):
+        if load_flag(flags, i) != BUSY:
+            return True
+        pause()
+    return False
+
+
+@cache
+def pauses_in(seconds: float) -> int:
+    """About how many pauses this processor makes in a time, 1 at least."""
+    pauses(1)
+    least = min(_timed(SAMPLE) for _ in range(3))
+    return max(1, int(seconds * SAMPLE / least))
+
+
+def _timed(count: int) -> float:
+    begin = time.perf_counter()
+    pauses(count)
+    return time.perf_counter() - begin
