@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from postfx.io.sequence import Sequence, read_sequence
     from postfx.io.writer import write_frame
     from postfx.passes.both_ways import BothWays
-    from postfx.passes.denoise_upscale import DenoiseUpscale
+    from postfx.passes.denoise import DenoiseUpscale
     from postfx.passes.overlay import Overlay
     from postfx.passes.tonemap import ToneMap
     from postfx.pipeline import Pipeline
@@ -31,7 +31,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Backwards": "postfx.temporal",
     "BothWays": "postfx.passes.both_ways",
-    "DenoiseUpscale": "postfx.passes.denoise_upscale",
+    "DenoiseUpscale": "postfx.passes.denoise",
     "Device": "postfx.runtime",
     "Frame": "postfx.frame",
     "FrameSpec": "postfx.frame",

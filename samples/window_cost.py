@@ -1,4 +1,4 @@
-"""What windows of the denoised upscaler take beside their pixels: postfx.passes._denoise_layout counts on it.
+"""What windows of the denoised upscaler take beside their pixels: postfx.passes.denoise.tiling counts on it.
 
 python samples/window_cost.py [--width 960] [--height 540] [--runs 5] [--model m]
 
@@ -47,7 +47,7 @@ def measure(ways: list[tuple[postfx.Pipeline, postfx.Frame]], runs: int) -> list
 
 def windows_of(chain: postfx.Pipeline, frame: postfx.Frame) -> tuple[int, int]:
     """How many windows a frame was worked on in, and their render pixels."""
-    from postfx.passes._denoise_layout import active_cells
+    from postfx.passes.denoise.tiling import active_cells
 
     band = chain.passes[0]._ready.frames.layout(active_cells(frame[Role.STRENGTH]))
     pixels = sum(tile.window.rows * tile.window.columns for tile in band.tiles) if band else 0

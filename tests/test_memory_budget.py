@@ -10,9 +10,8 @@ import pytest
 
 from postfx import Device, Frame, Pipeline, Role
 from postfx.errors import MemoryBudgetError
-from postfx.passes._denoise_memory import bands_within
-from postfx.passes._denoise_window import Sizes
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.tiling import Sizes, bands_within
 from postfx.passes.tonemap import ToneMap
 from postfx.runtime import DeviceError, device
 from postfx.system import Scratch, parse_size

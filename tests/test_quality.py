@@ -20,8 +20,8 @@ from postfx.bench.metrics import SequenceScore, psnr, shown  # noqa: E402
 from postfx.bench.reconstruct import make  # noqa: E402
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
 from postfx.kernels.denoise_layout import KERNEL  # noqa: E402
-from postfx.passes import _denoise_graph  # noqa: E402
-from postfx.passes._denoise_models import UNSCALED, exact, parted  # noqa: E402
+from postfx.passes.denoise import models  # noqa: E402
+from postfx.passes.denoise.models import UNSCALED, exact, parted  # noqa: E402
 from postfx.runtime import Device, Library  # noqa: E402
 
 ROOM = Path(__file__).parent.parent / "samples" / "room"
@@ -126,7 +126,7 @@ class WithoutThoseFor1x(Library):
 @pytest.mark.parametrize("tag", FOR_1X)
 def test_at_1x_a_network_for_it_is_not_worse_than_the_plain_one(tag, monkeypatch):
     found = room_at_1x(tag)
-    monkeypatch.setattr(_denoise_graph, "Library", WithoutThoseFor1x)
+    monkeypatch.setattr(models, "Library", WithoutThoseFor1x)
     plain = room_at_1x(tag)
     assert found >= plain - SLACK_AT_1X, f"{tag} scores {found:.2f} dB at 1x, the plain network {plain:.2f} dB"
 
@@ -148,7 +148,7 @@ def test_wrong_weights_are_noticed(tmp_path, monkeypatch):
         values[:4 * KERNEL] = 0  # of each channel four phases
         weights.CopyFrom(onnx.numpy_helper.from_array(values, weights.name))
     onnx.save(model, tmp_path / "denoise_upscale.s.onnx")
-    monkeypatch.setattr(_denoise_graph, "Library", lambda: Library(tmp_path))
+    monkeypatch.setattr(models, "Library", lambda: Library(tmp_path))
     with pytest.raises(AssertionError, match="s scores .* dB, was"):
         check_room(room(OURS["s"]), "s")
 

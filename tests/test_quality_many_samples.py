@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 from postfx.bench.metrics import grey_exposure, psnr, shown  # noqa: E402
 from postfx.frame import Frame, Role  # noqa: E402
-from postfx.passes.denoise_upscale import DenoiseUpscale  # noqa: E402
+from postfx.passes.denoise import DenoiseUpscale  # noqa: E402
 from postfx.pipeline import Pipeline  # noqa: E402
 from postfx.runtime import Device  # noqa: E402
 

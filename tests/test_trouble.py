@@ -16,7 +16,7 @@ import pytest
 from postfx.errors import FrameError, MissingPlaneError
 from postfx.exposure import ExposureError
 from postfx.frame import Frame, Role
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, DeviceError, HazardError

@@ -19,7 +19,7 @@ from postfx.bench.report import ablations, compare, front, offered, write_csv
 from postfx.bench.worker import Task
 from postfx.errors import BenchError, WriteError
 from postfx.frame import Role
-from postfx.passes.denoise_upscale import ABSENT
+from postfx.passes.denoise.inputs import ABSENT
 from postfx.runtime import Device, Library
 
 LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"), ("matplotlib", "matplotlib"))

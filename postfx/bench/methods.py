@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from postfx.errors import BenchError
-from postfx.passes._denoise_models import PASS, UNSCALED
+from postfx.passes.denoise.models import PASS, UNSCALED
 
 GUIDES = "guides"
 PRECISIONS = {"fp32": ("cpu", "cuda"), "int8": ("cpu",), "fp16": ("cuda",)}

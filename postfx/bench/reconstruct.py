@@ -12,9 +12,9 @@ from postfx.bench.methods import Method
 from postfx.bench.oidn import Oidn
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
-from postfx.passes._denoise_models import exact
 from postfx.passes.both_ways import BothWays
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.models import exact
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from postfx.temporal import Backwards, RunUp

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from postfx.frame import Frame, Role
-from postfx.passes._denoise_models import GUIDED, PASS, UNSCALED, exact, parted
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.models import GUIDED, PASS, UNSCALED, exact, parted
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library

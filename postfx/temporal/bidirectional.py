@@ -14,7 +14,7 @@ from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import Frame, FrameSpec, GuideSpec, Role
 from postfx.io.prefetch import read_ahead, read_patiently
 from postfx.io.sequence import Sequence
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan
 from postfx.runtime import Device

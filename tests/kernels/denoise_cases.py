@@ -29,7 +29,7 @@ from postfx.kernels import (
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
 from postfx.kernels.resample import RESAMPLE, positions
-from postfx.passes._denoise_window import Sizes, Window
+from postfx.passes.denoise.tiling import Sizes, Window
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.states import parse
 

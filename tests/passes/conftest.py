@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from postfx.passes import _denoise_graph
+from postfx.passes.denoise import models
 from postfx.runtime import Library
 
 
@@ -31,5 +31,5 @@ def exported_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def small_models(exported_models: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The upscaler finds these models only."""
-    monkeypatch.setattr(_denoise_graph, "Library", lambda: Library(exported_models))
+    monkeypatch.setattr(models, "Library", lambda: Library(exported_models))
     return exported_models

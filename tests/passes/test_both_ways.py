@@ -7,7 +7,7 @@ import pytest
 
 from postfx.frame import Frame, Role
 from postfx.passes.both_ways import BothWays
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.plan import make_plan
 from postfx.runtime import Device

@@ -12,12 +12,11 @@ import pytest
 
 from postfx.errors import PassOptionError
 from postfx.frame import Frame, Role
-from postfx.passes import _denoise_graph
-from postfx.passes._denoise_frame import Frames
-from postfx.passes._denoise_layout import halo_of
-from postfx.passes._denoise_memory import seamless
-from postfx.passes._denoise_models import UNSCALED, model_of
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise import models as model_names
+from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.models import UNSCALED, model_of
+from postfx.passes.denoise.tiling import halo_of, seamless
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
 from postfx.system import models_dir
@@ -58,7 +57,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def models(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The upscaler finds these models only."""
-    monkeypatch.setattr(_denoise_graph, "Library", lambda: Library(folder))
+    monkeypatch.setattr(model_names, "Library", lambda: Library(folder))
     return folder
 
 
@@ -103,7 +102,7 @@ def test_guides_of_the_render_size_change_nothing() -> None:
     ("l.int8", True, "m.int8.1x"), ("mine", True, "mine.1x"), ("own", True, "own"),
 ])
 def test_it_has_the_precision_of_the_tag(tag: str, host: bool, model: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_denoise_graph, "Library", Named)
+    monkeypatch.setattr(model_names, "Library", Named)
     device = Device("cpu", threads=1)
     if not host:
         monkeypatch.setattr(device, "memory", Remote())

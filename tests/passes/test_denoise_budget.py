@@ -7,9 +7,9 @@ import pytest
 
 from postfx.errors import PassOptionError
 from postfx.frame import Role
-from postfx.passes._denoise_budget import Ladder, cost, family
-from postfx.passes._denoise_frame import Frames
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.models import Ladder, cost, family
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import noisy

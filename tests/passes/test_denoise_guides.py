@@ -11,8 +11,7 @@ import pytest
 
 from postfx.errors import GuideError, PassOptionError
 from postfx.frame import GUIDE_ROLES, Frame, Role
-from postfx.passes import _denoise_graph
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale, models
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
 from tests.passes.denoise_frames import flat, guided, noisy
@@ -149,7 +148,7 @@ def test_a_model_that_reads_no_guides_says_so_and_uses_them_for_missing_planes_o
     small_models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copy(small_models / "denoise_upscale.small.onnx", tmp_path)
-    monkeypatch.setattr(_denoise_graph, "Library", lambda: Library(tmp_path))
+    monkeypatch.setattr(models, "Library", lambda: Library(tmp_path))
     frame = guided(noisy(1), 74, 100)
     chain = pipeline()
     alone = pipeline()(replace(frame, guides={}, guide_size=None))[Role.COLOUR]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from postfx.frame import Role
-from postfx.passes._denoise_models import GUIDED, exact, model_of, parted
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.models import GUIDED, exact, model_of, parted
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import noisy

@@ -11,8 +11,8 @@ import pytest
 from postfx.errors import MissingPlaneError, PassOptionError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
-from postfx.passes._denoise_reactive import ReactiveOption, parse_reactive
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.options import ReactiveOption, parse_reactive
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import PLANES, guided, noisy

@@ -11,9 +11,9 @@ import pytest
 from postfx.frame import Frame, Role
 from postfx.integrate import pixel_positions, project
 from postfx.kernels.denoise_reflections import REFLECTIONS
-from postfx.passes._denoise_reflections import NO_CAMERA, NO_FIT, Camera, Cameras
 from postfx.passes.base import ResidentFrame
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.history import NO_CAMERA, NO_FIT, Camera, Cameras
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.kernels import host_cuda

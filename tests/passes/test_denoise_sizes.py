@@ -11,11 +11,11 @@ import pytest
 from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import Frame, Role
 from postfx.integrate import jitter_sequence
-from postfx.passes._denoise_frame import Frames
-from postfx.passes._denoise_history import CHANNELS, Room
-from postfx.passes._denoise_window import Sizes
 from postfx.passes.base import MOST_SIZES
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.history import CHANNELS, Room
+from postfx.passes.denoise.tiling import Sizes
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import PLANES, guided, noisy

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import Frame, Role
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import guided, noisy

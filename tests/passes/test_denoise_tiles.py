@@ -11,7 +11,7 @@ import pytest
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.masks import Threshold, strength_of_converged
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import flat, guided, noisy

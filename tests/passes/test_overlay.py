@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import Frame, Role
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.display import Display
 from postfx.passes.exposure_tool import ExposureTool
 from postfx.passes.overlay import Overlay

@@ -9,7 +9,7 @@ import onnxruntime
 import pytest
 
 from postfx.kernels.denoise_store import STORE
-from postfx.passes._denoise_network import CODING, PACKED, PRODUCTS, RING, SCALING, STORED
+from postfx.passes.denoise.network import CODING, PACKED, PRODUCTS, RING, SCALING, STORED
 from postfx.runtime import Device
 from postfx.system import models_dir
 from tests.stress.test_kernel_bounds import PAGE

@@ -10,7 +10,7 @@ import pytest
 from postfx.bench.host_kernels import HostKernels
 from postfx.frame import Frame, Role
 from postfx.kernels.denoise_assemble import ASSEMBLE
-from postfx.passes._denoise_window import GRID
+from postfx.passes.denoise.tiling import GRID
 from postfx.runtime import Device
 from tests.kernels import host_cuda
 from tests.passes.denoise_frames import noisy

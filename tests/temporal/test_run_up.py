@@ -11,7 +11,7 @@ import pytest
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
-from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

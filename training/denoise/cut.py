@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from postfx.passes._denoise_models import GUIDED, UNSCALED, parted
+from postfx.passes.denoise.models import GUIDED, UNSCALED, parted
 from training.denoise.dataset import Batch, collate, load, to_batch
 from training.denoise.export import card, export_trunk, load_trunk
 from training.denoise.model import LEVELS, DenoiseUpscale, Trunk, TrunkConfig, logits_of

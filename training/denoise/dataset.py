@@ -213,7 +213,7 @@ def _split(stacked: Tensor, planes: tuple[tuple[str, int], ...]) -> dict[str, Te
 # planes missing.
 
 NORMAL, MOTION = 9, 14  # first channels of these planes in a stack; inverse motion, if it is there, follows motion
-# What stands in for a plane that a file lacks; postfx/passes/denoise_upscale.py fills the same values.
+# What stands in for a plane that a file lacks; postfx/passes/denoise/inputs.py fills the same values.
 ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0, "motion": 0.0}
 # Planes that are missing together, and how often: renderers seldom write roughness.
 LOSSES = (

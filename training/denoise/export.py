@@ -33,8 +33,8 @@ from postfx.kernels import (
 )
 from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
 from postfx.kernels.resample import RESAMPLE
-from postfx.passes._denoise_models import GUIDED, UNSCALED, parted
-from postfx.passes._denoise_network import FEATURE_PARTS, PHASED_FINE
+from postfx.passes.denoise.models import GUIDED, UNSCALED, parted
+from postfx.passes.denoise.network import FEATURE_PARTS, PHASED_FINE
 from training.denoise.model import FINE, GUIDES, HIDDEN, KERNEL, PHASES, Trunk, TrunkConfig, stem
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.kernels import denoise as kernels

@@ -25,7 +25,7 @@ from onnx import GraphProto, NodeProto, TensorProto, helper, numpy_helper
 from postfx.kernels import denoise_half
 from postfx.kernels.denoise_half import width
 from postfx.kernels.denoise_open import OPEN_PHASED
-from postfx.passes._denoise_network import CHANNELS, FEATURE_PARTS, PACKED, PHASED_FINE, RAW
+from postfx.passes.denoise.network import CHANNELS, FEATURE_PARTS, PACKED, PHASED_FINE, RAW
 from postfx.runtime import Library
 from training.denoise.quantise import variant_name
 from training.export import MODELS, ParityError, relative_error, write_card

@@ -14,15 +14,7 @@ import numpy as np
 import onnx
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
-from postfx.passes._denoise_network import (
-    CODING,
-    FEATURE_PARTS,
-    PHASED_FINE,
-    PRODUCTS,
-    SCALING,
-    STORED,
-    stored_channels,
-)
+from postfx.passes.denoise.network import CODING, FEATURE_PARTS, PHASED_FINE, PRODUCTS, SCALING, STORED, stored_channels
 
 # Small steps of a graph ---------------------------------------------------------------------------------------------
 # Small steps that rewriting ONNX graphs is made of.

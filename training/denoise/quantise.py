@@ -25,7 +25,7 @@ from onnx import NodeProto
 import postfx
 from postfx.colour.curves import srgb_encode
 from postfx.frame import Frame, Role
-from postfx.passes._denoise_models import GUIDED, UNSCALED, exact, parted
+from postfx.passes.denoise.models import GUIDED, UNSCALED, exact, parted
 from postfx.runtime import Device, Library, PipelineState, Tensor
 from training.datagen.clip_file import GUIDES, PLANES, guide_depth, load_clip
 from training.denoise.int8 import (

@@ -189,7 +189,7 @@ def _pictures(view: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str
     import postfx
     from postfx.bench.oidn import Oidn
     from postfx.frame import Role
-    from postfx.passes._denoise_models import exact
+    from postfx.passes.denoise.models import exact
 
     frames = [postfx.Frame({Role(name): view[name][k] for name in PLANES}, exposure=None, samples=1)
               for k in range(len(view["colour"]))]

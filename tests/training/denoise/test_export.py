@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from postfx.kernels.denoise_open import OPEN_PHASED
-from postfx.passes._denoise_network import PHASED_FINE
+from postfx.passes.denoise.network import PHASED_FINE
 from postfx.runtime import Device, Library, ModelError
 from postfx.system import models_dir
 

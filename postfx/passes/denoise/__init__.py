@@ -13,20 +13,25 @@ import numpy as np
 from postfx.caching import LRUCache
 from postfx.errors import PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Role
-from postfx.passes._denoise_budget import Ladder, cost, family
-from postfx.passes._denoise_carried import carried_roles
-from postfx.passes._denoise_graph import has_model, name_models
-from postfx.passes._denoise_history import History
-from postfx.passes._denoise_layout import active_cells
-from postfx.passes._denoise_models import GUIDED, UNSCALED, checked_tag, model_of, unscaled_remarks
-from postfx.passes._denoise_planes import ABSENT
-from postfx.passes._denoise_reactive import parse_reactive
-from postfx.passes._denoise_ready import ReadyNetwork, ReadyPlain
-from postfx.passes._denoise_reflections import Cameras, can_follow
-from postfx.passes._denoise_size import Size, checked_scale, checked_size, output_size
-from postfx.passes._denoise_spared import Spared
-from postfx.passes._denoise_window import Sizes
 from postfx.passes.base import MOST_SIZES, Pass, Reflection, ResidentFrame
+from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain
+from postfx.passes.denoise.history import Cameras, History, can_follow
+from postfx.passes.denoise.inputs import ABSENT, carried_roles
+from postfx.passes.denoise.models import (
+    GUIDED,
+    UNSCALED,
+    Ladder,
+    checked_tag,
+    cost,
+    family,
+    has_model,
+    model_of,
+    name_models,
+    unscaled_remarks,
+)
+from postfx.passes.denoise.options import Size, checked_scale, checked_size, output_size, parse_reactive
+from postfx.passes.denoise.savings import Spared
+from postfx.passes.denoise.tiling import Sizes, active_cells
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 PLANES = tuple(ABSENT)

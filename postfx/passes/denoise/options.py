@@ -1,12 +1,13 @@
-"""How large the denoised upscaler's output is."""
+"""What the options of the denoised upscaler mean: the output's size, and how the reactive mask is made."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from postfx.errors import FrameError, GuideError, PassOptionError
-from postfx.frame import FrameSpec
+from postfx.frame import FrameSpec, Role
 
 LEAST, MOST, USUAL = 1.0, 3.0, 2.0
 ASPECT = 0.01
@@ -85,3 +86,62 @@ def _guided(spec: FrameSpec, scale: float | None, scaled: Size) -> Size:
         found = f"guides are {guides.width}x{guides.height}, the colour is {spec.width}x{spec.height}"
         raise GuideError(f"{guides.source or 'frame'}: {found}: {mend}")
     return Size(guides.height, guides.width)
+
+
+SOURCES = {"auto": (Role.REACTIVE, Role.OPAQUE_COLOUR), "plane": (Role.REACTIVE,),
+           "difference": (Role.OPAQUE_COLOUR,), "none": ()}
+"""Words of the option `reactive` -> planes that the mask is made of, best first."""
+
+
+@dataclass(frozen=True)
+class ReactiveOption:
+    """How the mask is made.
+
+    Attributes:
+        kind: one of `SOURCES`.
+        scale: of the difference of the two colours as they are seen, each within 0..1; the mask is held within 1.
+        threshold: below this difference the mask is 0.
+    """
+
+    kind: str
+    scale: float = 4.0
+    threshold: float = 0.05
+
+    def role(self, spec: FrameSpec) -> Role | None:
+        """The plane that the mask is made of; None where there is none, or no motion and therefore no history."""
+        found = [role for role in SOURCES[self.kind] if spec.has(role)]
+        return found[0] if found and spec.has(Role.MOTION) else None
+
+    def demanded(self) -> tuple[Role, ...]:
+        """The plane that the user asked for by name."""
+        return SOURCES[self.kind] if len(SOURCES[self.kind]) == 1 else ()
+
+    def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
+        """How the mask is made, for the user."""
+        role = self.role(spec)
+        if role is Role.OPAQUE_COLOUR:
+            return (f"reactive mask from the difference of colour and {role}: times {self.scale:g}, "
+                    f"0 below {self.threshold:g}",)
+        return (f"reactive mask from the plane '{role}'",) if role else ()
+
+
+def parse_reactive(text: str) -> ReactiveOption:
+    """Option of a text: auto, plane, difference or none, then scale= and threshold=, parted by commas.
+
+    'difference,scale=8,threshold=0.02' marks faint smoke, too. Raises PassOptionError for anything else.
+    """
+    kind, *pairs = [word.strip() for word in text.split(",")]
+    if kind not in SOURCES:
+        raise PassOptionError(f"reactive '{text}': begin with {', '.join(SOURCES)}")
+    numbers = {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        if name not in ("scale", "threshold"):
+            raise PassOptionError(f"reactive '{text}': unknown '{name}': use scale= or threshold=")
+        try:
+            numbers[name] = float(value)
+        except ValueError:
+            numbers[name] = -1.0
+        if not numbers[name] >= 0:
+            raise PassOptionError(f"reactive '{text}': '{pair}' needs a number from 0 on, e.g. {name}=0.1")
+    return ReactiveOption(kind, **numbers)

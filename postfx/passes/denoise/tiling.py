@@ -1,16 +1,151 @@
-"""Which windows of a frame are worked on: few, of one size, around what is active."""
+"""Which windows of a frame the networks work on: around what is active, or in tiles within a memory budget."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 
+from postfx.errors import MemoryBudgetError
 from postfx.kernels.cells import mark_positive
-from postfx.passes._denoise_window import Box, Rows, Sizes, Window, whole_steps
+from postfx.runtime import Tensor
+from postfx.system import PROCESS, Scratch
+
+LEVELS = 4
+"""Times that the filter pyramid halves its size."""
+GRID = 2**LEVELS
+"""What a network's input is a multiple of, if it computes all levels of the pyramid."""
+
+Rows = tuple[int, int]
+"""The first of some rows, and the one after the last."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Render and output size of a frame, and what rows and columns of its windows are multiples of."""
+
+    h: int
+    w: int
+    height: int
+    width: int
+    grid: int = GRID
+
+    def enlarged(self, rows: Rows) -> Rows:
+        """The output rows of some render rows."""
+        return rows[0] * self.height // self.h, rows[1] * self.height // self.h
+
+
+class Box(NamedTuple):
+    """Pixels of a picture: first row and column, and how many there are of each."""
+
+    top: int
+    left: int
+    rows: int
+    columns: int
+
+
+@dataclass(frozen=True)
+class Window:
+    """Rows and columns of a frame at render size, the first ones multiples of the frame's grid. It may end beyond the
+    frame; where it is less than the frame, its size is a multiple of the grid, too."""
+
+    frame: Sizes
+    top: int
+    left: int
+    rows: int
+    columns: int
+
+    @classmethod
+    def whole(cls, frame: Sizes) -> Window:
+        return cls(frame, 0, 0, frame.h, frame.w)
+
+    @cached_property
+    def out(self) -> Box:
+        """The same at output size: all pixels that the render pixels touch; as many for all windows of one size."""
+        frame, grid = self.frame, self.frame.grid
+        top, rows = _enlarged(self.top, self.rows, frame.h, frame.height, grid)
+        left, columns = _enlarged(self.left, self.columns, frame.w, frame.width, grid)
+        return Box(top, left, rows, columns)
+
+    @property
+    def padded(self) -> tuple[int, int]:
+        """Rows and columns that the network sees: the next multiples of the grid."""
+        return whole_steps(self.rows, self.frame.grid), whole_steps(self.columns, self.frame.grid)
+
+    def level(self, i: int) -> tuple[int, int]:
+        """Size of a pyramid level, whose cells lie where those of the whole frame do; the same for all windows of one
+        size, the last row and column may hold nothing."""
+        frame = self.frame
+        return tuple(max(-(-(first + count) >> i) - (first >> i) for first in _firsts(count, size, frame.grid))
+                     for count, size in zip(self.padded, (frame.h, frame.w), strict=True))
+
+    def area(self, i: int) -> np.ndarray:
+        """Rows and columns of a pyramid level that hold picture."""
+        ends = min(self.top + self.rows, self.frame.h), min(self.left + self.columns, self.frame.w)
+        firsts = self.top, self.left
+        return np.array([-(-end >> i) - (first >> i) for first, end in zip(firsts, ends, strict=True)], np.float32)
+
+    def finer(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """For each row and column of a pyramid level the first one of the finer level that it is made of; it may lie
+        before the window."""
+        return tuple(2 * np.arange(size, dtype=np.float32) - (first >> i - 1 & 1)
+                     for size, first in zip(self.level(i), (self.top, self.left), strict=True))
+
+    def coarser(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """For each row and column of a pyramid level that of the coarser level in which it lies."""
+        sides = zip(self.level(i), self.level(i + 1), (self.top, self.left), strict=True)
+        return tuple(np.minimum(np.arange(size) + (first >> i & 1) >> 1, coarse - 1).astype(np.float32)
+                     for size, coarse, first in sides)
+
+    def places(self) -> dict[str, np.ndarray]:
+        """What tells the kernels of the window, by their bindings' names."""
+        frame, out = self.frame, self.out
+        values = {
+            "window": [self.top, self.left, frame.h, frame.w, out.top, out.left, frame.height, frame.width],
+            "part_rows": _counted(self.top, self.rows, frame.h),
+            "part_columns": _counted(self.left, self.columns, frame.w),
+            "seen_rows": _mirrored(self.padded[0], min(self.rows, frame.h - self.top)),
+            "seen_columns": _mirrored(self.padded[1], min(self.columns, frame.w - self.left)),
+            "out_rows": _counted(out.top, out.rows, frame.height),
+            "out_columns": _counted(out.left, out.columns, frame.width)}
+        return {name: np.asarray(value, np.float32) for name, value in values.items()}
+
+
+def whole_steps(side: int, step: int) -> int:
+    """The next multiple of a step."""
+    return -(-side // step) * step
+
+
+def rows_of(tensor: Tensor, rows: Rows) -> Tensor:
+    """Some rows of a tensor, along its first axis; no copy."""
+    one = math.prod(tensor.shape[1:])
+    return tensor.view(tensor.name, (rows[1] - rows[0], *tensor.shape[1:]), rows[0] * one)
+
+
+def _enlarged(first: int, count: int, size: int, out_size: int, grid: int) -> tuple[int, int]:
+    whole = grid * out_size % size == 0 or count >= size
+    return first * out_size // size, -(-count * out_size // size) + (not whole)
+
+
+def _firsts(count: int, size: int, grid: int) -> range:
+    """First rows of windows of so many rows, as far as cells of the coarsest level tell them apart."""
+    return range(0, 1 if count >= size else GRID, grid)
+
+
+def _counted(first: int, count: int, size: int) -> np.ndarray:
+    """Numbers from `first` on, the last pixel's of a side repeated."""
+    return np.minimum(np.arange(first, first + count), size - 1)
+
+
+def _mirrored(count: int, held: int) -> np.ndarray:
+    """Numbers that go on beyond those of a side as in a mirror, and stop at its start."""
+    return np.maximum(held - 1 - np.abs(np.arange(count) - (held - 1)), 0)
+
 
 HALOS, GUIDED_HALO = {"s": 72, "m": 44, "l": 48}, 104
 """Render pixels around what is active that a network must see, so that the result there differs by less than 1e-3 from
@@ -231,3 +366,45 @@ def band_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> Band
     tiles = tiles_of(frame, boxes, shape, halo)
     top = min(tile.inner.top for tile in tiles)
     return Band(top, max(tile.inner.top + tile.inner.rows for tile in tiles) - top, tiles)
+
+
+PIXEL = 2000
+"""Bytes that a render pixel of a window takes, of which somewhat more than half are the network's own (1800 with models
+s, m and l, measured from 480x272 to 960x544, and more with l in float32)."""
+
+TILE = 230_000
+"""Bytes that the commands of a tile take (measured with 240 to 920 tiles of 1920x1080)."""
+
+WINDOW = 0.75
+"""Share of what a budget leaves that a window may take; tensors of the frame, and what is looked at of files, have the
+other part."""
+
+
+def bands_within(scratch: Scratch | None, frame: Sizes, models: Sequence[str]) -> list[Band]:
+    """Bands that fill the frame; none where all of it may be worked on at once.
+
+    Raises MemoryBudgetError, which names the smallest budget, when no window is small enough.
+    """
+    if scratch is None:
+        return []
+    if _needed((frame.h, frame.w), 0) <= scratch.budget:
+        return []
+    halo = seamless(models)
+    needed = {(box, shape): _needed(shape, count_of(frame, box)) for box, shape in grids(frame, halo)}
+    fitting = [grid for grid, nbytes in needed.items() if nbytes <= scratch.budget]
+    if not fitting:
+        raise MemoryBudgetError(f"{frame.w}x{frame.h} cannot be denoised within {scratch.budget >> 20}M: "
+                                f"give a memory budget of {(min(needed.values()) >> 20) + 1}M or more")
+    box, shape = min(fitting, key=lambda grid: cost(grid[1], count_of(frame, grid[0])))
+    return bands_of(frame, box, shape, halo)
+
+
+def _needed(shape: Shape, tiles: int) -> int:
+    """The budget within which a frame can be worked on in so many tiles with windows of a shape."""
+    return PROCESS + tiles * TILE + int(shape[0] * shape[1] * PIXEL / WINDOW)
+
+
+def seamless(models: Sequence[str]) -> int:
+    """A halo for tiles side by side, larger than that of a mask, as all of its seams are seen: with it the networks in
+    integers give the same, too, frame after frame."""
+    return halo_of(models) * 4 // 3

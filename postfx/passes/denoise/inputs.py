@@ -1,4 +1,4 @@
-"""The planes that the denoised upscaler's kernels read: the frame's own, or what stands in for a missing one."""
+"""What the denoised upscaler reads of a frame: planes or stand-ins, the reactive mask, what it only resamples."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
+from postfx.kernels.denoise_reactive import REACTIVE
 from postfx.kernels.overlay import ENLARGE
 from postfx.kernels.resample import RESAMPLE, positions
-from postfx.passes._denoise_size import Size
-from postfx.passes._denoise_window import Rows, rows_of
 from postfx.passes.base import ResidentFrame
+from postfx.passes.denoise.options import ReactiveOption, Size
+from postfx.passes.denoise.tiling import Rows, rows_of
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
 
 # What stands in for a plane that a frame lacks at both sizes; networks are trained with the same values in its place.
@@ -97,3 +98,90 @@ class Planes:
 
 def _constant(device: Device, role: Role, size: Size) -> Tensor:
     return device.wrap(f"absent {role}", np.full((*size, ROLES[role].channels), ABSENT[role], np.float32))
+
+
+CENTRED = (0.0, 0.0)
+
+
+def carried_roles(spec: FrameSpec) -> tuple[Role, ...]:
+    """Those of them that a frame has; an overlay may come at output size."""
+    kept = tuple(role for role in (Role.ALPHA, Role.OVERLAY) if spec.has(role) or role in spec.guide_roles)
+    return (*kept, Role.LATER) if Role.LATER in spec.guide_roles else kept
+
+
+class Carried:
+    """Resamples alpha and overlay, from the frame's jittered samples to pixel centres.
+
+    An overlay that is 0 everywhere, or whose pixels lie where the output's do, is left alone.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
+        self._device, self._output, self._render = device, output, Size(spec.height, spec.width)
+        self._overlay_is_guide = Role.OVERLAY in spec.guide_roles
+        self._resamplers = {role: Resampler(device, str(role), role, self._size(role), output)
+                            for role in carried_roles(spec) if role is not Role.LATER}
+        self._nothing: Tensor | None = None
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        """Record the work; the frame's planes are then those of the output's size."""
+        given = frame.given_guides if self._overlay_is_guide else frame.given
+        if Role.LATER in frame.guides:
+            frame.set(Role.LATER, frame.guides[Role.LATER])
+        blank = Role.OVERLAY in given and not given[Role.OVERLAY].any()
+        for role, resampler in self._resamplers.items():
+            plane, jitter = self._source(role, frame)
+            if role is Role.OVERLAY and blank:
+                frame.set(role, self._zeros(), blank=True)
+            elif role is Role.OVERLAY and self._size(role) == self._output and jitter == CENTRED:
+                frame.set(role, plane)
+            else:
+                frame.set(role, _resampled(commands, str(role), resampler, plane, jitter))
+
+    def _source(self, role: Role, frame: ResidentFrame) -> tuple[Tensor, tuple[float, float]]:
+        """A plane, and where its samples lie."""
+        if role is Role.OVERLAY and self._overlay_is_guide:
+            return frame.guides[role], frame.guide_jitter
+        return frame[role], frame.jitter
+
+    def _size(self, role: Role) -> Size:
+        return self._output if role is Role.OVERLAY and self._overlay_is_guide else self._render
+
+    def _zeros(self) -> Tensor:
+        if self._nothing is None:
+            zeros = np.zeros((*self._output, ROLES[Role.OVERLAY].channels), np.float32)
+            self._nothing = self._device.wrap("no overlay", zeros)
+        return self._nothing
+
+
+def _resampled(
+    commands: CommandBuffer, name: str, resampler: Resampler, plane: Tensor, jitter: tuple[float, float]
+) -> Tensor:
+    with commands.compute_encoder(name) as encoder:
+        encoder.barrier(after=("compute", "machine-learning"), before="compute")
+        resampler.encode(encoder, plane, jitter, CENTRED)
+    return resampler.output
+
+
+class Reactive:
+    """The mask of each frame: its plane, or made of the difference of two colours."""
+
+    def __init__(self, device: Device, spec: FrameSpec, option: ReactiveOption) -> None:
+        self._role, self._option = option.role(spec), option
+        if self._role is Role.OPAQUE_COLOUR:
+            self._difference = device.heap.tensor("difference", (3,))
+            self._output = device.heap.transient("reactive", (spec.height, spec.width, 1))
+            tensors = {"difference": self._difference, "reactive": self._output}
+            self._table = ArgumentTable(device.compute_state(REACTIVE), tensors)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> dict[str, Tensor]:
+        """Record the work, where there is any; returns the mask by its name for the kernels, or nothing."""
+        if self._role is None:
+            return {}
+        if self._role is Role.REACTIVE:
+            return {"reactive": frame[Role.REACTIVE]}
+        self._difference.upload([frame.exposure, self._option.scale, self._option.threshold])
+        self._table["colour"], self._table["opaque_colour"] = frame[Role.COLOUR], frame[Role.OPAQUE_COLOUR]
+        with commands.compute_encoder("reactive") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            encoder.dispatch(self._table.state, self._table)
+        return {"reactive": self._output}

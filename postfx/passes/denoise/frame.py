@@ -1,0 +1,310 @@
+"""How the denoised upscaler goes over a frame: the whole of it or windows, which are put together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from postfx.caching import LRUCache
+from postfx.frame import FrameSpec, Role
+from postfx.kernels import denoise_layout, denoise_prepare, denoise_reactive
+from postfx.kernels.denoise_assemble import ASSEMBLE
+from postfx.passes.denoise.history import History, Reflections, can_follow
+from postfx.passes.denoise.inputs import Carried, Planes, Reactive
+from postfx.passes.denoise.models import grid_of
+from postfx.passes.denoise.network import Graph
+from postfx.passes.denoise.options import ReactiveOption, Size
+from postfx.passes.denoise.output import Plain, Restore, Strength
+from postfx.passes.denoise.tiling import (
+    GAIN,
+    Band,
+    Rows,
+    Shape,
+    Sizes,
+    Tile,
+    Window,
+    around,
+    band_of,
+    bands_within,
+    cost,
+    halo_of,
+    rows_of,
+    whole_sides,
+    whole_steps,
+)
+from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
+
+MOST_PLACES = 64
+OUT = ("output", "next_history")
+"""What has output size; the rest has render size."""
+CHANNELS = {"output": 3, "next_history": 3, "next_state": 4 + denoise_layout.HIDDEN, "next_depth": 1}
+
+
+class Assembly:
+    """Room for what the tiles of a band write, and the kernels that bring it to its place."""
+
+    def __init__(self, device: Device, frame: Sizes) -> None:
+        self._device, self._frame = device, frame
+        self._stacks: dict[str, Tensor] = {}
+        self._made: tuple[int, int, int] | None = None
+        self._slots: list[dict[str, Tensor]] = []
+        self._places: dict[tuple[Band, Rows, bool], dict[str, Tensor]] = {}
+        self._tables = {name: ArgumentTable(device.compute_state(ASSEMBLE)) for name in CHANNELS}
+
+    def slots(self, tiles: Sequence[Tile]) -> list[dict[str, Tensor]]:
+        """Where each of a band's tiles writes, by the kernels' names."""
+        window, slots = tiles[0].window, [{} for _ in tiles]
+        key = len(tiles), window.rows, window.columns
+        if key == self._made:
+            return self._slots
+        for name, channels in CHANNELS.items():
+            size = (window.out.rows, window.out.columns) if name in OUT else (window.rows, window.columns)
+            one = size[0] * size[1] * channels
+            stack = self._stacks.get(name)
+            if stack is None or stack.shape[0] < len(tiles) * one:
+                self._stacks.pop(name, None)
+                stack = self._stacks[name] = self._device.heap.tensor(f"{name} of tiles", (len(tiles) * one,))
+            self._tables[name]["tiles"] = stack.view(f"{name} of tiles", (len(tiles), *size, channels))
+            for i, slot in enumerate(slots):
+                slot[name] = stack.view(f"{name} of tile {i}", (*size, channels), i * one)
+        self._made, self._slots = key, slots
+        return slots
+
+    def direct(self, band: Band, targets: Mapping[str, Tensor], kept: Rows) -> dict[str, Tensor] | None:
+        """Where a band's only tile writes, by the kernels' names, if its rows are all that is written: in their places,
+        so that nothing is copied. Else None."""
+        window, out, frame = band.tiles[0].window, band.tiles[0].window.out, self._frame
+        rows, out_rows = (window.top, window.top + window.rows), (out.top, out.top + out.rows)
+        exact = all(row * frame.height == at * frame.h for row, at in zip(rows, out_rows, strict=True))
+        if len(band.tiles) > 1 or window.columns < frame.w or rows != kept or not exact:
+            return None
+        return {name: rows_of(targets[name], out_rows if name in OUT else rows) for name in CHANNELS}
+
+    def encode(self, commands: CommandBuffer, band: Band, targets: dict[str, Tensor], kept: Rows) -> None:
+        """Record the work that puts a band's tiles into the frame's tensors: its own rows into the output, the rows
+        `kept` into what the next frame reads."""
+        with commands.compute_encoder("assemble") as encoder:
+            encoder.barrier(after="compute", before="compute")
+            for name, table in self._tables.items():
+                rows = band.own if name == "output" else kept
+                for binding, tensor in self._place(band, rows, name in OUT).items():
+                    table[binding] = tensor
+                table["picture"] = rows_of(targets[name], self._sized(rows, name in OUT))
+                encoder.dispatch(table.state, table)
+
+    def _place(self, band: Band, rows: Rows, out: bool) -> dict[str, Tensor]:
+        key = band, rows, out
+        if key not in self._places:
+            if len(self._places) == MOST_PLACES:
+                self._places.clear()
+            place = self._out_place if out else self._render_place
+            values = {"places": [place(tile) for tile in band.tiles], "frame_rows": np.arange(*self._sized(rows, out)),
+                      "frame_columns": np.arange(self._frame.width if out else self._frame.w)}
+            arrays = {name: np.asarray(value, np.float32) for name, value in values.items()}
+            self._places[key] = {name: self._device.heap.tensor(name, array.shape) for name, array in arrays.items()}
+            for name, tensor in self._places[key].items():
+                tensor.upload(arrays[name])
+        return self._places[key]
+
+    def _sized(self, rows: Rows, out: bool) -> Rows:
+        return self._frame.enlarged(rows) if out else rows
+
+    def _render_place(self, tile: Tile) -> list[int]:
+        """Beside the origin: what the history is known of, less a pixel at the seam to nothing, since what is read of
+        the output around a known pixel must be known, too; and what the tile is for."""
+        window, inner, frame = tile.window, tile.inner, self._frame
+        bottom, right = window.top + window.rows, window.left + window.columns
+        held = [window.top + (window.top > 0), window.left + (window.left > 0),
+                frame.h if bottom >= frame.h else bottom - 1, frame.w if right >= frame.w else right - 1]
+        return [window.top, window.left, *held, inner.top, inner.left, inner.top + inner.rows,
+                inner.left + inner.columns]
+
+    def _out_place(self, tile: Tile) -> list[int]:
+        window, inner = tile.window, tile.inner
+        corners = ((window.top, window.left), (window.top + window.rows, window.left + window.columns))
+        (top, left), (bottom, right) = (self._enlarged(*corner) for corner in corners)
+        frame = self._frame
+        top += -(window.top * frame.height) % frame.h > 0
+        left += -(window.left * frame.width) % frame.w > 0
+        held = [top, left, min(bottom, frame.height), min(right, frame.width)]
+        own = [*self._enlarged(inner.top, inner.left),
+               *self._enlarged(inner.top + inner.rows, inner.left + inner.columns)]
+        return [window.out.top, window.out.left, *held, *own]
+
+    def _enlarged(self, row: int, column: int = 0) -> tuple[int, int]:
+        """Output pixels before a render pixel."""
+        return row * self._frame.height // self._frame.h, column * self._frame.width // self._frame.w
+
+
+MOST_GRAPHS = 4
+"""Sizes of windows, beside the whole frame, that are kept ready."""
+CLOSE = 1.15
+"""A window that is ready is taken if it takes at most so many times as long as the best one."""
+STEPS = 8
+"""Sides of further windows are multiples of this part of the frame's, so that masks that move soon find one ready."""
+
+
+class Frames:
+    """The networks for frames of one size; their history may go on with those of another.
+
+    Of several models the first is in use until `use` takes another. Guided models read guides. Reactive frames have a
+    mask of where the history is not used.
+    """
+
+    def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], history: History,
+                 guided: bool = False, reactive: bool = False) -> None:
+        self._device, self._sizes, self._models = device, sizes, tuple(models)
+        self._guided, self._reactive = guided, reactive
+        self._halo = halo_of(models)
+        self._graphs: LRUCache[Shape, Graph] = LRUCache(MOST_GRAPHS)
+        self._bands = bands_within(device.scratch, sizes, models)
+        self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
+        if self._bands:
+            self._make(self._band_shape)
+        self._history = history
+        new, between = device.heap.tensor, device.heap.transient
+        self._common = {"params": new("params", (4,)), "keep": new("keep", (1, 1, 1)),
+                        "depth_scale": between("depth scale", (1,))}
+        self._output = between("output", (sizes.height, sizes.width, 3))
+        self._assembly = Assembly(device, sizes)
+        self._scale = ArgumentTable(device.compute_state(denoise_prepare.SCALE),
+                                    {"depth_scale": self._common["depth_scale"]})
+        self._spread = ArgumentTable(device.compute_state(denoise_reactive.SPREAD_MASK)) if reactive else None
+        self.model = models[0]
+
+    def use(self, model: str) -> None:
+        """Take another model from the next frame on. The history goes on, but for the hidden state."""
+        self.model = model
+        self._history.use(model)
+
+    def layout(self, cells: np.ndarray) -> Band | None:
+        """The tiles for a frame's active cells, of which there is one at least; None where the whole frame is as fast.
+
+        Makes the networks ready that they need.
+        """
+        boxes, shape = around(self._sizes, cells, self._halo)
+        if self._bands:
+            fits = shape[0] <= self._band_shape[0] and shape[1] <= self._band_shape[1]
+            return band_of(self._sizes, boxes, self._band_shape, self._halo) if fits else None
+        count, least = len(boxes), cost(shape, len(boxes))
+        if least > GAIN * cost((self._sizes.h, self._sizes.w), 1):
+            return None
+        ready = [one for one in self._graphs if one[0] >= shape[0] and one[1] >= shape[1]
+                 and cost(one, count) <= CLOSE * least]
+        shape = min(ready, key=lambda one: cost(one, count)) if ready else self._make(shape)
+        return band_of(self._sizes, boxes, shape, self._halo)
+
+    def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray, keep: bool,
+               still: bool, band: Band | None = None) -> Tensor:
+        """Record one frame, or the tiles of one, outside of whose rows the output is undefined; returns the output
+        colour tensor.
+
+        Args:
+            keep: whether the frame has a history.
+            still: whether it shows what the last one showed, where it did.
+        """
+        self._history.turn(commands, (self._sizes.h, self._sizes.w), keep)
+        self._common["params"].upload(params)
+        self._common["keep"].fill(keep)
+        self._scale["depth"] = planes["depth"]
+        with commands.compute_encoder("scale") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            encoder.dispatch(self._scale.state, self._scale)
+            if self._spread:
+                self._spread["reactive"] = planes["reactive"]
+                self._spread["next_reactive"] = self._history.next["next_reactive"]
+                encoder.dispatch(self._spread.state, self._spread)
+        seen = {**planes, **self._common, **self._history.last}
+        targets = {"output": self._output, **self._history.next}
+        masked = keep and self._reactive
+        kept = self._history.cover(band.held if band else (0, self._sizes.h))
+        if band is None and self._whole:
+            self._whole.encode(commands, Window.whole(self._sizes), self.model, seen | targets, keep and not still,
+                               masked)
+        for some in [band] if band else self._bands:
+            self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own)
+        return self._output
+
+    def rows(self, band: Band | None) -> Rows:
+        """The rows of the output that hold something, of a frame or the tiles of one."""
+        return self._sizes.enlarged(band.own if band else (0, self._sizes.h))
+
+    @property
+    def _band_shape(self) -> Shape:
+        window = self._bands[0].tiles[0].window
+        return window.rows, window.columns
+
+    def _encode_tiles(self, commands: CommandBuffer, band: Band, seen: Mapping[str, Tensor],
+                      targets: dict[str, Tensor], masked: bool, kept: Rows) -> None:
+        window = band.tiles[0].window
+        graph, direct = self._graphs[window.rows, window.columns], self._assembly.direct(band, targets, kept)
+        if direct:
+            graph.encode(commands, window, self.model, {**seen, **direct}, True, masked)
+            return
+        for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles), strict=True):
+            graph.encode(commands, tile.window, self.model, {**seen, **slot}, True, masked)
+        self._assembly.encode(commands, band, targets, kept)
+
+    def _make(self, shape: Shape) -> Shape:
+        """Make a graph ready for windows of a size, or somewhat larger ones if there were others before."""
+        if self._graphs:
+            grid = self._sizes.grid
+            steps = (max(1, side // STEPS // grid) * grid for side in (self._sizes.h, self._sizes.w))
+            shape = whole_sides(self._sizes, tuple(map(whole_steps, shape, steps)))
+        self._graphs.get_or_make(shape, partial(self._graph_of, shape))
+        return shape
+
+    def _graph_of(self, shape: Shape) -> Graph:
+        return Graph(self._device, Window(self._sizes, 0, 0, *shape), self._models, self._guided, self._reactive)
+
+
+class Ready:
+    """Pipeline states, tensors and argument tables for frames of one spec.
+
+    Attributes:
+        carried: what is only resampled, beside the colour.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
+        self.carried = Carried(device, spec, output)
+
+
+class ReadyPlain(Ready):
+    """Where no network runs.
+
+    Attributes:
+        plain: the input, resampled.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
+        super().__init__(device, spec, output)
+        self.plain = Plain(device, spec, output)
+
+
+class ReadyNetwork(Ready):
+    """Where a network runs.
+
+    Attributes:
+        planes: what its kernels read.
+        models: the networks of this size by tag, of which each frame takes one.
+        frames: what runs them.
+        reactive: the mask of where the history is not used.
+        reflections: where frames have what it needs, else None.
+        restore: at render size only, else None.
+        strength: None where all of the picture is fully denoised.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str], history: History,
+                 guided: bool, strength: float, mask: ReactiveOption) -> None:
+        super().__init__(device, spec, output)
+        sizes = Sizes(spec.height, spec.width, *output, grid_of(models.values()))
+        self.models = models
+        self.planes = Planes(device, spec, output, guided)
+        self.reflections = Reflections(device, spec) if can_follow(spec) else None
+        self.reactive = Reactive(device, spec, mask)
+        self.frames = Frames(device, sizes, list(models.values()), history, guided, mask.role(spec) is not None)
+        self.restore = Restore(device, output) if output == (spec.height, spec.width) else None
+        full = strength == 1 and not spec.has(Role.STRENGTH)
+        self.strength = None if full else Strength(device, spec, output, strength)
