@@ -10,8 +10,7 @@ from typing import Any
 
 from postfx.errors import ModelError
 from postfx.files import make_printable, parse_json, read_text
-from postfx.runtime.model_file import Declared, ModelFile, Weights, parse_model
-from postfx.runtime.wire import WireError
+from postfx.runtime.model_file import Declared, ModelFile, Weights, WireError, parse_model
 from postfx.system import is_plain_name, models_dir
 
 _PARTS = {"inputs": dict, "outputs": dict, "weights": str}

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 WATCHED = ["postfx.io", "postfx.masks", "postfx.cli.cuts", "postfx.system", "postfx.files", "postfx.runs",
            "postfx.passes._tonemap_look", "postfx.runtime.models",
-           "postfx.runtime.model_file", "postfx.runtime.wire"]
+           "postfx.runtime.model_file"]
 
 KERNELS = Path(__file__).resolve().parents[2] / "postfx/kernels"
 COMPILED = [f"postfx.kernels.{source.stem}" for source in KERNELS.glob("*.py")]  # Numba knows no marks of coverage
