@@ -25,8 +25,8 @@ import numpy as np
 from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
 from numba.core.serialize import dumps
-from numba.extending import _Intrinsic
 
 from postfx.files import write_atomically
 from postfx.system import private_folder
@@ -56,7 +56,7 @@ def is_first_run() -> bool:
     return folder is None or next(folder.glob(f"*{SUFFIX}"), None) is None
 
 
-class KernelCache(_Cache):  # type: ignore[misc]  # numba has no types
+class KernelCache(_Cache):
     """The compiled forms of one function; a dispatcher loads and saves them."""
 
     def __init__(self, dispatcher: Dispatcher) -> None:
@@ -79,15 +79,15 @@ class KernelCache(_Cache):  # type: ignore[misc]  # numba has no types
             return None
         with suppress(OSError):
             path.touch()  # tells that it is in use
-        return CompileResult._rebuild(target_context, *pickle.loads(content))
+        return CompileResult._rebuild(target_context, *pickle.loads(content))  # type: ignore[no-any-return,no-untyped-call]
 
-    def save_overload(self, sig: Any, data: CompileResult) -> None:
+    def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function. One that refers to addresses of this process, or a full disk: nothing is kept."""
         path = self._path(sig, data.codegen)
         if path is None or data.lifted or data.library.has_dynamic_globals:
             return
         with suppress(OSError):
-            content = dumps(data._reduce())
+            content: bytes = dumps(data._reduce())  # type: ignore[no-untyped-call]
             write_atomically(path, lambda file: file.write(content))
             _remove_unused(path.parent)
 
@@ -118,8 +118,10 @@ def digest(function: Callable[..., Any]) -> str:
     not count. Raises TypeError for a global value that it cannot tell."""
     if isinstance(function, Dispatcher):
         parts = _all_parts((dict(function.targetoptions), function.py_func))
-    else:
+    elif isinstance(function, FunctionType):
         parts = _function_parts(function)
+    else:
+        raise TypeError(f"{function!r} is no function")
     found = hashlib.sha256()
     for part in parts:
         found.update(part.encode() if isinstance(part, str) else part)

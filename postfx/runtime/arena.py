@@ -18,7 +18,7 @@ from postfx.caching import LRUCache
 from postfx.runtime.hazards import predecessors
 from postfx.runtime.memory import ALIGNMENT, Ranges
 from postfx.runtime.records import Dispatch, EncoderBarrier, Record
-from postfx.runtime.tensor import Allocation, Tensor, size_in_bytes
+from postfx.runtime.tensor import Allocation, Tensor, Transient, size_in_bytes
 
 if TYPE_CHECKING:
     from postfx.runtime.device import Device
@@ -28,31 +28,6 @@ _NOWHERE = 1 << 62
 
 MOST_PLANS = 64
 """Plans that are remembered; the one used longest ago goes first."""
-
-
-class Transient(Allocation):
-    """Stands for memory that a tensor will have when a buffer that uses it is committed.
-
-    Attributes:
-        placed: the memory that it had in the last such buffer.
-        taken: name of the tensor that the memory went to within that buffer, if it did.
-        turn: which of the arena's placements that was.
-        needs: bytes of the largest plan that placed it.
-    """
-
-    unplaced = True
-
-    def __init__(self, name: str, pointer: int, nbytes: int) -> None:
-        super().__init__(name, pointer, nbytes, owner=None, transient=True)
-        self.taken: str | None = None
-        self.turn = self.needs = 0
-
-    def at(self, memory: Tensor, offset: int) -> Allocation:
-        """It, placed; the same object as the last time when the place is the same."""
-        pointer = memory.start + offset
-        if self.placed is None or self.placed.owner is not memory or self.placed.pointer != pointer:
-            return Allocation(self.name, pointer, self.nbytes, owner=memory, transient=True)
-        return self.placed
 
 
 class Placement(NamedTuple):
@@ -77,7 +52,7 @@ class Arena:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._plans: LRUCache[tuple, Plan] = LRUCache(MOST_PLANS)
+        self._plans: LRUCache[tuple[object, ...], Plan] = LRUCache(MOST_PLANS)
         self._memory: weakref.ref[Tensor] | None = None
         self._replaced: weakref.ref[Tensor] | None = None
         self._live: weakref.WeakSet[Transient] = weakref.WeakSet()
@@ -184,13 +159,13 @@ def _uses(records: Iterable[Record]) -> tuple[Uses, list[Transient]]:
     return uses, list(numbers)
 
 
-def _order(records: Sequence[Record]) -> tuple:
+def _order(records: Sequence[Record]) -> tuple[object, ...]:
     """What tells the order of dispatches: encoders, numbered as they come, with stages and barriers."""
     numbers: dict[int, int] = {}
     return tuple((numbers.setdefault(record.encoder, len(numbers)), *_ordering(record)) for record in records)
 
 
-def _ordering(record: Record) -> tuple:
+def _ordering(record: Record) -> tuple[object, ...]:
     if isinstance(record, Dispatch):
         return (record.stage,)
     return (type(record),) if isinstance(record, EncoderBarrier) else (type(record), record.after, record.before)

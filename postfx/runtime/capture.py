@@ -16,7 +16,7 @@ import numpy as np
 from postfx.errors import CaptureError, CommandError
 from postfx.runtime.capture_network import look_inside, require_onnx
 from postfx.runtime.memory import Ranges
-from postfx.runtime.records import ConsumerBarrier, Dispatch, EncoderBarrier, Record
+from postfx.runtime.records import Barrier, ConsumerBarrier, Dispatch, EncoderBarrier
 from postfx.runtime.session import first_line
 from postfx.runtime.snapshot import (
     MOST_SLICES,
@@ -30,6 +30,7 @@ from postfx.runtime.snapshot import (
     content,
     take,
 )
+from postfx.runtime.states import PipelineState
 from postfx.runtime.tensor import Tensor
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class Recorder:
     buffer: CapturedBuffer
     _commands: CommandBuffer
     _of: dict[Dispatch, CapturedDispatch]
-    _inputs: dict[tuple, Snapshot | None] = field(default_factory=dict)
+    _inputs: dict[tuple[int, int, tuple[int, ...], str], Snapshot | None] = field(default_factory=dict)
     done: threading.Event = field(default_factory=threading.Event)
 
     def ran(self, dispatch: Dispatch, milliseconds: float) -> None:
@@ -181,7 +182,7 @@ def _file(number: str, name: str) -> str:
 
 def _captured_dispatch(index: int, dispatch: Dispatch) -> CapturedDispatch:
     names = (dispatch.label, dispatch.command, dispatch.stage, dispatch.encoder, dispatch.model)
-    dims = dict(dispatch.state.dims) if dispatch.model else {}
+    dims: dict[str, int] = dict(dispatch.state.dims) if isinstance(dispatch.state, PipelineState) else {}
     return CapturedDispatch(index, *names, _captured(dispatch.reads), _captured(dispatch.writes), dims=dims)
 
 
@@ -189,7 +190,7 @@ def _captured(tensors: Iterable[Tensor]) -> list[CapturedTensor]:
     return [CapturedTensor(str(t.name), t.shape, t.dtype, t.nbytes, t.start, t.end) for t in tensors]
 
 
-def _captured_barrier(record: Record) -> CapturedBarrier:
+def _captured_barrier(record: Barrier) -> CapturedBarrier:
     if isinstance(record, EncoderBarrier):
         return CapturedBarrier("encoder", record.encoder)
     form = "consumer" if isinstance(record, ConsumerBarrier) else "producer"

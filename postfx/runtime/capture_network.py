@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,8 @@ from postfx.errors import CaptureError, ModelError
 from postfx.runtime.records import Dispatch
 from postfx.runtime.session import Placement, first_line, providers_of, session_options
 from postfx.runtime.snapshot import CapturedNetwork, CapturedNode, CapturedValue, Snapshot, content
+from postfx.runtime.states import Binding
+from postfx.runtime.tensor import Tensor
 
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto, TensorProto
@@ -29,6 +31,7 @@ def look_inside(dispatch: Dispatch, placement: Placement, keep: Keep, ran: bool)
 
     Checks no hazards: the caller stands between two commands of the queue.
     """
+    assert dispatch.state is not None and dispatch.model is not None  # it runs a network
     bindings = dispatch.state.bindings
     inputs = _named(bindings, "read", dispatch.reads)
     written = _named(bindings, "write", dispatch.writes) if ran else {}
@@ -50,7 +53,7 @@ def _captured(node: NodeRun, keep: Keep) -> CapturedNode:
     return CapturedNode(node.index, node.op, node.name, node.constant, node.milliseconds, node.error, values)
 
 
-def _named(bindings: tuple, access: str, tensors: tuple) -> dict[str, np.ndarray]:
+def _named(bindings: Sequence[Binding], access: str, tensors: Sequence[Tensor]) -> dict[str, np.ndarray]:
     names = [binding.name for binding in bindings if binding.access == access]
     return {name: content(tensor) for name, tensor in zip(names, tensors, strict=True) if tensor.nbytes}
 
@@ -123,7 +126,7 @@ def _alone(
         helper.make_graph([node], "node", inputs, outputs, own),
         opset_imports=model.opset_import, ir_version=model.ir_version, functions=model.functions,
     )
-    return alone.SerializeToString()
+    return bytes(alone.SerializeToString())
 
 
 def _as_weights(arrays: Mapping[str, np.ndarray]) -> dict[str, TensorProto]:
@@ -157,7 +160,7 @@ def run_profiled(
 
 def _milliseconds(profile: Path) -> float:
     events = json.loads(profile.read_text(encoding="utf-8"))
-    return sum(e["dur"] for e in events if e.get("cat") == "Node" and e["name"].endswith("_kernel_time")) / 1000
+    return float(sum(e["dur"] for e in events if e.get("cat") == "Node" and e["name"].endswith("_kernel_time"))) / 1000
 
 
 MISSING = "the graphs of networks need the package onnx: pip install 'postfx[capture]'"

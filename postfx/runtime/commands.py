@@ -268,13 +268,13 @@ class Encoder:
         """
         if after is None and before is None and before_queue is None:
             self._record(EncoderBarrier(self._number))
-        elif after is None or (before is None) == (before_queue is None):
-            raise EncodingError(self._no_form(after, before, before_queue))
-        elif before is not None:
+        elif after is not None and before is not None and before_queue is None:
             self._record(ConsumerBarrier(self._number, self._mask(after, "after"), self._mask(before, "before")))
-        else:
+        elif after is not None and before is None and before_queue is not None:
             masks = self._mask(after, "after"), self._mask(before_queue, "before_queue")
             self._record(ProducerBarrier(self._number, *masks))
+        else:
+            raise EncodingError(self._no_form(after, before, before_queue))
 
     def _dispatch(self, state: State, table: ArgumentTable) -> None:
         if state.stage != self.stage:
@@ -313,9 +313,9 @@ class Encoder:
 
     def _mask(self, stages: Stages, side: str) -> frozenset[str]:
         try:
-            mask = frozenset([stages] if isinstance(stages, str) else stages)
-        except TypeError:
-            mask = frozenset([stages])
+            mask = frozenset((stages,) if isinstance(stages, str) else stages)
+        except TypeError:  # not iterable: named below
+            mask = frozenset((str(stages),))
         if not mask:
             raise EncodingError(f"barrier in '{self.label}': the {side}= stage mask is empty: name {_STAGES_TEXT}")
         unknown = sorted(str(stage) for stage in mask.difference(STAGES))

@@ -98,7 +98,8 @@ class CudaMemory:
     def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
         """Launch commands as one CUDA graph, see `CudaGraphs.replay`."""
         with self._entered():
-            return self._graphs.replay(key, kept, enqueue)
+            result: T | None = self._graphs.replay(key, kept, enqueue)
+            return result
 
     def synchronise(self) -> None:
         """Wait until the stream has nothing left to do."""
@@ -118,7 +119,7 @@ class CudaMemory:
         arguments = (ctypes.c_void_p * len(views))(*map(ctypes.addressof, views))
         launch, handle, stream = driver().cuLaunchKernel, driver().CUfunction(int(kernel.handle)), self.stream
 
-        def run(held: tuple = (kernel, views)) -> None:  # what the arguments point at lives as long as the function
+        def run(held: tuple[object, ...] = (kernel, views)) -> None:  # keeps alive what the arguments point at
             self._enter()
             checked(launch(handle, *grid, 1, *block, 1, 0, stream, ctypes.addressof(arguments), 0))
 
@@ -170,7 +171,7 @@ class Event:
 
     def until(self, end: Event) -> float:
         """Milliseconds from this event to another; both have to have happened."""
-        return checked(driver().cuEventElapsedTime(self.handle, end.handle))
+        return float(checked(driver().cuEventElapsedTime(self.handle, end.handle)))
 
     def __del__(self) -> None:
         if hasattr(self, "handle") and not sys.is_finalizing():
@@ -250,7 +251,7 @@ def driver() -> Any:
     return module
 
 
-def checked(result: tuple) -> Any:
+def checked(result: tuple[Any, ...]) -> Any:
     """What a function of the driver returned beside its status. Raises DeviceError where that tells of a failure."""
     if int(result[0]):
         raise DeviceError(f"CUDA: {result[0].name}")

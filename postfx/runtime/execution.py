@@ -67,7 +67,8 @@ class Execution:
         if any(tensor.allocation.lost for dispatch in dispatches for tensor in (*dispatch.reads, *dispatch.writes)):
             return None
         states = [dispatch.state for dispatch in dispatches]
-        if not all(state.capturable for state in states):  # a capture that fails leaves ONNX Runtime's session broken
+        # A capture that fails leaves ONNX Runtime's session broken.
+        if not all(state and state.capturable for state in states):
             return None
         try:
             return memory.replay(_signature(dispatches), states, lambda: _enqueue(memory, dispatches))
@@ -126,14 +127,16 @@ def _enqueue(memory: Memory, dispatches: Sequence[Dispatch]) -> list[Span]:
     """Run dispatches, or put them on a GPU's stream; returns when each encoder's began and ended."""
     spans = []
     for encoder, group in groupby(dispatches, attrgetter("encoder")):
-        begin = memory.mark()
+        begin, label = memory.mark(), ""
         for dispatch in group:
+            assert dispatch.execute is not None  # since commit
             dispatch.execute()
-        spans.append(Span(encoder, dispatch.label, begin, memory.mark()))
+            label = dispatch.label
+        spans.append(Span(encoder, label, begin, memory.mark()))
     return spans
 
 
-def _signature(dispatches: Sequence[Dispatch]) -> tuple:
+def _signature(dispatches: Sequence[Dispatch]) -> tuple[object, ...]:
     """What dispatches do: the same whenever the states and the tensors' bytes are."""
     return tuple((id(dispatch.state), *((tensor.start, tensor.shape) for tensor in dispatch.reads + dispatch.writes))
                  for dispatch in dispatches)

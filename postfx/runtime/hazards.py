@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from postfx.errors import CommandError, HazardError
 from postfx.runtime.memory import Ranges
 from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
-from postfx.runtime.tensor import Allocation, Tensor, TensorState, Use
+from postfx.runtime.tensor import Allocation, Tensor, TensorState, Transient, Use
 
 if TYPE_CHECKING:
     from postfx.runtime.commands import CommandBuffer
@@ -78,7 +78,8 @@ class Hazards:
                     recorded = _use(commands, dispatch)
                     break
             needed = Ranges((tensor.span(),) if tensor.nbytes else ())
-            gone = tensor.device.heap.arena.gone(tensor.allocation) if tensor.allocation.transient else None
+            allocation = tensor.allocation
+            gone = tensor.device.heap.arena.gone(allocation) if isinstance(allocation, Transient) else None
             failed = self._failure(resident.allocation, needed)
             defined = gone is None and failed is None and resident.allocation.written.includes(needed)
             return TensorState(tensor.released, defined, writer, reader, recorded, failed, gone)

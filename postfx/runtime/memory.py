@@ -150,15 +150,16 @@ class HostMemory(Immediate):
 
 def address(array: np.ndarray) -> int:
     """Address of an array's first element."""
-    return array.__array_interface__["data"][0]
+    return int(array.__array_interface__["data"][0])
 
 
 def view_at(pointer: int, shape: tuple[int, ...], dtype: str, owner: object) -> np.ndarray:
     """A writable array over host memory; it keeps `owner`, which holds the memory, alive."""
     nbytes = math.prod(shape) * np.dtype(dtype).itemsize
-    buffer = (ctypes.c_char * nbytes).from_address(pointer)
+    buffer: Any = (ctypes.c_char * nbytes).from_address(pointer)
     buffer.owner = owner
-    return np.frombuffer(buffer, dtype).reshape(shape)
+    view: np.ndarray = np.frombuffer(buffer, dtype)
+    return view.reshape(shape)
 
 
 class Ranges:

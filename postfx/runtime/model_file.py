@@ -134,7 +134,9 @@ class _Reader:
                 raise WireError("sparse weights in a node")
 
     def _weights(self, message: memoryview) -> Weights:
-        found, dims, data = Weights(), [], []
+        found = Weights()
+        dims: list[int] = []
+        data: list[tuple[int, Field]] = []
         for number, value in self._wire.fields(message):
             if number == 1:
                 dims += self._wire.integers(value)
@@ -160,7 +162,7 @@ class _Reader:
     def _small(self, data: list[tuple[int, Field]]) -> Iterator[int]:
         """Elements of a small tensor of int64."""
         for number, value in data:
-            if number == 9:
+            if number == 9 and not isinstance(value, int):
                 yield from struct.unpack(f"<{len(value) // 8}q", value[: len(value) // 8 * 8])
             elif number == 7:
                 yield from self._wire.integers(value)

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from postfx.runtime.states import Arguments, State
 from postfx.runtime.tensor import Tensor
-
-if TYPE_CHECKING:
-    from postfx.runtime.states import Arguments
 
 STAGES = ("compute", "machine-learning")
 """Stages of the queue: compute kernels and networks."""
@@ -40,7 +37,7 @@ class Dispatch:
     writes: tuple[Tensor, ...]
     execute: Callable[[], None] | None
     model: Path | None = None
-    state: object = None
+    state: State | None = None
     arguments: Arguments | None = None
 
     def __str__(self) -> str:
@@ -81,4 +78,5 @@ class ProducerBarrier:
     before: frozenset[str]
 
 
-Record = Dispatch | EncoderBarrier | ConsumerBarrier | ProducerBarrier
+Barrier = EncoderBarrier | ConsumerBarrier | ProducerBarrier
+Record = Dispatch | Barrier

@@ -12,9 +12,10 @@ import os
 import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import onnxruntime as ort
@@ -37,7 +38,8 @@ EXTERNAL_WEIGHTS = b"location"
 PROCESSOR = ("model name", "flags", "Features")
 
 
-class Placement(NamedTuple):
+@dataclass(frozen=True)
+class Placement:
     """Where sessions run: ONNX Runtime's names of the provider and of the memory, the CPU threads, and on a GPU the
     stream that all work is on."""
 
@@ -54,6 +56,11 @@ class Value(NamedTuple):
     name: str
     shape: tuple[int | str | None, ...]
     dtype: str
+
+    @property
+    def fixed(self) -> tuple[int, ...]:
+        """The shape of a value whose dimensions are all fixed."""
+        return tuple(size for size in self.shape if isinstance(size, int))
 
 
 class Session:
@@ -104,7 +111,7 @@ class Session:
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Outputs that depend on no input, from one run on zeros. ModelError when there are none such, or they cannot
         be computed, as where they take more memory than there is."""
-        zeros = {value.name: np.zeros(value.shape, value.dtype) for value in self.inputs} if names else {}
+        zeros = {value.name: np.zeros(value.fixed, value.dtype) for value in self.inputs} if names else {}
         options = ort.RunOptions()
         options.only_execute_path_to_fetches = True
         try:
@@ -150,7 +157,7 @@ def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.Sessio
     return options
 
 
-def providers_of(placement: Placement, exclusive: bool) -> list:
+def providers_of(placement: Placement, exclusive: bool) -> list[Any]:
     """Where to run, as ONNX Runtime takes it; not `exclusive`, the CPU takes what the provider cannot run."""
     if placement.provider == "CPUExecutionProvider":
         return ["CPUExecutionProvider"]

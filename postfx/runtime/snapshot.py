@@ -205,8 +205,9 @@ def statistics(array: np.ndarray) -> Statistics:
             low, high = min(low, float(kept.min())), max(high, float(kept.max()))
             total, finite = total + float(kept.sum()), finite + kept.size
     infinities = flat.size - finite - nans
-    known = (low, high, total / finite) if finite else (None, None, None)
-    return Statistics(*known, zeros / flat.size, nans, infinities)
+    if not finite:
+        return Statistics(None, None, None, zeros / flat.size, nans, infinities)
+    return Statistics(low, high, total / finite, zeros / flat.size, nans, infinities)
 
 
 def as_planes(array: np.ndarray) -> np.ndarray | None:

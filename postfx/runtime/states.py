@@ -6,11 +6,13 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
 
 from postfx.errors import BindingError
 from postfx.runtime.session import Session
-from postfx.runtime.tensor import Allocation, Tensor
+from postfx.runtime.tensor import Allocation, Tensor, Transient
 from postfx.runtime.threads import Band
 
 if TYPE_CHECKING:
@@ -82,7 +84,7 @@ class ComputeState:
     """A kernel made ready to run on a device. Made by `Device.compute_state`."""
 
     stage = "compute"
-    model = None
+    model: Path | None = None
     capturable = True
 
     def __init__(self, device: Device, kernel: Kernel) -> None:
@@ -128,9 +130,14 @@ class CompiledComputeState(ComputeState):
         if scratch is None:
             return lambda: self._run(0, count, arrays)
         row_bytes = sum(tensor.nbytes for tensor in tensors) // max(1, count)
-        return lambda: [self._run(first, last, arrays) for first, last in scratch.pieces(count, row_bytes)]
 
-    def _run(self, first: int, last: int, arrays: list) -> None:
+        def run_in_pieces() -> None:
+            for first, last in scratch.pieces(count, row_bytes):
+                self._run(first, last, arrays)
+
+        return run_in_pieces
+
+    def _run(self, first: int, last: int, arrays: list[np.ndarray]) -> None:
         count = min(self.device.threads, (last - first) // MINIMUM_ROWS)
         if count < 2:
             self._rows(first, last, *arrays)
@@ -162,17 +169,18 @@ def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:
 def _compile_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
     """Compile before the first frame when the ranks are known and `rows` is a Numba function."""
     compile_for = getattr(kernel.rows, "compile", None)
-    if compile_for is None or any(binding.shape is None for binding in bindings):
+    shapes = [binding.shape for binding in bindings if binding.shape is not None]
+    if compile_for is None or len(shapes) < len(bindings):
         return
     from numba import types
 
-    arrays = [types.Array(types.float32, len(binding.shape), "C") for binding in bindings]
+    arrays: list[Any] = [types.Array(types.float32, len(shape), "C") for shape in shapes]
     compile_for((types.int64, types.int64, *arrays))
 
 
 def _session_bindings(session: Session) -> tuple[Binding, ...]:
-    reads = [Binding(value.name, "read", value.shape, value.dtype) for value in session.inputs]
-    writes = [Binding(value.name, "write", value.shape, value.dtype) for value in session.outputs]
+    reads = [Binding(value.name, "read", value.fixed, value.dtype) for value in session.inputs]
+    writes = [Binding(value.name, "write", value.fixed, value.dtype) for value in session.outputs]
     return tuple(reads + writes)
 
 
@@ -201,7 +209,7 @@ class Arguments:
         self.state = state
         self.reads = tuple(tensor for binding, tensor in pairs if binding.access == "read")
         self.writes = tuple(tensor for binding, tensor in pairs if binding.access == "write")
-        self.transients = tuple(dict.fromkeys(t.allocation for t in tensors if t.allocation.unplaced))
+        self.transients = tuple(dict.fromkeys(a for a in (t.allocation for t in tensors) if isinstance(a, Transient)))
         self.execute: Callable[[], None] | None = None if self.transients else state.prepare(tensors)
         self._tensors = tensors
         self._placed: tuple[tuple[Allocation | None, ...], Arguments] | None = None

@@ -118,11 +118,8 @@ class Allocation:
         written: bytes that hold data once every committed command has run.
         lost: bytes among them that a command failed to write, with its error; nothing in most allocations.
         transient: whether it holds data within one command buffer only, see `Heap.transient`.
-        unplaced: whether it stands for memory that it gets at commit only, as transient ones do.
-        placed: where an unplaced one was in the last buffer that used it.
+        placed: where a `Transient` was in the last buffer that used it.
     """
-
-    unplaced = False
 
     def __init__(
         self, name: str, pointer: int, nbytes: int, owner: object, writable: bool = True, transient: bool = False
@@ -137,7 +134,7 @@ class Allocation:
         self.released = False
         self.written = Ranges()
         self.lost: list[tuple[Ranges, CommandError]] = []
-        self._finalizer: weakref.finalize | None = None
+        self._finalizer: weakref.finalize[..., Allocation] | None = None
 
     def on_release(self, action: Callable[..., None], *args: Any) -> None:
         """Call `action(*args)` once, on release or when nothing refers to the allocation any more."""
@@ -149,6 +146,29 @@ class Allocation:
         self.released = True
         if self._finalizer is not None:
             self._finalizer()
+
+
+class Transient(Allocation):
+    """Stands for memory that a tensor will have when a buffer that uses it is committed.
+
+    Attributes:
+        placed: the memory that it had in the last such buffer.
+        taken: name of the tensor that the memory went to within that buffer, if it did.
+        turn: which of the arena's placements that was.
+        needs: bytes of the largest plan that placed it.
+    """
+
+    def __init__(self, name: str, pointer: int, nbytes: int) -> None:
+        super().__init__(name, pointer, nbytes, owner=None, transient=True)
+        self.taken: str | None = None
+        self.turn = self.needs = 0
+
+    def at(self, memory: Tensor, offset: int) -> Allocation:
+        """It, placed; the same object as the last time when the place is the same."""
+        pointer = memory.start + offset
+        if self.placed is None or self.placed.owner is not memory or self.placed.pointer != pointer:
+            return Allocation(self.name, pointer, self.nbytes, owner=memory, transient=True)
+        return self.placed
 
 
 class Tensor:

@@ -17,7 +17,7 @@ import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -127,7 +127,9 @@ class Helpers:
         called = True
         while called:
             try:
-                self._bands[i].work()
+                band = self._bands[i]
+                assert band is not None
+                band.work()
             except BaseException as error:  # whatever it is, the waiting thread must learn of it
                 self._failures[i] = error
             self._bands[i] = None
@@ -135,20 +137,20 @@ class Helpers:
 
 
 @intrinsic
-def load_flag(typingctx, flags, i):
+def load_flag(typingctx: Any, flags: Any, i: Any) -> Any:
     """The flag of row i, as other threads left it."""
 
-    def generate(context, builder, signature, arguments):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.load_atomic(_place(context, builder, signature, arguments), "seq_cst", LINE)
 
     return types.int64(flags, i), generate
 
 
 @intrinsic
-def replace_flag(typingctx, flags, i, known, new):
+def replace_flag(typingctx: Any, flags: Any, i: Any, known: Any, new: Any) -> Any:
     """Set the flag of row i to `new` if it is `known`, in one step; whether it was."""
 
-    def generate(context, builder, signature, arguments):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         place = _place(context, builder, signature, arguments)
         found = builder.cmpxchg(place, arguments[2], arguments[3], "seq_cst", "seq_cst")
         return builder.extract_value(found, 1)
@@ -157,10 +159,10 @@ def replace_flag(typingctx, flags, i, known, new):
 
 
 @intrinsic
-def pause(typingctx):
+def pause(typingctx: Any) -> Any:
     """Let some moments pass."""
 
-    def generate(context, builder, signature, arguments):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         name, given = PAUSES.get(platform.machine(), (None, ()))
         if name:
             kinds = [ir.IntType(32)] * len(given)
@@ -171,31 +173,31 @@ def pause(typingctx):
     return types.void(), generate
 
 
-def _place(context, builder, signature, arguments):
+def _place(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     flags = context.make_array(signature.args[0])(context, builder, arguments[0])
     return builder.gep(flags.data, [builder.mul(arguments[1], arguments[1].type(LINE))])
 
 
 @compiled
-def pauses(count):
+def pauses(count: int) -> None:
     for _ in range(count):
-        pause()
+        pause()  # type: ignore[call-arg]  # Numba gives the first argument
 
 
 @compiled
-def is_taken(flags, i):
+def is_taken(flags: np.ndarray, i: int) -> bool:
     """Give a helper that waits its next band; False when it does not wait any more."""
-    return replace_flag(flags, i, WAITING, BUSY)
+    return replace_flag(flags, i, WAITING, BUSY)  # type: ignore[call-arg]  # Numba gives the first argument
 
 
 @compiled
-def is_called(flags, i, looks, delay):
+def is_called(flags: np.ndarray, i: int, looks: int, delay: int) -> bool:
     """Tell that a helper is done with its band, and look for the next one for a while.
 
     True when there is one, after `delay` pauses, in which the thread that gave it can let go of the interpreter's lock;
     False when the helper is away from now on.
     """
-    replace_flag(flags, i, BUSY, WAITING)
+    replace_flag(flags, i, BUSY, WAITING)  # type: ignore[call-arg]  # Numba gives the first argument
     for _ in range(looks):
         if load_flag(flags, i) == BUSY:
             pauses(delay)
@@ -205,10 +207,10 @@ def is_called(flags, i, looks, delay):
 
 
 @compiled
-def is_done(flags, i, looks):
+def is_done(flags: np.ndarray, i: int, looks: int) -> bool:
     """Look for a while whether a helper is done with its band."""
     for _ in range(looks):
-        if load_flag(flags, i) != BUSY:
+        if load_flag(flags, i) != BUSY:  # type: ignore[call-arg]  # Numba gives the first argument
             return True
         pause()
     return False
