@@ -27,8 +27,7 @@ PARTIAL = ".part"
 PIECE = 1 << 22
 """Bytes that are read, hashed or written at once."""
 _NAME_BYTES = 120  # of the final name within the temporary one: file systems limit the length of names
-_TEMPORARY = re.compile(rf"\.(?P<name>.+)\.(?P<host>[\w-]+)-(?P<process>\d{{1,9}})-\d+(-[a-z]+)?{re.escape(PARTIAL)}",
-                        re.DOTALL)
+_TEMPORARY = re.compile(rf"\.(?P<name>.+)\.(?P<host>[\w-]+)-(?P<process>\d{{1,9}})-\d+{re.escape(PARTIAL)}", re.DOTALL)
 _numbers = count()
 
 
@@ -112,11 +111,6 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object], durable: b
     """Replace `path` by what `write` writes to an open file; see `atomic_file`."""
     with atomic_file(path, durable) as temporary, temporary.open("wb") as file:
         write(file)
-
-
-def beside(temporary: Path, word: str) -> Path:
-    """A second temporary name, for a writer of two steps; left behind, it is removed like the first."""
-    return temporary.with_name(f"{temporary.name.removesuffix(PARTIAL)}-{word}{PARTIAL}")
 
 
 def remove_leftovers(folder: Path, names: Iterable[str], any_host: bool = False) -> None:

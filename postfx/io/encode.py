@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from typing import BinaryIO
@@ -19,8 +21,10 @@ from postfx.colour.displays import KINDS, Display
 from postfx.colour.icc import make_profile
 from postfx.colour.primaries import Chromaticities
 from postfx.errors import ReadError
-from postfx.io.exr.container import PIXEL_BYTES, ExrContainer, NewPart, read_headers, write_container
-from postfx.io.exr.zip import ZIP_LINES, zip_chunks
+from postfx.frame import Frame
+from postfx.io.exr.container import ExrContainer, Header, read_headers, write_container
+from postfx.io.exr.passthrough import merge_source
+from postfx.io.exr.zip import zip_part
 from postfx.io.windows import Pixels
 from postfx.kernels.storing import halve, look_up, paeth
 
@@ -202,28 +206,32 @@ _PIECE = 16 << 20  # bytes in float32 that are converted and written at once
 
 
 def encode(
-    path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None
+    path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None,
+    keep: Frame | None = None,
 ) -> None:
-    """Encode a file. OSError unless it got all its bytes, which the encoders of JPEG, PNG and TIFF do not tell."""
+    """Encode a file; an EXR with everything else that the source of `keep` holds.
+
+    Raises OSError unless all bytes are in the file, which the encoders of JPEG, PNG and TIFF do not tell; ReadError
+    when what is kept cannot be read.
+    """
     if suffix == ".exr":
-        _write_exr(path, spec, convert, relax)
-    elif suffix == ".png" and spec.nchannels == OPAQUE:
-        _write_png(path, spec, convert, relax)
-    elif suffix in JPEG:
-        _write_jpeg(path, spec, convert, relax)
+        whole = _write_exr(path, spec, convert, relax, keep) == path.stat().st_size
     else:
-        _encode(path, suffix, spec, convert, relax)
-    if not has_end(path, suffix):
+        write = _write_jpeg if suffix in JPEG else _write_png if _is_own_png(suffix, spec) else _encode
+        write(path, suffix, spec, convert, relax)
+        whole = has_end(path, suffix)
+    if not whole:
         raise OSError(errno.ENOSPC, "the file has no end")
 
 
-def _write_exr(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
-    """Scanlines in ZIP, in a third of the time that OpenImageIO takes; the header is that of a pixel that it writes."""
-    _write_pixel(path, ".exr", spec)
-    with path.open("rb") as file:
-        _, (header,) = read_headers(file)
-    last = spec.x + spec.width - 1, spec.y + spec.height - 1
-    header.set("dataWindow", "box2i", struct.pack("<4i", spec.x, spec.y, *last))
+def _write_exr(
+    path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None, keep: Frame | None
+) -> int:
+    """Scanlines in ZIP, in a third of the time that OpenImageIO takes; returns the file's bytes.
+
+    Each chunk goes straight into the file, together with the channels and parts that are kept.
+    """
+    header = _exr_header(spec)
     places = [spec.channelnames.index(channel.name) for channel in header.channels]
 
     def rows(first: int, last: int) -> list[np.ndarray]:
@@ -232,22 +240,37 @@ def _write_exr(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callabl
             relax()
         return [pixels[:, :, place] for place in places]
 
-    pixel_bytes = sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
-    chunks = zip_chunks(header.data, pixel_bytes, rows)
-    write_container(path, [NewPart(header, -(-spec.height // ZIP_LINES), chunks)])
+    with ExitStack() as stack:
+        parts = merge_source(header, rows, keep, stack) if keep else [zip_part(header, rows)]
+        return write_container(path, parts)
 
 
-def _write_png(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
-    """In a third of the time that OpenImageIO takes; all but the pixels is that of a pixel that it writes."""
-    _write_pixel(path, ".png", spec)
-    write_png(path, path.read_bytes(), (spec.width, spec.height), _pieces(spec, convert, relax))
+def _exr_header(spec: oiio.ImageSpec) -> Header:
+    """The header that OpenImageIO gives a picture."""
+    _, (header,) = read_headers(io.BytesIO(_encode_pixel(".exr", spec)))
+    last = spec.x + spec.width - 1, spec.y + spec.height - 1
+    header.set("dataWindow", "box2i", struct.pack("<4i", spec.x, spec.y, *last))
+    return header
 
 
-def _write_pixel(path: Path, suffix: str, spec: oiio.ImageSpec) -> None:
-    """Write a file of one pixel, which holds all that is to be said of the picture."""
+def _is_own_png(suffix: str, spec: oiio.ImageSpec) -> bool:
+    return suffix == ".png" and spec.nchannels == OPAQUE
+
+
+def _write_png(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels,
+               relax: Callable[[], None] | None) -> None:
+    """In a third of the time that OpenImageIO takes; all but the pixels is what OpenImageIO writes."""
+    write_png(path, _encode_pixel(suffix, spec), (spec.width, spec.height), _pieces(spec, convert, relax))
+
+
+def _encode_pixel(suffix: str, spec: oiio.ImageSpec) -> bytes:
+    """A file of one pixel that says everything else about a picture, made in memory."""
     pixel = oiio.ImageSpec(spec)
     pixel.width = pixel.height = 1
-    _encode(path, suffix, pixel, lambda rows: np.zeros((1, 1, spec.nchannels), np.float32), None)
+    with os.fdopen(os.memfd_create("pixel"), "rb") as file:
+        path = Path(f"/dev/fd/{file.fileno()}")
+        _encode(path, suffix, pixel, lambda rows: np.zeros((1, 1, spec.nchannels), np.float32), None)
+        return file.read()
 
 
 def _pieces(spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> Iterator[np.ndarray]:
@@ -259,13 +282,14 @@ def _pieces(spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | N
             relax()
 
 
-def _write_jpeg(path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
+def _write_jpeg(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels,
+                relax: Callable[[], None] | None) -> None:
     """Encode through a pipe, as libjpeg ends the process where a disk is full."""
     reading, writing = os.pipe()
     with ThreadPoolExecutor(1) as reader, os.fdopen(reading, "rb") as encoded:
         content = reader.submit(encoded.read)
         try:
-            _encode(Path(f"/dev/fd/{writing}"), ".jpg", spec, convert, relax)
+            _encode(Path(f"/dev/fd/{writing}"), suffix, spec, convert, relax)
         finally:
             os.close(writing)
         path.write_bytes(content.result())

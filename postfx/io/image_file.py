@@ -61,19 +61,20 @@ def _check_hdr(path: Path, start: bytes, size: int) -> None:
 class ImageFile:
     """An open file: `parts` says what is in it, `read` fetches channels. Use as a context manager.
 
-    `suffix` tells the format where the path's does not. Raises MissingFrameError when there is no such file, ReadError
-    when it is broken, deep or of an unknown format.
+    `checked` says that the caller has an `ExrContainer` of it, so what its header claims is not checked again. Raises
+    MissingFrameError when there is no such file, ReadError when it is broken, deep or of an unknown format.
     """
 
-    def __init__(self, path: Path, suffix: str | None = None) -> None:
+    def __init__(self, path: Path, checked: bool = False) -> None:
         self.path = Path(path)
-        if (suffix or self.path.suffix.lower()) not in READABLE:
+        if self.path.suffix.lower() not in READABLE:
             raise ReadError(f"{path}: not a scene-linear image: give OpenEXR (.exr) or Radiance (.hdr) files")
         if not os.path.isfile(path):
             raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with --frames")
         if not is_utf8(str(path)):
             raise ReadError(f"{make_printable(str(path))}: its name is not UTF-8: rename it")
-        check_claims(self.path)
+        if not checked:
+            check_claims(self.path)
         self._input = oiio.ImageInput.open(str(self.path))
         if self._input is None:
             raise ReadError(f"{path}: cannot be opened: {reason_of(oiio.geterror)}; write the file again")

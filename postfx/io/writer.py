@@ -17,7 +17,6 @@ from postfx.files import output_file
 from postfx.frame import LINEAR, Frame, Role
 from postfx.io.dither import Dither, quantise
 from postfx.io.encode import JPEG, encode, halves, has_end, light_of, tag_codes, tag_light
-from postfx.io.exr.passthrough import add_rest
 from postfx.io.image_file import reason_of
 from postfx.io.metadata import kept_attributes, set_attributes
 from postfx.io.windows import OutputWindows, Pixels, cut, output_windows
@@ -86,9 +85,7 @@ def write_frame(
     if not shown:
         set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
     with output_file(path) as temporary:
-        encode(temporary, path.suffix.lower(), spec, convert, relax)
-        if keep and not shown:
-            add_rest(temporary, frame)
+        encode(temporary, path.suffix.lower(), spec, convert, relax, frame if keep else None)
     return path
 
 

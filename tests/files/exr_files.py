@@ -89,7 +89,7 @@ def write_studio(folder: Path) -> Path:
         header.set("studioBlob", "studioType", bytes(range(256)))
         header.set("aVeryLongNameOfAnAttributeThatNeedsTheFlag", "float", struct.pack("<f", 0.1))
         header.attributes["displayWindow"] = containers[0].headers[0].attributes["displayWindow"]
-        parts.append(NewPart(header, container.counts[0], container.stored(0)))
+        parts.append(NewPart(header, container.counts[0], container.copy_chunks(0)))
     write_container(folder / "studio.exr", parts)
     for container in containers:
         container.close()
@@ -109,8 +109,8 @@ def channel_hashes(path: Path) -> dict[tuple[str, str], str]:
 def chunk_hashes(path: Path) -> dict[str, str]:
     """Part -> hash of its chunks as they are stored, in the order of their places."""
     with ExrContainer(path) as file:
-        return {header.name: hashlib.sha256(b"".join(stored for _, stored in sorted(file.stored(part)))).hexdigest()
-                for part, header in enumerate(file.headers)}
+        chunks = {header.name: sorted(file.copy_chunks(part)) for part, header in enumerate(file.headers)}
+    return {name: hashlib.sha256(b"".join(stored for _, stored in found)).hexdigest() for name, found in chunks.items()}
 
 
 def headers_of(path: Path) -> dict[str, dict[str, tuple[str, bytes]]]:

@@ -33,7 +33,7 @@ def little_room() -> Iterator[None]:
 def with_header(path: Path, change: Callable[[Header], None], keep_chunks: bool = True) -> None:
     """Write a file again with another header."""
     with ExrContainer(path) as file:
-        header, chunks = file.headers[0], list(file.stored(0)) if keep_chunks else []
+        header, chunks = file.headers[0], list(file.copy_chunks(0)) if keep_chunks else []
     change(header)
     write_container(path, [NewPart(header, len(chunks), chunks)])
 

@@ -109,7 +109,7 @@ class Header:
         """Replace or add an attribute of type string."""
         self.set(name, "string", raw(value))
 
-    def packed(self) -> bytes:
+    def pack(self) -> bytes:
         """The header as a file holds it."""
         entries = [raw(name) + b"\0" + raw(kind) + b"\0" + struct.pack("<i", len(value)) + value
                    for name, (kind, value) in self.attributes.items()]
@@ -277,7 +277,7 @@ class ExrContainer:
             raise self._broken("it ends early")
         return stored
 
-    def stored(self, part: int) -> Iterator[tuple[int, bytes]]:
+    def copy_chunks(self, part: int) -> Iterator[tuple[int, bytes]]:
         """Place in the table and bytes of all chunks of a part, in the order of the file."""
         chunks = self.chunks(part)
         for place in sorted(range(len(chunks)), key=lambda place: chunks[place].at):
@@ -387,8 +387,11 @@ class NewPart:
     chunks: Iterable[tuple[int, bytes]]
 
 
-def write_container(path: Path, parts: list[NewPart]) -> None:
-    """Write a file of these parts, each of which needs a name when there are several. OSError when that fails."""
+def write_container(path: Path, parts: list[NewPart]) -> int:
+    """Write a file of these parts, each of which needs a name when there are several; returns the file's bytes.
+
+    Raises OSError when that fails, and whatever the parts raise while they make their chunks.
+    """
     several = len(parts) > 1
     for part in parts:
         if several:
@@ -396,15 +399,16 @@ def write_container(path: Path, parts: list[NewPart]) -> None:
             part.header.set("chunkCount", "int", struct.pack("<i", part.count))
     with path.open("wb") as file:
         file.write(struct.pack("<iI", MAGIC, VERSION | _flags([part.header for part in parts])))
-        file.write(b"".join(part.header.packed() for part in parts) + b"\0" * several)
+        file.write(b"".join(part.header.pack() for part in parts) + b"\0" * several)
         table = file.tell()
         file.write(bytes(8 * sum(part.count for part in parts)))
+        offsets: list[int] = []
         for number, part in enumerate(parts):
-            offsets = _write_chunks(file, part, struct.pack("<i", number) if several else b"")
-            file.seek(table)
-            file.write(struct.pack(f"<{part.count}Q", *offsets))
-            table = file.tell()
-            file.seek(0, 2)
+            offsets += _write_chunks(file, part, struct.pack("<i", number) if several else b"")
+        size = file.tell()
+        file.seek(table)
+        file.write(struct.pack(f"<{len(offsets)}Q", *offsets))
+    return size
 
 
 def _write_chunks(file: BinaryIO, part: NewPart, prefix: bytes) -> list[int]:

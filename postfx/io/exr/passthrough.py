@@ -13,25 +13,14 @@ samples per pixel, a cut) in the part that it shares with other channels.
 
 from __future__ import annotations
 
-import os
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
-from postfx.files import beside
 from postfx.frame import Frame
-from postfx.io.exr.container import (
-    PIXEL_BYTES,
-    SCANLINES,
-    TILES,
-    ExrContainer,
-    Header,
-    NewPart,
-    pack_channels,
-    write_container,
-)
-from postfx.io.exr.zip import ZIP, ZIP_LINES, Rows, zip_chunks
+from postfx.io.exr.container import SCANLINES, TILES, ExrContainer, Header, NewPart, pack_channels
+from postfx.io.exr.zip import ZIP, Rows, zip_part
 from postfx.io.image_file import ImageFile
 from postfx.io.metadata import is_outdated
 from postfx.io.windows import PICTURE
@@ -46,44 +35,41 @@ _INVENTED = "capDate"  # OpenImageIO writes today's where there is none
 _NAME, _RENDER_NAME = "rgba", "render"
 
 
-def add_rest(path: Path, frame: Frame) -> None:
-    """Put everything else that the frame's source holds into a file that holds its picture.
+def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> list[NewPart]:
+    """Parts of a file that holds a picture and everything else that its frame's source holds.
 
-    A source that is no OpenEXR file has nothing to keep. Raises ReadError when the source is broken or gone, OSError
-    when writing fails.
+    Args:
+        own: header that the writer gave the picture.
+        rows: reads the picture's channels, in the order of that header.
+        frame: of the picture. A source that is no OpenEXR file has nothing to keep.
+        stack: closes the source's files, from which the parts read while they are written.
+
+    Raises ReadError when the source is broken, OSError when it is gone.
     """
     if frame.source is None or Path(frame.source).suffix.lower() != ".exr":
-        return
-    together = beside(path, "all")
-    try:
-        with ExitStack() as stack:
-            picture = stack.enter_context(ExrContainer(path))
-            source = stack.enter_context(ExrContainer(Path(frame.source)))
-            write_container(together, _Merge(picture, source, frame, stack).parts())
-        os.replace(together, path)
-    finally:
-        with suppress(OSError):
-            together.unlink()
+        return [zip_part(own, rows)]
+    source = stack.enter_context(ExrContainer(Path(frame.source)))
+    return _Merge(own, rows, source, frame, stack).parts()
 
 
 class _Merge:
     """A picture and the file that its render was read from."""
 
-    def __init__(self, picture: ExrContainer, source: ExrContainer, frame: Frame, stack: ExitStack) -> None:
-        self._picture, self._source, self._frame, self._stack = picture, source, frame, stack
+    def __init__(self, own: Header, rows: Rows, source: ExrContainer, frame: Frame, stack: ExitStack) -> None:
+        self._own, self._rows, self._source, self._frame, self._stack = own, rows, source, frame, stack
         self._stored = frame.stored or Stored(0, (), {})
-        self._own = picture.headers[0]
 
     def parts(self) -> list[NewPart]:
         """All parts of the output."""
         index, headers = self._stored.part, self._source.headers
-        if not self._is_in_place():
-            header = self._header(headers[index], False)
-            return self._named([NewPart(header, self._picture.counts[0], self._picture.stored(0)),
-                                *(self._as_stored(part, header) for part in range(len(headers)))])
-        header = self._header(headers[index], True)
-        return self._named([self._together(part, header) if part == index else self._as_stored(part, header)
-                            for part in range(len(headers))])
+        in_place = self._is_in_place()
+        header = self._header(headers[index], in_place)
+        if in_place:
+            parts = [self._together(part, header) if part == index else self._as_stored(part, header)
+                     for part in range(len(headers))]
+        else:
+            parts = [zip_part(header, self._rows), *(self._as_stored(part, header) for part in range(len(headers)))]
+        return _with_names(parts)
 
     def _is_in_place(self) -> bool:
         """Whether the picture takes the place of the render's colour."""
@@ -103,34 +89,26 @@ class _Merge:
                 header.attributes |= {name: shared} if shared else {}
         if PICTURE in header.attributes:  # of a picture that was processed again
             header.attributes[RENDER + PICTURE] = header.attributes.pop(PICTURE)
-        return NewPart(header, self._source.counts[part], self._source.stored(part))
+        return NewPart(header, self._source.counts[part], self._source.copy_chunks(part))
 
     def _together(self, part: int, header: Header) -> NewPart:
         """The part that held the render's colour, with the picture in its place."""
-        fresh = {channel.name for channel in self._own.channels}
+        fresh = [channel.name for channel in self._own.channels]
         rest = [channel for channel in self._source.headers[part].channels if channel.name not in fresh]
         if not rest:
-            return NewPart(header, self._picture.counts[0], self._picture.stored(0))
-        channels = self._own.channels + rest
-        header.set("channels", "chlist", pack_channels(channels))
+            return zip_part(header, self._rows)
+        header.set("channels", "chlist", pack_channels(self._own.channels + rest))
         header.set("compression", "compression", bytes([ZIP]))
-        rows = self._rows(part, [channel.name for channel in header.channels], fresh)
-        count = -(-header.data.height // ZIP_LINES)
-        return NewPart(header, count, zip_chunks(header.data, sum(PIXEL_BYTES[one.kind] for one in channels), rows))
-
-    def _rows(self, part: int, order: list[str], fresh: set[str]) -> Rows:
-        """Reads rows of channels in an order: the fresh ones of the picture, others of a part of the source."""
-        picture = self._stack.enter_context(ImageFile(self._picture.path, ".exr"))
-        source = self._stack.enter_context(ImageFile(self._source.path))
+        source = self._stack.enter_context(ImageFile(self._source.path, checked=True))
         (render,) = (one for one in source.parts if one.index == part)
-        new, old = [name for name in order if name in fresh], [name for name in order if name not in fresh]
+        old, order = [channel.name for channel in rest], [channel.name for channel in header.channels]
 
         def rows(first: int, last: int) -> list[np.ndarray]:
-            found = dict(zip(new, picture.read_stored(picture.parts[0], new, first, last), strict=True))
+            found = dict(zip(fresh, self._rows(first, last), strict=True))
             found |= zip(old, source.read_stored(render, old, first, last), strict=True)
             return [found[name] for name in order]
 
-        return rows
+        return zip_part(header, rows)
 
     def _header(self, render: Header, in_place: bool) -> Header:
         """Header of the picture's part: what the writer gave it, and what the render's says that it did not change."""
@@ -156,15 +134,16 @@ class _Merge:
         same = name not in read or np.array_equal(read[name], now.get(name, read[name]))
         return is_outdated(name, self._frame) or not same
 
-    def _named(self, parts: list[NewPart]) -> list[NewPart]:
-        """The parts, each with a name of its own, which files of several parts need; those that have one keep it."""
-        if len(parts) == 1:
-            return parts
-        taken = {part.header.name for part in parts}
-        for part in parts:
-            if not part.header.name:
-                name = _NAME if PICTURE in part.header.attributes else _RENDER_NAME
-                names = [name, *(f"{name}.{number}" for number in range(2, len(parts) + 2))]
-                part.header.set_text("name", next(name for name in names if name not in taken))
-                taken.add(part.header.name)
+
+def _with_names(parts: list[NewPart]) -> list[NewPart]:
+    """The parts, each with a name of its own, which files of several parts need; those that have one keep it."""
+    if len(parts) == 1:
         return parts
+    taken = {part.header.name for part in parts}
+    for part in parts:
+        if not part.header.name:
+            name = _NAME if PICTURE in part.header.attributes else _RENDER_NAME
+            names = [name, *(f"{name}.{number}" for number in range(2, len(parts) + 2))]
+            part.header.set_text("name", next(name for name in names if name not in taken))
+            taken.add(part.header.name)
+    return parts
