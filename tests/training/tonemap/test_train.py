@@ -110,19 +110,19 @@ def test_a_look_of_a_config_is_baked_and_measured_on_charts(tmp_path: Path) -> N
 
 def test_training_that_spoils_the_start_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the cube cannot be fitted better, and training ends with a grid of nothing."""
-    from training.tonemap import pairs
+    from training.tonemap import pairs as module
 
     def spoil(net: HDRNet, *rest: object) -> dict[str, object]:
         weights = {name: value * 0 for name, value in net.state_dict().items()}
         return {"weights": weights, "psnr": {"1": 5.0}, "history": ["spoilt"]}
 
-    monkeypatch.setattr(pairs, "fit", lambda net, pairs, start: (start, 30.0))
-    monkeypatch.setattr(pairs, "run", spoil)
-    monkeypatch.setattr(pairs, "nearest_cube", lambda pairs: pairs.shipped_cubes()["local"])
+    monkeypatch.setattr(module, "fit", lambda net, pairs, start: (start, 30.0))
+    monkeypatch.setattr(module, "run", spoil)
+    monkeypatch.setattr(module, "nearest_cube", lambda pairs: module.shipped_cubes()["local"])
     look = Look(ACES2, gain=0.75, local=Local(1.0, 0.95, 0.7))
     made = [(picture(i), exact_target(picture(i), look)) for i in range(2)]
-    pairs = pairs.Pairs({"0": made[0]}, {"1": made[1]})
-    found = pairs.teach_pairs(pairs, "local", Recipe(1.0), torch.device("cpu"), print)
+    pairs = module.Pairs({"0": made[0]}, {"1": made[1]})
+    found = module.teach_pairs(pairs, "local", Recipe(1.0), torch.device("cpu"), print)
     assert found["history"] == [] and found["weights"]["guide.matrix"].any()
 
 
