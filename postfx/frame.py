@@ -1,17 +1,80 @@
-"""Frames as named planes: the one convention that everything after reading relies on."""
+"""Frames as named planes, and what the planes mean: the one convention that everything after reading relies on."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from enum import StrEnum
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from postfx.colour.displays import KINDS, parse_display
 from postfx.errors import ColourError, FrameError, GuideError
-from postfx.roles import ROLES, Role
-from postfx.stored import Stored
+
+
+class Role(StrEnum):
+    """What a plane means. `ROLES` holds channels, unit, space, range and direction of each."""
+
+    COLOUR = "colour"
+    ALPHA = "alpha"
+    DEPTH = "depth"
+    MOTION = "motion"
+    NORMAL = "normal"
+    DIFFUSE_ALBEDO = "diffuse_albedo"
+    SPECULAR_ALBEDO = "specular_albedo"
+    ROUGHNESS = "roughness"
+    SPECULAR_HIT_DISTANCE = "specular_hit_distance"
+    STRENGTH = "strength"
+    REACTIVE = "reactive"
+    OPAQUE_COLOUR = "opaque_colour"
+    OVERLAY = "overlay"
+    LATER = "later"
+    VARIANCE_OF_MEAN = "variance_of_mean"
+    SAMPLE_VARIANCE = "sample_variance"
+    SECOND_MOMENT = "second_moment"
+    SAMPLE_COUNT = "sample_count"
+
+
+class RoleInfo(NamedTuple):
+    """Convention of one role: channel count, unit, space, range and direction."""
+
+    channels: int
+    unit: str
+    space: str
+    range: str
+    direction: str
+
+
+_REFLECTANCE = "linear Rec.709"
+_COLOUR = "the colour's"
+
+ROLES: Mapping[Role, RoleInfo] = {
+    Role.COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "none; premultiplied by alpha"),
+    Role.ALPHA: RoleInfo(1, "coverage", "none", "0..1", "0 transparent, 1 opaque"),
+    Role.DEPTH: RoleInfo(1, "scene units", "camera", "0..1e10", "along the view axis, away from the camera; miss 1e10"),
+    Role.MOTION: RoleInfo(2, "pixels of this frame", "image", "any", "previous - current; x right, y down; no jitter"),
+    Role.NORMAL: RoleInfo(3, "none", "world", "-1..1", "facing the viewer; unit length not forced, zero at misses"),
+    Role.DIFFUSE_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "none"),
+    Role.SPECULAR_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "Fresnel towards the viewer"),
+    Role.ROUGHNESS: RoleInfo(1, "none", "linear (not squared)", "0..1", "0 mirror, 1 rough"),
+    Role.SPECULAR_HIT_DISTANCE: RoleInfo(1, "scene units", "world", "0..inf", "primary surface to the reflected hit"),
+    Role.STRENGTH: RoleInfo(1, "none", "none", "0..1", "0 leave as it is, 1 denoise fully"),
+    Role.REACTIVE: RoleInfo(1, "none", "none", "0..1", "0 use the history, 1 ignore it"),
+    Role.OPAQUE_COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "colour before transparency"),
+    Role.OVERLAY: RoleInfo(4, "radiance and coverage", "scene-linear Rec.709", "0..inf", "RGBA, premultiplied"),
+    Role.LATER: RoleInfo(4, "radiance and weight", "scene-linear Rec.709", "0..inf", "RGBA, times weight"),
+    Role.VARIANCE_OF_MEAN: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "squared standard error of the pixel"),
+    Role.SAMPLE_VARIANCE: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "of a pixel's samples"),
+    Role.SECOND_MOMENT: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "mean of a pixel's squared samples"),
+    Role.SAMPLE_COUNT: RoleInfo(1, "samples a pixel", "none", "0..inf", "or shares, 0..1, of the header's number"),
+}
+
+VARIANCES = (Role.SAMPLE_VARIANCE, Role.SECOND_MOMENT, Role.VARIANCE_OF_MEAN)
+"""Planes that tell a pixel's error; the first that a frame has counts."""
+ERROR_ROLES = (*VARIANCES, Role.SAMPLE_COUNT)
+"""Planes that tell how far a render has converged. They are only read when somebody asks for that, so no pass misses
+them."""
 
 DEPTH_MISS = 1e10
 """Depth of a pixel whose ray hit nothing."""
@@ -19,22 +82,21 @@ DEPTH_MISS = 1e10
 LINEAR = ("scene-linear", "display-linear")
 ENCODINGS = (*LINEAR, *KINDS)
 """Meanings of the colour plane: light in the scene, light of a display (1 is white), both in Rec.709; and code values
-0..1 for displays by name, with peak and white where they are HDR ('pq,peak=1000,white=203')."""
-
+0..1 of a display by its name, with peak and white for HDR ('pq,peak=1000,white=203')."""
 
 GUIDE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH)
 """Planes at output size that make edges exact."""
 
 OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)
-"""Planes that may come at output size: guides, in the widest sense."""
+"""Planes that may come at output size, which is what makes them guides."""
 
 
 @dataclass(frozen=True)
 class GuideSpec:
     """Size and roles of a frame's guides, which are planes at output size.
 
-    `roles` may be any of `OUTPUT_SIZE_ROLES`, kept in the order of `Role`; none when no pass reads the guides. `source`
-    is the file they come from, for messages: it does not count when specs are compared.
+    `roles` may be any of `OUTPUT_SIZE_ROLES` and are kept in the order of `Role`; empty if no pass reads the guides.
+    `source` is the file that they come from, for messages: comparisons ignore it.
     """
 
     width: int
@@ -49,13 +111,19 @@ class GuideSpec:
         object.__setattr__(self, "roles", tuple(role for role in Role if role in wanted))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class FrameSpec:
-    """Everything about a frame that passes are compiled for: size, planes (role -> channels), encoding and guides.
+    """Everything about a frame that passes are compiled for: size, planes, encoding and guides.
 
-    `planes` may be given as a mapping, as pairs or as roles; it is kept as pairs in the order of `Role`, so specs
-    compare and hash by meaning. `guides` is None for a frame without planes at output size. `source` is the file the
-    frame comes from, for messages: it does not count when specs are compared.
+    Attributes:
+        width, height: pixels.
+        planes: role and channel count of each plane, in the order of `Role`, so specs compare and hash by meaning. They
+            may be given as a mapping, as pairs or as roles only.
+        encoding: meaning of the colour plane, see `ENCODINGS`.
+        guides: None for a frame without planes at output size.
+        source: file that the frame comes from, for messages: comparisons ignore it.
+
+    Raises FrameError for an empty size, a wrong channel count and an unknown encoding.
     """
 
     width: int
@@ -65,11 +133,21 @@ class FrameSpec:
     guides: GuideSpec | None = None
     source: str | None = field(default=None, compare=False)
 
-    def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise FrameError(f"frame size {self.width}x{self.height}: both sides must be at least 1 pixel")
-        object.__setattr__(self, "encoding", _known_encoding(self.encoding))
-        object.__setattr__(self, "planes", _ordered_planes(self.planes))
+    def __init__(
+        self,
+        width: int,
+        height: int,
+        planes: Mapping[Role, int] | Iterable[Role | str | tuple[Role, int]],
+        encoding: str = "scene-linear",
+        guides: GuideSpec | None = None,
+        source: str | None = None,
+    ) -> None:
+        if width < 1 or height < 1:
+            raise FrameError(f"frame size {width}x{height}: both sides must be at least 1 pixel")
+        fixed = {"width": width, "height": height, "planes": _order_planes(planes),
+                 "encoding": _complete_encoding(encoding), "guides": guides, "source": source}
+        for name, value in fixed.items():
+            object.__setattr__(self, name, value)
 
     @property
     def roles(self) -> tuple[Role, ...]:
@@ -93,15 +171,17 @@ class FrameSpec:
         raise FrameError(f"the frame has no plane '{role}': it has {', '.join(self.roles)}")
 
 
-def _known_encoding(encoding: str) -> str:
-    """An encoding with everything that it leaves out."""
+def _complete_encoding(encoding: str) -> str:
+    """An encoding with everything that was left out."""
     try:
         return encoding if encoding in LINEAR else str(parse_display(encoding))
     except ColourError as error:
         raise FrameError(f"unknown colour encoding '{encoding}': use {', '.join(LINEAR)}; {error}") from error
 
 
-def _ordered_planes(planes: Mapping[Role, int] | Iterable[Any]) -> tuple[tuple[Role, int], ...]:
+def _order_planes(
+    planes: Mapping[Role, int] | Iterable[Role | str | tuple[Role, int]]
+) -> tuple[tuple[Role, int], ...]:
     items = planes.items() if isinstance(planes, Mapping) else [_pair(item) for item in planes]
     held = {Role(role): int(channels) for role, channels in items}
     for role, channels in held.items():
@@ -110,13 +190,28 @@ def _ordered_planes(planes: Mapping[Role, int] | Iterable[Any]) -> tuple[tuple[R
     return tuple((role, held[role]) for role in Role if role in held)
 
 
-def _pair(item: Any) -> tuple[Role, int]:
-    return (Role(item), ROLES[Role(item)].channels) if isinstance(item, str) else tuple(item)
+def _pair(item: Role | str | tuple[Role, int]) -> tuple[Role, int]:
+    return (Role(item), ROLES[Role(item)].channels) if isinstance(item, str) else item
+
+
+@dataclass(frozen=True)
+class ColourSource:
+    """Where a frame's colour is in the file that it was read from.
+
+    Attributes:
+        part: part of the file, counted from 0.
+        channels: names of red, green and blue there.
+        attributes: header attributes as they were read.
+    """
+
+    part: int
+    channels: tuple[str, ...]
+    attributes: Mapping[str, Any]
 
 
 @dataclass
 class Frame:
-    """One image of a sequence: planes of one size, perhaps guides of the output's, and what the passes must know.
+    """One image of a sequence: planes of one size, perhaps guides at output size, and what the passes must know.
 
     Attributes:
         planes: role -> float32 C-contiguous array (height, width, channels); units and directions are in `ROLES`.
@@ -132,7 +227,7 @@ class Frame:
             'dataWindow' as (x0, y0, x1, y1), bounds included, the rectangle that the planes cover under 'postfx:area'
             (without it, the display window).
         source: file that the frame, of several files its colour, was read from, or None.
-        stored: where the colour is in `source`, if it is in one part of it.
+        colour_source: where the colour is in `source`, if it is in one part of it.
         encoding: meaning of the colour plane, see `ENCODINGS`.
         guides: role -> array like those of `planes`, at output size; roles are among `OUTPUT_SIZE_ROLES`.
         guide_size: width and height of the guides; given only for a frame whose guides were not read.
@@ -158,13 +253,13 @@ class Frame:
     guide_size: tuple[int, int] | None = None
     guide_jitter: tuple[float, float] = (0.0, 0.0)
     guide_source: str | None = None
-    stored: Stored | None = None
+    colour_source: ColourSource | None = None
 
     def __post_init__(self) -> None:
         if not self.planes:
             raise FrameError(f"frame {self._name()} has no planes")
-        self.planes = self._all_checked(self.planes, "plane", self.source)
-        self.guides = self._all_checked(self.guides, "guide", self.guide_source)
+        self.planes = self._check_all(self.planes, "plane", self.source)
+        self.guides = self._check_all(self.guides, "guide", self.guide_source)
         if self.guides:
             self.guide_size = next(iter(self.guides.values())).shape[1::-1]
         if self.world_to_camera is not None:
@@ -187,14 +282,14 @@ class Frame:
     def __contains__(self, role: object) -> bool:
         return role in self.planes
 
-    def _all_checked(self, planes: dict[Role, np.ndarray], kind: str, source: str | None) -> dict[Role, np.ndarray]:
-        checked = {Role(role): self._checked(Role(role), plane, kind) for role, plane in planes.items()}
+    def _check_all(self, planes: dict[Role, np.ndarray], kind: str, source: str | None) -> dict[Role, np.ndarray]:
+        checked = {Role(role): self._check(Role(role), plane, kind) for role, plane in planes.items()}
         if len({plane.shape[:2] for plane in checked.values()}) > 1:
             sizes = ", ".join(f"{role} {plane.shape[1]}x{plane.shape[0]}" for role, plane in checked.items())
             raise FrameError(f"{kind}s of frame {self._name(source)} differ in size: {sizes}")
         return checked
 
-    def _checked(self, role: Role, plane: np.ndarray, kind: str) -> np.ndarray:
+    def _check(self, role: Role, plane: np.ndarray, kind: str) -> np.ndarray:
         if kind == "guide" and role not in OUTPUT_SIZE_ROLES:
             usable = ", ".join(OUTPUT_SIZE_ROLES)
             raise GuideError(f"plane '{role}' of frame {self._name()} cannot be a guide: use {usable}")

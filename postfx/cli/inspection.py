@@ -14,10 +14,9 @@ from postfx.doctor.pictures import write_pictures
 from postfx.doctor.reading import Reading, read_material
 from postfx.doctor.roles import explain_roles
 from postfx.doctor.statistics import Values, count_values, noise_level
-from postfx.frame import DEPTH_MISS, ROLES, Frame, Role
+from postfx.frame import DEPTH_MISS, ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match
 from postfx.io.sequence import Sequence
-from postfx.roles import ERROR_ROLES
 
 STYLES = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 VERDICTS = {0: "nothing wrong was found", 1: "there are warnings", 2: "there are errors"}

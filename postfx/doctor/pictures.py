@@ -13,9 +13,8 @@ from postfx.doctor.statistics import finite
 from postfx.errors import WriteError
 from postfx.exposure import measure
 from postfx.exposure.views import shown
-from postfx.frame import Frame, Role
+from postfx.frame import ERROR_ROLES, Frame, Role
 from postfx.report.pictures import png
-from postfx.roles import ERROR_ROLES
 
 MAGENTA, RED, MISS = (255, 0, 255), (255, 0, 0), (24, 24, 96)
 BRIGHTEST = 99  # percentile

@@ -13,7 +13,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.errors import GuideError, MissingPlaneError, ReadError
-from postfx.frame import OUTPUT_SIZE_ROLES, ROLES, Frame, FrameSpec, GuideSpec, Role
+from postfx.frame import OUTPUT_SIZE_ROLES, ROLES, ColourSource, Frame, FrameSpec, GuideSpec, Role
 from postfx.io.convert import Camera, DepthOption, convert, fill_value
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Channel, ChannelIndex, Header, Layout, Match, make_layout, read_channels
@@ -21,7 +21,6 @@ from postfx.io.masks import LeftAlone
 from postfx.io.profile import load_profile
 from postfx.io.windows import AREA, Window
 from postfx.masks.entries import Entry
-from postfx.stored import Stored
 from postfx.system import Scratch
 
 
@@ -390,18 +389,18 @@ class FrameFiles:
             fov_x=camera.fov_over(part.area.width),
             metadata={**self.layout.attributes, **windows},
             source=str(first.file.path),
-            stored=self._stored(),
+            colour_source=self._colour_source(),
             guides=guides,
             guide_size=self.guides.size if self.guides else None,
             guide_jitter=self.guides.camera.jitter if self.guides else (0.0, 0.0),
             guide_source=str(self.guides.path) if self.guides else None,
         )
 
-    def _stored(self) -> Stored | None:
+    def _colour_source(self) -> ColourSource | None:
         """Where the colour is, if it is in one part."""
         if Role.COLOUR not in self.layout.planes:
             return None
         channels = self.layout.planes[Role.COLOUR].channels
         if len({(channel.file, channel.part.index) for channel in channels}) > 1:
             return None
-        return Stored(channels[0].part.index, tuple(channel.name for channel in channels), self.layout.attributes)
+        return ColourSource(channels[0].part.index, tuple(channel.name for channel in channels), self.layout.attributes)

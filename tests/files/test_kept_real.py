@@ -39,8 +39,8 @@ def test_every_untouched_channel_and_attribute_is_kept(shared_dir: Path, tmp_pat
     larger = np.repeat(np.repeat(frame[Role.COLOUR], scale, 0), scale, 1) * np.float32(0.5)
     out = write_frame(tmp_path / "out.exr", dataclasses.replace(frame, planes={Role.COLOUR: larger}), keep=True)
     before, after = channel_hashes(source), channel_hashes(out)
-    in_place = scale == 1 and frame.stored is not None and frame.stored.channels == ("R", "G", "B")
-    touched = {list(headers_of(source))[frame.stored.part]} if in_place else set()
+    in_place = scale == 1 and frame.colour_source is not None and frame.colour_source.channels == ("R", "G", "B")
+    touched = {list(headers_of(source))[frame.colour_source.part]} if in_place else set()
     for (part, channel), bits in before.items():
         if part not in touched or channel not in ("R", "G", "B"):
             assert after[part if (part, channel) in after else "render", channel] == bits, (part, channel)

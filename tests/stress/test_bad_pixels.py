@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.broken import mended
+from postfx.repair import repair_nonfinite
 from postfx.frame import Frame, Role
 from postfx.runtime import Device
 from postfx.system import Scratch
@@ -40,7 +40,7 @@ def test_pixels_are_mended_by_the_mean_of_their_neighbours(value: float) -> None
     colour = np.random.default_rng(1).random((9, 11, 3), np.float32)
     broken = colour.copy()
     broken[4, 5, 1] = broken[0, 0] = value
-    found, counts = mended(Frame({Role.COLOUR: broken}), (Role.COLOUR,))
+    found, counts = repair_nonfinite(Frame({Role.COLOUR: broken}), (Role.COLOUR,))
     around = [colour[4 + y, 5 + x] for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
     np.testing.assert_allclose(found[Role.COLOUR][4, 5], np.mean(around, axis=0), rtol=1e-6)
     np.testing.assert_allclose(found[Role.COLOUR][0, 0], (colour[0, 1] + colour[1, 0] + colour[1, 1]) / 3, rtol=1e-6)
@@ -55,7 +55,7 @@ def test_pixels_are_mended_within_a_budget() -> None:
     colour = np.random.default_rng(1).random((600, 40, 3), np.float32)
     colour[5, 5], colour[599, 7] = np.nan, np.inf
     frame = Frame({Role.COLOUR: colour})
-    found, wanted = (mended(frame, (Role.COLOUR,), scratch) for scratch in (Scratch("1M"), None))
+    found, wanted = (repair_nonfinite(frame, (Role.COLOUR,), scratch) for scratch in (Scratch("1M"), None))
     np.testing.assert_array_equal(found[0][Role.COLOUR], wanted[0][Role.COLOUR])
     assert found[1] == wanted[1] == {Role.COLOUR: 2} and np.isfinite(found[0][Role.COLOUR]).all()
 
@@ -65,7 +65,7 @@ def test_a_sun_that_overflowed_keeps_its_shape() -> None:
     y, x = np.mgrid[:40, :40]
     sun = (y - 20) ** 2 + (x - 20) ** 2 < 60
     colour[sun] = np.inf
-    found, counts = mended(Frame({Role.COLOUR: colour}), (Role.COLOUR,))
+    found, counts = repair_nonfinite(Frame({Role.COLOUR: colour}), (Role.COLOUR,))
     np.testing.assert_array_equal(found[Role.COLOUR], colour)
     assert counts == {Role.COLOUR: int(sun.sum())}
 
@@ -73,11 +73,11 @@ def test_a_sun_that_overflowed_keeps_its_shape() -> None:
 def test_frames_without_bad_pixels_are_passed_on_and_misses_do_not_count() -> None:
     planes = {Role.COLOUR: np.ones((300, 4, 3), np.float32), Role.DEPTH: np.full((300, 4, 1), np.inf, np.float32)}
     frame = Frame(planes)
-    found, counts = mended(frame, tuple(planes))
+    found, counts = repair_nonfinite(frame, tuple(planes))
     assert found is frame and counts == {}
     planes[Role.DEPTH][299, 3] = np.nan
-    assert mended(Frame(planes), tuple(planes))[1] == {Role.DEPTH: 1}
-    assert mended(Frame(planes), (Role.COLOUR,))[1] == {}
+    assert repair_nonfinite(Frame(planes), tuple(planes))[1] == {Role.DEPTH: 1}
+    assert repair_nonfinite(Frame(planes), (Role.COLOUR,))[1] == {}
 
 
 @pytest.mark.parametrize("value", BAD, ids=str)

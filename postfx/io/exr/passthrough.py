@@ -24,7 +24,7 @@ from postfx.io.exr.zip import ZIP, Rows, zip_part
 from postfx.io.image_file import ImageFile
 from postfx.io.metadata import is_outdated
 from postfx.io.windows import PICTURE
-from postfx.stored import Stored
+from postfx.frame import ColourSource
 
 RENDER = "render:"
 """Before the name of an attribute of the render that the picture's file cannot have, or that is not true of it."""
@@ -57,7 +57,7 @@ class _Merge:
 
     def __init__(self, own: Header, rows: Rows, source: ExrContainer, frame: Frame, stack: ExitStack) -> None:
         self._own, self._rows, self._source, self._frame, self._stack = own, rows, source, frame, stack
-        self._stored = frame.stored or Stored(0, (), {})
+        self._stored = frame.colour_source or ColourSource(0, (), {})
 
     def parts(self) -> list[NewPart]:
         """All parts of the output."""
