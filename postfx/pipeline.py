@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from postfx.broken import is_lost, mended
 from postfx.cuts import CutDetector
 from postfx.errors import CutError, FrameError
 from postfx.exposure import ExposureMeter, SmoothExposure
@@ -20,6 +19,7 @@ from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes.base import Pass
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skipped, Step, make_plan
+from postfx.repair import is_lost, repair_nonfinite
 from postfx.runtime import BindingError, Device
 
 RunUp = Callable[[Frame, Callable[[Frame], None]], Frame]
@@ -61,7 +61,7 @@ class Pipeline:
         ahead: milliseconds on the device of each frame that was run up to the last one.
         exposure: multiplier used for the last frame; None before the first and when no pass ran.
         cut: whether the last frame was found to begin another shot.
-        broken: how many pixels of which planes of the last frame were not finite, see `postfx.broken.mended`.
+        broken: how many pixels of which planes of the last frame were not finite, see `postfx.repair.repair_nonfinite`.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Pipeline:
         if not plan.steps:
             self.timings, self.exposure, self.cut, self.broken = {}, None, False, {}
             return frame
-        frame, self.broken = mended(frame, plan.planes, self.device.scratch)
+        frame, self.broken = repair_nonfinite(frame, plan.planes, self.device.scratch)
         self.cut = self._is_cut(frame)
         if self.cut:
             frame = dataclasses.replace(frame, reset=True)
@@ -208,7 +208,7 @@ class Pipeline:
 
     def _run_ahead(self, plan: Plan, steps: Sequence[Step], frame: Frame) -> None:
         """Run a frame, of which nothing but the history is wanted, as far as passes profit from it."""
-        frame, broken = mended(dataclasses.replace(frame), plan.planes, self.device.scratch)
+        frame, broken = repair_nonfinite(dataclasses.replace(frame), plan.planes, self.device.scratch)
         if frame.reset:
             self._reset_passes()
         self._flow.run_ahead(frame, plan, steps, self.exposure, is_lost(frame, broken))

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.repair import repair_nonfinite
 from postfx.frame import Frame, Role
+from postfx.repair import repair_nonfinite
 from postfx.runtime import Device
 from postfx.system import Scratch
 from tests.stress.bounds import bounds
