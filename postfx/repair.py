@@ -13,13 +13,15 @@ from postfx.system import Scratch
 ROWS = 256
 """Rows that are looked at together: that takes less memory than the whole picture."""
 KNOWN = 0.75
-"""Share of a pixel's neighbours that must be finite: that repairs one, two or three bad pixels, not the edge of a sun."""
+"""Share of a pixel's neighbours that must be finite: repairs one, two or three bad pixels, not the edge of a sun."""
 MOST = 0.5
 """Share of bad pixels in the colour above which the frame is lost, and bad pixels count as black."""
 AROUND = tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x)
 
 
-def repair_nonfinite(frame: Frame, roles: tuple[Role, ...], scratch: Scratch | None = None) -> tuple[Frame, dict[Role, int]]:
+def repair_nonfinite(
+    frame: Frame, roles: tuple[Role, ...], scratch: Scratch | None = None
+) -> tuple[Frame, dict[Role, int]]:
     """The frame with its colour repaired, and role -> number of pixels that are not finite, for planes that have any.
 
     An infinite depth is a miss and does not count. A bad pixel of the colour gets the mean of its finite neighbours, if

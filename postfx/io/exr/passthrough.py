@@ -18,13 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from postfx.frame import Frame
+from postfx.frame import ColourSource, Frame
 from postfx.io.exr.container import SCANLINES, TILES, ExrContainer, Header, NewPart, pack_channels
 from postfx.io.exr.zip import ZIP, Rows, zip_part
 from postfx.io.image_file import ImageFile
 from postfx.io.metadata import is_outdated
 from postfx.io.windows import PICTURE
-from postfx.frame import ColourSource
 
 RENDER = "render:"
 """Before the name of an attribute of the render that the picture's file cannot have, or that is not true of it."""
