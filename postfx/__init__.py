@@ -49,7 +49,27 @@ _HOMES = {
     "write_frame": "postfx.io.writer",
 }
 
-__all__ = [*_HOMES, "__version__"]  # noqa: PLE0604
+__all__ = [
+    "Backwards",
+    "BothWays",
+    "DenoiseUpscale",
+    "Device",
+    "Frame",
+    "FrameSpec",
+    "Library",
+    "Overlay",
+    "Pipeline",
+    "PostfxError",
+    "ROLES",
+    "Role",
+    "RunUp",
+    "Sequence",
+    "ToneMap",
+    "models_dir",
+    "read_sequence",
+    "write_frame",
+    "__version__",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -47,3 +48,11 @@ def test_unknown_names_are_refused():
 def test_importing_everything_needs_no_torch():
     code = "import sys; sys.modules['torch'] = None; import postfx; [getattr(postfx, n) for n in postfx.__all__]"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_each_public_name_has_a_home():
+    assert {*postfx.__all__} == {*postfx._HOMES, "__version__"}
+
+
+def test_type_checkers_are_told_of_the_types():
+    assert Path(postfx.__file__).with_name("py.typed").is_file()
