@@ -21,6 +21,7 @@ and says how to fix it.
       RunError                  another run works on the same files
       ManifestError             a manifest is missing or damaged
       CheckpointError           a checkpoint is damaged
+      OptionError               options of a command that do not go together
       PassOptionError           option of a pass
       NotCompiledError          a pass was not compiled for this frame
       PassContractError         a pass does not do what it declares
@@ -156,6 +157,10 @@ class Interrupted(KeyboardInterrupt):
 
 
 # Passes
+
+
+class OptionError(PostfxError):
+    """Options of a command do not go together, or one lacks another that it needs."""
 
 
 class PassOptionError(PostfxError):

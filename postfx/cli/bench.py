@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
+from postfx.cli.options import parse_positive
 from postfx.errors import BenchError
 
 HELP = "measure run time against error on a sequence with references"
@@ -51,9 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--methods", metavar="LIST", help="names or families, comma-separated (default: all)")
     parser.add_argument("--models", metavar="LIST", help="tags of networks, e.g. s,m,l (default: all there are)")
     parser.add_argument("--ablations", action="store_true", help="also measure networks that lack planes")
-    parser.add_argument("--runs", type=_positive, default=3, metavar="N", help="runs a method (default: 3)")
+    parser.add_argument("--runs", type=parse_positive, default=3, metavar="N", help="runs a method (default: 3)")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
-    parser.add_argument("--threads", type=_positive, metavar="N", help="CPU threads (default: all usable cores)")
+    parser.add_argument("--threads", type=parse_positive, metavar="N", help="CPU threads (default: all usable cores)")
     parser.add_argument("--json", action="store_true", help="print one JSON object in place of the table")
 
 
@@ -92,9 +93,3 @@ def _stress(arguments: argparse.Namespace) -> int:
     found = list(stress(frames, Device(arguments.device, arguments.threads), models))
     print(json.dumps(as_dict(found)) if arguments.json else as_text(found))
     return 0 if all(one.well for one in found) else 1
-
-
-def _positive(text: str) -> int:
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 1")
-    return int(text)

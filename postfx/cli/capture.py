@@ -2,40 +2,41 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from postfx.errors import SequenceError, WriteError
+from postfx.errors import CommandError, SequenceError
 from postfx.io.output import check_folder
 from postfx.report.capture_page import write_capture
-from postfx.runtime import Capture, CommandError, Device
+from postfx.runtime import Capture, Device
 
 
 class FrameCapture:
     """What --capture asks for: one frame is captured, the rest run as they would.
 
-    Raises WriteError when the folder cannot be written, and when options are given that need --capture; CaptureError
-    when options do not fit together, or a package that they need is missing.
+    Args:
+        folder: where to write; None to capture nothing.
+        number: of the frame; None for the second one that is processed.
+        tensors, network: as for `Device.capture`.
+        check: whether the folder must be one that can be written.
+
+    Raises WriteError when the folder cannot be written; CaptureError when options do not fit together, or a package
+    that they need is missing.
 
     Attributes:
-        page: the page that was written; None before, and without --capture.
+        page: the page that was written; None before, and without a folder.
     """
 
-    def __init__(self, arguments: argparse.Namespace, device: Device) -> None:
+    def __init__(self, device: Device, folder: str | None = None, number: int | None = None,
+                 tensors: str = "thumbnails", network: bool = False, check: bool = True) -> None:
         self.page: str | None = None
-        self._device = device
-        self._folder = Path(arguments.capture) if arguments.capture is not None else None
-        self._tensors = arguments.capture_tensors or "thumbnails"
-        self._network = arguments.capture_network
-        self._number: int | None = arguments.capture_frame
-        if self._folder is None and (arguments.capture_tensors or self._network or self._number is not None):
-            options = "--capture-frame, --capture-tensors and --capture-network"
-            raise WriteError(f"{options} need --capture DIR: where to write the capture")
-        if self._folder is not None:
-            self._made()  # what it cannot do must not be found out after the first frames
-        if self._folder is not None and not arguments.explain:
+        self._device, self._number, self._tensors, self._network = device, number, tensors, network
+        self._folder = Path(folder) if folder is not None else None
+        if self._folder is None:
+            return
+        self._made()  # what it cannot do must not be found out after the first frames
+        if check:
             check_folder(self._folder, "capture")
 
     def choose(self, numbers: Sequence[int]) -> None:

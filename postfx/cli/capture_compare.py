@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import TYPE_CHECKING
 
-from postfx.cli.arguments import from_zero
+from postfx.cli.options import parse_from_zero
 
 if TYPE_CHECKING:
     from postfx.report.bisect import Comparison
@@ -36,7 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("a", metavar="A", help="capture.json or its folder")
     parser.add_argument("b", metavar="B", help="the reference, likewise")
     parser.add_argument(
-        "--tolerance", type=from_zero, default=1e-3, metavar="X", help="largest relative error allowed (default: 1e-3)"
+        "--tolerance", type=parse_from_zero, default=1e-3, metavar="X",
+        help="largest relative error allowed (default: 1e-3)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from postfx.cli.arguments import add_depth, add_report
+from postfx.cli.run_options import DEPTH
 
 HELP = "find what is wrong with a sequence's planes"
 DESCRIPTION = """\
@@ -37,9 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--guides", metavar="GUIDES", help="files of planes at output size, as for 'postfx run'")
     parser.add_argument("--frames", metavar="RANGE", help="frames of interest, e.g. 12 or 1-100")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
-    add_depth(parser)
+    DEPTH.add_to(parser)
     parser.add_argument("--pictures", metavar="DIR", help="write a picture of every plane of the first frame there")
-    add_report(parser, "frames with an exposure slider, curves")
+    parser.add_argument(
+        "--report", metavar="HTML", help="write a page that opens from the disk and needs no network: frames with an "
+        "exposure slider, curves, findings and a picture of every plane",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

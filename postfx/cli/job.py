@@ -9,17 +9,20 @@ from collections import Counter
 from functools import partial
 from typing import Any
 
-from postfx.cli.books import options_of
-from postfx.cli.both_ways import BothWays
 from postfx.cli.capture import FrameCapture
-from postfx.cli.cuts import known_cuts
-from postfx.cli.looks import display_passes
-from postfx.cli.on_error import Faults, OnError, Standin, check_sizes, first_readable, without_denoising
-from postfx.cli.overlay import left_out_for, refuse_layer, unread
+from postfx.cli.inspection import Inspection
+from postfx.cli.on_error import Faults, OnError, Standin, check_sizes, first_readable
 from postfx.cli.report import RunReport
-from postfx.cli.run_up import run_up_of
+from postfx.cli.run_options import (
+    RUN,
+    announce_run_up,
+    display_passes,
+    explain_overlay,
+    make_run_up,
+    refuse_layer,
+)
 from postfx.cli.summary import Explanation, FrameProgress, Report, guides_in
-from postfx.errors import PassOptionError, WriteError
+from postfx.errors import WriteError
 from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
 from postfx.frame import Frame
 from postfx.io.output import Existing, OutputFiles
@@ -32,13 +35,14 @@ from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
 from postfx.plan import Skipped, from_files
 from postfx.runs.provenance import provenance_of
-from postfx.runs.run import Run
+from postfx.runs.run import Options, Run
 from postfx.runs.schedule import Work
 from postfx.runs.stop import Stop
 from postfx.runtime import Device
 from postfx.temporal import Backwards
 
-DENOISE_OPTIONS = ("scale", "size", "model", "strength", "budget", "reactive")
+BACKWARDS = "denoise_upscale backwards"
+"""Of the run in reverse order, in the summary."""
 
 
 class Job:
@@ -48,12 +52,11 @@ class Job:
     """
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        device = Device(arguments.device, arguments.threads, memory=arguments.memory)
+        RUN.refuse_conflicts(arguments)
+        self._arguments = arguments
+        device = Device(**self._values("device"))
         self.sequence = Sequence(
-            arguments.input, arguments.frames, arguments.profile, guides=arguments.guides, scratch=device.scratch,
-            depth=arguments.depth, cuts=known_cuts(arguments.cuts), leave=arguments.leave,
-            colourspace=arguments.colourspace, without=unread(arguments),
-        )
+            arguments.input, arguments.frames, scratch=device.scratch, **self._values("sequence"))
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
         refuse_layer(arguments, self.outputs)
@@ -65,23 +68,30 @@ class Job:
         exposure = SmoothExposure(colours_of(self.sequence, policy is not OnError.STOP)) if self._smooth \
             else ExposureMeter(arguments.exposure)
         cuts = "auto" if arguments.cuts == "auto" else "none"
-        self._both = BothWays(arguments, lambda: Backwards(
-            self.sequence, device, exposure if self._smooth else arguments.exposure, cuts, **_denoising(arguments)))
-        self._run_up = run_up_of(arguments, self.sequence, cuts)
-        self.pipeline = Pipeline(self._passes(arguments), device, exposure, cuts, self._run_up)
-        with self.sequence.open(first_readable(self.sequence, policy)) as files:
-            self.left_out += left_out_for(arguments, files)
-            self.plan = self.pipeline.explain(self._both.spec(files.spec()))
+        denoising = None if arguments.no_denoise else self._values("denoiser")
+        both_ways = arguments.both_ways and arguments.strength != 0
+        self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
+                                    **self._values("denoiser")) if both_ways else None
+        self._run_up = make_run_up(arguments, self.sequence, cuts)
+        passes, left_out = self._passes(denoising, self._backwards is not None)
+        self.left_out += left_out
+        self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up)
+        self.first = first_readable(self.sequence, policy)
+        with self.sequence.open(self.first) as files:
+            self.left_out += explain_overlay(arguments, files)
+            spec = files.spec()
+            self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards else spec)
         if self.outputs:
             self.outputs.refuse_few_bits(self.plan.output.encoding)
-        said = len(self.left_out)
-        plain = self._passes(without_denoising(arguments, self.plan)) if policy is OnError.COPY else None
-        del self.left_out[said:]
-        self._faults = Faults(policy, Standin(self.sequence, plain, device, exposure) if plain is not None else None)
-        self._arguments = arguments
+        standin = None
+        if policy is OnError.COPY:
+            plain, _ = self._passes(None if denoising is None else self._resampling())
+            standin = Standin(self.sequence, plain, device, exposure)
+        self._faults = Faults(policy, standin)
         self._warnings: list[str] = []
-        self._capture = FrameCapture(arguments, device)
-        self._page = RunReport(arguments, self.sequence, self.pipeline, self.plan)
+        self._capture = FrameCapture(device, check=not arguments.explain, **self._values("capture"))
+        self._page = RunReport(self.sequence, self.pipeline, self.plan, self._inspect, check=not arguments.explain,
+                               **self._values("page"))
         self._seconds = 0.0
         self._frame_ms: list[float] = []
         self._ahead_ms: list[float] = []
@@ -90,6 +100,9 @@ class Job:
         self._cuts: list[int] = []
         self._broken: dict[str, dict[str, int]] = {}
         self._written: list[str] = []
+
+    def _values(self, part: str) -> dict[str, Any]:
+        return RUN.values_for(part, self._arguments)
 
     def explained(self) -> Explanation:
         """What would run."""
@@ -132,9 +145,11 @@ class Job:
         ), lambda: str(self.explained()))
 
     def _books(self) -> Run:
-        provenance = provenance_of(self._arguments, self.plan, self.pipeline.device, self.sequence.numbers)
-        options = options_of(self._arguments)
-        return Run(self.outputs, self.sequence, self.pipeline, self.plan, provenance, options)
+        frames = sorted(self.sequence.numbers) if self._smooth else None  # that exposure looks ahead
+        provenance = provenance_of(
+            RUN.settings(self._arguments), self.plan, self.pipeline.device,
+            [frames, *RUN.settings(self._arguments, "rounding").values()], [one.name for one in RUN if one.is_file])
+        return Run(self.outputs, self.sequence, self.pipeline, self.plan, provenance, Options(**self._values("run")))
 
     def _announce(self, progress: FrameProgress) -> None:
         """Say what takes its time before the first frame."""
@@ -145,7 +160,7 @@ class Job:
 
     def _process_all(self, run: Run, stop: Stop, progress: FrameProgress) -> None:
         if self._run_up:
-            self._run_up.watch(stop.check, progress.note)
+            self._run_up.on_frame = announce_run_up(stop.check, progress.note)
         self._capture.choose([work.number for work in run.works])
         self._page.choose([work.number for work in run.works if work.write])
         with WriteBehind() as behind:
@@ -153,8 +168,8 @@ class Job:
                 if work.checkpoint:
                     run.recall(work, frame)
                     continue
-                both = partial(self._both, frame, work.write, stop.check, progress.note)
-                frame = frame and self._faults.attempt(work.number, work.write, both)
+                ahead = partial(self._look_ahead, frame, work.write, stop, progress)
+                frame = frame and self._faults.attempt(work.number, work.write, ahead)
                 with self._capture.around(work.number):
                     result = self._process(work, frame)
                 if work.write and result:
@@ -162,6 +177,15 @@ class Job:
                     behind.put(partial(self._write, run, work.number, result, self._facts(), progress))
                 run.ran(work.number, behind.wait, stop.asked)
                 stop.check()
+
+    def _look_ahead(self, frame: Frame, write: bool, stop: Stop, progress: FrameProgress) -> Frame:
+        """The frame with what those after it make of it, for --both-ways."""
+        if self._backwards is None:
+            return frame
+        part = self._backwards.part(frame.number) if write else None
+        if part and part[0] != part[1]:
+            progress.note(f"frames {part[1]} to {part[0]}, backwards first")  # may take long
+        return self._backwards(frame, write, stop.check)
 
     def _read(self, run: Run, work: Work) -> Frame | None:
         return self._faults.read(work.number, work.write, partial(self._checked, run, work.number))
@@ -187,8 +211,9 @@ class Job:
 
     def _note(self, milliseconds: float) -> None:
         """Keep what the last frame took and what was chosen for it."""
-        self._frame_ms.append(milliseconds + sum(self._both.took().values()))
-        for name, elapsed in {**self._both.took(), **self.pipeline.timings}.items():
+        backwards = self._backwards.milliseconds if self._backwards else None
+        self._frame_ms.append(milliseconds + (backwards or 0.0))
+        for name, elapsed in {**({} if backwards is None else {BACKWARDS: backwards}), **self.pipeline.timings}.items():
             self._pass_ms.setdefault(name, []).append(elapsed)
         for role, pixels in self.pipeline.broken.items():
             found = self._broken.setdefault(str(role), {"pixels": 0, "frames": 0})
@@ -206,30 +231,35 @@ class Job:
 
     def _write(self, run: Run, number: int, result: Frame, facts: dict[str, Any], progress: FrameProgress) -> None:
         write = partial(write_frame, self.outputs.path(number), result, relax=self._relax,
-                        dither=self._arguments.dither, provenance=run.header(), keep=self._arguments.keep == "all")
+                        provenance=run.header(), **self._values("writer"))
         if path := self._faults.attempt(number, True, write):
             run.wrote(number, path, result, **facts)
             self._written.append(str(path))
             progress.advance(str(path))
 
-    def _passes(self, arguments: argparse.Namespace) -> list[Pass]:
-        passes = []
-        if arguments.no_denoise:
-            self._refuse_denoise_options(arguments)
-            self.left_out.append(Skipped("denoise_upscale", "--no-denoise"))
+    def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False) -> tuple[list[Pass], list[Skipped]]:
+        """The passes, the first with these options, or without a denoiser if they are None; and what is left out."""
+        passes, left_out = [], []
+        if denoising is None:
+            left_out.append(Skipped("denoise_upscale", "--no-denoise"))
         else:
-            passes += [create("denoise_upscale", **_denoising(arguments)), *map(create, self._both.passes)]
-        passes += [create("overlay")] if arguments.overlay == "composite" else []
-        shown, left_out = display_passes(arguments, self.outputs is not None and self.outputs.display)
-        self.left_out += left_out
+            passes.append(create("denoise_upscale", **denoising))
+        passes += [create("both_ways")] if both_ways else []
+        passes += [create("overlay")] if self._arguments.overlay == "composite" else []
+        shown, not_shown = display_passes(self.outputs is not None and self.outputs.display, **self._values("look"))
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=not shown)
-        return passes + shown
+        return passes + shown, left_out + not_shown
 
-    def _refuse_denoise_options(self, arguments: argparse.Namespace) -> None:
-        for name in (*DENOISE_OPTIONS, "leave"):
-            option, value = f"--{name}", getattr(arguments, name)
-            if value is not None:
-                raise PassOptionError(f"{option} is for the denoiser, which --no-denoise leaves out: give one of them")
+    def _resampling(self) -> dict[str, Any]:
+        """Options of a denoiser that only resamples, to the plan's size."""
+        size = self._arguments.size
+        return {"strength": 0.0,
+                **({"size": size} if size else {"scale": self.plan.output.width / self.plan.input.width})}
+
+    def _inspect(self) -> Inspection:
+        """What `postfx inspect` finds in the input."""
+        given = self._arguments
+        return Inspection(given.input, given.frames, given.profile, given.guides, given.depth)
 
 
 def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles | None:
@@ -238,9 +268,3 @@ def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles |
     if not arguments.output and not arguments.explain:
         raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr")
     return OutputFiles(arguments.output, sequence, existing) if arguments.output else None
-
-
-def _denoising(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The denoiser's options that are given."""
-    options = {name: getattr(arguments, name) for name in DENOISE_OPTIONS}
-    return {name: value for name, value in options.items() if value is not None}

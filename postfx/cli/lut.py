@@ -6,7 +6,8 @@ import argparse
 import json
 from pathlib import Path
 
-from postfx.cli import looks
+from postfx.cli.options import Options, Section
+from postfx.cli.run_options import LOOK, display_passes
 
 HELP = "write a look as a .cube look-up table"
 DESCRIPTION = """\
@@ -25,13 +26,14 @@ examples:
 """
 _SIZES = (17, 33, 65)
 _MOST_FRAMES = 16
+_LOOK = Options(Section("", LOOK))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
     parser.add_argument("input", metavar="INPUT", help="frames that the look is for, as for 'postfx run'")
     parser.add_argument("-o", "--output", required=True, metavar="FILE.cube", help="file to write")
-    looks.add_look(parser)
+    _LOOK.add_to(parser)
     parser.add_argument("--size", type=int, default=33, choices=_SIZES, help="colours along each side (default: 33)")
     parser.add_argument("--frames", metavar="RANGE", help=f"frames to use (default: {_MOST_FRAMES} of them)")
     parser.add_argument(
@@ -55,7 +57,7 @@ def execute(arguments: argparse.Namespace) -> int:
     path = Path(arguments.output)
     if path.suffix.lower() != ".cube":
         raise WriteError(f"{path}: is no .cube file: name it {path.with_suffix('.cube')}")
-    passes, _ = looks.display_passes(arguments, picture=True)
+    passes, _ = display_passes(True, **_LOOK.values_for("look", arguments))
     sequence = Sequence(
         arguments.input, arguments.frames, arguments.profile, [Role.COLOUR], colourspace=arguments.colourspace
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +14,6 @@ from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.sequence import Sequence
 from postfx.passes.base import Pass
 from postfx.pipeline import Pipeline
-from postfx.plan import Plan
 from postfx.runtime import Device
 
 EXIT_FAULTS = 3
@@ -120,15 +118,6 @@ def first_readable(sequence: Sequence, policy: OnError) -> int:
             if policy is OnError.STOP or number == sequence.numbers[-1]:
                 raise
     raise AssertionError("a sequence has a frame")
-
-
-def without_denoising(arguments: argparse.Namespace, plan: Plan) -> argparse.Namespace:
-    """Arguments of a run that only resamples, to the plan's size."""
-    if arguments.no_denoise:
-        return arguments
-    scale = None if arguments.size else plan.output.width / plan.input.width
-    plain = {"scale": scale, "strength": 0.0, "model": None, "budget": None, "reactive": None}
-    return argparse.Namespace(**{**vars(arguments), **plain, "leave": None})
 
 
 def check_sizes(frame: Frame, first: FrameSpec, sized: bool) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
@@ -31,25 +30,26 @@ if TYPE_CHECKING:
 class RunReport:
     """What --report asks for: it looks at every frame that is written, and writes the page at the end.
 
-    Raises ReportError where options or references do not fit, WriteError when the page's folder cannot be written.
+    Args:
+        inspect: looks at the input, for the page's findings and pictures of planes.
+        path: the page; None for none.
+        reference: noise-free frames at output size.
+        check: whether the page's folder must be one that can be written.
+
+    Raises ReportError when references do not fit, WriteError when the page's folder cannot be written.
     """
 
-    def __init__(
-        self, arguments: argparse.Namespace, sequence: Sequence, pipeline: Pipeline, plan: Plan
-    ) -> None:
-        self._arguments, self._sequence, self._pipeline, self._plan = arguments, sequence, pipeline, plan
-        self._path = Path(arguments.report) if arguments.report else None
-        if arguments.reference and not self._path:
-            raise ReportError("--reference is for --report FILE.html: give both")
-        if self._path and arguments.memory:
-            raise ReportError("--report keeps whole frames in memory: leave --memory out")
+    def __init__(self, sequence: Sequence, pipeline: Pipeline, plan: Plan, inspect: Callable[[], Inspection],
+                 path: str | None = None, reference: str | None = None, check: bool = True) -> None:
+        self._sequence, self._pipeline, self._plan, self._inspect = sequence, pipeline, plan, inspect
+        self._path = Path(path) if path else None
         output = plan.output
         size = output.width, output.height
-        self._references = References(arguments.reference, size) if arguments.reference else None
+        self._references = References(reference, size) if reference else None
         self._look = Look(output.encoding != "scene-linear")
         self._views: dict[str, Pipeline] = {}
         self._log = FrameLog([], self._look, "after")
-        if self._path and not arguments.explain:
+        if self._path and check:
             _check(self._path)
 
     def choose(self, numbers: list[int]) -> None:
@@ -75,8 +75,7 @@ class RunReport:
             return report
         for row, milliseconds in zip(self._log.rows[1:], report.frame_ms[1:], strict=False):
             row.readings["ms passes"] = milliseconds
-        given = self._arguments
-        inspection = Inspection(given.input, given.frames, given.profile, given.guides, given.depth)
+        inspection = self._inspect()
         report = dataclasses.replace(report, page=str(self._path))
         name = Path(str(inspection.sequence.pattern)).name
         write_report(self._path, f"postfx report: {name}", self._log, inspection.facts(), inspection.frames[0],

@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from postfx.cli.on_error import LEFT_OUT, Fault
-from postfx.cli.run_up import WatchedRunUp
 from postfx.frame import Role
 from postfx.io.sequence import Sequence
 from postfx.masks.entries import Coverage
 from postfx.plan import Plan, Skipped, from_files
+from postfx.temporal import RunUp
 
 SHOWN_FRAMES = 3
 SHOWN_CUTS = 12
@@ -28,7 +28,7 @@ class Explanation:
     plan: Plan
     sequence: Sequence
     left_out: list[Skipped]
-    run_up: WatchedRunUp | None
+    run_up: RunUp | None
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""

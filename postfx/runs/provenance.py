@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -20,14 +19,6 @@ from postfx import __version__
 from postfx.plan import Plan
 from postfx.runtime import Device, Library
 
-NOT_PIXELS = frozenset({
-    "execute", "output", "overwrite", "skip_existing", "explain", "json", "capture", "capture_frame", "capture_tensors",
-    "capture_network", "log", "checkpoint", "resume", "frames", "preroll", "memory", "report", "reference", "on_error",
-})
-"""Arguments of `postfx run` that do not decide how a frame looks that a run writes."""
-FILES = ("input", "guides", "profile")
-"""Arguments that name files, of which headers hold the name without the folder."""
-
 
 @dataclass(frozen=True)
 class Provenance:
@@ -39,6 +30,7 @@ class Provenance:
         versions: of postfx and what it is built on.
         device: where it runs.
         fingerprint: of all of these, of the models that are installed, and of what else decides about pixels.
+        files: names of settings that are files; headers hold their names without the folder.
     """
 
     settings: Mapping[str, Any]
@@ -46,6 +38,7 @@ class Provenance:
     versions: Mapping[str, str]
     device: Mapping[str, Any]
     fingerprint: str
+    files: Collection[str] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
@@ -54,7 +47,7 @@ class Provenance:
 
     def header(self, models: Mapping[str, str]) -> dict[str, str]:
         """Attributes for an image's header. models: name -> SHA-256 of the networks that ran."""
-        settings = {name: Path(str(value)).name if name in FILES and value else value
+        settings = {name: Path(str(value)).name if name in self.files and value else value
                     for name, value in self.settings.items()}
         return {
             "postfx:version": self.versions["postfx"],
@@ -63,17 +56,21 @@ class Provenance:
         }
 
 
-def provenance_of(arguments: argparse.Namespace, plan: Plan, device: Device, frames: tuple[int, ...]) -> Provenance:
-    """Provenance of a run. Its frames count where the exposure looks ahead."""
-    given = vars(arguments)
-    settings = {name: _plain(given[name]) for name in sorted(given) if name not in NOT_PIXELS}
+def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also: Sequence[Any] = (),
+                  files: Collection[str] = ()) -> Provenance:
+    """Provenance of a run.
+
+    settings: name -> value, of the options that change pixels; `files`: those of them that name files. also: what else
+    decides about pixels, and is not recorded.
+    """
+    settings = {name: _plain(settings[name]) for name in sorted(settings)}
     passes = {step.name: {key: _plain(value) for key, value in step.instance.options.items()} for step in plan.steps}
     place = {"name": device.name, "provider": device.placement.provider, "threads": device.threads}
     library = Library()
-    decisive = [settings, passes, versions(), place, plan.as_dict(), {name: library.sha256(name) for name in
-                library.names()}, sorted(frames) if arguments.exposure == "smooth" else None, arguments.memory]
+    models = {name: library.sha256(name) for name in library.names()}
+    decisive = [settings, passes, versions(), place, plan.as_dict(), models, *also]
     text = json.dumps(decisive, sort_keys=True, default=str)
-    return Provenance(settings, passes, versions(), place, hashlib.sha256(text.encode()).hexdigest())
+    return Provenance(settings, passes, versions(), place, hashlib.sha256(text.encode()).hexdigest(), files)
 
 
 def versions() -> dict[str, str]:

@@ -35,11 +35,16 @@ class RunUp:
         prepare: applied to frames that are read before they run, as to those in order.
 
     Frames that cannot be read or run are no error here: the frames between them and the first one still count.
+
+    Attributes:
+        on_frame: called before each frame that runs, with the number of the first frame of the shot and its own; it may
+            raise to end the run-up.
     """
 
     def __init__(self, sequence: Sequence, frames: int = FRAMES, cuts: str = "auto",
                  prepare: Callable[[Frame], Frame] = lambda frame: frame) -> None:
         self._sequence, self._frames, self._find_cuts, self._prepare = sequence, frames, cuts == "auto", prepare
+        self.on_frame: Callable[[int, int], None] = lambda first, number: None
         self._next = dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True))
 
     def after(self, number: int) -> list[int]:
@@ -56,6 +61,8 @@ class RunUp:
         detector = CutDetector() if self._find_cuts else None
         later: Frame | None = None
         for _, other in read_ahead(reversed(numbers), partial(self._read, self._sequence.reader(), frame)):
+            if other is not None:
+                self.on_frame(frame.number, other.number)
             has_run = other is not None and _try_run(_mark_cut(reverse_motion(other, later), detector), run)
             later = other if has_run else None
         return _mark_cut(reverse_motion(frame, later), detector)

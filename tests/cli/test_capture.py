@@ -1,7 +1,6 @@
 """`postfx run --capture` and `postfx capture-compare`."""
 
 import json
-from argparse import Namespace
 
 import pytest
 
@@ -67,9 +66,7 @@ def test_explain_captures_nothing(postfx, shot, tmp_path):
 
 
 def test_a_frame_that_fails_is_captured_too(tmp_path):
-    arguments = Namespace(capture=str(tmp_path), capture_tensors=None, capture_frame=None, capture_network=False,
-                          explain=False)
-    capture = FrameCapture(arguments, Device("cpu"))
+    capture = FrameCapture(Device("cpu"), str(tmp_path))
     capture.choose([4, 5, 6])
     with capture.around(4):
         pass

@@ -7,7 +7,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from postfx.cli.run_up import WatchedRunUp
+from postfx.cli.run_options import announce_run_up
 from postfx.errors import Interrupted
 from postfx.io.sequence import Sequence
 from postfx.temporal import RunUp
@@ -50,8 +50,8 @@ def test_it_ends_when_the_run_is_to_stop(noise):
             raise Interrupted(signal.SIGINT)
 
     sequence, found, told = Sequence(noise / "in/shot.####.exr"), [], []
-    run_up = WatchedRunUp(RunUp(sequence))
-    run_up.watch(check, told.append)
+    run_up = RunUp(sequence)
+    run_up.on_frame = announce_run_up(check, told.append)
     with pytest.raises(Interrupted):
         run_up(next(iter(sequence)), found.append)
     assert [frame.number for frame in found] == [6, 5]

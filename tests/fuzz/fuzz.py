@@ -16,7 +16,7 @@ import atheris
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-WATCHED = ["postfx.io", "postfx.masks", "postfx.cli.cuts", "postfx.system", "postfx.files", "postfx.runs",
+WATCHED = ["postfx.io", "postfx.masks", "postfx.cli.run_options", "postfx.system", "postfx.files", "postfx.runs",
            "postfx.passes._tonemap_look", "postfx.runtime.models",
            "postfx.runtime.model_file"]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from postfx.cli.cuts import known_cuts
+from postfx.cli.run_options import parse_cuts
 from postfx.errors import CheckpointError, ManifestError, PostfxError, SequenceError
 from postfx.frame import Role
 from postfx.io.convert import parse_depth
@@ -83,7 +83,7 @@ def profile(content: bytes) -> None:
 def patterns(content: bytes) -> None:
     """Frame patterns, ranges, and the other small languages of the command line."""
     text = content.decode("utf-8", "surrogateescape").replace("\0", "")
-    for parse in (parse_frames, parse_depth, parse_leave, known_cuts, parse_size, lambda text: Sequence(FOLDER / text)):
+    for parse in (parse_frames, parse_depth, parse_leave, parse_cuts, parse_size, lambda text: Sequence(FOLDER / text)):
         try:
             parse(text)
         except PostfxError:

@@ -1,0 +1,178 @@
+"""How an option of the command line is declared, and everything that follows from its declaration.
+
+A verb lists its options once, section by section, in the order of --help. The parser, the values that are handed to
+the parts of a run, the pairs that do not go together, and the settings that a manifest records are all read from that
+list.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from postfx.errors import OptionError
+
+Changes = Literal["pixels", "rounding", "nothing"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Option:
+    """An option and all that it means. With neither `metavar` nor `choices` it is a switch.
+
+    Attributes:
+        flag: as users write it, like "--run-up"; without dashes for a positional argument.
+        short: a one-letter flag for the same.
+        help, metavar, type, choices, default: as for argparse.
+        bare: the value if the flag stands alone; None if it needs a value.
+        either: a word shared by options of a section of which at most one may be given.
+        sets: which part of a run gets the value, and as which parameter, like "denoiser.scale"; "" if the verb itself
+            reads it.
+        convert: makes the parameter of the value.
+        off: the value that asks for nothing, beside None and False.
+        excludes: flag, or "flag=value", of another option -> the message if both are given; {flag} in it is this one.
+        needs: flag of another option -> the message if that is missing.
+        changes: "pixels" if frames look different with it, "rounding" if only by the last bits of a pixel, "nothing"
+            if they are the same. A run goes on from another one only if all options of the first two kinds agree;
+            files record those of the first kind.
+        is_file: whether it names files, of which images record the name without the folder.
+    """
+
+    flag: str
+    help: str
+    short: str = ""
+    metavar: str | None = None
+    type: Callable[[str], Any] | None = None
+    choices: Sequence[str] = ()
+    default: Any = None
+    bare: Any = None
+    either: str = ""
+    sets: str = ""
+    convert: Callable[[Any], Any] | None = None
+    off: Any = None
+    excludes: Mapping[str, str] = field(default_factory=dict)
+    needs: Mapping[str, str] = field(default_factory=dict)
+    changes: Changes = "pixels"
+    is_file: bool = False
+
+    @property
+    def name(self) -> str:
+        """The attribute of the parsed arguments."""
+        return self.flag.lstrip("-").replace("-", "_")
+
+    def value(self, arguments: argparse.Namespace) -> Any:
+        """What the arguments say."""
+        return getattr(arguments, self.name)
+
+    def is_given(self, arguments: argparse.Namespace) -> bool:
+        """Whether the arguments ask for it."""
+        value = self.value(arguments)
+        return value is not None and value is not False and (self.off is None or value != self.off)
+
+    def add_to(self, group: argparse._ActionsContainer) -> None:
+        """Add it to a parser or a group."""
+        names = [name for name in (self.short, self.flag) if name]
+        if self.metavar is None and not self.choices:
+            group.add_argument(*names, action="store_true", help=self.help)
+            return
+        bare = {} if self.bare is None else {"nargs": "?", "const": self.bare}
+        group.add_argument(*names, metavar=self.metavar, type=self.type or str, choices=self.choices or None,
+                           default=self.default, help=self.help, **bare)
+
+
+@dataclass(frozen=True)
+class Section:
+    """Options under one title of --help; without a title they stand first."""
+
+    title: str
+    options: tuple[Option, ...]
+
+
+class Options:
+    """The options of a verb, in the order of --help."""
+
+    def __init__(self, *sections: Section) -> None:
+        self.sections = sections
+
+    def __iter__(self) -> Iterator[Option]:
+        return (option for section in self.sections for option in section.options)
+
+    def __getitem__(self, flag: str) -> Option:
+        return next(option for option in self if option.flag == flag)
+
+    def add_to(self, parser: argparse.ArgumentParser) -> None:
+        """Add all of them."""
+        for section in self.sections:
+            group = parser.add_argument_group(section.title) if section.title else parser
+            rivals: dict[str, argparse._ActionsContainer] = {}
+            for option in section.options:
+                if option.either and option.either not in rivals:
+                    rivals[option.either] = group.add_mutually_exclusive_group()
+                option.add_to(rivals.get(option.either, group))
+
+    def values_for(self, part: str, arguments: argparse.Namespace) -> dict[str, Any]:
+        """Parameters of a part of the run, from the options that set one; without those that say nothing."""
+        found = {}
+        for option in self:
+            owner, _, parameter = option.sets.partition(".")
+            value = option.value(arguments) if owner == part else None
+            if owner == part and not (value is None and option.default is None):
+                found[parameter] = option.convert(value) if option.convert else value
+        return found
+
+    def excluded(self, option: Option, arguments: argparse.Namespace) -> list[str]:
+        """Messages of the given options that this one does not go with."""
+        return [message.replace("{flag}", option.flag) for other, message in option.excludes.items()
+                if self._asks(other, arguments)]
+
+    def refuse_conflicts(self, arguments: argparse.Namespace) -> None:
+        """OptionError for options that do not go together, or lack one that they need."""
+        for option in self:
+            if not option.is_given(arguments):
+                continue
+            missing = [message for other, message in option.needs.items() if not self._asks(other, arguments)]
+            for message in self.excluded(option, arguments) + missing:
+                raise OptionError(message)
+
+    def settings(self, arguments: argparse.Namespace, changes: Changes = "pixels") -> dict[str, Any]:
+        """Name -> value of the options that change this."""
+        return {option.name: option.value(arguments) for option in self if option.changes == changes}
+
+    def _asks(self, key: str, arguments: argparse.Namespace) -> bool:
+        flag, _, value = key.partition("=")
+        option = self[flag]
+        return option.value(arguments) == value if value else option.is_given(arguments)
+
+
+def parse_from_zero(text: str) -> float:
+    """A number from 0, as argparse's `type`."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = -1.0
+    if not number >= 0:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number from 0")
+    return number
+
+
+def parse_count(text: str) -> int:
+    """A whole number from 0, as argparse's `type`."""
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0")
+    return int(text)
+
+
+def parse_positive(text: str) -> int:
+    """A whole number from 1, as argparse's `type`."""
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 1")
+    return int(text)
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height, as argparse's `type`."""
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a size like 1920x1080")
+    return int(width), int(height)

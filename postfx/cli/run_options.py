@@ -1,0 +1,357 @@
+"""The options of `postfx run`: each is declared here, once, beside what it means.
+
+A new option is one more `Option` in a section. If `sets` names a parameter of a part of the run, nothing else has to
+change:
+
+    device    postfx.runtime.Device            sequence  postfx.io.sequence.Sequence
+    denoiser  postfx.DenoiseUpscale            look      display_passes, below
+    writer    postfx.io.writer.write_frame     run       postfx.runs.run.Options
+    page      postfx.cli.report.RunReport      capture   postfx.cli.capture.FrameCapture
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from postfx.cli.options import (
+    Option,
+    Options,
+    Section,
+    parse_count,
+    parse_from_zero,
+    parse_positive,
+    parse_size,
+)
+
+if TYPE_CHECKING:
+    from postfx.frame import Role
+    from postfx.io.frame_reader import FrameFiles
+    from postfx.io.output import OutputFiles
+    from postfx.io.sequence import Sequence
+    from postfx.passes.base import Pass
+    from postfx.plan import Skipped
+    from postfx.temporal import RunUp
+
+# Modules that load NumPy or the runtime are imported inside functions: --help must not wait for them.
+
+
+_FOR_DENOISER = {"--no-denoise": "{flag} is for the denoiser, which --no-denoise leaves out: give one of them"}
+
+
+# Frames
+
+FRAMES = Section("", (
+    Option(flag="input", metavar="INPUT", is_file=True, help="frames to read"),
+    Option(flag="--output", short="-o", metavar="OUTPUT", changes="nothing",
+           help="files to write: a pattern, a folder or one file"),
+    Option(flag="--guides", metavar="GUIDES", sets="sequence.guides", is_file=True,
+           help="frames of planes at output size, named like INPUT and numbered alike"),
+    Option(flag="--frames", metavar="RANGE", changes="nothing",
+           help="frames to process, e.g. 1-100, 1-100x2 or 1,5,8-12; from below 0 as --frames=-10-20"),
+    Option(flag="--overwrite", either="existing", changes="nothing", help="replace output files that are there"),
+    Option(flag="--skip-existing", either="existing", changes="nothing",
+           help="keep output files that are whole, by the manifest's hash or decoded to the last pixel; go on from "
+           "there"),
+    Option(flag="--preroll", metavar="N", type=parse_count, sets="run.preroll", changes="nothing",
+           help="frames to process without writing, before the first one of the range, so that the passes have their "
+           "history (default: 0)"),
+    Option(flag="--keep", choices=("all", "none"), default="all", sets="writer.keep",
+           convert=lambda keep: keep == "all",
+           help="EXR: what the input holds beside the picture goes into the output bit for bit (channels at render "
+           "size, parts, header), or not at all (default: all)"),
+    Option(flag="--on-error", choices=("stop", "skip", "copy"), default="stop", changes="nothing",
+           help="a frame that cannot be read or processed ends the run; has no output; or its picture is enlarged "
+           "without denoising. The run goes on after the last two and exits with 3 (default: stop)"),
+))
+
+
+def describe_kept(arguments: argparse.Namespace, sequence: Sequence, number: int) -> list[str]:
+    """A line on the channels that a frame's file holds beside the picture and --keep copies; empty if there are none.
+    """
+    from postfx.frame import Role
+    from postfx.io.writer import is_display_format
+
+    is_picture = arguments.output and Path(arguments.output).suffix and is_display_format(arguments.output)
+    if arguments.keep == "none" or is_picture:
+        return []
+    with sequence.open(number) as files:
+        planes = [files.layout.planes[role] for role in (Role.COLOUR, Role.ALPHA) if role in files.layout.planes]
+        touched = {(channel.part.index, channel.name) for match in planes for channel in match.channels}
+        file = files.match(Role.COLOUR).channels[0].file
+        others = [(part.index, name) for part in file.parts for name in part.channels]
+    count = len([other for other in others if other not in touched])
+    return [f"keeps   {count} other channels bit for bit (--keep none leaves them out)"] if count else []
+
+
+# Logs and resuming
+
+_EXACT = "exact"
+
+
+def _parse_seconds(text: str) -> float | None:
+    return None if text == "none" else parse_from_zero(text)
+
+
+def _parse_rerun(text: str) -> str | int:
+    if text != _EXACT and not text.isdigit():
+        raise argparse.ArgumentTypeError(f"'{text}' is no number of frames: give one, or exact")
+    return text if text == _EXACT else int(text)
+
+
+LOGS = Section("logs and resuming", (
+    Option(flag="--log", metavar="FILE", sets="run.log", changes="nothing",
+           help="append one JSON object a line for each frame and event (docs/reliability.md)"),
+    Option(flag="--checkpoint", metavar="SECONDS", type=_parse_seconds, default=30.0, sets="run.checkpoint",
+           changes="nothing",
+           help="keep what the passes remember in OUTPUT's folder after so many seconds of work, and when the run is "
+           "stopped, so that --skip-existing goes on from there; 0 after every frame, none for never (default: 30)"),
+    Option(flag="--resume", metavar="exact|N", type=_parse_rerun, default=_EXACT, sets="run.rerun",
+           convert=lambda rerun: None if rerun == _EXACT else rerun, changes="nothing",
+           help="with --skip-existing: run as many finished frames again, without writing them, as it takes for the "
+           "pixels of an unbroken run, or at most N (default: exact)"),
+))
+
+
+# Passes
+
+TONEMAP = Option(
+    flag="--tonemap", metavar="LOOK", bare="", either="look", sets="look.tonemap",
+    excludes={"--overlay=separate":
+              "--overlay separate keeps scene-linear light, --tonemap does not: give one of them"},
+    help="tone-map, with the default network, another one ('postfx models' lists them), reinhard, neutral (Khronos "
+    "PBR Neutral), ocio:VIEW (part of a view's name; of the config $OCIO or the built-in ACES 2 config; "
+    "ocio:VIEW@DISPLAY for a display by its name there), or a look-up table: FILE.cube,input=SPACE",
+)
+NO_TONEMAP = Option(flag="--no-tonemap", either="look", sets="look.no_tonemap",
+                    help="for a display, but only exposed, cut and encoded")
+DISPLAY = Option(
+    flag="--display", metavar="NAME", sets="look.display",
+    help="make the picture for srgb (default), p3, rec709, rec2020, or in HDR for pq or hlg, like "
+    "pq,peak=1000,white=203 (nits of the brightest light and of diffuse white). Networks know SDR only: what they "
+    "make white becomes diffuse white",
+)
+LOOK = (TONEMAP, NO_TONEMAP, DISPLAY)
+"""Options that say what pictures look like."""
+
+
+def _roles_unread(overlay: str) -> tuple[Role, ...]:
+    """Roles that are taken as absent."""
+    from postfx.frame import Role
+
+    return (Role.OVERLAY,) if overlay == "ignore" else ()
+
+
+PASSES = Section("passes", (
+    Option(flag="--scale", metavar="S", type=float, either="size", sets="denoiser.scale",
+           excludes=_FOR_DENOISER,
+           help="output size over render size, 1 to 3 (default: the size of the guides, or 2 without guides)"),
+    Option(flag="--size", metavar="WxH", type=parse_size, either="size", sets="denoiser.size",
+           excludes=_FOR_DENOISER,
+           help="size of the output with all overscan, e.g. 1920x1080: frames may change their size between it and a "
+           "third of it"),
+    Option(flag="--no-denoise", help="leave denoising and upscaling out"),
+    Option(flag="--model", metavar="TAG", sets="denoiser.model", excludes=_FOR_DENOISER,
+           help="denoiser: s, m (default) or l in the device's fast precision, or with one, e.g. m.fp32; 'postfx "
+           "models' lists them"),
+    Option(flag="--budget", metavar="MS", type=float, sets="denoiser.budget", excludes=_FOR_DENOISER,
+           help="milliseconds that denoising a frame may take: networks smaller than --model take turns with it"),
+    Option(flag="--both-ways",
+           excludes={
+               **_FOR_DENOISER,
+               "--budget": "--both-ways runs every frame twice, --budget keeps to a time: give one of them",
+               "--memory": "--both-ways keeps results of 32 frames, --memory keeps to a size: give one of them",
+           },
+           help="also denoise the sequence in reverse order, in parts, and mix both results: frames are cleaner, the "
+           "first ones most; takes two to three times as long"),
+    Option(flag="--run-up", metavar="N", type=parse_count, off=0,
+           excludes={
+               "--no-denoise": "--run-up runs frames more than once, --no-denoise has no denoiser to run up: give one "
+               "of them",
+               "--both-ways": "--run-up runs frames more than once, --both-ways knows the frames after the first ones "
+               "anyway: give one of them",
+               "--budget": "--run-up runs frames more than once, --budget keeps to a time: give one of them",
+           },
+           help="frames after the first one of each shot that are run before it, in reverse order, so that it has a "
+           "history and is as clean as the others; 0 for none (default: 8; none with --both-ways or --budget)"),
+    Option(flag="--strength", metavar="S", type=float, sets="denoiser.strength", excludes=_FOR_DENOISER,
+           help="of denoising, 0 (only resample) to 1 (fully), times the plane 'strength' if there is one "
+           "(default: 1)"),
+    Option(flag="--leave", metavar="NAMES", sets="sequence.leave", excludes=_FOR_DENOISER,
+           help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, 'auto' for sky and "
+           "misses that are free of noise, and 'converged:0.01' for what its variance says to have at most 1 %% of "
+           "error, or 'converged:256spp'; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id"),
+    TONEMAP,
+    NO_TONEMAP,
+    DISPLAY,
+    Option(flag="--dither", choices=("moving", "static", "none"), default="moving", sets="writer.dither",
+           help="of 8 bits: another pattern each frame (default), one, none"),
+    Option(flag="--overlay", choices=("composite", "separate", "ignore"), default="composite", sets="sequence.without",
+           convert=_roles_unread,
+           help="transparency overlay: over the denoised picture and its alpha, as an EXR layer of the same size "
+           "beside the picture without it, or unread (default: composite)"),
+    Option(flag="--reactive", metavar="KIND[,NAME=NUMBER]", sets="denoiser.reactive",
+           excludes=_FOR_DENOISER,
+           help="where the history is not used, for particles and the like: plane (the plane 'reactive'), difference "
+           "(colour against the plane 'opaque_colour'), auto (the first of these that is there, default) or none; "
+           "with scale= and threshold= of the difference, e.g. auto,scale=8"),
+    Option(flag="--exposure", metavar="auto|smooth|metadata|EV", default="auto",
+           help="metered on the pictures so far, on the whole sequence in a pass before (steadier), from the header "
+           "(postfx:exposure), or a number of stops (default: auto)"),
+))
+
+
+def make_run_up(arguments: argparse.Namespace, sequence: Sequence, cuts: str) -> RunUp | None:
+    """The run-up that --run-up asks for; without that option 8 frames, if no other option rules a run-up out."""
+    from postfx.temporal.run_up import FRAMES as DEFAULT_FRAMES
+    from postfx.temporal.run_up import RunUp
+
+    option = RUN["--run-up"]
+    frames = DEFAULT_FRAMES if arguments.run_up is None else arguments.run_up
+    return RunUp(sequence, frames, cuts) if frames and not RUN.excluded(option, arguments) else None
+
+
+def announce_run_up(check: Callable[[], None], tell: Callable[[str], None]) -> Callable[[int, int], None]:
+    """What is called before each frame of a run-up, with the number of the frame that it leads to and its own.
+
+    `check` may raise to end the run; `tell` gets a line before the first frame, as a run-up may take long.
+    """
+    told: int | None = None
+
+    def before_frame(first: int, other: int) -> None:
+        nonlocal told
+        check()
+        if first != told:
+            tell(f"before frame {first}: a run-up from frame {other}")
+        told = first
+
+    return before_frame
+
+
+def display_passes(
+    is_picture: bool, tonemap: str | None = None, no_tonemap: bool = False, display: str | None = None
+) -> tuple[list[Pass], list[Skipped]]:
+    """Passes that make pictures for a display, and what is left out. is_picture: the files hold such pictures.
+
+    Raises ColourError for an unknown display or view.
+    """
+    from postfx.colour.displays import parse_display
+    from postfx.colour.views import is_view
+    from postfx.passes.registry import create
+    from postfx.plan import Skipped
+
+    if not is_picture and display is None and tonemap is None:
+        why = "--no-tonemap" if no_tonemap else "EXR output stays scene-linear; --tonemap changes that"
+        return [], [Skipped("tonemap", why)]
+    shown_on = str(parse_display(display or "srgb"))
+    if no_tonemap:
+        return [create("display", display=shown_on)], [Skipped("tonemap", "--no-tonemap")]
+    if tonemap and is_view(tonemap):
+        mapper = create("view", view=tonemap, display=shown_on)
+        made_for = mapper.output
+    else:
+        mapper = create("tonemap", **({"tag": tonemap} if tonemap else {}))
+        made_for = "srgb"
+    return [mapper] + ([create("display", display=shown_on)] if made_for != shown_on else []), []
+
+
+def refuse_layer(arguments: argparse.Namespace, outputs: OutputFiles | None) -> None:
+    """WriteError if the overlay cannot be written beside the colour: its light is scene-linear."""
+    from postfx.errors import WriteError
+
+    if arguments.overlay == "separate" and outputs and outputs.display:
+        raise WriteError("--overlay separate writes a layer, which only EXR holds: write EXR, or composite the overlay")
+
+
+def explain_overlay(arguments: argparse.Namespace, files: FrameFiles) -> list[Skipped]:
+    """What is not composited, and the colour that is not denoised because another one is."""
+    from postfx.frame import Role
+    from postfx.plan import Skipped
+
+    found = [] if arguments.overlay == "composite" else [Skipped("overlay", f"--overlay {arguments.overlay}")]
+    colour = files.match(Role.COLOUR)
+    if colour.rule.role is Role.OPAQUE_COLOUR:
+        found.append(Skipped("colour with transparents", f"{colour.names} is denoised under the overlay"))
+    return found
+
+
+# Reading and running
+
+DEPTH = Option(
+    flag="--depth", metavar="KIND[,NAME=NUMBER]", sets="sequence.depth",
+    help="what the depth plane holds: planar, ray, device, reversed, normalised or normalised-reversed, and near, far, "
+    "fov, miss, scale; e.g. reversed,near=0.1 (default: by the profile)",
+)
+
+
+def parse_cuts(text: str) -> tuple[int, ...] | None:
+    """Frames at which shots begin, as --cuts says: 'auto' gives None, 'none' none, else '1,48' or '1-100x10'.
+
+    Raises CutError for anything else.
+    """
+    from postfx.errors import CutError, SequenceError
+    from postfx.io.pattern import parse_frames
+
+    if text in ("auto", "none"):
+        return None if text == "auto" else ()
+    try:
+        return tuple(parse_frames(text))
+    except SequenceError:
+        raise CutError(f"cuts '{text}': use auto, none, or the frames at which shots begin, e.g. 1,48,90") from None
+
+
+READING = Section("reading and running", (
+    Option(flag="--profile", metavar="NAME|FILE", sets="sequence.profile", is_file=True,
+           help="how the renderer names its planes (default: found from the file)"),
+    DEPTH,
+    Option(flag="--colourspace", metavar="NAME", sets="sequence.colourspace",
+           help="linear primaries of the colours: rec709, p3, rec2020, acescg or aces2065-1 (default: by the headers "
+           "chromaticities or colorInteropID, else rec709)"),
+    Option(flag="--cuts", metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts", convert=parse_cuts,
+           help="where shots begin, so that the history is dropped: by headers and pictures, nowhere, or at these "
+           "frames, e.g. 1,48,90 (default: auto)"),
+    Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", sets="device.name", help="where to run"),
+    Option(flag="--memory", metavar="SIZE", sets="device.memory", changes="rounding",
+           help="what the process may have in memory, e.g. 4G: frames are worked on in tiles, and what is too large "
+           "lies in temporary files (TMPDIR); CPU only (default: no limit)"),
+    Option(flag="--threads", metavar="N", type=parse_positive, sets="device.threads",
+           help="CPU threads (default: all usable cores)"),
+))
+
+
+# Reports and captures
+
+REPORTS = Section("reports", (
+    Option(flag="--explain", changes="nothing", help="show what would run and what is skipped, then stop"),
+    Option(flag="--json", changes="nothing", help="print one JSON object on standard output at the end"),
+    Option(flag="--report", metavar="HTML", sets="page.path", changes="nothing",
+           excludes={"--memory": "--report keeps whole frames in memory: leave --memory out"},
+           help="write a page that opens from the disk and needs no network: before and after with an exposure slider, "
+           "curves over the frames, times, what was skipped, findings and a picture of every plane"),
+    Option(flag="--reference", metavar="FRAMES", sets="page.reference", changes="nothing",
+           needs={"--report": "--reference is for --report FILE.html: give both"},
+           help="noise-free frames at output size, numbered like INPUT: the report compares with them, by PSNR and "
+           "FLIP (needs the extra 'bench')"),
+))
+
+_NEEDS_CAPTURE = {"--capture": "--capture-frame, --capture-tensors and --capture-network need --capture DIR: where to "
+                  "write the capture"}
+
+CAPTURE = Section("capture", (
+    Option(flag="--capture", metavar="DIR", sets="capture.folder", changes="nothing",
+           help="write DIR/capture.html, a page on one frame's commands: times, memory, dependencies, tensors, "
+           "networks"),
+    Option(flag="--capture-frame", metavar="N", type=parse_count, sets="capture.number", needs=_NEEDS_CAPTURE,
+           changes="nothing", help="frame to capture (default: the second, which has a history)"),
+    Option(flag="--capture-tensors", choices=("thumbnails", "none", "all"), sets="capture.tensors",
+           needs=_NEEDS_CAPTURE, changes="nothing",
+           help="of each tensor keep figures and small pictures (default), nothing, or also all of it in DIR/tensors, "
+           "for 'postfx capture-compare'"),
+    Option(flag="--capture-network", sets="capture.network", needs=_NEEDS_CAPTURE, changes="nothing",
+           help="also run the frame's networks once more, node by node: figures, pictures and time of each node"),
+))
+
+RUN = Options(FRAMES, LOGS, PASSES, READING, REPORTS, CAPTURE)
+"""All of them."""

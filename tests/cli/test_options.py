@@ -1,0 +1,95 @@
+"""Options of `postfx run`: each is declared once, and everything else follows from that."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+
+import pytest
+
+from postfx.cli.capture import FrameCapture
+from postfx.cli.main import main, make_parser
+from postfx.cli.options import Option, Section
+from postfx.cli.report import RunReport
+from postfx.cli.run_options import RUN, display_passes
+from postfx.io.sequence import Sequence
+from postfx.io.writer import write_frame
+from postfx.passes.denoise_upscale import DenoiseUpscale
+from postfx.runs.run import Options
+from postfx.runtime import Device
+
+PARTS = {"device": Device, "sequence": Sequence, "look": display_passes, "writer": write_frame, "run": Options,
+         "page": RunReport, "capture": FrameCapture}
+
+
+def parse(*words: str) -> argparse.Namespace:
+    return make_parser().parse_args(["run", "in/", "-o", "out/", *words])
+
+
+@pytest.fixture
+def sharpen(monkeypatch) -> Option:
+    """An option that is declared and nothing else."""
+    option = Option(
+        flag="--sharpen", metavar="S", type=float, sets="denoiser.strength", convert=lambda sharpen: 1 - sharpen,
+        excludes={"--no-denoise": "{flag} is for the denoiser: leave --no-denoise out", "--keep=none": "keep it"},
+        help="how sharp",
+    )
+    monkeypatch.setattr(RUN, "sections", (*RUN.sections, Section("more", (option,))))
+    return option
+
+
+def test_an_option_declared_in_one_place_is_in_the_help(sharpen, capsys):
+    with pytest.raises(SystemExit):
+        main(["run", "--help"])
+    assert capsys.readouterr().out.count("more:\n  --sharpen S  ") == 1
+
+
+def test_an_option_declared_in_one_place_reaches_its_pass_and_the_files(sharpen, shot, tmp_path, monkeypatch, capsys):
+    shot(1)
+    monkeypatch.chdir(tmp_path)
+    run = ["run", "in/", "-o", "out/", "--device", "cpu", "--exposure", "0"]
+    assert main([*run, "--sharpen", "1"]) == 0
+    (facts,) = json.loads((tmp_path / "out/postfx.manifest.json").read_text())["runs"].values()
+    assert facts["settings"]["sharpen"] == 1.0 and facts["passes"]["denoise_upscale"]["strength"] == 0.0
+    assert main([*run, "--sharpen", "1", "--skip-existing"]) == 0
+    assert "other settings" not in capsys.readouterr().err
+    assert main([*run, "--skip-existing"]) == 0
+    assert "1 kept frames, 1 the first, were made with other settings" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (("--sharpen", "1", "--no-denoise"), "--sharpen is for the denoiser: leave --no-denoise out"),
+    (("--sharpen", "1", "--keep", "none"), "keep it"),
+])
+def test_an_option_declared_in_one_place_is_refused_beside_others(sharpen, capsys, words, message):
+    assert main(["run", "in/", "-o", "out/", *words]) == 2
+    assert capsys.readouterr().err == f"error: {message}\n"
+
+
+def test_settings_are_those_that_change_pixels():
+    given = parse("--run-up", "3", "--memory", "4G", "--preroll", "2", "--log", "log")
+    settings = RUN.settings(given)
+    assert settings["run_up"] == 3 and settings["input"] == "in/" and settings["overlay"] == "composite"
+    assert not {"output", "memory", "preroll", "log", "execute", "capture", "on_error"} & set(settings)
+    assert RUN.settings(given, "rounding") == {"memory": "4G"}
+    assert len(RUN.settings(given)) + len(RUN.settings(given, "nothing")) + 1 == len(list(RUN))
+
+
+def test_what_is_not_given_is_left_to_the_part():
+    assert RUN.values_for("denoiser", parse()) == {}
+    assert RUN.values_for("denoiser", parse("--scale", "1.5", "--model", "s")) == {"scale": 1.5, "model": "s"}
+    assert RUN.values_for("run", parse("--checkpoint", "none")) == {"checkpoint": None, "rerun": None}
+    assert RUN.values_for("run", parse("--resume", "4")) == {"checkpoint": 30.0, "rerun": 4}
+
+
+@pytest.mark.parametrize("option", list(RUN), ids=lambda option: option.name)
+def test_options_name_what_there_is(option):
+    part, _, parameter = option.sets.partition(".")
+    if part == "denoiser":
+        assert parameter in DenoiseUpscale().options
+    elif part:
+        assert parameter in inspect.signature(PARTS[part]).parameters
+    flags = {each.flag for each in RUN}
+    assert {key.partition("=")[0] for key in (*option.excludes, *option.needs)} <= flags
+
