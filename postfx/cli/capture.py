@@ -26,11 +26,14 @@ class FrameCapture:
 
     Attributes:
         page: the page that was written; None before, and without a folder.
+        warnings: why there is none, if the frame failed.
     """
 
     def __init__(self, device: Device, folder: str | None = None, number: int | None = None,
                  tensors: str = "thumbnails", network: bool = False, check: bool = True) -> None:
         self.page: str | None = None
+        self.warnings: list[str] = []
+        self._following: list[int] = []  # frames to capture instead of one that fails
         self._device, self._number, self._tensors, self._network = device, number, tensors, network
         self._folder = Path(folder) if folder is not None else None
         if self._folder is None:
@@ -47,14 +50,14 @@ class FrameCapture:
         if self._folder is None or not numbers:
             return
         if self._number is None:
-            self._number = numbers[min(1, len(numbers) - 1)]
+            self._number, *self._following = numbers[min(1, len(numbers) - 1):]
         if self._number not in numbers:
             raise SequenceError(f"frame {self._number} of --capture-frame is not processed: take one that is")
 
     @contextmanager
     def around(self, number: int) -> Iterator[None]:
-        """Process a frame inside: if it is the one to capture, this writes the capture at the end,
-        also when a command fails."""
+        """Process a frame inside: if it is the one to capture, this writes the capture at the end, also when a command
+        fails. If the frame failed before any command, the next one is captured, unless --capture-frame names it."""
         if self._folder is None or self.page or number != self._number:
             yield
             return
@@ -63,12 +66,17 @@ class FrameCapture:
             with capture:
                 yield
         except CommandError:  # then the capture is wanted most
-            self._write(capture, number)
+            self._write(capture, number, self._folder)
             raise
-        self._write(capture, number)
+        if capture.buffers:
+            self._write(capture, number, self._folder)
+        elif self._following:
+            self._number = self._following.pop(0)
+        else:
+            self.warnings = [f"frame {number} could not be processed: nothing was captured"]
 
     def _made(self) -> Capture:
         return self._device.capture(self._tensors, self._folder if self._tensors == "all" else None, self._network)
 
-    def _write(self, capture: Capture, number: int) -> None:
-        self.page = str(write_capture(capture, self._folder, f"postfx capture: frame {number}"))
+    def _write(self, capture: Capture, number: int, folder: Path) -> None:
+        self.page = str(write_capture(capture, folder, f"postfx capture: frame {number}"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,8 @@ class Inspection:
     """
 
     def __init__(
-        self, source: str, frames: str | None, profile: str | None, guides: str | None = None, depth: str | None = None
+        self, source: str, frames: str | Iterable[int] | None, profile: str | None, guides: str | None = None,
+        depth: str | None = None,
     ) -> None:
         self.sequence = Sequence(source, frames, profile, guides=guides, depth=depth)
         self._reading: Reading = read_material(self.sequence)

@@ -21,8 +21,8 @@ from postfx.cli.run_options import (
     make_run_up,
     refuse_layer,
 )
-from postfx.cli.summary import Explanation, FrameProgress, Report, guides_in
-from postfx.errors import WriteError
+from postfx.cli.summary import Explanation, FrameProgress, Processed, Report, guides_in
+from postfx.errors import PostfxError, WriteError
 from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
 from postfx.frame import Frame
 from postfx.io.output import Existing, OutputFiles
@@ -41,6 +41,7 @@ from postfx.runs.stop import Stop
 from postfx.runtime import Device
 from postfx.temporal import Backwards
 
+NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
 BACKWARDS = "denoise_upscale backwards"
 """Of the run in reverse order, in the summary."""
 
@@ -106,7 +107,7 @@ class Job:
 
     def explained(self) -> Explanation:
         """What would run."""
-        return Explanation(self.plan, self.sequence, self.left_out, self._run_up)
+        return Explanation(self.plan, self.sequence, self.first, self.left_out, self._run_up)
 
     def run(self) -> None:
         """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
@@ -123,8 +124,8 @@ class Job:
             self._seconds = time.perf_counter() - begin
 
     def report(self, failure: BaseException | None = None) -> Report:
-        """What happened so far; writes the page that --report asks for."""
-        return self._page.written(Report(
+        """What happened so far."""
+        return Report(
             frames=len(self._written),
             wanted=len(self.sequence),
             seconds=self._seconds,
@@ -132,7 +133,8 @@ class Job:
             pass_ms=self._pass_ms,
             ahead_ms=self._ahead_ms,
             skipped=[*self.plan.skipped, *self.left_out, *self.pipeline.left_out()],
-            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings],
+            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings,
+                      *self._capture.warnings],
             chosen={name: dict(counts) for name, counts in self._chosen.items()},
             outputs=self._written,
             guides=guides_in(self.plan, bool(self._arguments.scale or self._arguments.size)),
@@ -142,14 +144,23 @@ class Job:
             capture=self._capture.page,
             faults=self._faults.found,
             error=str(failure) or "interrupted" if failure is not None else None,
-        ), lambda: str(self.explained()))
+        )
+
+    def write_page(self, report: Report) -> Report:
+        """Write the page that --report asks for; the report with its path."""
+        return self._page.written(report, str(self.explained()))
 
     def _books(self) -> Run:
         frames = sorted(self.sequence.numbers) if self._smooth else None  # that exposure looks ahead
         provenance = provenance_of(
             RUN.settings(self._arguments), self.plan, self.pipeline.device,
             [frames, *RUN.settings(self._arguments, "rounding").values()], [one.name for one in RUN if one.is_file])
-        return Run(self.outputs, self.sequence, self.pipeline, self.plan, provenance, Options(**self._values("run")))
+        return Run(self._files(), self.sequence, self.pipeline, self.plan, provenance, Options(**self._values("run")))
+
+    def _files(self) -> OutputFiles:
+        if self.outputs is None:
+            raise WriteError(NOWHERE)
+        return self.outputs
 
     def _announce(self, progress: FrameProgress) -> None:
         """Say what takes its time before the first frame."""
@@ -163,18 +174,25 @@ class Job:
             self._run_up.on_frame = announce_run_up(stop.check, progress.note)
         self._capture.choose([work.number for work in run.works])
         self._page.choose([work.number for work in run.works if work.write])
+        is_unseen = False  # whether the passes have not seen the frame before, as looking ahead of it failed
         with WriteBehind() as behind:
             for work, frame in read_ahead(run.works, partial(self._read, run)):
                 if work.checkpoint:
-                    run.recall(work, frame)
+                    if frame is not None:  # else the next one begins without a history
+                        run.recall(work, frame)
                     continue
-                ahead = partial(self._look_ahead, frame, work.write, stop, progress)
-                frame = frame and self._faults.attempt(work.number, work.write, ahead)
+                if frame is not None:
+                    frame.reset = frame.reset or is_unseen
+                    ahead = partial(self._look_ahead, frame, work.write, stop, progress)
+                    frame = self._faults.attempt(work.number, work.write, ahead)
+                    is_unseen = frame is None
                 with self._capture.around(work.number):
-                    result = self._process(work, frame)
-                if work.write and result:
-                    self._page.add(frame, result)
-                    behind.put(partial(self._write, run, work.number, result, self._facts(), progress))
+                    done = None if frame is None else self._process(work, frame)
+                if done is None and work.write:
+                    done = self._faults.instead(work.number)
+                if work.write and done:
+                    self._page.add(done)
+                    behind.put(partial(self._write, run, done, progress))
                 run.ran(work.number, behind.wait, stop.asked)
                 stop.check()
 
@@ -196,44 +214,42 @@ class Job:
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame
 
-    def _process(self, work: Work, frame: Frame | None) -> Frame | None:
-        """The result of a frame, or of what stands in for one that failed; None where there is neither."""
-        begin = time.perf_counter()
-        result = frame and self._faults.attempt(work.number, work.write, partial(self.pipeline, frame))
+    def _process(self, work: Work, frame: Frame) -> Processed | None:
+        """A frame after the passes; None if they failed and the run goes on."""
+        begin, passes = time.perf_counter(), self.pipeline
+        result = self._faults.attempt(work.number, work.write, partial(passes, frame))
         if result is None:
-            return self._faults.instead(work.number) if work.write else None
-        self._ahead_ms += self.pipeline.ahead
-        if self.pipeline.cut:
+            return None
+        self._ahead_ms += passes.ahead
+        if passes.cut:
             self._cuts.append(work.number)
+        milliseconds = (time.perf_counter() - begin) * 1000
+        if self._backwards:
+            milliseconds += self._backwards.milliseconds or 0.0
+        done = Processed(frame, result, passes.exposure, passes.cut, milliseconds, passes.timings, passes.broken)
         if work.write:
-            self._note((time.perf_counter() - begin) * 1000)
-        return result
+            self._note(done, milliseconds)
+        return done
 
-    def _note(self, milliseconds: float) -> None:
-        """Keep what the last frame took and what was chosen for it."""
+    def _note(self, done: Processed, milliseconds: float) -> None:
+        """Keep what a frame took and what was chosen for it."""
+        self._frame_ms.append(milliseconds)
         backwards = self._backwards.milliseconds if self._backwards else None
-        self._frame_ms.append(milliseconds + (backwards or 0.0))
-        for name, elapsed in {**({} if backwards is None else {BACKWARDS: backwards}), **self.pipeline.timings}.items():
+        for name, elapsed in {**({} if backwards is None else {BACKWARDS: backwards}), **done.passes}.items():
             self._pass_ms.setdefault(name, []).append(elapsed)
-        for role, pixels in self.pipeline.broken.items():
+        for role, pixels in done.broken.items():
             found = self._broken.setdefault(str(role), {"pixels": 0, "frames": 0})
             found["pixels"], found["frames"] = found["pixels"] + pixels, found["frames"] + 1
         for step in self.plan.steps:
             if choice := step.instance.chosen():
                 self._chosen.setdefault(step.name, Counter())[choice] += 1
 
-    def _facts(self) -> dict[str, Any]:
-        """About the last frame, for the log."""
-        passes = {name: round(elapsed, 3) for name, elapsed in self.pipeline.timings.items()}
-        took = round(self._frame_ms[-1], 3) if self._frame_ms else None
-        return {"ms": took, "passes": passes, "exposure": self.pipeline.exposure, "cut": self.pipeline.cut,
-                "broken": self.pipeline.broken}
-
-    def _write(self, run: Run, number: int, result: Frame, facts: dict[str, Any], progress: FrameProgress) -> None:
-        write = partial(write_frame, self.outputs.path(number), result, relax=self._relax,
+    def _write(self, run: Run, done: Processed, progress: FrameProgress) -> None:
+        number, result = done.source.number, done.result
+        write = partial(write_frame, self._files().path(number), result, relax=self._relax,
                         provenance=run.header(), **self._values("writer"))
         if path := self._faults.attempt(number, True, write):
-            run.wrote(number, path, result, **facts)
+            run.wrote(number, path, result, **done.facts())
             self._written.append(str(path))
             progress.advance(str(path))
 
@@ -256,15 +272,23 @@ class Job:
         return {"strength": 0.0,
                 **({"size": size} if size else {"scale": self.plan.output.width / self.plan.input.width})}
 
-    def _inspect(self) -> Inspection:
-        """What `postfx inspect` finds in the input."""
-        given = self._arguments
-        return Inspection(given.input, given.frames, given.profile, given.guides, given.depth)
+    def _inspect(self, numbers: list[int]) -> Inspection:
+        """What `postfx inspect` finds in the input; from the first of these frames on that can be read whole, if the
+        sequence's own first one cannot."""
+        given, listed = self._arguments, self.sequence.numbers
+        for number in (listed[0], *numbers):
+            frames = listed[listed.index(number):]
+            try:
+                return Inspection(given.input, frames, given.profile, given.guides, given.depth)
+            except PostfxError:
+                if number == numbers[-1]:
+                    raise
+        raise AssertionError("a page has a frame")
 
 
 def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles | None:
     existing = Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
     existing = Existing.SKIP if arguments.skip_existing else existing
     if not arguments.output and not arguments.explain:
-        raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr")
+        raise WriteError(NOWHERE)
     return OutputFiles(arguments.output, sequence, existing) if arguments.output else None

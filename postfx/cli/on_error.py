@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeVar
 
+from postfx.cli.summary import RESAMPLED, Fault, Processed
 from postfx.errors import FrameError, GuideError, MissingPlaneError, PostfxError, WriteError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import Frame, FrameSpec, Role
@@ -18,7 +18,6 @@ from postfx.runtime import Device
 
 EXIT_FAULTS = 3
 """Exit code of a run that reached its end, but not with all frames."""
-LEFT_OUT, RESAMPLED = "left out", "resampled"
 Result = TypeVar("Result")
 
 
@@ -28,15 +27,6 @@ class OnError(StrEnum):
     STOP = "stop"
     SKIP = "skip"
     COPY = "copy"
-
-
-@dataclass
-class Fault:
-    """A frame that could not be processed, why, and what became of its output: 'left out' or 'resampled'."""
-
-    frame: int
-    why: str
-    instead: str = LEFT_OUT
 
 
 class Standin:
@@ -49,13 +39,14 @@ class Standin:
         self._sequence.guides, self._sequence.leave = None, ()
         self._pipeline = Pipeline(passes, device, exposure, "none")
 
-    def __call__(self, number: int) -> Frame:
+    def __call__(self, number: int) -> Processed:
         """The frame to write. Raises as reading does."""
         try:
             frame = self._sequence.read(number, (Role.COLOUR, Role.ALPHA))
         except MissingPlaneError:
             frame = self._sequence.read(number, (Role.COLOUR,))
-        return self._pipeline(frame)
+        result = self._pipeline(frame)
+        return Processed(frame, result, self._pipeline.exposure, broken=self._pipeline.broken)
 
 
 class Faults:
@@ -92,19 +83,23 @@ class Faults:
             if self._policy is OnError.STOP:
                 raise
             if wanted:
-                self.found.append(Fault(number, str(error)))
+                self._note(Fault(number, str(error)))
             return None
 
-    def instead(self, number: int) -> Frame | None:
+    def instead(self, number: int) -> Processed | None:
         """What to write for a frame that failed; None for nothing."""
         if self._standin is None:
             return None
         try:
-            frame = self._standin(number)
+            done = self._standin(number)
         except PostfxError:
             return None
         next(fault for fault in self.found if fault.frame == number).instead = RESAMPLED
-        return frame
+        return done
+
+    def _note(self, fault: Fault) -> None:
+        """Keep a fault; one of the same frame is replaced, as the output of its stand-in has failed as well."""
+        self.found = [one for one in self.found if one.frame != fault.frame] + [fault]
 
 
 def first_readable(sequence: Sequence, policy: OnError) -> int:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postfx.cli.inspection import Inspection
-from postfx.cli.summary import Report
+from postfx.cli.summary import Processed, Report
 from postfx.colour.curves import srgb_decode
 from postfx.errors import ReportError
 from postfx.exposure import ExposureMeter, measure
@@ -31,7 +31,8 @@ class RunReport:
     """What --report asks for: it looks at every frame that is written, and writes the page at the end.
 
     Args:
-        inspect: looks at the input, for the page's findings and pictures of planes.
+        inspect: looks at the input from the first of these frames on that can be read, for the page's findings and
+            pictures of planes.
         path: the page; None for none.
         reference: noise-free frames at output size.
         check: whether the page's folder must be one that can be written.
@@ -39,7 +40,7 @@ class RunReport:
     Raises ReportError when references do not fit, WriteError when the page's folder cannot be written.
     """
 
-    def __init__(self, sequence: Sequence, pipeline: Pipeline, plan: Plan, inspect: Callable[[], Inspection],
+    def __init__(self, sequence: Sequence, pipeline: Pipeline, plan: Plan, inspect: Callable[[list[int]], Inspection],
                  path: str | None = None, reference: str | None = None, check: bool = True) -> None:
         self._sequence, self._pipeline, self._plan, self._inspect = sequence, pipeline, plan, inspect
         self._path = Path(path) if path else None
@@ -56,30 +57,30 @@ class RunReport:
         """Say which frames will be written, in order."""
         self._log = FrameLog(numbers, self._look, "after")
 
-    def add(self, frame: Frame, result: Frame) -> None:
-        """Look at a frame as it was read, and at what the pipeline just made of it."""
+    def add(self, done: Processed) -> None:
+        """Look at a frame that just came out."""
         if self._path is None:
             return
-        cut = self._pipeline.cut or frame.reset or not self._follows(frame.number)
+        frame = done.source
+        cut = done.cut or frame.reset or not self._follows(frame.number)
         metered = measure(frame[Role.COLOUR])
-        exposure = self._pipeline.exposure or 2.0 ** (metered or 0.0)
-        pictures = self._pictures(frame, result, exposure, cut)
+        exposure = done.exposure or 2.0 ** (metered or 0.0)
+        pictures = self._pictures(frame, done.result, exposure, cut)
         readings = {"exposure used": float(np.log2(exposure)), "exposure metered": metered}
         found = self._compared(pictures, exposure)
+        timed = {"ms passes": done.milliseconds} if self._log.rows else {}  # the first one compiles
         self._log.add(frame.number, pictures, exposure, frame.planes.get(Role.MOTION), cut,
-                      readings | (found.figures if found else {}), {"FLIP": found.flip} if found else {})
+                      readings | (found.figures if found else {}) | timed, {"FLIP": found.flip} if found else {})
 
-    def written(self, report: Report, plan: Callable[[], str]) -> Report:
+    def written(self, report: Report, plan: str) -> Report:
         """Write the page of what was seen, with the text of the `plan`; the run's report with its path."""
         if self._path is None or not self._log.rows:
             return report
-        for row, milliseconds in zip(self._log.rows[1:], report.frame_ms[1:], strict=False):
-            row.readings["ms passes"] = milliseconds
-        inspection = self._inspect()
+        inspection = self._inspect([row.number for row in self._log.rows])
         report = dataclasses.replace(report, page=str(self._path))
         name = Path(str(inspection.sequence.pattern)).name
         write_report(self._path, f"postfx report: {name}", self._log, inspection.facts(), inspection.frames[0],
-                     {**report.as_dict(), "plan": plan()})
+                     {**report.as_dict(), "plan": plan})
         return report
 
     def _follows(self, number: int) -> bool:
@@ -92,7 +93,7 @@ class RunReport:
         before = resampled(frame[Role.COLOUR], *after.shape[:2], frame.jitter)
         scene = {"before": before}
         reference = self._references.colour(frame.number) if self._references else None
-        scene |= {} if reference is None else {"reference": reference}
+        scene |= {"reference": reference} if reference is not None and reference.shape == after.shape else {}
         shown = {name: self._viewed(name, light, frame, exposure, cut) for name, light in scene.items()}
         return {"before": shown.pop("before"), "after": _light_of(result), **shown}
 

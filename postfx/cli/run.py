@@ -75,12 +75,17 @@ def execute(arguments: argparse.Namespace) -> int:
         else:
             print("\n".join([str(explained), *describe_kept(arguments, job.sequence, job.first)]))
         return 0
-    failure = None
+    failure: PostfxError | KeyboardInterrupt | None = None
     try:
         job.run()
     except (PostfxError, KeyboardInterrupt) as error:
         failure = error
     report = job.report(failure)
+    try:
+        report = job.write_page(report)
+    except PostfxError as error:  # the frames are written all the same, and the summary tells of them
+        failure = failure or error
+        report = job.report(failure)
     print(report.summary(), file=sys.stderr)
     if arguments.json:
         print(json.dumps(report.as_dict()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from statistics import median
 from typing import Any
@@ -10,8 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from postfx.cli.on_error import LEFT_OUT, Fault
-from postfx.frame import Role
+from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
 from postfx.masks.entries import Coverage
 from postfx.plan import Plan, Skipped, from_files
@@ -23,10 +23,17 @@ SHOWN_CUTS = 12
 
 @dataclass(frozen=True)
 class Explanation:
-    """What would run. left_out: what the arguments leave out, and why; run_up: what runs before first frames."""
+    """What would run.
+
+    Attributes:
+        plan: of the first frame that can be read, which has the number `first`.
+        left_out: what the arguments leave out, and why.
+        run_up: what runs before the first frame of a shot.
+    """
 
     plan: Plan
     sequence: Sequence
+    first: int
     left_out: list[Skipped]
     run_up: RunUp | None
 
@@ -39,7 +46,7 @@ class Explanation:
         return {**plan, "ahead": self._ahead(), "frames": len(self.sequence), "warnings": self.sequence.warnings}
 
     def __str__(self) -> str:
-        first, lines = self.sequence.numbers[0], [str(self.plan)]
+        first, lines = self.first, [str(self.plan)]
         lines += [f"skips   {item.what}: {item.why}" for item in self.left_out]
         if alone := self._alone():
             lines.append(f"leaves  of frame {first}: {alone}")
@@ -51,12 +58,11 @@ class Explanation:
     def _alone(self) -> Coverage | None:
         """What the first frame leaves as it is, where that is asked for."""
         asked = self.sequence.leave and Role.STRENGTH in self.plan.planes
-        return self.sequence.left_alone_of(self.sequence.numbers[0]) if asked else None
+        return self.sequence.left_alone_of(self.first) if asked else None
 
     def _ahead(self) -> list[int]:
         """Frames that are run before the first one, in the order in which they are."""
-        runs = self.run_up and self.plan.accumulating()
-        return self.run_up.after(self.sequence.numbers[0])[::-1] if runs else []
+        return self.run_up.after(self.first)[::-1] if self.run_up and self.plan.accumulating() else []
 
 
 class FrameProgress:
@@ -105,6 +111,47 @@ class FrameProgress:
         self._bar.update(self._task, advance=1, rate=rate)
         if not self._console.is_terminal:
             self._console.print(f"{self._done}/{self._total} {path} ({rate})", highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Processed:
+    """A frame that came out of a run, and how.
+
+    Attributes:
+        source: as it was read.
+        result: as it is written.
+        exposure: multiplier that was used; None if no pass ran.
+        cut: whether its picture was found to begin a shot.
+        milliseconds: in the passes; None for a stand-in.
+        passes: pass name -> milliseconds on the device.
+        broken: plane -> pixels that were not finite.
+    """
+
+    source: Frame
+    result: Frame
+    exposure: float | None
+    cut: bool = False
+    milliseconds: float | None = None
+    passes: Mapping[str, float] = field(default_factory=dict)
+    broken: Mapping[Role, int] = field(default_factory=dict)
+
+    def facts(self) -> dict[str, Any]:
+        """What the log says."""
+        passes = {name: round(elapsed, 3) for name, elapsed in self.passes.items()}
+        took = None if self.milliseconds is None else round(self.milliseconds, 3)
+        return {"ms": took, "passes": passes, "exposure": self.exposure, "cut": self.cut, "broken": dict(self.broken)}
+
+
+LEFT_OUT, RESAMPLED = "left out", "resampled"
+
+
+@dataclass
+class Fault:
+    """A frame that could not be processed, why, and what became of its output: LEFT_OUT or RESAMPLED."""
+
+    frame: int
+    why: str
+    instead: str = LEFT_OUT
 
 
 @dataclass(frozen=True)
