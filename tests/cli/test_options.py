@@ -7,7 +7,6 @@ import inspect
 import json
 
 import pytest
-from postfx.passes.denoise import DenoiseUpscale
 
 from postfx.cli.capture import FrameCapture
 from postfx.cli.main import main, make_parser
@@ -16,6 +15,7 @@ from postfx.cli.report import RunReport
 from postfx.cli.run_options import RUN, display_passes
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
+from postfx.passes.denoise import DenoiseUpscale
 from postfx.runs.run import Options
 from postfx.runtime import Device
 
