@@ -34,10 +34,9 @@ from postfx.passes.base import Pass
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
 from postfx.plan import Skipped, from_files
+from postfx.runs.events import Stop
 from postfx.runs.provenance import provenance_of
-from postfx.runs.run import Options, Run
-from postfx.runs.schedule import Work
-from postfx.runs.stop import Stop
+from postfx.runs.run import Options, Run, Work
 from postfx.runtime import Device
 from postfx.temporal import Backwards
 

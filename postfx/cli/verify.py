@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from postfx.files import make_printable
 
 if TYPE_CHECKING:
-    from postfx.runs.verify import Verification
+    from postfx.runs.manifest import Verification
 
 HELP = "check that the files of a run are there, whole and unaltered"
 DESCRIPTION = """\
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Check a folder; returns the exit code."""
-    from postfx.runs.verify import verify
+    from postfx.runs.manifest import verify
 
     found = verify(Path(arguments.folder))
     print(json.dumps(found.as_dict()) if arguments.json else "\n".join(map(make_printable, _lines(found))))

@@ -14,8 +14,7 @@ import numpy as np
 from postfx.errors import CheckpointError, ManifestError, WriteError
 from postfx.files import hash_file, remove_leftovers
 from postfx.runs.checkpoint import SUFFIX, About, load_checkpoint, read_about, save_checkpoint
-from postfx.runs.claim import Claim, is_alive
-from postfx.runs.lock import FolderLock
+from postfx.runs.locks import Claim, FolderLock, is_alive
 from postfx.runs.manifest import NAME, WORK_FOLDER, Manifest, Output, load_manifest, update_manifest
 
 LEAST_SECONDS, MOST_SHARE = 1.0, 0.05

@@ -23,10 +23,8 @@ from postfx.io.writer import write_frame
 from postfx.masks import parse_leave
 from postfx.passes._tonemap_look import check_constants, find_model, shaper
 from postfx.runs.checkpoint import About, load_checkpoint, read_about, save_checkpoint
-from postfx.runs.claim import is_alive
-from postfx.runs.manifest import NAME, Manifest, Output
-from postfx.runs.process import Process
-from postfx.runs.verify import verify
+from postfx.runs.locks import Process, is_alive
+from postfx.runs.manifest import NAME, Manifest, Output, verify
 from postfx.runtime import Device, Library
 from postfx.system import parse_size
 from tests.files.exr_files import write_mixed, write_studio

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from postfx.errors import Interrupted
-from postfx.runs.stop import Stop
+from postfx.runs.events import Stop
 from tests.reliability.faulty import Faulty
 
 SLOW = {"at": "postfx.flow.Flow._run", "do": "sleep", "seconds": 0.3}

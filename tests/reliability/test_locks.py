@@ -11,11 +11,9 @@ import time
 import pytest
 
 from postfx.errors import RunError
-from postfx.runs import claim as claim_module
-from postfx.runs.claim import Claim, is_alive
-from postfx.runs.lock import OLD, FolderLock
+from postfx.runs import locks as claim_module
+from postfx.runs.locks import OLD, Claim, FolderLock, Process, age_of, is_alive
 from postfx.runs.manifest import NAME, Output, load_manifest, update_manifest
-from postfx.runs.process import Process, age_of
 
 SLOW = {"at": "postfx.cli.job.write_frame", "do": "sleep", "seconds": 0.5}
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from postfx.runs.schedule import Known, Work, schedule
+from postfx.runs.run import Known, Work, schedule
 
 
 def plan(numbers, wanted, starts=(), checkpoints=(), most=None, missing=()):

@@ -1,0 +1,226 @@
+"""Locks and claims in an output folder that several machines may see, and the processes that hold them."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from postfx.errors import RunError
+from postfx.files import is_process_alive, parse_json, read_text
+
+
+class Process(NamedTuple):
+    """A process.
+
+    Attributes:
+        host: name of its machine.
+        space: which process numbers it lives among; containers on one machine have their own.
+        pid: its number.
+        begun: when it began, in the kernel's ticks since it was started; numbers are used again, this is not.
+    """
+
+    host: str
+    space: str
+    pid: int
+    begun: int
+
+    @classmethod
+    def me(cls) -> Process:
+        """The process that asks."""
+        return cls(socket.gethostname(), _space(), os.getpid(), _begun(os.getpid()))
+
+    @classmethod
+    def of(cls, facts: Any) -> Process:
+        """The process that `as_dict` told of; whatever is missing is unknown."""
+        facts = facts if isinstance(facts, dict) else {}
+        return cls(str(facts.get("host", "")), str(facts.get("space", "")), _number(facts.get("pid")),
+                   _number(facts.get("begun")))
+
+    def as_dict(self) -> dict[str, Any]:
+        """The process in plain types."""
+        return self._asdict()
+
+    def is_alive(self) -> bool | None:
+        """Whether it still runs; None where that cannot be seen from here."""
+        if (self.host, self.space) != (socket.gethostname(), _space()):
+            return None
+        return is_process_alive(self.pid) and _begun(self.pid) == self.begun
+
+    def __str__(self) -> str:
+        return f"process {self.pid} on {self.host or 'an unknown machine'}"
+
+
+def age_of(path: Path) -> float:
+    """Seconds since a file was written or touched, by the clock of the machine that holds it; 0 when it is gone."""
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".clock.") as probe:
+        try:
+            return max(0.0, os.stat(probe.name).st_mtime - path.stat().st_mtime)
+        except FileNotFoundError:
+            return 0.0
+
+
+def _space() -> str:
+    try:
+        return os.readlink("/proc/self/ns/pid")
+    except OSError:
+        return ""
+
+
+def _begun(pid: int) -> int:
+    """When a process began (field 22 of /proc/PID/stat); 0 where that is not told."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return 0
+    return int(text.rpartition(")")[2].split()[19])
+
+
+def _number(value: Any) -> int:
+    return value if isinstance(value, int) else 0
+
+
+PATIENCE = 30.0
+"""Seconds to wait for a lock, which others hold for milliseconds."""
+OLD = 60.0
+"""Seconds after which a lock counts as left behind when its holder cannot be seen from here."""
+PAUSE = 0.02
+
+
+class FolderLock:
+    """Use as a context manager around a few reads and writes.
+
+    The file is created with O_EXCL, which is atomic on NFS since version 3, and holds host and process. A lock whose
+    process is gone is taken over. Raises RunError when the lock is not to be had in time.
+    """
+
+    def __init__(self, path: Path, patience: float = PATIENCE) -> None:
+        self._path, self._patience = path, patience
+
+    def __enter__(self) -> FolderLock:
+        end = time.monotonic() + self._patience
+        while not _create(self._path):
+            if _is_left(self._path):
+                self._break()
+            elif time.monotonic() > end:
+                holder = _holder(self._path)
+                raise RunError(f"{self._path}: held by {holder}: delete the file if that process is gone")
+            else:
+                time.sleep(PAUSE)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if _holder(self._path) == Process.me():  # it may have been taken for one that was left behind
+            with suppress(FileNotFoundError):
+                self._path.unlink()
+
+    def _break(self) -> None:
+        """Remove a lock that was left behind. Only one process at a time may, so that none removes a fresh one."""
+        breaking = self._path.with_name(f"{self._path.name}.breaking")
+        if not _create(breaking):
+            if _is_left(breaking):
+                with suppress(FileNotFoundError):
+                    breaking.unlink()
+            time.sleep(PAUSE)
+            return
+        try:
+            if _is_left(self._path):
+                self._path.unlink(missing_ok=True)
+        finally:
+            breaking.unlink(missing_ok=True)
+
+
+def _create(path: Path) -> bool:
+    try:
+        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
+    except FileExistsError:
+        return False
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        json.dump(Process.me().as_dict(), file)
+    return True
+
+
+def _holder(path: Path) -> Process:
+    """Who made a lock; an unknown process where it is gone, or made and not yet written."""
+    try:
+        return Process.of(parse_json(read_text(path)))
+    except (OSError, ValueError):
+        return Process.of(None)
+
+
+def _is_left(path: Path) -> bool:
+    alive = _holder(path).is_alive()
+    return alive is False or (alive is None and age_of(path) > OLD)
+
+
+BEAT = 10.0
+"""Seconds between two signs of life."""
+SILENT = 120.0
+"""Seconds without one after which a run on another machine counts as gone."""
+SUFFIX = ".claim"
+
+
+class Claim:
+    """Files of a folder that one run writes. Make it while holding the folder's lock.
+
+    A sign of life is given by a thread that touches the claim's file. Claims of runs that are gone are removed. Raises
+    RunError when a run that is not gone has one of the files.
+    """
+
+    def __init__(self, folder: Path, run: str, names: Iterable[str]) -> None:
+        wanted = set(names)
+        for other in folder.glob(f"*{SUFFIX}"):
+            _refuse_shared(other, wanted)
+        self.path = folder / f"{run}{SUFFIX}"
+        facts = {"process": Process.me().as_dict(), "files": sorted(wanted)}
+        self.path.write_text(json.dumps(facts), encoding="utf-8")
+        self._over = threading.Event()
+        threading.Thread(target=self._beat, name="postfx claim", daemon=True).start()
+
+    def release(self) -> None:
+        """The files may be written by others again."""
+        self._over.set()
+        self.path.unlink(missing_ok=True)
+
+    def _beat(self) -> None:
+        while not self._over.wait(BEAT):
+            with suppress(OSError):
+                os.utime(self.path)
+
+
+def is_alive(folder: Path, run: str) -> bool:
+    """Whether a run has a claim and is not gone."""
+    path = folder / f"{run}{SUFFIX}"
+    return path.exists() and not _is_gone(path, _process(path)[0])
+
+
+def _refuse_shared(path: Path, wanted: set[str]) -> None:
+    process, files = _process(path)
+    if _is_gone(path, process):
+        path.unlink(missing_ok=True)
+        return
+    shared = sorted(wanted & files)
+    if shared:
+        raise RunError(f"{path.parent.parent / shared[0]}: is being written by {process}: wait for it, or choose other "
+                       f"frames or another folder (if it is gone, delete {path})")
+
+
+def _process(path: Path) -> tuple[Process, set[str]]:
+    """Whose claim it is, and to what; of one that cannot be read, nobody's to nothing."""
+    try:
+        facts = parse_json(read_text(path))
+        return Process.of(facts.get("process")), set(facts.get("files", ()))
+    except (OSError, ValueError, AttributeError, TypeError):
+        return Process.of(None), set()
+
+
+def _is_gone(path: Path, process: Process) -> bool:
+    alive = process.is_alive()
+    return alive is False or (alive is None and age_of(path) > SILENT)
