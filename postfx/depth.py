@@ -111,12 +111,14 @@ def normals_to_world(normals: np.ndarray, world_to_camera: np.ndarray) -> np.nda
     world_to_camera: (4, 4), row vectors, of rotation, uniform scale and shift: n_camera = n_world @ R, so
     n_world = n_camera @ R transposed. Zero (a miss) stays zero.
     """
-    return np.asarray(normals, np.float64) @ _rotation(world_to_camera).T
+    world: np.ndarray = np.asarray(normals, np.float64) @ _rotation(world_to_camera).T
+    return world
 
 
 def normals_to_camera(normals: np.ndarray, world_to_camera: np.ndarray) -> np.ndarray:
     """The inverse of `normals_to_world`."""
-    return np.asarray(normals, np.float64) @ _rotation(world_to_camera)
+    camera: np.ndarray = np.asarray(normals, np.float64) @ _rotation(world_to_camera)
+    return camera
 
 
 def facing_normals(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -144,7 +146,8 @@ def _cosines(
     size = (width, rows if height is None else height)
     x, y = ray_slopes(np.arange(width)[None, :], np.arange(first, first + rows)[:, None], size, fov_x, jitter,
                       pixel_aspect)
-    return (1 / np.sqrt(1 + x**2 + y**2)).reshape(rows, width, *shape[2:])
+    cosines: np.ndarray = 1 / np.sqrt(1 + x**2 + y**2)
+    return cosines.reshape(rows, width, *shape[2:])
 
 
 def _inverse_planes(near: float, far: float) -> tuple[float, float]:
@@ -155,4 +158,5 @@ def _inverse_planes(near: float, far: float) -> tuple[float, float]:
 
 def _rotation(world_to_camera: np.ndarray) -> np.ndarray:
     rotation = np.asarray(world_to_camera, np.float64)[:3, :3]
-    return rotation / np.linalg.norm(rotation, axis=0, keepdims=True)
+    unit: np.ndarray = rotation / np.linalg.norm(rotation, axis=0, keepdims=True)
+    return unit

@@ -177,7 +177,7 @@ class Pipeline:
 
     def _rememberers(self) -> dict[str, Any]:
         """Whatever may have a history, by name."""
-        found = {f"pass {step.name}": step.instance for step in self.plan.steps}
+        found = {f"pass {step.name}": step.instance for step in (self.plan.steps if self.plan else ())}
         return found | {"meter": self._meter} | ({"cuts": self._detector} if self._detector else {})
 
     def _is_cut(self, frame: Frame) -> bool:
@@ -211,7 +211,7 @@ class Pipeline:
         frame, broken = repair_nonfinite(dataclasses.replace(frame), plan.planes, self.device.scratch)
         if frame.reset:
             self._reset_passes()
-        self._flow.run_ahead(frame, plan, steps, self.exposure, is_lost(frame, broken))
+        self._flow.run_ahead(frame, plan, steps, self.exposure or 1.0, is_lost(frame, broken))
         self.ahead += (sum(self._flow.timings.values()),)
 
     def _reset_passes(self) -> None:

@@ -195,7 +195,7 @@ def _step_names(passes: Sequence[Pass]) -> list[str]:
 def _restricted(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role]) -> FrameSpec:
     """Guides that nobody reads leave their size behind: it tells how large the output should be."""
     kept = replace(spec.guides, roles=tuple(guides)) if spec.guides else None
-    return replace(spec, planes=tuple(roles), guides=kept)
+    return FrameSpec(spec.width, spec.height, roles, spec.encoding, kept, spec.source)
 
 
 def _step_text(step: Step) -> str:
