@@ -26,7 +26,7 @@ where the captures come from:
   postfx run shot/noisy.####.exr -o out/a.####.exr --frames 1-2 --capture before/ --capture-tensors all
   postfx run shot/noisy.####.exr -o out/b.####.exr --frames 1-2 --capture after/ --capture-tensors all --device cuda
 
-exit codes: 0 equal within the tolerance; 1 not; 2 an error that its message says how to mend
+exit codes: 0 equal within the tolerance; 1 not; 2 an error whose message says how to fix it
 """
 EXIT_DIFFERENT = 1
 

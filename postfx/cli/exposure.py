@@ -27,7 +27,7 @@ examples:
   postfx exposure shot/noisy.####.exr --views look/
   postfx exposure shot/noisy.####.exr --exposure auto --json
 
-exit codes: 0 right; 1 too dark, too bright or drifting; 2 an error that its message says how to mend
+exit codes: 0 right; 1 too dark, too bright or drifting; 2 an error whose message says how to fix it
 """
 MODES = "auto|smooth|metadata|EV"
 

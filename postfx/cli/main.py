@@ -18,7 +18,7 @@ EXIT_PIPE = 141
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command line; returns the exit code: 0 done, 1 what was checked is not well, 2 something the user can mend,
+    """Run a command line; returns the exit code: 0 done, 1 what was checked is not well, 2 something the user can fix,
     130 interrupted by Ctrl-C, 143 ended by SIGTERM."""
     arguments = make_parser().parse_args(argv)
     _read_and_write_by(getattr(arguments, "threads", None))

@@ -52,7 +52,7 @@ POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx 
 Beside the frames lies postfx.manifest.json: how they were made, and the hash of each ('postfx verify' checks it).
 Ctrl-C and SIGTERM end a run after the frame in work; --skip-existing goes on with the same pixels.
 
-exit codes: 0 done; 2 an error that its message says how to mend (finished frames are kept); 3 done, but frames failed
+exit codes: 0 done; 2 an error whose message says how to fix it (finished frames are kept); 3 done, but frames failed
 (--on-error skip or copy); 130 interrupted by Ctrl-C; 143 ended by SIGTERM
 """
 
