@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.frame import DEPTH_MISS, Frame, Role
-from postfx.kernels.cells import box_means, moments
+from postfx.kernels.image import box_means, moments
 from postfx.kernels.metering import half_means
 from postfx.sampling import bilinear, is_inside
 

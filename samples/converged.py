@@ -20,7 +20,7 @@ from ray_caster import render
 import postfx
 from postfx import Role, integrate
 from postfx.bench.metrics import shown
-from postfx.kernels.resample import resampled
+from postfx.kernels.image import resampled
 from postfx.masks import Threshold, strength_of_converged
 
 TARGETS = (0.1, 0.05, 0.02, 0.01)

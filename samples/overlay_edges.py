@@ -17,8 +17,7 @@ import numpy as np
 
 import postfx
 from postfx import Role
-from postfx.kernels.overlay import ENLARGE
-from postfx.kernels.resample import RESAMPLE, positions
+from postfx.kernels.image import ENLARGE, RESAMPLE, positions
 from postfx.report.pictures import png
 
 ROOM = Path(__file__).parent / "room" / "noisy.####.exr"

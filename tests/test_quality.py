@@ -19,7 +19,7 @@ from postfx.bench.methods import OTHERS, Method, catalogue  # noqa: E402
 from postfx.bench.metrics import SequenceScore, psnr, shown  # noqa: E402
 from postfx.bench.reconstruct import make  # noqa: E402
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
-from postfx.kernels.denoise_layout import KERNEL  # noqa: E402
+from postfx.kernels.denoise.layout import KERNEL  # noqa: E402
 from postfx.passes.denoise import models  # noqa: E402
 from postfx.passes.denoise.models import UNSCALED, exact, parted  # noqa: E402
 from postfx.runtime import Device, Library  # noqa: E402

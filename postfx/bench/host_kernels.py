@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from postfx.exposure import measure
+from postfx.kernels.image import RESAMPLE, positions
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.resample import RESAMPLE, positions
 from postfx.runtime import ArgumentTable, Device
 
 

@@ -16,7 +16,7 @@ from postfx.errors import ReportError
 from postfx.exposure import ExposureMeter, measure
 from postfx.frame import Frame, Role
 from postfx.io.output import check_folder
-from postfx.kernels.resample import resampled
+from postfx.kernels.image import resampled
 from postfx.pipeline import Pipeline
 from postfx.report.frame_log import FrameLog, Look
 from postfx.report.reference import Comparison, References, compared

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from postfx.kernels.dithering import dither_rows
+from postfx.kernels.pixel_formats import dither_rows
 
 SIDE = 64
 _SIGMA = 1.5

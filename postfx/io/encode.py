@@ -26,7 +26,7 @@ from postfx.io.exr.container import ExrContainer, Header, read_headers, write_co
 from postfx.io.exr.passthrough import merge_source
 from postfx.io.exr.zip import zip_part
 from postfx.io.windows import Pixels
-from postfx.kernels.storing import halve, look_up, paeth
+from postfx.kernels.pixel_formats import halve, look_up, paeth
 
 _STEPS = 1 << 16
 

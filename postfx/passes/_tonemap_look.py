@@ -16,7 +16,7 @@ _SHAPER = "toe and scale above 0, and a matrix of 9 numbers"
 
 
 class Shaper(NamedTuple):
-    """What a look's model was trained behind; see ``postfx.kernels.shaper``."""
+    """What a look's model was trained behind; see ``postfx.kernels.colour``."""
 
     toe: float
     scale: float

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 from postfx.frame import FrameSpec, Role
-from postfx.kernels.overlay import OVER
+from postfx.kernels.image import OVER
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 

@@ -13,7 +13,7 @@ from postfx.colour.displays import parse_display
 from postfx.colour.primaries import REC709, matrix_between
 from postfx.errors import PassOptionError
 from postfx.frame import LINEAR, FrameSpec, Role
-from postfx.kernels.encode_display import ENCODE_DISPLAY, ROOT, STEPS
+from postfx.kernels.colour import ENCODE_DISPLAY, ROOT, STEPS
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 

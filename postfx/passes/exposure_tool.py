@@ -12,7 +12,7 @@ import numpy as np
 
 from postfx.exposure import KEY
 from postfx.frame import FrameSpec, Role
-from postfx.kernels.checkerboard import CHECKERBOARD, turns
+from postfx.kernels.image import CHECKERBOARD, turns
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 

@@ -7,7 +7,7 @@ from statistics import median
 from typing import ClassVar
 
 from postfx.frame import FrameSpec, Role
-from postfx.kernels.overlay import OVER, OVER_ALPHA
+from postfx.kernels.image import OVER, OVER_ALPHA
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 

@@ -10,14 +10,9 @@ import numpy as np
 
 from postfx.errors import PassOptionError
 from postfx.frame import FrameSpec, Role
-from postfx.kernels.apply_cube import APPLY_CUBE
-from postfx.kernels.expose import EXPOSE
-from postfx.kernels.follow import FOLLOW
+from postfx.kernels.colour import APPLY_CUBE
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.light import LIGHT
-from postfx.kernels.lowres import LOWRES
-from postfx.kernels.slice_apply import SLICE_APPLY
-from postfx.kernels.smooth import SMOOTH
+from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.passes._tonemap_look import check_constants, find_model, follow_of, keep_of, shaper
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, PipelineState, Tensor
@@ -50,7 +45,7 @@ class ToneMap(Pass):
         tag: the look, as in ``tonemap.<tag>``, or the file of a model: ``looks/tonemap.mine.onnx``.
         keep: part of the last frame's grid or exposure that is kept while the light stays as it is, 0 up to (not
             including) 1, by default as the look's card says; less is kept while light changes
-            (``postfx.kernels.follow``), and none at the first frame and at cuts. That of a still picture does not
+            (``postfx.kernels.tonemap``), and none at the first frame and at cuts. That of a still picture does not
             change; with 0 no frame has a past.
 
     Colour comes out sRGB-encoded in [0, 1]. Raises PassOptionError for a keep outside [0, 1).

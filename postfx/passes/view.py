@@ -12,7 +12,7 @@ from postfx.colour.displays import parse_display
 from postfx.colour.primaries import REC709, matrix_between
 from postfx.colour.views import SCALE, TOE, bake
 from postfx.frame import FrameSpec, Role
-from postfx.kernels.apply_cube import APPLY_CUBE
+from postfx.kernels.colour import APPLY_CUBE
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 

@@ -7,48 +7,49 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.kernels import (
-    denoise_assemble,
-    denoise_features,
-    denoise_filter,
-    denoise_guides,
-    denoise_half,
-    denoise_history,
-    denoise_layout,
-    denoise_open,
-    denoise_prepare,
-    denoise_products,
-    denoise_reactive,
-    denoise_reflections,
-    denoise_resize,
-    denoise_restore,
-    denoise_store,
-    denoise_strength,
-    denoise_upsample,
+from postfx.kernels.denoise.features import FEATURE
+from postfx.kernels.denoise.guides import GUIDE, TRUST
+from postfx.kernels.denoise.history import HISTORY
+from postfx.kernels.denoise.layout import BLEND, FINE, GUIDE_PLANES, MEMORY
+from postfx.kernels.denoise.network_io import (
+    OPEN,
+    OPEN_FINE,
+    OPEN_FINE_PRODUCTS,
+    OPEN_PHASED,
+    OPEN_PRODUCTS,
+    PACK,
+    STORE,
+    STORE_RINGED,
 )
+from postfx.kernels.denoise.output import ASSEMBLE, STRENGTH
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, RESIZE, SCALE
+from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_GUIDED
+from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
+from postfx.kernels.denoise.reflections import REFLECTIONS
+from postfx.kernels.denoise.restore import DETAIL, JUDGE, RESTORE
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED
+from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
-from postfx.kernels.resample import RESAMPLE, positions
 from postfx.passes.denoise.tiling import Sizes, Window
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.states import parse
 
 KERNELS = (
-    denoise_prepare.SCALE, denoise_prepare.DILATE, denoise_history.HISTORY, denoise_features.FEATURE,
-    denoise_guides.GUIDE, denoise_guides.TRUST, denoise_prepare.ACCUMULATE, denoise_filter.POOL,
-    denoise_filter.MIX_LEVELS, denoise_filter.REMODULATE_GUIDED,
-    denoise_filter.FILTER, denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE, denoise_upsample.UPSAMPLE_GUIDED,
-    denoise_resize.RESIZE, denoise_reflections.REFLECTIONS, denoise_restore.JUDGE, denoise_restore.DETAIL,
-    denoise_restore.RESTORE, denoise_strength.STRENGTH, RESAMPLE, denoise_reactive.REACTIVE,
-    denoise_reactive.SPREAD_MASK, denoise_reactive.KEEP, ENLARGE, OVER, OVER_ALPHA, denoise_assemble.ASSEMBLE,
-    denoise_half.PACK, denoise_half.OPEN, denoise_half.OPEN_FINE, denoise_open.OPEN_PHASED,
-    denoise_products.OPEN_PRODUCTS, denoise_products.OPEN_FINE_PRODUCTS, denoise_store.STORE,
-    denoise_store.STORE_RINGED,
+    SCALE, DILATE, HISTORY, FEATURE,
+    GUIDE, TRUST, ACCUMULATE, POOL,
+    MIX_LEVELS, REMODULATE_GUIDED,
+    FILTER, REMODULATE, UPSAMPLE, UPSAMPLE_GUIDED,
+    RESIZE, REFLECTIONS, JUDGE, DETAIL,
+    RESTORE, STRENGTH, RESAMPLE, REACTIVE,
+    SPREAD_MASK, KEEP, ENLARGE, OVER, OVER_ALPHA, ASSEMBLE,
+    PACK, OPEN, OPEN_FINE, OPEN_PHASED,
+    OPEN_PRODUCTS, OPEN_FINE_PRODUCTS, STORE,
+    STORE_RINGED,
 )
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image",
-         "strength", "reactive", "opaque_colour", *denoise_layout.GUIDE_PLANES)
+         "strength", "reactive", "opaque_colour", *GUIDE_PLANES)
 
 
 class Case(NamedTuple):
@@ -59,7 +60,7 @@ class Case(NamedTuple):
     w: int
     height: int
     width: int
-    heads: int = denoise_layout.FINE
+    heads: int = FINE
     part: tuple[int, int, int, int] | None = None
 
     @property
@@ -128,7 +129,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
     if name in ("fine", "heads"):
         gates = np.arange(size[1])[:, None, None]
         wide = np.exp(4 * unit - 2)
-        return np.where(gates < denoise_layout.BLEND, wide, np.where(gates < denoise_layout.MEMORY, unit, 2 * unit - 1))
+        return np.where(gates < BLEND, wide, np.where(gates < MEMORY, unit, 2 * unit - 1))
     if name == "params":
         return np.array([1.7, random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 0.8])
     if name in ("raw", "raw_fine", "phased_fine"):

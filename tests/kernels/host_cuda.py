@@ -16,8 +16,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from postfx.kernels.kernel import Kernel
+from postfx.runtime.cuda import read_source
 
-FOLDER = Path(__file__).parents[2] / "postfx" / "kernels" / "cuda"
 COMPILER = shutil.which("g++")
 SHIM = """
 #include <algorithm>
@@ -72,7 +72,7 @@ def _compiled(name: str, count: int) -> ctypes._CFuncPtr:
             f"        for (blockIdx.x = 0; blockIdx.x < columns; blockIdx.x++) {name}({', '.join(views)});\n}}\n")
     with TemporaryDirectory() as folder:
         source, library = Path(folder) / f"{name}.cpp", Path(folder) / f"{name}.so"
-        source.write_text(SHIM + (FOLDER / "common.cuh").read_text() + (FOLDER / f"{name}.cu").read_text() + loop)
+        source.write_text(SHIM + read_source(name) + loop)
         options = ("-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas")
         subprocess.run([COMPILER, *options, source, "-o", library], check=True)
         function = ctypes.CDLL(str(library)).run

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.kernels.cells import box_means, mark_positive, moments
+from postfx.kernels.image import box_means, mark_positive, moments
 
 RANDOM = np.random.default_rng(0)
 

@@ -7,17 +7,18 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from postfx.kernels.denoise_filter import MIX_LEVELS
-from postfx.kernels.denoise_restore import DETAIL, JUDGE, TILE
+from postfx.kernels.denoise.pyramid import MIX_LEVELS
+from postfx.kernels.denoise.restore import DETAIL, JUDGE, TILE
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
+from postfx.runtime.cuda import has_source
 from tests.kernels import host_cuda, tonemap_cases
 from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, element_type, in_frame, run, shape
 from tests.kernels.test_denoise_kernels import assert_same
 
 pytestmark = pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
 
-WRITTEN = [kernel for kernel in KERNELS if (host_cuda.FOLDER / f"{kernel.name}.cu").exists()]
+WRITTEN = [kernel for kernel in KERNELS if has_source(kernel.name)]
 RUNS = [(kernel, case) for kernel in WRITTEN for case in CASES if kernel is not MIX_LEVELS or case.heads > 25]
 TONE_MAPPER_RUNS = [(kernel, *size) for kernel in tonemap_cases.KERNELS for size in tonemap_cases.sizes(kernel)]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.kernels.denoise_filter import MIX_LEVELS
+from postfx.kernels.denoise.pyramid import MIX_LEVELS
+from postfx.kernels.image import RESAMPLE, positions
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.resample import RESAMPLE, positions
 from postfx.runtime import Device
 from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, run
 

@@ -6,16 +6,10 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from postfx.kernels.apply_cube import APPLY_CUBE
-from postfx.kernels.checkerboard import CHECKERBOARD
-from postfx.kernels.encode_display import ENCODE_DISPLAY
-from postfx.kernels.expose import EXPOSE
-from postfx.kernels.follow import FOLLOW
+from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY
+from postfx.kernels.image import CHECKERBOARD
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.light import LIGHT
-from postfx.kernels.lowres import LOWRES
-from postfx.kernels.slice_apply import SLICE_APPLY
-from postfx.kernels.smooth import SMOOTH
+from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.system import models_dir
 from tests.kernels.tonemap_cases import HOLDS, PACES, SHAPER, Hold, Pace, arguments, sizes
 

@@ -9,16 +9,10 @@ import numpy as np
 
 from postfx.colour.displays import parse_display
 from postfx.colour.primaries import REC709, REC2020, matrix_between
-from postfx.kernels.apply_cube import APPLY_CUBE
-from postfx.kernels.checkerboard import CHECKERBOARD, turns
-from postfx.kernels.encode_display import ENCODE_DISPLAY
-from postfx.kernels.expose import EXPOSE
-from postfx.kernels.follow import FOLLOW
+from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY
+from postfx.kernels.image import CHECKERBOARD, turns
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.light import LIGHT
-from postfx.kernels.lowres import LOWRES
-from postfx.kernels.slice_apply import KNOTS, SLICE_APPLY
-from postfx.kernels.smooth import GRID, SMOOTH
+from postfx.kernels.tonemap import EXPOSE, FOLLOW, GRID, KNOTS, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.passes.display import decoding, encoding, parameters
 
 KERNELS = (SLICE_APPLY, LOWRES, LIGHT, FOLLOW, SMOOTH, EXPOSE, ENCODE_DISPLAY, APPLY_CUBE, CHECKERBOARD)
@@ -96,7 +90,7 @@ def hdr(height: int, width: int) -> np.ndarray:
 
 
 def plain_guide() -> np.ndarray:
-    """Numbers of a guide that is the channels' mean, as before any training; see ``postfx.kernels.slice_apply``."""
+    """Numbers of a guide that is the channels' mean, as before any training; see ``postfx.kernels.tonemap``."""
     shifts, slopes = np.linspace(0, 1, KNOTS, endpoint=False), np.eye(1, KNOTS)[0]
     return np.concatenate([np.eye(3).ravel(), np.zeros(3), np.tile(shifts, 3), np.tile(slopes, 3), np.full(3, 1 / 3),
                            np.zeros(1)])

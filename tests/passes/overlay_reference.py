@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from postfx.kernels.resample import positions
+from postfx.kernels.image import positions
 
 
 def over(front: np.ndarray, behind: np.ndarray) -> np.ndarray:

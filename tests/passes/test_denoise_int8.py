@@ -12,7 +12,7 @@ import pytest
 
 import postfx
 from postfx.frame import Role
-from postfx.kernels.denoise_store import STORE_RINGED
+from postfx.kernels.denoise.network_io import STORE_RINGED
 from postfx.runtime import Library, ModelError
 from postfx.system import models_dir
 

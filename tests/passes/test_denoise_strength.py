@@ -9,7 +9,7 @@ import pytest
 
 from postfx.errors import PassOptionError
 from postfx.frame import Frame, Role
-from postfx.kernels.resample import RESAMPLE, positions
+from postfx.kernels.image import RESAMPLE, positions
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

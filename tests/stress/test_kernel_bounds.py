@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 
 from postfx.frame import Role
-from postfx.kernels.denoise_reflections import REFLECTIONS
+from postfx.kernels.denoise.reflections import REFLECTIONS
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
+from postfx.runtime.cuda import has_source
 from tests.kernels import denoise_cases, host_cuda, tonemap_cases
 from tests.passes import mirror_scene
 from tests.stress.scenes import portable
@@ -87,7 +88,7 @@ def exact_upscaler(kernel: Kernel, case: denoise_cases.Case) -> dict[str, np.nda
 
 
 def has_cuda(kernel: Kernel) -> bool:
-    return host_cuda.COMPILER is not None and (host_cuda.FOLDER / f"{kernel.name}.cu").exists()
+    return host_cuda.COMPILER is not None and has_source(kernel.name)
 
 
 def bound(kernel: Kernel, way: str) -> float:

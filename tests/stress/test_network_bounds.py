@@ -8,7 +8,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from postfx.kernels.denoise_store import STORE
+from postfx.kernels.denoise.network_io import STORE
 from postfx.passes.denoise.network import CODING, PACKED, PRODUCTS, RING, SCALING, STORED
 from postfx.runtime import Device
 from postfx.system import models_dir

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from postfx.frame import Frame, Role
-from postfx.kernels.resample import positions, resampled
+from postfx.kernels.image import positions, resampled
 from postfx.passes.display import Display
 from postfx.passes.overlay import Overlay
 from postfx.passes.tonemap import ToneMap

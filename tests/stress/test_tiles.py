@@ -9,7 +9,7 @@ import pytest
 
 from postfx.bench.host_kernels import HostKernels
 from postfx.frame import Frame, Role
-from postfx.kernels.denoise_assemble import ASSEMBLE
+from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.passes.denoise.tiling import GRID
 from postfx.runtime import Device
 from tests.kernels import host_cuda

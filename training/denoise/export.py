@@ -13,26 +13,27 @@ from typing import Any
 import torch
 from torch import nn
 
-from postfx.kernels import (
-    denoise_assemble,
-    denoise_features,
-    denoise_filter,
-    denoise_guides,
-    denoise_half,
-    denoise_history,
-    denoise_open,
-    denoise_prepare,
-    denoise_products,
-    denoise_reactive,
-    denoise_reflections,
-    denoise_resize,
-    denoise_restore,
-    denoise_store,
-    denoise_strength,
-    denoise_upsample,
+from postfx.kernels.denoise.features import FEATURE
+from postfx.kernels.denoise.guides import GUIDE, TRUST
+from postfx.kernels.denoise.history import HISTORY
+from postfx.kernels.denoise.network_io import (
+    OPEN,
+    OPEN_FINE,
+    OPEN_FINE_PRODUCTS,
+    OPEN_PHASED,
+    OPEN_PRODUCTS,
+    PACK,
+    STORE,
+    STORE_RINGED,
 )
-from postfx.kernels.overlay import ENLARGE, OVER, OVER_ALPHA
-from postfx.kernels.resample import RESAMPLE
+from postfx.kernels.denoise.output import ASSEMBLE, STRENGTH
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, RESIZE, SCALE
+from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_GUIDED
+from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
+from postfx.kernels.denoise.reflections import REFLECTIONS
+from postfx.kernels.denoise.restore import DETAIL, JUDGE, RESTORE
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED
+from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
 from postfx.passes.denoise.models import GUIDED, UNSCALED, parted
 from postfx.passes.denoise.network import FEATURE_PARTS, PHASED_FINE
 from training.denoise.model import FINE, GUIDES, HIDDEN, KERNEL, PHASES, Trunk, TrunkConfig, stem
@@ -61,42 +62,42 @@ SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35,
          "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
          "keep_h": 15, "keep_w": 27, "cells_h": 3, "cells_w": 5, "wide": 8}
 KERNELS = {
-    denoise_prepare.SCALE: kernels.Scale,
-    denoise_prepare.DILATE: kernels.Dilate,
-    denoise_history.HISTORY: kernels.History,
-    denoise_features.FEATURE: kernels.Features,
-    denoise_guides.GUIDE: kernels.GuideFeatures,
-    denoise_guides.TRUST: kernels.Trust,
-    denoise_prepare.ACCUMULATE: kernels.Accumulate,
-    denoise_resize.RESIZE: kernels.Resize,
-    denoise_reflections.REFLECTIONS: extras.Reflections,
-    denoise_filter.POOL: kernels.Pool,
-    denoise_filter.MIX_LEVELS: kernels.Mix,
-    denoise_filter.FILTER: kernels.Filter,
-    denoise_filter.REMODULATE: kernels.Remodulate,
-    denoise_filter.REMODULATE_GUIDED: kernels.RemodulateGuided,
-    denoise_upsample.UPSAMPLE: kernels.Upsample,
-    denoise_upsample.UPSAMPLE_GUIDED: kernels.UpsampleGuided,
-    denoise_restore.JUDGE: extras.Judge,
-    denoise_restore.DETAIL: extras.Detail,
-    denoise_restore.RESTORE: extras.Restore,
-    denoise_strength.STRENGTH: kernels.Strength,
-    denoise_reactive.REACTIVE: extras.Reactive,
-    denoise_reactive.SPREAD_MASK: extras.Spread,
-    denoise_reactive.KEEP: extras.Keep,
-    denoise_assemble.ASSEMBLE: kernels.Assemble,
+    SCALE: kernels.Scale,
+    DILATE: kernels.Dilate,
+    HISTORY: kernels.History,
+    FEATURE: kernels.Features,
+    GUIDE: kernels.GuideFeatures,
+    TRUST: kernels.Trust,
+    ACCUMULATE: kernels.Accumulate,
+    RESIZE: kernels.Resize,
+    REFLECTIONS: extras.Reflections,
+    POOL: kernels.Pool,
+    MIX_LEVELS: kernels.Mix,
+    FILTER: kernels.Filter,
+    REMODULATE: kernels.Remodulate,
+    REMODULATE_GUIDED: kernels.RemodulateGuided,
+    UPSAMPLE: kernels.Upsample,
+    UPSAMPLE_GUIDED: kernels.UpsampleGuided,
+    JUDGE: extras.Judge,
+    DETAIL: extras.Detail,
+    RESTORE: extras.Restore,
+    STRENGTH: kernels.Strength,
+    REACTIVE: extras.Reactive,
+    SPREAD_MASK: extras.Spread,
+    KEEP: extras.Keep,
+    ASSEMBLE: kernels.Assemble,
     RESAMPLE: kernels.Resample,
     ENLARGE: extras.Enlarge,
     OVER: extras.Over,
     OVER_ALPHA: extras.OverAlpha,
-    denoise_half.PACK: kernels.Pack,
-    denoise_half.OPEN: kernels.Open,
-    denoise_half.OPEN_FINE: kernels.OpenFine,
-    denoise_open.OPEN_PHASED: kernels.OpenPhased,
-    denoise_products.OPEN_PRODUCTS: kernels.OpenProducts,
-    denoise_products.OPEN_FINE_PRODUCTS: kernels.OpenFineProducts,
-    denoise_store.STORE: kernels.Store,
-    denoise_store.STORE_RINGED: kernels.StoreRinged,
+    PACK: kernels.Pack,
+    OPEN: kernels.Open,
+    OPEN_FINE: kernels.OpenFine,
+    OPEN_PHASED: kernels.OpenPhased,
+    OPEN_PRODUCTS: kernels.OpenProducts,
+    OPEN_FINE_PRODUCTS: kernels.OpenFineProducts,
+    STORE: kernels.Store,
+    STORE_RINGED: kernels.StoreRinged,
 }
 
 
@@ -128,7 +129,7 @@ def inputs(config: TrunkConfig) -> dict[str, int]:
 
 class ExportedTrunk(Trunk):
     """The same network, which reads the features in two parts, and whose fine head ends with its convolution:
-    `postfx.kernels.denoise_open` has the rest."""
+    `postfx.kernels.denoise.network_io` has the rest."""
 
     def __init__(self, trunk: Trunk):
         super().__init__(trunk.config)

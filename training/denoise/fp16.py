@@ -22,9 +22,7 @@ import onnx
 import onnxruntime
 from onnx import GraphProto, NodeProto, TensorProto, helper, numpy_helper
 
-from postfx.kernels import denoise_half
-from postfx.kernels.denoise_half import width
-from postfx.kernels.denoise_open import OPEN_PHASED
+from postfx.kernels.denoise.network_io import OPEN, OPEN_FINE, OPEN_PHASED, PACK, opened_shape, width
 from postfx.passes.denoise.network import CHANNELS, FEATURE_PARTS, PACKED, PHASED_FINE, RAW
 from postfx.runtime import Library
 from training.denoise.quantise import variant_name
@@ -34,7 +32,7 @@ from training.export import MODELS, ParityError, relative_error, write_card
 # The graph of a denoised upscaler in half precision.
 #
 # Tensor cores want the channels of a pixel together and their number a multiple of 8. So the network begins with packed
-# inputs and ends with raw heads, for which `postfx.kernels.denoise_half` has kernels; ONNX Runtime then finds nothing
+# inputs and ends with raw heads (`postfx.kernels.denoise.network_io` has the kernels); ONNX Runtime then finds nothing
 # between its convolutions to transpose, pad or cast.
 
 CHANNELS_FIRST, CHANNELS_LAST = (0, 3, 1, 2), (0, 2, 3, 1)
@@ -205,7 +203,7 @@ def make_fp16(name: str, folder: Path) -> dict[str, Any]:
 
 
 def _listed(values: Iterable[onnx.ValueInfoProto], align: int) -> dict[str, Any]:
-    meaning = f"float16, channels last, see postfx/kernels/denoise_half.py; height and width multiples of {align}"
+    meaning = f"float16, channels last, see postfx/kernels/denoise/network_io.py; height and width multiples of {align}"
     sizes = {value.name: [dim.dim_value or dim.dim_param or "?" for dim in value.type.tensor_type.shape.dim]
              for value in values}
     return {name: {"shape": size, "meaning": meaning} for name, size in sizes.items()}
@@ -233,22 +231,22 @@ def difference(model: onnx.ModelProto, wanted: onnx.ModelProto, size: tuple[int,
 def pack(planes: np.ndarray) -> np.ndarray:
     """What a network in half precision reads for planes (1, channels, height, width)."""
     _, channels, height, columns = planes.shape
-    packed = np.empty((1, height, columns, denoise_half.width(channels)), np.float16)
-    denoise_half.PACK.rows(0, height, planes, packed)
+    packed = np.empty((1, height, columns, width(channels)), np.float16)
+    PACK.rows(0, height, planes, packed)
     return packed
 
 
 def opened(name: str, raw: np.ndarray) -> np.ndarray:
     """A head from a raw one."""
-    heads = np.empty(denoise_half.opened(name, *raw.shape[1:3]), np.float32)
-    kernel = denoise_half.OPEN_FINE if name == "fine" else denoise_half.OPEN
+    heads = np.empty(opened_shape(name, *raw.shape[1:3]), np.float32)
+    kernel = OPEN_FINE if name == "fine" else OPEN
     kernel.rows(0, heads.shape[2], raw, heads)
     return heads
 
 
 def opened_phases(phased: np.ndarray) -> np.ndarray:
     """The fine head in float32 from its phases."""
-    fine = np.empty(denoise_half.opened("fine", *phased.shape[2:]), np.float32)
+    fine = np.empty(opened_shape("fine", *phased.shape[2:]), np.float32)
     OPEN_PHASED.rows(0, fine.shape[2], phased, fine)
     return fine
 

@@ -305,7 +305,7 @@ def show(model: onnx.ModelProto, names: Iterable[str]) -> onnx.ModelProto:
 # Forms of a quantised network that ONNX Runtime computes in less time than those that quantise nodes give it.
 #
 # Enlarging by repeated pixels copies 8-bit values, channels last, as the convolutions around it keep them. Heads are
-# products of 8-bit values, summed in 32 bits: a kernel scales and activates them (`postfx.kernels.denoise_products`),
+# products of 8-bit values, summed in 32 bits: a kernel scales and activates them (`postfx.kernels.denoise.network_io`),
 # which no node can do without another pass over 160 MB. Weights come first in these products, so that each channel is a
 # plane: brought there afterwards, 32 bits each, they take twice as long to open.
 
@@ -420,7 +420,7 @@ def _signed(graph: onnx.GraphProto, source: str, channels: int) -> list[NodeProt
 
 
 # The stem -----------------------------------------------------------------------------------------------------------
-# The first convolution of a quantised network: it reads features as 8-bit codes (`postfx.kernels.denoise_store`).
+# The first convolution of a quantised network: it reads features as 8-bit codes (`postfx.kernels.denoise.network_io`).
 #
 # Channels have ranges of their own, so the weights of one output channel differ by much more than 7 bits hold well:
 # only rounding that makes up for itself (`rounded`) leaves as much as float32 does.

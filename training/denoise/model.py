@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise_layout import DOUBT, FAINT, TRUST_CELL
+from postfx.kernels.denoise.layout import DOUBT, FAINT, TRUST_CELL
 from training import ops
 from training.ops import TINY, nearest_index, pick, shifted
 

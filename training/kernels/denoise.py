@@ -3,7 +3,7 @@ ONNX. Those at output size are in ``output_kernels.py``.
 
 Pictures are (H, W, C) as in ``postfx.kernels``, pyramid levels (C, H, W); ``params`` is (4,): exposure, jitter x,
 jitter y, gain; ``window`` is (8,): the part of the frame to work on; ``keep`` is how much of the history is used, (th,
-tw, 1) or (1, 1, 1): see ``postfx.kernels.denoise_layout``. Every size is read off a binding: one file serves all sizes.
+tw, 1) or (1, 1, 1): see ``postfx.kernels.denoise.layout``. Every size is read off a binding: one file serves all sizes.
 """
 
 from typing import NamedTuple
@@ -12,8 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise_assemble import HELD, OWN
-from postfx.kernels.denoise_layout import MOST_STATE, UNKNOWN
+from postfx.kernels.denoise.layout import MOST_STATE, UNKNOWN
+from postfx.kernels.denoise.output import HELD, OWN
 from training import ops
 from training.denoise import model as network
 from training.denoise.model import (
@@ -32,7 +32,7 @@ from training.denoise.model import (
 )
 
 # The part of a frame ------------------------------------------------------------------------------------------------
-# The part of a frame that the upscaler's kernels work on: see ``postfx.kernels.denoise_layout``.
+# The part of a frame that the upscaler's kernels work on: see ``postfx.kernels.denoise.layout``.
 
 def to_image(picture: Tensor) -> Tensor:
     """(H, W, C) -> (1, C, H, W)."""

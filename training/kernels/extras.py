@@ -9,9 +9,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels import denoise_reflections as layout
-from postfx.kernels.denoise_reactive import SPREAD
-from postfx.kernels.denoise_restore import (
+from postfx.kernels.denoise import reflections as layout
+from postfx.kernels.denoise.reactive import SPREAD
+from postfx.kernels.denoise.restore import (
     CLEAN,
     COUNT,
     DARK,
@@ -87,7 +87,7 @@ def over(front: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
 
 
 # Reactive mask ------------------------------------------------------------------------------------------------------
-# The kernels of the reactive mask as torch modules: see ``postfx.kernels.denoise_reactive``.
+# The kernels of the reactive mask as torch modules: see ``postfx.kernels.denoise.reactive``.
 
 def seen(colour: Tensor, exposure: Tensor) -> Tensor:
     """Exposed light as a display shows it, 0 to 1."""
@@ -121,7 +121,7 @@ class Keep(nn.Module):
 
 
 # Reflections --------------------------------------------------------------------------------------------------------
-# The kernel of reflections' motion as a torch module, see ``postfx.kernels.denoise_reflections``.
+# The kernel of reflections' motion as a torch module, see ``postfx.kernels.denoise.reflections``.
 
 Pair = tuple[Tensor, Tensor]
 
@@ -207,7 +207,7 @@ class Reflections(nn.Module):
 
 
 # Restored detail ----------------------------------------------------------------------------------------------------
-# The kernels of ``postfx.kernels.denoise_restore`` as torch modules: what is exported to ONNX. Pictures (H, W, C).
+# The kernels of ``postfx.kernels.denoise.restore`` as torch modules: what is exported to ONNX. Pictures (H, W, C).
 
 TINY = 1e-12
 

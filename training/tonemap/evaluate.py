@@ -25,8 +25,8 @@ from postfx.bench.metrics import flip, psnr, ssim
 from postfx.colour.difference import delta_e_itp
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
-from postfx.kernels.apply_cube import APPLY_CUBE
-from postfx.kernels.slice_apply import SLICE_APPLY
+from postfx.kernels.colour import APPLY_CUBE
+from postfx.kernels.tonemap import SLICE_APPLY
 from postfx.passes._tonemap_look import find_model, shaper
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
@@ -157,7 +157,7 @@ class Mapper:
         return self._pipelines[size](frame)[Role.COLOUR].copy()
 
     def kept(self, frame: Frame) -> np.ndarray:
-        """The smoothed grid (1,16,16,8,12), or exposure (3,) as `postfx.kernels.expose` has it, of the next frame of a
+        """The smoothed grid (1,16,16,8,12), or exposure (3,) as `postfx.kernels.tonemap` has it, of the next frame of a
         sequence, exposed already."""
         self.follow(frame)
         return self._pipelines[frame[Role.COLOUR].shape].passes[0].history()["held"].copy()

@@ -12,13 +12,9 @@ from typing import Any
 import onnx
 import torch
 
-from postfx.kernels.apply_cube import APPLY_CUBE
-from postfx.kernels.checkerboard import CHECKERBOARD
-from postfx.kernels.encode_display import ENCODE_DISPLAY
-from postfx.kernels.expose import EXPOSE
-from postfx.kernels.follow import FOLLOW
-from postfx.kernels.light import LIGHT
-from postfx.kernels.smooth import SMOOTH
+from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY
+from postfx.kernels.image import CHECKERBOARD
+from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, SMOOTH
 from training.export import OPSET, export, export_kernel, parity, parser, read_quality, write_card
 from training.kernels.tonemap import (
     ApplyCube,
@@ -35,7 +31,7 @@ from training.tonemap.exposure_net import Exposure
 from training.tonemap.model import CUBE, SHAPER, SIDE, TO_WORKING, TOE, WHITE, HDRNet, default_shaper
 
 IMAGE = {0: torch.export.Dim("height", min=1), 1: torch.export.Dim("width", min=1)}
-STEADY = {"keep": 0.6, "follow": 0.6}  # see `postfx.kernels.follow`
+STEADY = {"keep": 0.6, "follow": 0.6}  # see `postfx.kernels.tonemap`
 STEADY_EXPOSURE = {"keep": 0.98, "follow": 0.18}  # of a look that exposes
 STOPS = {"stops": {"shape": [1, 1], "meaning": "exposure to add, log2"}}
 GRID = {

@@ -17,14 +17,13 @@ import torch.nn.functional as F
 from torch import nn
 
 from postfx.colour.primaries import REC709, REC2020, matrix_between
-from postfx.kernels.expose import MOST as FARTHEST
-from postfx.kernels.follow import JUMP, LAG, MOST, RELEASE
-from postfx.kernels.smooth import BROKEN
+from postfx.kernels.tonemap import BROKEN, JUMP, LAG, MOST, RELEASE
+from postfx.kernels.tonemap import MOST_STOPS as FARTHEST
 
 # Cubes --------------------------------------------------------------------------------------------------------------
 # The shaper and the colour cube of the tone mapper, in torch: (N,3,H,W) colour, cubes (size,size,size,3) red first.
 #
-# `shape` and `look_up` are the definitions of `postfx.kernels.shaper` and `postfx.kernels.cube`.
+# `shape` and `look_up` are the definitions of `postfx.kernels.colour` and `postfx.kernels.colour`.
 
 CUBE = 33  # corners along an axis
 TOE, WHITE = 2.0**-8, 2.0**8
@@ -327,7 +326,7 @@ def light(low: torch.Tensor) -> torch.Tensor:
 
 
 def follow(light: torch.Tensor, params: torch.Tensor, before: torch.Tensor) -> torch.Tensor:
-    """(256,3), (4,) and (1,4) -> (1,4), as `postfx.kernels.follow` says."""
+    """(256,3), (4,) and (1,4) -> (1,4), as `postfx.kernels.tonemap` says."""
     keep, most, past, scale = params.double().unbind()
     _, made_for, last, share = before.double()[0].unbind()
     now = light.double().mean() / scale
@@ -347,7 +346,7 @@ def smooth(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor) ->
 
 
 def expose(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor, params: torch.Tensor) -> torch.Tensor:
-    """(3,), (1,1), (1,4) and (3,) -> (3,), as `postfx.kernels.expose` says."""
+    """(3,), (1,1), (1,4) and (3,) -> (3,), as `postfx.kernels.tonemap` says."""
     stops, kept = current.double()[0, 0], keep.double()[0, 0]
     change = torch.log2(previous.double()[0]) - stops
     stops = stops + torch.where((kept > 0) & (change.abs() <= FARTHEST), kept * change, 0)

@@ -45,7 +45,7 @@ def fit_cube(shaped: np.ndarray, wanted: np.ndarray, start: np.ndarray) -> np.nd
 
 
 def interpolation(shaped: np.ndarray, size: int) -> sparse.csr_matrix:
-    """Sparse (n, size**3) matrix of tetrahedral interpolation, four weights a row; see `postfx.kernels.cube`."""
+    """Sparse (n, size**3) matrix of tetrahedral interpolation, four weights a row; see `postfx.kernels.colour`."""
     at = np.asarray(shaped, np.float64).clip(0.0, 1.0) * (size - 1)
     corner = np.minimum(at.astype(np.int64), size - 2)
     share, steps = at - corner, np.array([size * size, size, 1])

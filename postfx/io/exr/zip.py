@@ -15,7 +15,7 @@ import OpenImageIO as oiio
 from isal import isal_zlib
 
 from postfx.io.exr.container import PIXEL_BYTES, Header, NewPart
-from postfx.kernels.storing import part
+from postfx.kernels.pixel_formats import part
 
 ZIP = 3
 """OpenEXR's number of the compression."""

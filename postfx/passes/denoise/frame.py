@@ -9,8 +9,10 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.frame import FrameSpec, Role
-from postfx.kernels import denoise_layout, denoise_prepare, denoise_reactive
-from postfx.kernels.denoise_assemble import ASSEMBLE
+from postfx.kernels.denoise.layout import HIDDEN
+from postfx.kernels.denoise.output import ASSEMBLE
+from postfx.kernels.denoise.prepare import SCALE
+from postfx.kernels.denoise.reactive import SPREAD_MASK
 from postfx.passes.denoise.history import History, Reflections, can_follow
 from postfx.passes.denoise.inputs import Carried, Planes, Reactive
 from postfx.passes.denoise.models import grid_of
@@ -39,7 +41,7 @@ from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 MOST_PLACES = 64
 OUT = ("output", "next_history")
 """What has output size; the rest has render size."""
-CHANNELS = {"output": 3, "next_history": 3, "next_state": 4 + denoise_layout.HIDDEN, "next_depth": 1}
+CHANNELS = {"output": 3, "next_history": 3, "next_state": 4 + HIDDEN, "next_depth": 1}
 
 
 class Assembly:
@@ -169,9 +171,9 @@ class Frames:
                         "depth_scale": between("depth scale", (1,))}
         self._output = between("output", (sizes.height, sizes.width, 3))
         self._assembly = Assembly(device, sizes)
-        self._scale = ArgumentTable(device.compute_state(denoise_prepare.SCALE),
+        self._scale = ArgumentTable(device.compute_state(SCALE),
                                     {"depth_scale": self._common["depth_scale"]})
-        self._spread = ArgumentTable(device.compute_state(denoise_reactive.SPREAD_MASK)) if reactive else None
+        self._spread = ArgumentTable(device.compute_state(SPREAD_MASK)) if reactive else None
         self.model = models[0]
 
     def use(self, model: str) -> None:

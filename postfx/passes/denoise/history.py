@@ -12,17 +12,17 @@ import numpy as np
 from postfx.caching import LRUCache
 from postfx.depth import pixel_aspect
 from postfx.frame import DEPTH_MISS, FrameSpec, Role
-from postfx.kernels import denoise_layout
-from postfx.kernels.denoise_reflections import CAMERA, REFLECTIONS
-from postfx.kernels.denoise_resize import RESIZE
-from postfx.kernels.resample import RESAMPLE, positions
+from postfx.kernels.denoise.layout import HIDDEN
+from postfx.kernels.denoise.prepare import RESIZE
+from postfx.kernels.denoise.reflections import CAMERA, REFLECTIONS
+from postfx.kernels.image import RESAMPLE, positions
 from postfx.passes.base import MOST_SIZES, ResidentFrame
 from postfx.passes.denoise.tiling import Rows, Shape, Sizes
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
 NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth", "last_reactive": "next_reactive"}
 """What kernels read of the frame before -> what they write for the next one."""
-CHANNELS = {"state": 4 + denoise_layout.HIDDEN, "last_depth": 1}
+CHANNELS = {"state": 4 + HIDDEN, "last_depth": 1}
 """Of what has render size."""
 
 
@@ -135,7 +135,7 @@ class History:
         """Another network cannot read the hidden state; nothing in its place is what all know from first frames."""
         state = self._rooms[1].of(self._size)["state"]
         values = state.download()
-        values[..., -denoise_layout.HIDDEN:] = 0
+        values[..., -HIDDEN:] = 0
         state.upload(values)
 
 

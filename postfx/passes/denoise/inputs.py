@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
-from postfx.kernels.denoise_reactive import REACTIVE
-from postfx.kernels.overlay import ENLARGE
-from postfx.kernels.resample import RESAMPLE, positions
+from postfx.kernels.denoise.reactive import REACTIVE
+from postfx.kernels.image import ENLARGE, RESAMPLE, positions
 from postfx.passes.base import ResidentFrame
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.tiling import Rows, rows_of

@@ -8,20 +8,25 @@ from functools import cache
 
 import numpy as np
 
-from postfx.kernels import (
-    denoise_features,
-    denoise_filter,
-    denoise_guides,
-    denoise_half,
-    denoise_history,
-    denoise_layout,
-    denoise_prepare,
-    denoise_reactive,
-    denoise_upsample,
+from postfx.kernels.denoise.features import FEATURE
+from postfx.kernels.denoise.guides import GUIDE, TRUST
+from postfx.kernels.denoise.history import HISTORY
+from postfx.kernels.denoise.layout import FEATURES, FINE, GUIDES, TRUST_CELL
+from postfx.kernels.denoise.network_io import (
+    OPEN,
+    OPEN_FINE,
+    OPEN_FINE_PRODUCTS,
+    OPEN_PHASED,
+    OPEN_PRODUCTS,
+    PACK,
+    STORE,
+    STORE_RINGED,
+    opened_shape,
 )
-from postfx.kernels.denoise_open import OPEN_PHASED
-from postfx.kernels.denoise_products import OPEN_FINE_PRODUCTS, OPEN_PRODUCTS
-from postfx.kernels.denoise_store import STORE, STORE_RINGED
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE
+from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_GUIDED
+from postfx.kernels.denoise.reactive import KEEP
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED
 from postfx.kernels.kernel import Kernel
 from postfx.passes.denoise.models import load_network
 from postfx.passes.denoise.tiling import LEVELS, Window
@@ -46,8 +51,8 @@ PRODUCTS, SCALING = "products_", "scaling_"
 RING = 1
 """Pixels around a picture in 8 bits, of networks whose first convolution reads beyond its border."""
 MADE = (PACKED, RAW, PHASED_FINE, STORED, PRODUCTS)
-CHANNELS = {"features": denoise_layout.FEATURES, "guides": denoise_layout.GUIDES}
-FEATURE_PARTS = {"first_features": 32, "last_features": denoise_layout.FEATURES - 32}
+CHANNELS = {"features": FEATURES, "guides": GUIDES}
+FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
 """Channels of the features that networks in float32 read apart: a CPU is quickest with multiples of 16 and with few."""
 
 
@@ -92,13 +97,13 @@ def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
     for binding in state.bindings:
         name, size = binding.name.removeprefix(RAW), binding.shape
         if binding.name == PHASED_FINE:
-            heads["fine"] = denoise_half.opened("fine", *size[2:])
+            heads["fine"] = opened_shape("fine", *size[2:])
         elif binding.name.startswith(PRODUCTS):
             name = name.removeprefix(PRODUCTS)
-            heads[name] = (1, denoise_layout.FINE, *seen) if name == "fine" else (
+            heads[name] = (1, FINE, *seen) if name == "fine" else (
                 1, size[0], *(side >> int(name[-1]) for side in seen))
         elif binding.access == "write":
-            heads[name] = size if name == binding.name else denoise_half.opened(name, *size[1:3])
+            heads[name] = size if name == binding.name else opened_shape(name, *size[1:3])
     return heads
 
 
@@ -140,7 +145,7 @@ class Network:
 def _packer(state: PipelineState, packed: Tensor, constants: Mapping[str, Tensor],
             seen: Mapping[str, Tensor]) -> ArgumentTable:
     if packed.name.startswith(PACKED):
-        return _table(state, denoise_half.PACK, planes=seen[packed.name.removeprefix(PACKED)], packed=packed)
+        return _table(state, PACK, planes=seen[packed.name.removeprefix(PACKED)], packed=packed)
     name = packed.name.removeprefix(STORED)
     kernel = STORE if packed.shape[1] == seen[name].shape[2] else STORE_RINGED
     return _table(state, kernel, planes=seen[name], coding=constants[f"{CODING}{name}"], stored=packed)
@@ -157,9 +162,9 @@ def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor
     if closed.name == PHASED_FINE:
         return _table(state, OPEN_PHASED, phased_fine=closed, fine=heads["fine"])
     if closed.name == f"{RAW}fine":
-        return _table(state, denoise_half.OPEN_FINE, raw_fine=closed, fine=heads["fine"])
+        return _table(state, OPEN_FINE, raw_fine=closed, fine=heads["fine"])
     if closed.name.startswith(RAW):
-        return _table(state, denoise_half.OPEN, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
+        return _table(state, OPEN, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
     name = closed.name.removeprefix(PRODUCTS)
     head, scaling, (rows, columns) = heads[name], constants[f"{SCALING}{name}"], heads[name].shape[2:]
     if name != "fine":
@@ -180,8 +185,8 @@ def _dispatch(commands: CommandBuffer, label: str, tables: list[ArgumentTable], 
             encoder.dispatch(table.state, table)
 
 
-ENDS = {False: (denoise_filter.REMODULATE, denoise_upsample.UPSAMPLE),
-        True: (denoise_filter.REMODULATE_GUIDED, denoise_upsample.UPSAMPLE_GUIDED)}
+ENDS = {False: (REMODULATE, UPSAMPLE),
+        True: (REMODULATE_GUIDED, UPSAMPLE_GUIDED)}
 """Kernels that put the reflectance back and enlarge, without guides and with them."""
 MOST_PLACES = 64
 """Windows of a graph's size whose places are kept on the device."""
@@ -260,7 +265,7 @@ class Graph:
                       "warped": self._new("warped", (out.rows, out.columns, 3)),
                       "radiance": self._new("radiance", (6 if self._guided else 3, rows + 2, columns + 2))}
         if self._guided:
-            cells = (-(-side // denoise_layout.TRUST_CELL) for side in (rows, columns))
+            cells = (-(-side // TRUST_CELL) for side in (rows, columns))
             self._made["trust"] = self._new("trust", (*cells, 1))
         if self._reactive:
             self._made["keep"] = self._new("keep", (rows, columns, 1))
@@ -273,25 +278,25 @@ class Graph:
         made = self._made | self._seen | {"fine": fine, "level": levels[0], "filtered": filtered[0]}
         remodulate, upsample = ENDS[self._guided]
         self._looks = ("features", "guides", "trust") if self._guided else ("features",)
-        for name, kernel in (("dilate", denoise_prepare.DILATE), ("history", denoise_history.HISTORY),
-                             ("features", denoise_features.FEATURE), ("accumulate", denoise_prepare.ACCUMULATE),
+        for name, kernel in (("dilate", DILATE), ("history", HISTORY),
+                             ("features", FEATURE), ("accumulate", ACCUMULATE),
                              ("remodulate", remodulate), ("upsample", upsample)):
             self._table(name, kernel, **made)
         if self._reactive:
-            self._table("keep", denoise_reactive.KEEP, **made)
+            self._table("keep", KEEP, **made)
         if self._guided:
-            self._table("guides", denoise_guides.GUIDE, **made)
-            self._table("trust", denoise_guides.TRUST, **made)
+            self._table("guides", GUIDE, **made)
+            self._table("trust", TRUST, **made)
         self._filter_order = ["accumulate", *(f"pool {i}" for i in range(1, LEVELS + 1))]
         for i in range(1, LEVELS + 1):
-            self._table(f"pool {i}", denoise_filter.POOL, finer=levels[i - 1], level=levels[i])
+            self._table(f"pool {i}", POOL, finer=levels[i - 1], level=levels[i])
         for i in range(LEVELS, -1, -1):
             mixed = levels[i]
             if i < LEVELS:
                 mixed = self._new(f"mixed {i}", (3, *level(i)))
-                self._table(f"mix {i}", denoise_filter.MIX_LEVELS, coarse=filtered[i + 1], level=levels[i], mixed=mixed)
+                self._table(f"mix {i}", MIX_LEVELS, coarse=filtered[i + 1], level=levels[i], mixed=mixed)
                 self._filter_order.append(f"mix {i}")
-            self._table(f"filter {i}", denoise_filter.FILTER, mixed=mixed, filtered=filtered[i])
+            self._table(f"filter {i}", FILTER, mixed=mixed, filtered=filtered[i])
             self._filter_order.append(f"filter {i}")
         self._filter_order.append("remodulate")
 

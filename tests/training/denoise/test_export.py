@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.kernels.denoise_open import OPEN_PHASED
+from postfx.kernels.denoise.network_io import OPEN_PHASED
 from postfx.passes.denoise.network import PHASED_FINE
 from postfx.runtime import Device, Library, ModelError
 from postfx.system import models_dir

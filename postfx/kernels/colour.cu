@@ -1,0 +1,46 @@
+// Looks colours up in a cube: colour (height, width, 3), params (3,), matrix (9,), cube (size, size, size, 3) ->
+// output (height, width, 3).
+extern "C" __global__ void apply_cube(View colour, View params, View matrix, View cube, View output) {
+    const int width = output.size[1];
+    PIXEL(width, output.size[0]);
+    const int here = 3 * (y * width + x);
+    const Colour found = looked_up(cube, shaped(shaper(params, matrix), colour.at + here));
+    output.at[here] = found.r;
+    output.at[here + 1] = found.g;
+    output.at[here + 2] = found.b;
+}
+
+// Colour (height, width, 3) to a display's code values: decoded if it is code values, turned by a matrix, cut, encoded.
+// params (12,), decode (4098,), encode (4098,): see postfx/kernels/colour.py.
+const float STEPS = 4096.0f, BRIGHTEST = 1e10f;
+
+// A table between its entries, at a share of it in [0, 1].
+__device__ inline float looked_up(const View& table, float share) {
+    const float place = share * STEPS;
+    const int i = int(place);
+    const float low = __ldg(table.at + i);
+    return low + (place - i) * (__ldg(table.at + i + 1) - low);
+}
+
+__device__ inline float root(float value) {
+    return sqrtf(sqrtf(sqrtf(value)));
+}
+
+extern "C" __global__ void encode_display(View colour, View params, View decode, View encode, View output) {
+    const int width = output.size[1];
+    PIXEL(width, output.size[0]);
+    const float* const m = params.at;
+    const float most = m[10], exponent = m[11];
+    const bool codes = m[9] > 0.0f;
+    const int here = 3 * (y * width + x);
+    float in[3], light[3];
+    for (int c = 0; c < 3; c++) {
+        in[c] = clamped(colour.at[here + c], -BRIGHTEST, BRIGHTEST);
+        if (codes) in[c] = looked_up(decode, fminf(fmaxf(in[c], 0.0f), 1.0f));
+    }
+    for (int c = 0; c < 3; c++)
+        light[c] = fminf(fmaxf(m[3 * c] * in[0] + m[3 * c + 1] * in[1] + m[3 * c + 2] * in[2], 0.0f), most);
+    const float luminance = 0.2627f * light[0] + 0.6780f * light[1] + 0.0593f * light[2];
+    const float gain = exponent == 0.0f ? 1.0f : powf(fmaxf(luminance, 1e-9f), exponent);
+    for (int c = 0; c < 3; c++) output.at[here + c] = looked_up(encode, root(fminf(light[c] * gain, 1.0f)));
+}

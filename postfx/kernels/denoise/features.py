@@ -1,0 +1,225 @@
+"""Kernel that fills the features the upscaler's network looks at, row by row so that loops become vector code.
+
+Channels: colour 0, accumulated colour 3 and last output 6 (demodulated, log-encoded), diffuse albedo 9, specular
+albedo 12, normal 15, roughness 18, depth 19, its change 20, valid history 21, sample count 22, jitter 23, length of
+motion 25, inverse scale 26, hidden state 27. The torch definition is ``training.denoise.model.features``.
+"""
+
+import numpy as np
+
+from postfx.kernels.denoise.layout import (
+    EXPOSURE,
+    FEATURES,
+    GAIN,
+    HEIGHT,
+    HIDDEN,
+    JITTER_X,
+    JITTER_Y,
+    LEFT,
+    MAX_COUNT,
+    MAX_DEPTH,
+    MAX_FLOAT,
+    OUT_HEIGHT,
+    OUT_LEFT,
+    OUT_TOP,
+    OUT_WIDTH,
+    REFLECTANCE,
+    TOP,
+    UNKNOWN,
+    WIDTH,
+    kernel,
+)
+from postfx.kernels.denoise.reactive import kept_row
+from postfx.kernels.numeric import (
+    MAX_COLOUR,
+    clamp,
+    compiled,
+    demodulation,
+    expm1,
+    fused,
+    log,
+    log1p,
+    log_encode,
+)
+
+MEMORY = 4 + HIDDEN
+ZERO, ONE, FOUR, NEAREST = np.float32(0), np.float32(1), np.float32(4), np.float32(1e-6)
+
+
+@fused
+def is_unknown(a, b, c, d, tx, ty):
+    """Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their weights."""
+    if min(min(a, b), min(c, d)) > ZERO:
+        return False
+    left, upper = ONE - tx, ONE - ty
+    lacking = left * upper if a <= ZERO else ZERO
+    lacking += tx * upper if b <= ZERO else ZERO
+    lacking += left * ty if c <= ZERO else ZERO
+    lacking += tx * ty if d <= ZERO else ZERO
+    return lacking > np.float32(UNKNOWN)
+
+
+@fused
+def recall_row(y, columns, moved, state, last_depth, keep, memory, before, valid):
+    """The state of the frame before along a row: bilinear (12, w), edge repeated, and the nearest pixel's depth.
+
+    ``y`` and ``columns`` are places in the frame, ``moved`` (w, 2) is the motion there, ``keep`` (w,) how much of the
+    history is used: validity, count and hidden state are less by it; the mean colour, which counts less, is the same.
+    """
+    h, w = state.shape[:2]
+    flat = state.reshape(h * w * MEMORY)
+    for x in range(columns.size):
+        px, py = np.float32(columns[x]) + moved[x, 0], np.float32(y) + moved[x, 1]
+        held = -0.5 <= px <= w - 0.5 and -0.5 <= py <= h - 0.5
+        valid[x] = keep[x] if held else ZERO
+        if valid[x] == ZERO:
+            memory[:, x] = ZERO
+            continue
+        near_y, near_x = min(max(int(np.rint(py)), 0), h - 1), min(max(int(np.rint(px)), 0), w - 1)
+        before[x] = last_depth[near_y, near_x, 0]
+        px, py = min(max(px, ZERO), np.float32(w - 1)), min(max(py, ZERO), np.float32(h - 1))
+        x0, y0 = int(px), int(py)
+        tx, ty = px - np.float32(x0), py - np.float32(y0)
+        right, below = MEMORY * (min(x0 + 1, w - 1) - x0), MEMORY * w * (min(y0 + 1, h - 1) - y0)
+        at = np.uint64((y0 * w + x0) * MEMORY)
+        to_right, to_below, across = np.uint64(right), np.uint64(below), np.uint64(right + below)
+        count = at + np.uint64(3)
+        if is_unknown(flat[count], flat[count + to_right], flat[count + to_below], flat[count + across], tx, ty):
+            valid[x], memory[:, x], memory[3, x] = ZERO, ZERO, -ONE
+            continue
+        for c in range(MEMORY):
+            i = at + np.uint64(c)
+            top = flat[i] + (flat[i + to_right] - flat[i]) * tx
+            bottom = flat[i + to_below] + (flat[i + across] - flat[i + to_below]) * tx
+            value = top + (bottom - top) * ty
+            memory[c, x] = value if c < 3 else value * keep[x]
+
+
+@fused
+def mean_row(top, bottom, warped, left, right, total, mean):
+    """Mean (3, w) of the output pixels that each render pixel of a row touches: rows ``top`` to ``bottom``."""
+    width = warped.shape[1]
+    total[:] = ZERO
+    for j in range(top, bottom):
+        line = warped[j].reshape(3 * width)
+        for i in range(3 * width):
+            total[i] += line[i]
+    for x in range(left.size):
+        share = ONE / np.float32((bottom - top) * (right[x] - left[x]))
+        r, g, b = ZERO, ZERO, ZERO
+        for i in range(left[x], right[x]):
+            r += total[3 * i]
+            g += total[3 * i + 1]
+            b += total[3 * i + 2]
+        mean[0, x], mean[1, x], mean[2, x] = r * share, g * share, b * share
+
+
+@fused
+def colour_planes(row, colour, factor, exposure, memory, gain, mean, valid, features):
+    """This frame's colour, the accumulated colour and the last output, without reflectance and log-encoded.
+
+    A loop that reads few arrays, each without gaps, becomes vector code: hence the copies and the many loops.
+    """
+    count, most = valid.size, np.float32(MAX_COLOUR)
+    for c in range(3):
+        now, kept, last = features[0, c, row], features[0, 3 + c, row], features[0, 6 + c, row]
+        for x in range(count):
+            now[x] = colour[x, c]
+        for x in range(count):
+            now[x] = log1p(min(clamp(now[x], ZERO, MAX_FLOAT) * exposure / factor[c, x], most))
+        for x in range(count):
+            kept[x] = log_encode(memory[c, x] * gain * valid[x])
+        for x in range(count):
+            last[x] = log_encode(expm1(mean[c, x]) * valid[x] / factor[c, x])
+
+
+@fused
+def bounded_planes(row, first, picture, count, low, high, features):
+    """Channels of a picture's row as they are, within bounds."""
+    for c in range(picture.shape[1]):
+        plane = features[0, first + c, row]
+        for x in range(count):
+            plane[x] = clamp(picture[x, c], low, high)
+
+
+@fused
+def depth_planes(row, depth, before, valid, scale, features):
+    """Depth relative to the picture's, and its change since the frame before."""
+    near, change, count = features[0, 19, row], features[0, 20, row], valid.size
+    for x in range(count):
+        near[x] = clamp(depth[x, 0], ZERO, MAX_DEPTH)
+    for x in range(count):
+        ratio = clamp(before[x], NEAREST, MAX_DEPTH) / max(near[x], NEAREST)
+        change[x] = min(max(FOUR * log(ratio), -ONE), ONE) * valid[x]
+    for x in range(count):
+        near[x] = scale / (scale + near[x])
+
+
+@fused
+def motion_plane(row, moved, features):
+    """Length of the motion, log-encoded."""
+    plane = features[0, 25, row]
+    for x in range(moved.shape[0]):
+        plane[x] = moved[x, 0] * moved[x, 0] + moved[x, 1] * moved[x, 1]
+    for x in range(moved.shape[0]):
+        plane[x] = log1p(np.sqrt(plane[x])) / FOUR
+
+
+@fused
+def memory_planes(row, valid, memory, features):
+    """Validity of the history, its sample count and the hidden state."""
+    count = valid.size
+    features[0, 21, row, :count] = valid
+    for x in range(count):
+        features[0, 22, row, x] = max(memory[3, x], ZERO) / np.float32(MAX_COUNT)
+    for c in range(HIDDEN):
+        features[0, 27 + c, row, :count] = memory[4 + c]
+
+
+@compiled
+def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
+                 warped, depth_scale, params, window, keep, seen_rows, seen_columns, past, features):
+    """The network's input and the reprojected accumulation."""
+    h, w, height, width = int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]), int(window[OUT_WIDTH])
+    top, first, above, before_left = int(window[TOP]), int(window[LEFT]), int(window[OUT_TOP]), int(window[OUT_LEFT])
+    two, count = np.float32(2), min(moved.shape[1], w - first)
+    columns = np.arange(first, first + count)
+    left = np.array([x * width // w - before_left for x in columns])
+    right = np.array([-(-(x + 1) * width // w) - before_left for x in columns])
+    memory, mean = np.empty((MEMORY, count), np.float32), np.empty((3, count), np.float32)
+    factor, before = np.empty((3, count), np.float32), np.ones(count, np.float32)
+    valid, share = np.empty(count, np.float32), np.empty(count, np.float32)
+    total = np.empty(3 * warped.shape[1], np.float32)
+    for row in range(y0, y1):
+        here = int(seen_rows[row])
+        y = top + here
+        for x in range(count):
+            factor[0, x], factor[1, x], factor[2, x] = demodulation(diffuse_albedo, specular_albedo, y, first + x)
+        kept_row(keep, here, share)
+        recall_row(y, columns, moved[here], state, last_depth, share, memory, before, valid)
+        mean_row(y * height // h - above, -(-(y + 1) * height // h) - above, warped, left, right, total, mean)
+        colour_planes(row, colour[y, first:], factor, params[EXPOSURE], memory, params[GAIN], mean, valid, features)
+        bounded_planes(row, 9, diffuse_albedo[y, first:], count, ZERO, two, features)
+        bounded_planes(row, 12, specular_albedo[y, first:], count, ZERO, two, features)
+        bounded_planes(row, 15, normal[y, first:], count, -ONE, ONE, features)
+        bounded_planes(row, 18, roughness[y, first:], count, ZERO, ONE, features)
+        depth_planes(row, depth[y, first:], before, valid, depth_scale[0], features)
+        motion_plane(row, moved[here, :count], features)
+        memory_planes(row, valid, memory, features)
+        features[0, 23, row, :] = params[JITTER_X]
+        features[0, 24, row, :] = params[JITTER_Y]
+        features[0, 26, row, :] = np.float32(w) / np.float32(width)
+        for c in range(FEATURES):
+            for x in range(count, features.shape[3]):
+                features[0, c, row, x] = features[0, c, row, int(seen_columns[x])]
+        if row < past.shape[0]:
+            for x in range(past.shape[1]):
+                at = int(seen_columns[x])
+                for c in range(3):
+                    past[row, x, c] = memory[c, at] * params[GAIN]
+                past[row, x, 3] = memory[3, at]
+
+
+FEATURE = kernel("features", ("colour", *REFLECTANCE, "normal", "roughness", "depth", "moved", "state", "last_depth",
+                              "warped", "depth_scale", "params", "window", "keep", "seen_rows", "seen_columns"),
+                 ("past", "features"), feature_rows, ("features", 2))

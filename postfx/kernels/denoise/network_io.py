@@ -1,0 +1,279 @@
+"""Kernels around a network in half precision or integers: what it reads is packed, what it writes is opened.
+
+Kernels around a network in half precision, which reads and writes all channels of a pixel together (NHWC).
+
+``packed`` holds the planes of ``features`` or ``guides`` and zeros up to a multiple of 8 channels, as tensor cores want
+them. ``raw`` is what the network's last convolutions write: their activations belong to the copy that brings them into
+the layout of the other kernels. A raw fine head has the four phases of 2x2 pixels one after the other, top left first.
+The rows are NumPy: GPUs have sources of their own, and a CPU gains nothing by half precision.
+
+Kernel after a network in float32: activations of the fine head, and its four phases brought to their places.
+
+``phased_fine`` (1, 4 * 80, hp / 2, wp / 2) is what the network's last convolution writes: of each channel the four
+phases of 2x2 pixels, top left first. One pass over it takes less time than activations and a shuffle inside the
+network, each of which reads and writes 160 MB at 960x540.
+
+Kernels after a network in integers, whose last products are summed in 32 bits and scaled here.
+
+``products`` are sums of 8-bit products; ``scaling`` (2, C) holds what those of a channel are multiplied by and what is
+added, which gives its logit. Both and the activations are one pass. Of each channel of the fine head there are four
+phases, as in `postfx.kernels.denoise.network_io`.
+
+Kernel before a network in integers: keeps the planes that it reads in 8 bits, all channels of a pixel together.
+
+``coding`` (2, C) holds what a channel is multiplied by and the code of zero; codes beyond 0 to 255 are taken for these.
+``stored`` (1, h, w, C) may have more channels than ``planes``, which mean nothing; where it is ringed, it has one more
+row and column on every side, where all channels are zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postfx.kernels.denoise.layout import BLEND, FINE, KERNEL, MEMORY, kernel
+from postfx.kernels.kernel import Kernel
+from postfx.kernels.numeric import compiled, exp, fused, fused_inline, vectorised
+
+LANES = 8
+LEVEL = KERNEL + 1
+STEEPEST = np.float32(8)
+FINE_PHASES = 4
+
+
+def width(channels: int) -> int:
+    """Channels that a packed or raw tensor has for these."""
+    return -(-channels // LANES) * LANES
+
+
+def opened_shape(name: str, rows: int, columns: int) -> tuple[int, ...]:
+    """Shape of a head, 'fine' or 'level1' and so on, of which the raw one has so many rows and columns."""
+    return (1, FINE, 2 * rows, 2 * columns) if name == "fine" else (1, LEVEL, rows, columns)
+
+
+def pack_rows(y0: int, y1: int, planes: np.ndarray, packed: np.ndarray) -> None:
+    """Channels last, in half precision."""
+    channels = planes.shape[1]
+    packed[0, y0:y1, :, :channels] = planes[0, :, y0:y1].transpose(1, 2, 0)
+    packed[0, y0:y1, :, channels:] = 0
+
+
+def open_rows(y0: int, y1: int, raw: np.ndarray, heads: np.ndarray) -> None:
+    """Weights of a level's filters and its mix, which means nothing at the coarsest level."""
+    logits = raw[0, y0:y1, :, :LEVEL].astype(np.float32).transpose(2, 0, 1)
+    heads[0, :KERNEL, y0:y1] = _weights(logits[:KERNEL])
+    heads[0, KERNEL:, y0:y1] = _gates(logits[KERNEL:])
+
+
+def open_fine_rows(y0: int, y1: int, raw_fine: np.ndarray, fine: np.ndarray) -> None:
+    """The fine head: weights, gates and the hidden state."""
+    for y in range(y0, y1):
+        for side in range(2):
+            first = FINE * (2 * (y % 2) + side)
+            logits = raw_fine[0, y // 2, :, first:first + FINE].astype(np.float32).T
+            row = fine[0, :, y, side::2]
+            row[:BLEND] = _weights(logits[:BLEND])
+            row[BLEND:MEMORY] = _gates(logits[BLEND:MEMORY])
+            row[MEMORY:] = np.tanh(logits[MEMORY:])
+
+
+def _weights(logits: np.ndarray) -> np.ndarray:
+    return np.exp(np.clip(logits, -STEEPEST, STEEPEST))
+
+
+def _gates(logits: np.ndarray) -> np.ndarray:
+    return 1 / (1 + np.exp(-np.clip(logits, -80, 80)))
+
+
+HALF = "float16"
+LEVEL_WIDTH = width(LEVEL)
+PACK = Kernel("denoise_pack", ("planes",), ("packed",), pack_rows, ("packed", 1),
+              {"planes": (1, "channels", "hp", "wp"), "packed": (1, "hp", "wp", "wide")}, {"packed": HALF})
+OPEN = Kernel("denoise_open", ("raw",), ("heads",), open_rows, ("heads", 2),
+              {"raw": (1, "hp", "wp", LEVEL_WIDTH), "heads": (1, LEVEL, "hp", "wp")}, {"raw": HALF})
+OPEN_FINE = Kernel("denoise_open_fine", ("raw_fine",), ("fine",), open_fine_rows, ("fine", 2),
+                   {"raw_fine": (1, "half_hp", "half_wp", FINE_PHASES * FINE),
+                    "fine": (1, FINE, "2*half_hp", "2*half_wp")},
+                   {"raw_fine": HALF})
+
+
+ONE, TWO = np.float32(1), np.float32(2)
+LEAST, MOST = np.float32(-80), np.float32(80)
+
+
+@fused_inline
+def weight(logit):
+    """Filter weight, with which sums stay within half precision, too."""
+    return exp(min(max(logit, -STEEPEST), STEEPEST))
+
+
+@fused_inline
+def gate(logit):
+    """Logistic function."""
+    return ONE / (ONE + exp(min(max(-logit, LEAST), MOST)))
+
+
+@fused_inline
+def state(logit):
+    """Hyperbolic tangent."""
+    return ONE - TWO / (ONE + exp(min(max(TWO * logit, LEAST), MOST)))
+
+
+@fused
+def weights(left, right, row):
+    for x in range(left.size):
+        row[2 * x], row[2 * x + 1] = weight(left[x]), weight(right[x])
+
+
+@fused
+def gates(left, right, row):
+    for x in range(left.size):
+        row[2 * x], row[2 * x + 1] = gate(left[x]), gate(right[x])
+
+
+@fused
+def states(left, right, row):
+    for x in range(left.size):
+        row[2 * x], row[2 * x + 1] = state(left[x]), state(right[x])
+
+
+@compiled
+def open_phased_rows(y0, y1, phased_fine, fine):
+    """The fine head: weights, gates and the hidden state."""
+    for channel in range(FINE):
+        for y in range(y0, y1):
+            first = 4 * channel + 2 * (y % 2)
+            left, right, row = phased_fine[0, first, y // 2], phased_fine[0, first + 1, y // 2], fine[0, channel, y]
+            if channel < BLEND:
+                weights(left, right, row)
+            elif channel < MEMORY:
+                gates(left, right, row)
+            else:
+                states(left, right, row)
+
+
+OPEN_PHASED = kernel("open_phased", ("phased_fine",), ("fine",), open_phased_rows, ("fine", 2),
+                     phased_fine=(1, 4 * FINE, "half_hp", "half_wp"), fine=(1, FINE, "2*half_hp", "2*half_wp"))
+
+
+@fused
+def scaled_weights(left, right, scales, row):
+    """Filter weights of a row of pixels; `scales` (2, 2) are what even and odd columns are scaled by."""
+    for x in range(left.size):
+        row[2 * x] = weight(np.float32(left[x]) * scales[0, 0] + scales[1, 0])
+        row[2 * x + 1] = weight(np.float32(right[x]) * scales[0, 1] + scales[1, 1])
+
+
+@fused
+def scaled_gates(left, right, scales, row):
+    """Logistic function, likewise."""
+    for x in range(left.size):
+        row[2 * x] = gate(np.float32(left[x]) * scales[0, 0] + scales[1, 0])
+        row[2 * x + 1] = gate(np.float32(right[x]) * scales[0, 1] + scales[1, 1])
+
+
+@fused
+def scaled_states(left, right, scales, row):
+    """Hyperbolic tangent, likewise."""
+    for x in range(left.size):
+        row[2 * x] = state(np.float32(left[x]) * scales[0, 0] + scales[1, 0])
+        row[2 * x + 1] = state(np.float32(right[x]) * scales[0, 1] + scales[1, 1])
+
+
+@compiled
+def open_fine_products_rows(y0, y1, products, scaling, fine):
+    """The fine head: weights, gates and the hidden state."""
+    for channel in range(FINE):
+        for y in range(y0, y1):
+            first = 4 * channel + 2 * (y % 2)
+            left, right, row = products[0, first, y // 2], products[0, first + 1, y // 2], fine[0, channel, y]
+            scales = scaling[:, first:first + 2]
+            if channel < BLEND:
+                scaled_weights(left, right, scales, row)
+            elif channel < MEMORY:
+                scaled_gates(left, right, scales, row)
+            else:
+                scaled_states(left, right, scales, row)
+
+
+@fused
+def level_weights(sums, scale, bias, row):
+    """Filter weights of a row of places."""
+    for x in range(row.size):
+        row[x] = weight(np.float32(sums[x]) * scale + bias)
+
+
+@fused
+def level_gates(sums, scale, bias, row):
+    """Logistic function, likewise."""
+    for x in range(row.size):
+        row[x] = gate(np.float32(sums[x]) * scale + bias)
+
+
+@compiled
+def open_products_rows(y0, y1, products, scaling, heads):
+    """Weights of a level's filters and its mix, which the coarsest level has not."""
+    for channel in range(heads.shape[1]):
+        scale, bias = scaling[0, channel], scaling[1, channel]
+        for y in range(y0, y1):
+            if channel < KERNEL:
+                level_weights(products[0, channel, y], scale, bias, heads[0, channel, y])
+            else:
+                level_gates(products[0, channel, y], scale, bias, heads[0, channel, y])
+
+
+OPEN_PRODUCTS = Kernel(
+    "denoise_open_products", ("products", "scaling"), ("heads",), open_products_rows, ("heads", 2),
+    {"products": (1, "heads", "hp", "wp"), "scaling": (2, "heads"), "heads": (1, "heads", "hp", "wp")},
+    {"products": "int32"})
+OPEN_FINE_PRODUCTS = Kernel(
+    "denoise_open_fine_products", ("products", "scaling"), ("fine",), open_fine_products_rows, ("fine", 2),
+    {"products": (1, 4 * FINE, "half_hp", "half_wp"), "scaling": (2, 4 * FINE),
+     "fine": (1, FINE, "2*half_hp", "2*half_wp")},
+    {"products": "int32"})
+
+
+DARKEST_BYTE, BRIGHTEST_BYTE, ROUNDING = np.float32(0), np.float32(255), np.float32(0.5)
+
+
+@compiled
+def codes(values, scale, zero, row):
+    """8-bit codes of a channel's row; of what is no number, that of zero."""
+    for x in range(values.size):
+        value = values[x] * scale if values[x] == values[x] else DARKEST_BYTE
+        row[x] = np.uint8(min(max(value + zero + ROUNDING, DARKEST_BYTE), BRIGHTEST_BYTE))
+
+
+@vectorised
+def interleave(rows, pixels):
+    """(C, w) -> (w, C)."""
+    for x in range(pixels.shape[0]):
+        for channel in range(pixels.shape[1]):
+            pixels[x, channel] = rows[channel, x]
+
+
+@compiled
+def store_rows(y0, y1, planes, coding, stored):
+    """Codes of the planes, and those of zero around them."""
+    _, channels, h, w = planes.shape
+    ring = (stored.shape[1] - h) // 2
+    rows = np.empty((stored.shape[3], stored.shape[2]), np.uint8)
+    for channel in range(stored.shape[3]):
+        rows[channel] = np.uint8(coding[1, channel])
+    for row in range(y0, y1):
+        y = row - ring
+        for channel in range(channels):
+            if 0 <= y < h:
+                codes(planes[0, channel, y], coding[0, channel], coding[1, channel], rows[channel, ring:ring + w])
+            else:
+                rows[channel] = np.uint8(coding[1, channel])
+        interleave(rows, stored[0, row])
+
+
+def _kernel(name: str, rows: str, columns: str) -> Kernel:
+    return Kernel(name, ("planes", "coding"), ("stored",), store_rows, ("stored", 1),
+                  {"planes": (1, "channels", "hp", "wp"), "coding": (2, "wide"), "stored": (1, rows, columns, "wide")},
+                  {"stored": "uint8"})
+
+
+STORE = _kernel("denoise_store", "hp", "wp")
+STORE_RINGED = _kernel("denoise_store_ringed", "ringed_hp", "ringed_wp")

@@ -1,0 +1,184 @@
+// Harmonic mean depth of what was hit, 1 where nothing was: depth (h, w, 1) -> depth_scale (1,). One block.
+__device__ inline bool is_hit(float z) {
+    return z > 0.0f && z < 1e9f;
+}
+
+// Sum of 1 / z over four depths; a product of fractions needs one division, and 4 factors of 1e-6 to 1e9 stay normal.
+__device__ inline float nearness(const Four& depth) {
+    const bool a = is_hit(depth.x), b = is_hit(depth.y), c = is_hit(depth.z), d = is_hit(depth.w);
+    const float p = a ? fmaxf(depth.x, 1e-6f) : 1.0f, q = b ? fmaxf(depth.y, 1e-6f) : 1.0f;
+    const float r = c ? fmaxf(depth.z, 1e-6f) : 1.0f, s = d ? fmaxf(depth.w, 1e-6f) : 1.0f;
+    const float left = (a ? q : 0.0f) + (b ? p : 0.0f), right = (c ? s : 0.0f) + (d ? r : 0.0f);
+    return (left * (r * s) + right * (p * q)) / ((p * q) * (r * s));
+}
+
+__device__ inline int hits_of(const Four& depth) {
+    return is_hit(depth.x) + is_hit(depth.y) + is_hit(depth.z) + is_hit(depth.w);
+}
+
+extern "C" __global__ void __launch_bounds__(1024) denoise_scale(View depth, View depth_scale) {
+    __shared__ double near[1024];
+    __shared__ int hits[1024];
+    const int threads = blockDim.x * blockDim.y, thread = threadIdx.y * blockDim.x + threadIdx.x;
+    const int count = depth.size[0] * depth.size[1], fours = count / 4;
+    double sum = 0.0;
+    int seen = 0;
+    int i = thread;
+    for (; i + 3 * threads < fours; i += 4 * threads) {  // four reads on their way at a time: there is but one block
+        const Four a = four(depth, i), b = four(depth, i + threads);
+        const Four c = four(depth, i + 2 * threads), d = four(depth, i + 3 * threads);
+        sum += (nearness(a) + nearness(b)) + (nearness(c) + nearness(d));
+        seen += hits_of(a) + hits_of(b) + hits_of(c) + hits_of(d);
+    }
+    for (; i < fours; i += threads) {
+        const Four a = four(depth, i);
+        sum += nearness(a);
+        seen += hits_of(a);
+    }
+    for (i = 4 * fours + thread; i < count; i += threads) {
+        const Four a = {depth.at[i], 0.0f, 0.0f, 0.0f};
+        sum += nearness(a);
+        seen += hits_of(a);
+    }
+    near[thread] = sum;
+    hits[thread] = seen;
+    for (int half = threads / 2; half > 0; half /= 2) {
+        __syncthreads();
+        if (thread >= half) continue;
+        near[thread] += near[thread + half];
+        hits[thread] += hits[thread + half];
+    }
+    if (thread == 0) depth_scale.at[0] = hits[0] ? float(hits[0] / near[0]) : 1.0f;
+}
+
+// Motion of a clearly nearer neighbour in 3x3, else its own: motion (h, w, 2), depth (h, w, 1), part_rows (th,),
+// part_columns (tw,) -> moved (th, tw, 2).
+
+// What no picture can have (NaN, infinity) is no motion.
+__device__ inline float possible_motion(float value) {
+    return value > -1e5f && value < 1e5f ? value : 0.0f;
+}
+
+extern "C" __global__ void denoise_dilate(View motion, View depth, View part_rows, View part_columns,
+                                          View moved) {
+    PIXEL(moved.size[1], moved.size[0]);
+    const int height = depth.size[0], width = depth.size[1];
+    const int v = int(part_rows.at[y]), u = int(part_columns.at[x]), here = v * width + u;
+    float near = depth.at[here] * 0.9f;
+    int at = here;
+#pragma unroll
+    for (int j = -1; j <= 1; j++) {
+#pragma unroll
+        for (int i = -1; i <= 1; i++) {
+            // A repeated edge changes nothing: no pixel is nearer than itself.
+            const int there = within(v + j, height) * width + within(u + i, width);
+            const float z = depth.at[there];
+            if (z < near) near = z, at = there;
+        }
+    }
+    const Pair found = pair(motion, at);
+    pair(moved, size_t(y) * moved.size[1] + x) = {possible_motion(found.x), possible_motion(found.y)};
+}
+
+// Running mean of demodulated colour: colour, diffuse_albedo and specular_albedo (h, w, 3), depth (h, w, 1),
+// past (th, tw, 4), fine (1, 80, hp, wp), params (4,), window (8,) -> next_state (th, tw, 12), next_depth (th, tw, 1),
+// level (4, hp, wp), which is the mean with its importance. All are zero beyond the frame.
+__device__ inline float size_of(const Four& value) {
+    return fabsf(value.x) + fabsf(value.y) + fabsf(value.z) + fabsf(value.w);
+}
+
+extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo, View depth,
+                                              View past, View fine, View params, View window, View next_state,
+                                              View next_depth, View level) {
+    const int height = level.size[1], width = level.size[2];
+    PIXEL(width, height);
+    const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
+    float* to = level.at + here;
+    const Window part = window_of(window);
+    const bool kept = y < past.size[0] && x < past.size[1];
+    const size_t pixel = size_t(y) * past.size[1] + x;
+    if (!kept || part.top + y >= colour.size[0] || part.left + x >= colour.size[1]) {
+        for (int c = 0; c < 4; c++) to[c * plane] = 0.0f;
+        if (kept) next_depth.at[pixel] = 0.0f;
+        for (int c = 0; c < 3 && kept; c++) four(next_state, 3 * pixel + c) = {0.0f, 0.0f, 0.0f, 0.0f};
+        return;
+    }
+    const size_t source = size_t(part.top + y) * colour.size[1] + part.left + x;
+    const float* rgb = colour.at + 3 * source;
+    const float* head = fine.at + here;
+    const float exposure = params.at[EXPOSURE], red = rgb[0], green = rgb[1], blue = rgb[2], z = depth.at[source];
+    const float distrust = head[DISTRUST * plane], importance = head[IMPORTANCE * plane];
+    const Four before = four(past, pixel);
+    const Four hidden[2] = {{head[MEMORY * plane], head[(MEMORY + 1) * plane], head[(MEMORY + 2) * plane],
+                             head[(MEMORY + 3) * plane]},
+                            {head[(MEMORY + 4) * plane], head[(MEMORY + 5) * plane], head[(MEMORY + 6) * plane],
+                             head[(MEMORY + 7) * plane]}};
+    const Colour factor = demodulation(diffuse_albedo, specular_albedo, part.top + y, part.left + x);
+    const float share = 1.0f / (fmaxf(before.w, 0.0f) + 1.0f), alpha = share + (1.0f - share) * distrust;
+    const float r = fminf(clamped(red, 0.0f, MAX_FLOAT) * exposure / factor.r, MAX_COLOUR);
+    const float g = fminf(clamped(green, 0.0f, MAX_FLOAT) * exposure / factor.g, MAX_COLOUR);
+    const float b = fminf(clamped(blue, 0.0f, MAX_FLOAT) * exposure / factor.b, MAX_COLOUR);
+    const Four mean = {before.x + (r - before.x) * alpha, before.y + (g - before.y) * alpha,
+                       before.z + (b - before.z) * alpha, fminf(1.0f / alpha, MAX_COUNT)};
+    // What is broken is this frame's colour alone, and nothing that the next one knows.
+    const float total = size_of(mean) + size_of(hidden[0]) + size_of(hidden[1]) + fabsf(importance);
+    const bool whole = total <= MOST_STATE;
+    // Nor is what lies at the part's edge, where the frame goes on.
+    const bool edge = (y == 0 && part.top > 0) || (x == 0 && part.left > 0) ||
+        (y == past.size[0] - 1 && part.top + y + 1 < colour.size[0]) ||
+        (x == past.size[1] - 1 && part.left + x + 1 < colour.size[1]);
+    const bool known = whole && !edge;
+    const Four none = {0.0f, 0.0f, 0.0f, 0.0f};
+    four(next_state, 3 * pixel) = known ? mean : none;
+    four(next_state, 3 * pixel + 1) = known ? hidden[0] : none;
+    four(next_state, 3 * pixel + 2) = known ? hidden[1] : none;
+    next_depth.at[pixel] = z;
+    to[0] = whole ? mean.x : r;
+    to[plane] = whole ? mean.y : g;
+    to[2 * plane] = whole ? mean.z : b;
+    to[3 * plane] = whole ? importance : 1.0f;
+}
+
+// What a frame leaves, at another render size: state (h, w, 12), last_depth (h, w, 1), at_rows (height,),
+// at_columns (width,) -> resized (height, width, 12), resized_depth (height, width, 1). Bilinear between pixels that hold
+// something, depth of the nearest.
+
+// Four channels, weighted.
+__device__ inline Four weighted_four(const View& state, const size_t (&from)[4], const float (&share)[4], int group,
+                                     float scale) {
+    Four sum = {0.0f, 0.0f, 0.0f, 0.0f};
+    for (int i = 0; i < 4; i++) {
+        const Four value = four(state, 3 * from[i] + group);
+        sum.x += share[i] * value.x;
+        sum.y += share[i] * value.y;
+        sum.z += share[i] * value.z;
+        sum.w += share[i] * value.w;
+    }
+    return {sum.x * scale, sum.y * scale, sum.z * scale, sum.w * scale};
+}
+
+extern "C" __global__ void denoise_resize(View state, View last_depth, View at_rows, View at_columns, View resized,
+                                          View resized_depth) {
+    PIXEL(resized.size[1], resized.size[0]);
+    const int h = state.size[0], w = state.size[1];
+    const float row = at_rows.at[y], column = at_columns.at[x], ty = row - floorf(row), tx = column - floorf(column);
+    const int top = int(floorf(row)), first = int(floorf(column));
+    const size_t upper = size_t(within(top, h)) * w, lower = size_t(within(top + 1, h)) * w;
+    const int left = within(first, w), right = within(first + 1, w);
+    const size_t from[4] = {upper + left, upper + right, lower + left, lower + right};
+    float share[4] = {(1.0f - ty) * (1.0f - tx), (1.0f - ty) * tx, ty * (1.0f - tx), ty * tx}, total = 0.0f;
+    for (int i = 0; i < 4; i++) {
+        if (!(four(state, 3 * from[i]).w > 0.0f)) share[i] = 0.0f;
+        total += share[i];
+    }
+    const float scale = total > 0.5f ? 1.0f / total : 0.0f;
+    const size_t pixel = size_t(y) * resized.size[1] + x;
+    const float depth = last_depth.at[size_t(within(int(rintf(row)), h)) * w + within(int(rintf(column)), w)];
+    const Four mean = weighted_four(state, from, share, 0, scale);
+    const Four one = weighted_four(state, from, share, 1, scale);
+    const Four other = weighted_four(state, from, share, 2, scale);
+    resized_depth.at[pixel] = depth;
+    four(resized, 3 * pixel) = mean;
+    four(resized, 3 * pixel + 1) = one;
+    four(resized, 3 * pixel + 2) = other;
+}

@@ -1,0 +1,110 @@
+// Importance-weighted mean over 2x2 pixels: finer (4, about 2 hp, about 2 wp), rows (hp,) and columns (wp,) of it that
+// cells begin at, -1 before the first -> level (4, hp, wp); channel 3 is the importance, 0 beyond the finer level.
+extern "C" __global__ void denoise_pool(View finer, View rows, View columns, View level) {
+    const int height = level.size[1], width = level.size[2];
+    PIXEL(width, height);
+    const int finer_height = finer.size[1], finer_width = finer.size[2];
+    const size_t plane = size_t(height) * width, fine = size_t(finer_height) * finer_width;
+    const int top = int(rows.at[y]), left = int(columns.at[x]);
+    float sum[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+    for (int j = 0; j < 2; j++) {
+        for (int i = 0; i < 2; i++) {
+            const int v = top + j, u = left + i;
+            if (v < 0 || v >= finer_height || u < 0 || u >= finer_width) continue;
+            const float* from = finer.at + size_t(v) * finer_width + u;
+            const float weight = from[3 * fine];
+            sum[3] += weight;
+            for (int c = 0; c < 3; c++) sum[c] += weight * from[c * fine];
+        }
+    }
+    const float total = 0.25f * sum[3], share = 0.25f / (total + TINY);
+    float* to = level.at + size_t(y) * width + x;
+    for (int c = 0; c < 3; c++) to[c * plane] = share * sum[c];
+    to[3 * plane] = total;
+}
+
+// The coarser result where the network trusts it more than the level's own colour: coarse (3, about hp / 2, about wp / 2),
+// level (4, hp, wp), heads (1, 26 or more, hp, wp), rows (hp,) and columns (wp,) of coarse that pixels lie in
+// -> mixed (3, hp, wp).
+extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns, View mixed) {
+    const int height = mixed.size[1], width = mixed.size[2];
+    PIXEL(width, height);
+    const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
+    const size_t below_plane = size_t(coarse.size[1]) * coarse.size[2];
+    const size_t below = size_t(int(rows.at[y])) * coarse.size[2] + int(columns.at[x]);
+    // The full head has the channel elsewhere than the short ones of the coarser levels.
+    const size_t channel = heads.size[1] > KERNEL + 1 ? MIX : KERNEL;
+    const float own = heads.at[channel * plane + here];
+    const float r = coarse.at[below], g = coarse.at[below_plane + below], b = coarse.at[2 * below_plane + below];
+    const float r1 = level.at[here], g1 = level.at[plane + here], b1 = level.at[2 * plane + here];
+    mixed.at[here] = r + (r1 - r) * own;
+    mixed.at[plane + here] = g + (g1 - g) * own;
+    mixed.at[2 * plane + here] = b + (b1 - b) * own;
+}
+
+// The 5x5 kernel of a level: mixed (3 or 4, hp, wp), heads (1, 25 or more, hp, wp), area (2,) -> filtered (3, hp, wp).
+extern "C" __global__ void denoise_filter(View mixed, View heads, View area, View filtered) {
+    const int height = filtered.size[1], width = filtered.size[2], plane = height * width;
+    PIXEL(width, height);
+    const int rows = int(area.at[0]), columns = int(area.at[1]), here = y * width + x;
+    Colour sum = {0.0f, 0.0f, 0.0f};
+    float total = TINY;
+    if (y < rows && x < columns) {
+        for (int j = 0; j < 5; j++) {
+            const int v = y + j - 2;
+            if (v < 0 || v >= rows) continue;
+            for (int i = 0; i < 5; i++) {
+                const int u = x + i - 2;
+                if (u < 0 || u >= columns) continue;
+                const float weight = heads.at[(5 * j + i) * plane + here];
+                const int there = v * width + u;
+                total += weight;
+                sum.r += weight * mixed.at[there];
+                sum.g += weight * mixed.at[plane + there];
+                sum.b += weight * mixed.at[2 * plane + there];
+            }
+        }
+    }
+    filtered.at[here] = sum.r / total;
+    filtered.at[plane + here] = sum.g / total;
+    filtered.at[2 * plane + here] = sum.b / total;
+}
+
+// Filtered colour times reflectance, a border of repeated pixels around it: filtered (3, hp, wp), diffuse_albedo and
+// specular_albedo (h, w, 3), part_rows (th,), part_columns (tw,)
+// -> radiance (3, th + 2, tw + 2), exposed linear.
+extern "C" __global__ void denoise_remodulate(View filtered, View diffuse_albedo, View specular_albedo, View part_rows,
+                                              View part_columns, View radiance) {
+    const int height = radiance.size[1], width = radiance.size[2];
+    PIXEL(width, height);
+    const int v = int(part_rows.at[within(y - 1, height - 2)]), u = int(part_columns.at[within(x - 1, width - 2)]);
+    const size_t from = size_t(filtered.size[1]) * filtered.size[2];
+    const size_t there = size_t(v - int(part_rows.at[0])) * filtered.size[2] + u - int(part_columns.at[0]);
+    const float r = filtered.at[there], g = filtered.at[from + there], b = filtered.at[2 * from + there];
+    const Colour factor = demodulation(diffuse_albedo, specular_albedo, v, u);
+    const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
+    radiance.at[here] = r * factor.r;
+    radiance.at[plane + here] = g * factor.g;
+    radiance.at[2 * plane + here] = b * factor.b;
+}
+
+// Filtered colour, then the same times reflectance, a border of repeated pixels around both: filtered (3, hp, wp),
+// diffuse_albedo and specular_albedo (h, w, 3), part_rows (th,), part_columns (tw,)
+// -> radiance (6, th + 2, tw + 2), exposed linear.
+extern "C" __global__ void denoise_remodulate_guided(View filtered, View diffuse_albedo, View specular_albedo,
+                                                     View part_rows, View part_columns, View radiance) {
+    const int height = radiance.size[1], width = radiance.size[2];
+    PIXEL(width, height);
+    const int v = int(part_rows.at[within(y - 1, height - 2)]), u = int(part_columns.at[within(x - 1, width - 2)]);
+    const size_t from = size_t(filtered.size[1]) * filtered.size[2];
+    const size_t there = size_t(v - int(part_rows.at[0])) * filtered.size[2] + u - int(part_columns.at[0]);
+    const Colour factor = demodulation(diffuse_albedo, specular_albedo, v, u);
+    const float factors[3] = {factor.r, factor.g, factor.b};
+    const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
+#pragma unroll
+    for (int c = 0; c < 3; c++) {
+        const float light = filtered.at[c * from + there];
+        radiance.at[c * plane + here] = light;
+        radiance.at[(3 + c) * plane + here] = light * factors[c];
+    }
+}

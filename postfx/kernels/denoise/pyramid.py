@@ -1,0 +1,153 @@
+"""Kernels after the upscaler's network: filter the pyramid from coarse to fine and put the reflectance back.
+
+Pyramid levels are planar so that the inner loops run along rows with vector instructions. Cells of 2x2 pixels lie where
+those of the whole frame do, so a window's first row or column may be the second one of its cells.
+"""
+
+import numpy as np
+
+from postfx.kernels.denoise.layout import BOTH, KERNEL, MIX, REFLECTANCE, kernel
+from postfx.kernels.numeric import add, add_product, compiled, demodulation, inline, vectorised
+
+ZERO, TINY = np.float32(0), np.float32(1e-8)
+
+
+@vectorised
+def pool_row(upper, lower, level):
+    """Importance-weighted mean over 2x2 pixels of two rows (4, 2 w); the last channel is the mean importance."""
+    quarter = np.float32(0.25)
+    for x in range(level.shape[1]):
+        a, b = upper[3, 2 * x], upper[3, 2 * x + 1]
+        c, d = lower[3, 2 * x], lower[3, 2 * x + 1]
+        total = quarter * (a + b + c + d)
+        share = quarter / (total + TINY)
+        for k in range(3):
+            level[k, x] = share * (a * upper[k, 2 * x] + b * upper[k, 2 * x + 1]
+                                   + c * lower[k, 2 * x] + d * lower[k, 2 * x + 1])
+        level[3, x] = total
+
+
+@compiled
+def pool_rows(y0, y1, finer, finer_rows, finer_columns, level):
+    """A level from the finer one, whose first row and column of each cell are given; what lies beyond has no weight."""
+    h, w, first = finer.shape[1], finer.shape[2], int(finer_columns[0])
+    whole = first == 0 and w == 2 * level.shape[2]
+    lines = np.zeros((2, 4, 2 * level.shape[2]), np.float32)
+    for y in range(y0, y1):
+        at = int(finer_rows[y])
+        if whole and at >= 0 and at + 1 < h:
+            pool_row(finer[:, at], finer[:, at + 1], level[:, y])
+            continue
+        for j in range(2):
+            if 0 <= at + j < h:
+                lines[j, :, -first:w - first] = finer[:, at + j]
+            else:
+                lines[j] = ZERO
+        pool_row(lines[0], lines[1], level[:, y])
+
+
+@vectorised
+def mix_row(coarse, level, share, first, mixed):
+    """The coarser result where the network trusts it more than the level's own colour; `first` is 1 where the row
+    begins with the second pixel of a cell."""
+    for k in range(3):
+        for x in range(share.size):
+            below = coarse[k, (x + first) // 2]
+            mixed[k, x] = below + (level[k, x] - below) * share[x]
+
+
+@compiled
+def mix_rows(y0, y1, coarse, level, heads, coarse_rows, coarse_columns, mixed):
+    """All rows of a level, by the coarser one's rows and columns that theirs lie in."""
+    at = MIX if heads.shape[1] > KERNEL + 1 else KERNEL
+    second = 1 if coarse_columns.size > 1 and coarse_columns[1] > 0 else 0
+    for y in range(y0, y1):
+        mix_row(coarse[:, int(coarse_rows[y])], level[:, y], heads[0, at, y], second, mixed[:, y])
+
+
+@vectorised
+def divide(row, total):
+    for x in range(total.size):
+        row[x] /= total[x]
+
+
+@compiled
+def kernel_row(y, size, mixed, weights, area, total, filtered):
+    """A normalised kernel of its own for every pixel of a row, ``size`` x ``size`` taps; those beyond the picture's
+    ``area`` do not count."""
+    h, w = int(area[0]), int(area[1])
+    filtered[:, y, :] = ZERO
+    if y >= h:
+        return
+    total[:w] = TINY
+    for j in range(size):
+        source = y + j - size // 2
+        if source < 0 or source >= h:
+            continue
+        for i in range(size):
+            shift = i - size // 2
+            left = min(max(0, -shift), w)
+            right = max(left, min(w, w - shift))
+            taps = weights[size * j + i, y, left:right]
+            add(taps, total[left:right])
+            for k in range(3):
+                add_product(taps, mixed[k, source, left + shift:right + shift], filtered[k, y, left:right])
+    for k in range(3):
+        divide(filtered[k, y, :w], total[:w])
+
+
+@compiled
+def filter_rows(y0, y1, mixed, heads, area, filtered):
+    """The 5x5 kernel of a level."""
+    total = np.empty(filtered.shape[2], np.float32)
+    for y in range(y0, y1):
+        kernel_row(y, 5, mixed, heads[0], area, total, filtered)
+
+
+@inline
+def repeat_edge(line, w):
+    """A row of w pixels from the second place on, its first and last ones repeated around it."""
+    line[0], line[w + 1] = line[1], line[w]
+
+
+@compiled
+def remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows, part_columns, radiance):
+    """Filtered colour times reflectance: (3, th + 2, tw + 2) exposed linear, a border of repeated pixels around it."""
+    h, w = part_rows.size, part_columns.size
+    top, left = int(part_rows[0]), int(part_columns[0])
+    for row in range(y0, y1):
+        y = int(part_rows[min(max(row - 1, 0), h - 1)])
+        for x in range(w):
+            column = int(part_columns[x])
+            r, g, b = demodulation(diffuse_albedo, specular_albedo, y, column)
+            radiance[0, row, x + 1] = filtered[0, y - top, column - left] * r
+            radiance[1, row, x + 1] = filtered[1, y - top, column - left] * g
+            radiance[2, row, x + 1] = filtered[2, y - top, column - left] * b
+        for c in range(3):
+            repeat_edge(radiance[c, row], w)
+
+
+@compiled
+def remodulate_guided_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows, part_columns, both):
+    """Filtered colour, then the same times reflectance: (6, th + 2, tw + 2), likewise."""
+    h, w = part_rows.size, part_columns.size
+    top, left = int(part_rows[0]), int(part_columns[0])
+    remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows, part_columns, both[3:])
+    for row in range(y0, y1):
+        y = int(part_rows[min(max(row - 1, 0), h - 1)]) - top
+        for c in range(3):
+            for x in range(w):
+                both[c, row, x + 1] = filtered[c, y, int(part_columns[x]) - left]
+            repeat_edge(both[c, row], w)
+
+
+PLANAR = (3, "hp", "wp")
+POOL = kernel("pool", ("finer", "finer_rows", "finer_columns"), ("level",), pool_rows, ("level", 1))
+MIX_LEVELS = kernel("mix", ("coarse", "level", "heads", "coarse_rows", "coarse_columns"), ("mixed",), mix_rows,
+                    ("mixed", 1), mixed=PLANAR)
+FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1),
+                mixed=("channels", "hp", "wp"))
+REMODULATE = kernel("remodulate", ("filtered", *REFLECTANCE, "part_rows", "part_columns"), ("radiance",),
+                    remodulate_rows, ("radiance", 1))
+REMODULATE_GUIDED = kernel("remodulate_guided", ("filtered", *REFLECTANCE, "part_rows", "part_columns"), ("radiance",),
+                           remodulate_guided_rows, ("radiance", 1), radiance=BOTH)

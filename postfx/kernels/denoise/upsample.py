@@ -1,0 +1,344 @@
+"""Output pixels from render pixels by predicted weights, and the blend with the history.
+
+Loops over rows from render size to output size: taps, phases and sharpening of the upscaler's last kernels.
+
+What a row needs is split into many small loops over few arrays, because those become vector code.
+
+Kernels that enlarge the filtered radiance, sharpen it and blend it with the reprojected history.
+
+Every output row is made in planar rows, where loops over few arrays become vector code, and interleaved at its end.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from postfx.kernels.denoise.guides import place_of, trust_row
+from postfx.kernels.denoise.layout import (
+    BLEND,
+    BOTH,
+    EXPOSURE,
+    GUIDE_REFLECTANCE,
+    HEIGHT,
+    JITTER_X,
+    JITTER_Y,
+    LEFT,
+    MOST_LOG,
+    OUT_HEIGHT,
+    OUT_LEFT,
+    OUT_TOP,
+    OUT_WIDTH,
+    PHASES,
+    SHARPEN,
+    TOP,
+    WIDTH,
+    kernel,
+)
+from postfx.kernels.denoise.reactive import kept_row
+from postfx.kernels.numeric import (
+    add,
+    add_product,
+    centre,
+    compiled,
+    demodulation,
+    expm1,
+    fused,
+    inline,
+    log_encode,
+    vectorised,
+)
+
+SIGMA, WIDE_SIGMA = 0.5, 1.0
+ZERO, HALF = np.float32(0), np.float32(0.5)
+
+
+@inline
+def gauss(distance):
+    """How much a sample says about an output pixel at a distance in render pixels."""
+    return np.float32(math.exp(-(distance * distance) / (2 * SIGMA * SIGMA)))
+
+
+@inline
+def wide_gauss(offset):
+    """Normalised weights of the samples at -1, 0 and 1 plus ``offset`` for the softened picture."""
+    a = math.exp(-((offset - 1) * (offset - 1)) / (2 * WIDE_SIGMA * WIDE_SIGMA))
+    b = math.exp(-(offset * offset) / (2 * WIDE_SIGMA * WIDE_SIGMA))
+    c = math.exp(-((offset + 1) * (offset + 1)) / (2 * WIDE_SIGMA * WIDE_SIGMA))
+    total = a + b + c
+    return np.float32(a / total), np.float32(b / total), np.float32(c / total)
+
+
+@inline
+def lean(offset):
+    """Share of the right or lower of the two quarter-pixel corners at an offset."""
+    return np.float32(min(max(2 * offset + 0.5, 0.0), 1.0))
+
+
+@inline
+def held(px, py, width, height):
+    """Whether a position lies in a picture."""
+    return -HALF <= px <= np.float32(width) - HALF and -HALF <= py <= np.float32(height) - HALF
+
+
+@vectorised
+def between(upper, lower, share, scale, out):
+    """Linear interpolation of two rows, scaled."""
+    for x in range(out.size):
+        out[x] = (upper[x] + (lower[x] - upper[x]) * share) * scale
+
+
+@vectorised
+def lean_on(corners, index, leans, out):
+    """Linear interpolation between the left and right corners of the pixels at ``index``."""
+    for x in range(index.size):
+        at = index[x]
+        out[x] = corners[0, at] + (corners[1, at] - corners[0, at]) * leans[x]
+
+
+@vectorised
+def scaled(row, scale, out):
+    for x in range(out.size):
+        out[x] = row[x] * scale
+
+
+@vectorised
+def weighted(a, b, c, u, v, w, out):
+    """a * u + b * v + c * w, over the length of ``out``."""
+    for x in range(out.size):
+        out[x] = a[x] * u + b[x] * v + c[x] * w
+
+
+@vectorised
+def weighted_picked(row, weights, index, out):
+    """Three neighbours of a row, beginning at ``index``, by weights (3, width)."""
+    for x in range(index.size):
+        at = index[x]
+        out[x] = row[at] * weights[0, x] + row[at + 1] * weights[1, x] + row[at + 2] * weights[2, x]
+
+
+@vectorised
+def add_picked(corners, source, gauss_x, index, leans, total, row):
+    """Add a tap to a row at any scale; ``index`` and ``leans`` say which pixel and how far right in it."""
+    for x in range(index.size):
+        at = index[x]
+        k = (corners[0, at] + (corners[1, at] - corners[0, at]) * leans[x]) * gauss_x[x]
+        total[x] += k
+        for c in range(3):
+            row[c, x] += k * source[c, at]
+
+
+@vectorised
+def encode_sharp(row, total, soft, sharpen):
+    """Normalise a row by its sum of weights, log-encode it, and sharpen it against a softened one."""
+    for x in range(total.size):
+        row[x] = log_encode(row[x] / total[x])
+    for x in range(total.size):
+        row[x] = max(row[x] + sharpen[x] * (row[x] - log_encode(soft[x])), ZERO)
+
+
+@vectorised
+def place(row, first, step, flat):
+    """Spread a row over an interleaved one."""
+    for x in range(row.size):
+        flat[first + step * x] = row[x]
+
+
+TAPS = 9
+ONE, TINY = np.float32(1), np.float32(1e-8)
+
+
+@fused
+def blend_rows(current, warped, trust, darken, history, output):
+    """Blend with the reprojected history and decode, all channels interleaved; rounding makes no light negative, and
+    what is broken counts as nothing."""
+    for i in range(history.size):
+        now = current[i] if current[i] <= MOST_LOG else ZERO
+        mixed = now + (warped[i] - now) * trust[i]
+        history[i] = max(mixed, ZERO) if mixed <= MOST_LOG else now
+    for i in range(history.size):
+        output[i] = expm1(history[i]) * darken
+
+
+@fused
+def factor_row(y, left, diffuse_albedo, specular_albedo, guide):
+    """The guides' reflectance in a row of the output, planar."""
+    for x in range(guide.shape[1]):
+        at = min(left + x, diffuse_albedo.shape[1] - 1)
+        guide[0, x], guide[1, x], guide[2, x] = demodulation(diffuse_albedo, specular_albedo, y, at)
+
+
+@vectorised
+def guided_row(plain, factor, trust, first, step, row):
+    """A row without reflectance times that of the guides, every ``step``-th from ``first`` on, as far as these are
+    trusted; for the rest the ``plain`` row, which has the reflectance of the render size."""
+    for x in range(row.size):
+        at = first + step * x
+        row[x] = plain[x] + (row[x] * factor[at] - plain[x]) * trust[at]
+
+
+@compiled
+def trust_side(first, y, size, moved, past, scale, share, trust):
+    """At scale 2, how much of the history each output pixel on one side of the render pixels keeps, from ``first`` on.
+
+    ``share`` is how much each render pixel may keep, ``trust`` the predicted blend at first; nothing is kept where the
+    pixel lay beyond the border, or where the history does not hold it.
+    """
+    for x in range(trust.size):
+        px, py = np.float32(2 * x + first) + moved[x, 0] * scale[0], y + moved[x, 1] * scale[1]
+        kept = held(px, py, size[0], size[1]) and past[x, 3] >= ZERO
+        trust[x] = share[x] * (ONE - trust[x]) if kept else ZERO
+
+
+@inline
+def softened(line, wide_x, side, out):
+    """The wide Gaussian of a row of the softened picture, at one side of the render pixels."""
+    weighted(line, line[1:], line[2:], wide_x[0, side], wide_x[1, side], wide_x[2, side], out)
+
+
+@compiled
+def double_row(y, left, iy, lower, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, share,
+               guide, rows, soft, current, trust):
+    """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps."""
+    channels, w = radiance.shape[0], rows.shape[1]
+    total, line = rows[channels], rows[channels + 1]
+    for side in range(2):
+        corner = 2 * lower + side
+        rows[:channels], rows[channels] = ZERO, TINY
+        for tap in range(TAPS):
+            j, i = tap // 3, tap % 3
+            scaled(fine[0, PHASES + 4 * tap + corner, iy], gauss_y[j] * gauss_x[i, side], line)
+            add(line, total)
+            for c in range(channels):
+                add_product(line, radiance[c, iy + j, i:i + w], rows[c])
+        for c in range(3):
+            softened(column[c], wide_x, side, soft)
+            if channels > 3:
+                softened(column[3 + c], wide_x, side, line)
+                guided_row(line, guide[c], guide[3], side, 2, soft)
+                guided_row(rows[3 + c], guide[c], guide[3], side, 2, rows[c])
+            encode_sharp(rows[c], total, soft, fine[0, SHARPEN + corner, iy])
+            place(rows[c], 3 * side + c, 6, current)
+        line[:] = fine[0, BLEND + corner, iy, :w]
+        trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, line)
+        for c in range(3):
+            place(line, 3 * side + c, 6, trust)
+
+
+@compiled
+def control_row(first, iy, ty, fine, index, leans, corners, out):
+    """A control that is predicted at four phases, for a row at any scale."""
+    for side in range(2):
+        between(fine[0, first + side, iy], fine[0, first + 2 + side, iy], ty, ONE, corners[side])
+    lean_on(corners, index, leans, out)
+
+
+@compiled
+def any_row(y, left, iy, ty, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, share, guide,
+            index, leans, corners, rows, soft, current, trust):
+    """A row at any scale."""
+    channels, w = radiance.shape[0], corners.shape[1]
+    total, line, sharpen = rows[channels], rows[channels + 1], rows[channels + 2]
+    rows[:channels], rows[channels] = ZERO, TINY
+    for tap in range(TAPS):
+        j, i = tap // 3, tap % 3
+        for side in range(2):
+            corner = PHASES + 4 * tap + side
+            between(fine[0, corner, iy], fine[0, corner + 2, iy], ty, gauss_y[j], corners[side])
+        add_picked(corners, radiance[:3, iy + j, i:i + w], gauss_x[i], index, leans, total, rows[:3])
+        if channels > 3:
+            add_picked(corners, radiance[3:, iy + j, i:i + w], gauss_x[i], index, leans, line, rows[3:6])
+    control_row(SHARPEN, iy, ty, fine, index, leans, corners, sharpen)
+    for c in range(3):
+        weighted_picked(column[c], wide_x, index, soft)
+        if channels > 3:
+            weighted_picked(column[3 + c], wide_x, index, line)
+            guided_row(line, guide[c], guide[3], 0, 1, soft)
+            guided_row(rows[3 + c], guide[c], guide[3], 0, 1, rows[c])
+        encode_sharp(rows[c], total, soft, sharpen)
+        place(rows[c], c, 3, current)
+    control_row(BLEND, iy, ty, fine, index, leans, corners, line)
+    for x in range(index.size):
+        at = index[x]
+        px, py = np.float32(left + x) + moved[iy, at, 0] * scale[0], np.float32(y) + moved[iy, at, 1] * scale[1]
+        inside = held(px, py, size[0], size[1]) and past[iy, at, 3] >= ZERO
+        trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = share[at] * (ONE - line[x]) if inside else ZERO
+
+
+@compiled
+def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, cells, guided, params,
+                 window, keep, output, history):
+    """Output pixels from 3x3 samples by predicted weight and distance, blended with the reprojected history.
+
+    The albedos have the frame's output size; they and the cells of trust are looked at only if ``guided``.
+    """
+    frame_h, frame_w, frame_height, frame_width = (int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]),
+                                                   int(window[OUT_WIDTH]))
+    channels, (h, w) = radiance.shape[0], moved.shape[:2]
+    height, width = output.shape[:2]
+    left = int(window[OUT_LEFT])
+    size = frame_width, frame_height
+    scale = np.float32(frame_width / frame_w), np.float32(frame_height / frame_h)
+    index, leans = np.empty(width, np.int64), np.empty(width, np.float32)
+    gauss_x, gauss_y = np.empty((3, width), np.float32), np.empty(3, np.float32)
+    wide_x, places = np.empty((3, width), np.float32), np.empty(width, np.float32)
+    held_h, held_w = min(h, frame_h - int(window[TOP])), min(w, frame_w - int(window[LEFT]))
+    for x in range(width):
+        at, offset = centre(min(left + x, frame_width - 1), frame_w, frame_width)
+        index[x] = min(max(at - int(window[LEFT]), 0), w - 1)
+        places[x] = place_of(index[x], offset, held_w)
+        leans[x] = lean(offset)
+        wide_x[0, x], wide_x[1, x], wide_x[2, x] = wide_gauss(params[JITTER_X] - offset)
+        for i in range(3):
+            gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
+    double = frame_width == 2 * frame_w and frame_height == 2 * frame_h
+    corners, rows = np.empty((2, w), np.float32), np.empty((channels + 3, w if double else width), np.float32)
+    column, soft = np.empty((channels, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
+    current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
+    share = np.empty(w, np.float32)
+    guide = np.empty((4, width if guided else 0), np.float32)
+    for row in range(y0, y1):
+        y = min(int(window[OUT_TOP]) + row, frame_height - 1)
+        iy, offset = centre(y, frame_h, frame_height)
+        iy = min(max(iy - int(window[TOP]), 0), h - 1)
+        kept_row(keep, iy, share)
+        upper, middle, lower = wide_gauss(params[JITTER_Y] - offset)
+        for j in range(3):
+            gauss_y[j] = gauss(j - 1 + params[JITTER_Y] - offset)
+        for c in range(channels):
+            weighted(radiance[c, iy], radiance[c, iy + 1], radiance[c, iy + 2], upper, middle, lower, column[c])
+        if guided:
+            factor_row(y, left, diffuse_albedo, specular_albedo, guide)
+            trust_row(cells, place_of(iy, offset, held_h), places, guide[3])
+        if double:
+            double_row(y, left, iy, y % 2, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale,
+                       share, guide, rows, soft, current, trust)
+        else:
+            any_row(y, left, iy, lean(offset), radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size,
+                    scale, share, guide, index, leans, corners, rows, soft, current, trust)
+        blend_rows(current, warped[row].reshape(3 * width), trust, ONE / params[EXPOSURE],
+                   history[row].reshape(3 * width), output[row].reshape(3 * width))
+
+
+@compiled
+def upsample_rows(y0, y1, radiance, fine, moved, past, warped, params, window, keep, output, history):
+    """Radiance that already holds the reflectance."""
+    resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, warped, False, params, window, keep,
+                 output, history)
+
+
+@compiled
+def guided_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, trust, params, window,
+                keep, output, history):
+    """Radiance without reflectance, which is put back at output size as far as the guides are trusted; for the rest
+    that with the reflectance of the render size."""
+    resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, trust, True, params,
+                 window, keep, output, history)
+
+
+WRITES = ("output", "next_history")
+READS = ("radiance", "fine", "moved", "past", "warped")
+UPSAMPLE = kernel("upsample", (*READS, "params", "window", "keep"), WRITES, upsample_rows, ("output", 0))
+UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "trust", "params", "window", "keep"), WRITES,
+                         guided_rows, ("output", 0), radiance=BOTH)

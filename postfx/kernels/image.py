@@ -1,0 +1,382 @@
+"""Pictures: another size, a transparency overlay, a checkerboard, and which cells of a mask are active.
+
+Cubic resampling of any plane to another size.
+
+Kernels of transparency overlays, premultiplied RGBA: cubic enlarging without halos, and compositing.
+
+A checkerboard of two greys.
+
+Bindings (float32): rows (height,) and columns (width,), 0 or 1 by turns from cell to cell; greys (2,), of cells where
+both are the same and of the others; output (height, width, 3). The torch definition is
+`training.kernels.tonemap.Checkerboard`.
+
+What a coarse grid's cells hold: means and moments, by which cuts are found, and whether anything is positive.
+
+Runs on the host, before a frame is uploaded.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from postfx.kernels.kernel import Kernel
+from postfx.kernels.numeric import add, clamp, compiled, inline, vectorised
+
+ZERO, ONE, INFINITE = np.float32(0), np.float32(1), np.float32(np.inf)
+MARGIN = 5  # pixels beside a row, so that no tap lies outside
+EVEN = np.float32(1e-3)
+
+
+@inline
+def catmull_rom(t):
+    """Weights of the four taps around a position ``t`` in [0, 1) after the second one (Keys 1981, a = -0.5)."""
+    half = np.float32(0.5)
+    return (((-half * t + ONE) * t - half) * t, (np.float32(1.5) * t - np.float32(2.5)) * t * t + ONE,
+            ((np.float32(-1.5) * t + np.float32(2)) * t + half) * t, (half * t - half) * t * t)
+
+
+@inline
+def known(value):
+    return value if abs(value) < INFINITE else ZERO
+
+
+@compiled
+def clean(source, target):
+    for i in range(source.size):
+        target[i] = known(source[i])
+
+
+@compiled
+def clean_row(source, channels, line):
+    """A flat row with its first and last pixel repeated in the margins; what is not finite counts as 0."""
+    first, end = MARGIN * channels, MARGIN * channels + source.size
+    clean(source, line[first:])
+    for beside in range(MARGIN):
+        for k in range(channels):
+            line[beside * channels + k] = line[first + k]
+            line[end + beside * channels + k] = line[end - channels + k]
+
+
+@compiled
+def down_row(a, b, c, d, weights, value):
+    """Cubic sum of four rows."""
+    u, v, w, z = weights
+    for i in range(value.size):
+        value[i] = u * a[i] + v * b[i] + w * c[i] + z * d[i]
+
+
+@compiled
+def bounds_row(b, c, channels, low, high, least, most):
+    """The least and the largest of two rows, of each pixel and the one after it; `low` and `high` of each alone."""
+    for i in range(b.size):
+        low[i], high[i] = min(b[i], c[i]), max(b[i], c[i])
+    next_low, next_high = low[channels:], high[channels:]
+    for i in range(next_low.size):
+        least[i], most[i] = min(low[i], next_low[i]), max(high[i], next_high[i])
+
+
+@compiled
+def across_row(value, least, most, index, weights, channels, row):
+    """Cubic sums along a row whose taps begin at `index`, held within the four nearest samples."""
+    for x in range(index.size):
+        u, v, w, z = weights[0, x], weights[1, x], weights[2, x], weights[3, x]
+        for i in range(index[x], index[x] + channels):
+            a, b, c, d = i, i + channels, i + 2 * channels, i + 3 * channels
+            cubic = u * value[a] + v * value[b] + w * value[c] + z * value[d]
+            row[channels * x + i - index[x]] = min(max(cubic, least[b]), most[b])
+
+
+@compiled
+def is_doubled(columns, w):
+    """Whether the result has twice the columns, evenly, so that all even ones lie alike, and all odd ones."""
+    if columns.size != 2 * w or abs(columns[0]) > MARGIN - 3 or abs(columns[1]) > MARGIN - 3:
+        return False
+    for x in range(w):
+        if abs(columns[2 * x] - x - columns[0]) > EVEN or abs(columns[2 * x + 1] - x - columns[1]) > EVEN:
+            return False
+    return True
+
+
+@compiled
+def even_row(a, b, c, d, least, most, weights, out):
+    """Like `across_row` for every second pixel, whose four taps lie alike."""
+    u, v, w, z = weights
+    for i in range(out.size):
+        out[i] = min(max(u * a[i] + v * b[i] + w * c[i] + z * d[i], least[i]), most[i])
+
+
+@inline
+def put_pixel(source, at, row, target):
+    """Three values, and the one after them, which the next pixel is written over: four are one instruction."""
+    a, b, c, d = source[at], source[at + 1], source[at + 2], source[at + 3]
+    row[target], row[target + 1], row[target + 2], row[target + 3] = a, b, c, d
+
+
+@compiled
+def interleave(even, odd, channels, row):
+    """Pixels of two rows in turn."""
+    first = 0
+    if channels == 1:
+        for x in range(even.size):
+            row[2 * x], row[2 * x + 1] = even[x], odd[x]
+        return
+    if channels == 3:
+        first = even.size // 3 - 1
+        for x in range(first):
+            put_pixel(even, 3 * x, row, 6 * x)
+            put_pixel(odd, 3 * x, row, 6 * x + 3)
+    for x in range(first, even.size // channels):
+        for k in range(channels):
+            row[2 * channels * x + k] = even[channels * x + k]
+            row[channels * (2 * x + 1) + k] = odd[channels * x + k]
+
+
+@compiled
+def double_row(value, least, most, columns, channels, sides, row):
+    """A row of twice as many pixels, evenly."""
+    for side in range(2):
+        at = math.floor(columns[side])
+        first = channels * (MARGIN + int(at) - 1)
+        second, third, fourth = first + channels, first + 2 * channels, first + 3 * channels
+        even_row(value[first:], value[second:], value[third:], value[fourth:], least[second:], most[second:],
+                 catmull_rom(columns[side] - np.float32(at)), sides[side])
+    interleave(sides[0], sides[1], channels, row)
+
+
+@compiled
+def taps_of(columns, w, channels):
+    """Where in a row with margins the four taps of each column begin, and their weights."""
+    index, weights = np.empty(columns.size, np.int64), np.empty((4, columns.size), np.float32)
+    for x in range(columns.size):
+        left = math.floor(columns[x])
+        weights[0, x], weights[1, x], weights[2, x], weights[3, x] = catmull_rom(columns[x] - np.float32(left))
+        index[x] = channels * (MARGIN - 1 + min(max(int(left), -3), w + 2))
+    return index, weights
+
+
+@compiled
+def resample_rows(y0, y1, image, rows, columns, output):
+    """Cubic interpolation at `rows` (height,) and `columns` (width,), positions in the image, pixel centres whole.
+
+    Values stay within those of the four nearest samples, so that edges do not ring and nothing turns negative; of a
+    position on a row or column of the image, the next one after it counts as near. What is not finite counts as 0.
+    """
+    h, w, channels = image.shape
+    flat, width, size = image.reshape(h, w * channels), output.shape[1], (w + 2 * MARGIN) * channels
+    doubled = is_doubled(columns, w)
+    index, weights = taps_of(columns[:0] if doubled else columns, w, channels)
+    lines, numbers, slots = np.empty((4, size), np.float32), np.full(4, -1), np.empty(4, np.int64)
+    value, low, high = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+    least, most = np.empty(size, np.float32), np.empty(size, np.float32)
+    sides, bounded = np.empty((2, w * channels), np.float32), np.full(2, -1)
+    for y in range(y0, y1):
+        top = math.floor(rows[y])
+        for j in range(4):  # rows near each other have places of their own
+            near = min(max(int(top) - 1 + j, 0), h - 1)
+            slots[j] = near % 4
+            if numbers[slots[j]] != near:
+                numbers[slots[j]] = near
+                clean_row(flat[near], channels, lines[slots[j]])
+        down_row(lines[slots[0]], lines[slots[1]], lines[slots[2]], lines[slots[3]],
+                 catmull_rom(rows[y] - np.float32(top)), value)
+        if bounded[0] != numbers[slots[1]] or bounded[1] != numbers[slots[2]]:
+            bounded[0], bounded[1] = numbers[slots[1]], numbers[slots[2]]
+            bounds_row(lines[slots[1]], lines[slots[2]], channels, low, high, least, most)
+        row = output[y].reshape(width * channels)
+        if doubled:
+            double_row(value, least, most, columns, channels, sides, row)
+        else:
+            across_row(value, least, most, index, weights, channels, row)
+
+
+def positions(size: int, out_size: int, shift: float = 0.0) -> np.ndarray:
+    """Where the output's pixel centres lie in an image whose samples are `shift` pixels off their centres."""
+    return ((np.arange(out_size) + 0.5) * (size / out_size) - 0.5 - shift).astype(np.float32)
+
+
+def resampled(image: np.ndarray, height: int, width: int, jitter: tuple[float, float]) -> np.ndarray:
+    """Cubic interpolation of (h, w, C), whose samples are `jitter` (x, y) pixels off their centres, in this thread."""
+    output = np.empty((height, width, image.shape[2]), np.float32)
+    h, w = image.shape[:2]
+    resample_rows(0, height, np.ascontiguousarray(image, np.float32), positions(h, height, jitter[1]),
+                  positions(w, width, jitter[0]), output)
+    return output
+
+
+RESAMPLE = Kernel("resample", ("image", "rows", "columns"), ("output",), resample_rows, ("output", 0),
+                  {"image": ("h", "w", "channels"), "rows": ("height",), "columns": ("width",),
+                   "output": ("height", "width", "channels")})
+
+
+
+
+@inline
+def straight(light, alpha, empty):
+    """Colour of what covers a pixel: light over alpha; infinite where light comes from what covers nothing, `empty`
+    where there is nothing at all."""
+    light, alpha = known(light), known(alpha)
+    if alpha > ZERO:
+        return light / alpha
+    return empty if light == ZERO else INFINITE if light > ZERO else -INFINITE
+
+
+@compiled
+def straight_row(upper, lower, least, most):
+    """Least and largest straight colour (w, 3) of two rows (w, 4), pixel by pixel."""
+    for x in range(least.shape[0]):
+        above, below = upper[x, 3], lower[x, 3]
+        for c in range(3):
+            first, second = upper[x, c], lower[x, c]
+            least[x, c] = min(straight(first, above, INFINITE), straight(second, below, INFINITE))
+            most[x, c] = max(straight(first, above, -INFINITE), straight(second, below, -INFINITE))
+
+
+@compiled
+def hold_row(least, most, near, row):
+    """Alpha within [0, 1], and colours within what the nearest straight colours make of that alpha."""
+    for x in range(row.shape[0]):
+        left, right = near[0, x], near[1, x]
+        alpha = clamp(row[x, 3], ZERO, ONE)
+        row[x, 3] = alpha
+        for c in range(3):
+            low, high = min(least[left, c], least[right, c]), max(most[left, c], most[right, c])
+            held = min(row[x, c], high * alpha) if abs(high) < INFINITE else row[x, c]
+            row[x, c] = max(held, low * alpha) if abs(low) < INFINITE else held
+
+
+@inline
+def nearest(position, size):
+    """The two samples around a position."""
+    first = int(math.floor(position))
+    return min(max(first, 0), size - 1), min(max(first + 1, 0), size - 1)
+
+
+@compiled
+def enlarge_rows(y0, y1, image, rows, columns, output):
+    """Cubic like `resample_rows`, and colours are no brighter and no darker than the nearest four pixels' own colours
+    at the coverage that comes out: so edges have no halo, whatever they are composited over."""
+    resample_rows(y0, y1, image, rows, columns, output)
+    h, w = image.shape[:2]
+    near = np.empty((2, columns.size), np.int64)
+    for x in range(columns.size):
+        near[0, x], near[1, x] = nearest(columns[x], w)
+    least, most = np.empty((w, 3), np.float32), np.empty((w, 3), np.float32)
+    held = -1, -1
+    for y in range(y0, y1):
+        lines = nearest(rows[y], h)
+        if lines != held:
+            straight_row(image[lines[0]], image[lines[1]], least, most)
+        held = lines
+        hold_row(least, most, near, output[y])
+
+
+@inline
+def over(front, alpha, behind):
+    """Porter and Duff 1984, premultiplied."""
+    return known(front) + (ONE - clamp(alpha, ZERO, ONE)) * known(behind)
+
+
+@compiled
+def over_rows(y0, y1, overlay, colour, output):
+    for y in range(y0, y1):
+        for x in range(output.shape[1]):
+            for c in range(3):
+                output[y, x, c] = over(overlay[y, x, c], overlay[y, x, 3], colour[y, x, c])
+
+
+@compiled
+def over_alpha_rows(y0, y1, overlay, alpha, output):
+    for y in range(y0, y1):
+        for x in range(output.shape[1]):
+            covered = clamp(overlay[y, x, 3], ZERO, ONE)
+            output[y, x, 0] = over(covered, covered, alpha[y, x, 0])
+
+
+RGBA, COLOUR, ALPHA = (("height", "width", channels) for channels in (4, 3, 1))
+ENLARGE = Kernel("overlay_enlarge", ("image", "rows", "columns"), ("output",), enlarge_rows, ("output", 0),
+                 {"image": ("h", "w", 4), "rows": ("height",), "columns": ("width",), "output": RGBA})
+OVER = Kernel("overlay_over", ("overlay", "colour"), ("output",), over_rows, ("output", 0),
+              {"overlay": RGBA, "colour": COLOUR, "output": COLOUR})
+OVER_ALPHA = Kernel("overlay_over_alpha", ("overlay", "alpha"), ("output",), over_alpha_rows, ("output", 0),
+                    {"overlay": RGBA, "alpha": ALPHA, "output": ALPHA})
+
+
+@compiled
+def rows(y0, y1, rows, columns, greys, output):
+    """Output rows y0..y1-1."""
+    for y in range(y0, y1):
+        for x in range(columns.size):
+            grey = greys[0] if rows[y] == columns[x] else greys[1]
+            for c in range(3):
+                output[y, x, c] = grey
+
+
+def turns(size: int, side: float) -> np.ndarray:
+    """0 or 1 of each of `size` pixels in a row, changing every `side` pixels; float32 (size,)."""
+    return ((np.arange(size) + 0.5) // side % 2).astype(np.float32)
+
+
+CHECKERBOARD = Kernel(
+    name="checkerboard",
+    reads=("rows", "columns", "greys"),
+    writes=("output",),
+    rows=rows,
+    row_axis=("output", 0),
+    shapes={"rows": ("height",), "columns": ("width",), "greys": (2,), "output": ("height", "width", 3)},
+)
+
+
+@compiled
+def box_means(planes, width, means):
+    """Mean over width x width cells, an odd number, edges repeated; planes (rows, columns, channels) to the same."""
+    rows, columns, channels = planes.shape
+    near, share = width // 2, 1.0 / (width * width)
+    flat, written = planes.reshape(rows, columns * channels), means.reshape(rows, columns * channels)
+    line = np.empty((columns + 2 * near) * channels)
+    inner = line[near * channels:(near + columns) * channels]
+    for y in range(rows):
+        inner[:] = 0.0
+        for v in range(y - near, y + near + 1):
+            add(flat[min(max(v, 0), rows - 1)], inner)
+        for i in range(near * channels):
+            line[i] = inner[i % channels]
+            line[(near + columns) * channels + i] = inner[(columns - 1) * channels + i % channels]
+        written[y] = 0.0
+        for u in range(width):
+            add(line[u * channels:], written[y])
+        for i in range(written.shape[1]):
+            written[y, i] *= share
+
+
+@vectorised
+def products(a, b, mean_a, mean_b):
+    """Sums of squares and of products of two channels without their means."""
+    square_a = square_b = both = 0.0
+    for i in range(a.size):
+        x, y = a[i] - mean_a, b[i] - mean_b
+        square_a, square_b, both = square_a + x * x, square_b + y * y, both + x * y
+    return square_a, square_b, both
+
+
+@compiled
+def moments(a, b):
+    """Mean square of two sets of cells (cells, channels) without the means of their channels, and mean product."""
+    cells, channels = a.shape
+    square_a = square_b = both = 0.0
+    for c in range(channels):
+        of_a, of_b = np.ascontiguousarray(a[:, c]), np.ascontiguousarray(b[:, c])
+        found = products(of_a, of_b, of_a.sum() / cells, of_b.sum() / cells)
+        square_a, square_b, both = square_a + found[0], square_b + found[1], both + found[2]
+    count = cells * channels
+    return square_a / count, square_b / count, both / count
+
+
+@compiled
+def mark_positive(plane, side, cells):
+    """Set cells of side x side pixels in which a plane (h, w, 1) is positive anywhere."""
+    for y in range(plane.shape[0]):
+        for x in range(plane.shape[1]):
+            if plane[y, x, 0] > 0:
+                cells[y // side, x // side] = True

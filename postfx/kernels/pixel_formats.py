@@ -1,0 +1,107 @@
+"""Pixels as files hold them: half precision and 8 bits with dither.
+
+Pixels as files store them, on the host: one walk over the picture where NumPy makes several.
+
+Code values to eight bits by thresholds, on the host: one walk over the picture where NumPy makes eight.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postfx.kernels.numeric import compiled
+
+ZERO, ONE = np.float32(0), np.float32(1)
+LARGEST = np.int32(0x477FE000)
+"""Bits in float32 of 65504, the largest half float."""
+INFINITY, LEAST_NORMAL = np.int32(0x7F800000), np.int32(0x38800000)
+REBIAS, ROUND = np.int32(0x38000000), np.int32(0xFFF)
+SUBNORMALS = np.float32(2**24)
+"""Half floats below the least normal one are whole numbers over this."""
+
+
+@compiled
+def halve(values, bits, output):
+    """output (n,) uint16 = bits of the half floats nearest to `values` (n,) float32, ties to even, cut to +-65504.
+
+    `bits` are those of `values`, as int32. NaN stays NaN.
+    """
+    for i in range(values.size):
+        size = bits[i] & np.int32(0x7FFFFFFF)
+        cut = min(size, LARGEST)
+        normal = (cut + ROUND + ((cut >> np.int32(13)) & np.int32(1)) - REBIAS) >> np.int32(13)
+        small = np.int32(np.rint(min(abs(values[i]), ONE) * SUBNORMALS))
+        half = normal if cut >= LEAST_NORMAL else small
+        half = half if size <= INFINITY else np.int32(0x7E00)
+        output[i] = np.uint16(half | ((bits[i] >> np.int32(16)) & np.int32(0x8000)))
+
+
+@compiled
+def look_up(codes, table, output):
+    """output (n,) float32 = `table` between its entries, which lie evenly over codes (n,) float32 from 0 to 1 and end
+    with the last one twice. Returns whether all codes lie there."""
+    last = np.float32(table.size - 2)
+    beside = False
+    for i in range(codes.size):
+        code = codes[i] if codes[i] > ZERO else ZERO  # NaN, too
+        code = code if code < ONE else ONE
+        beside |= code != codes[i]
+        place = code * last
+        whole = np.int32(place)
+        entry = np.uint32(whole)  # an index that may be negative is looked at once more: three times as long
+        low = table[entry]
+        output[i] = low + (place - np.float32(whole)) * (table[entry + np.uint32(1)] - low)
+    return not beside
+
+
+@compiled
+def part(plain, differences):
+    """differences (n,) uint8 = bytes of `plain` (n,) uint8, n even, as OpenEXR compresses them (ImfZip.cpp): those in
+    even places before those in odd ones, each less the one before it, plus 128."""
+    half = plain.size // 2
+    differences[0] = plain[0]
+    for i in range(1, half):
+        differences[i] = plain[2 * i] - plain[2 * i - 2] + 128
+    differences[half] = plain[1] - plain[2 * half - 2] + 128
+    for i in range(1, half):
+        differences[half + i] = plain[2 * i + 1] - plain[2 * i - 1] + 128
+
+
+@compiled
+def paeth(rows, above, step, output):
+    """output (h, n + 1) uint8 = rows (h, n) uint8 by PNG's filter 4, after its number (ISO/IEC 15948, 9.4).
+
+    `above` (n,) is the row before, zeros for the first; `step` the bytes of a pixel.
+    """
+    for y in range(rows.shape[0]):
+        row, output[y, 0] = rows[y], 4
+        for i in range(step):
+            output[y, 1 + i] = row[i] - above[i]
+        for i in range(step, row.size):
+            left, up, corner = np.int32(row[i - step]), np.int32(above[i]), np.int32(above[i - step])
+            guess = left + up - corner
+            to_left, to_up, to_corner = abs(guess - left), abs(guess - up), abs(guess - corner)
+            nearer = up if to_up <= to_corner else corner
+            output[y, 1 + i] = row[i] - (left if to_left <= min(to_up, to_corner) else nearer)
+        above = row
+
+
+
+
+@compiled
+def dither_rows(codes, top, thresholds, output):
+    """output (height, values) uint8 = the whole part of top * codes, cut to 0..1, plus a threshold.
+
+    codes: (height, values) float32, NaN counts as 0; thresholds (rows, columns) float32 in (0, 1), repeated.
+    """
+    height, values = codes.shape
+    rows, columns = thresholds.shape
+    for y in range(height):
+        row = thresholds[y % rows]
+        for start in range(0, values, columns):
+            # pieces with an index from 0: otherwise the compiler finds no vector instructions for them
+            some, found = codes[y, start : start + columns], output[y, start : start + columns]
+            for i in range(some.size):
+                value = some[i] if some[i] > ZERO else ZERO  # NaN, too
+                value = value if value < ONE else ONE
+                found[i] = np.uint8(np.int32(value * top + row[i]))
