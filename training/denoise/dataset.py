@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from postfx.temporal.reverse_motion import invert_motion
 from training import ops
 from training.denoise.model import Guides, Inputs
 
@@ -112,6 +111,8 @@ def load(path: Path, device: torch.device, guides: bool = False, inverse: bool =
 
 def turned(data: Mapping[str, np.ndarray], variant: str, device: torch.device) -> Tensor:
     """Motion to the next frame (T, 2, h, w) float16 of one noisy render, of whole frames; 0 in the last."""
+    from postfx.temporal.reverse_motion import invert_motion  # its package needs what reads pictures
+
     motion, depth = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"][..., None].astype(np.float32)
     pairs = pairwise(zip(motion, depth, strict=True))
     motion = [*(invert_motion(*after, shown) for (_, shown), after in pairs), np.zeros_like(motion[-1])]

@@ -1,7 +1,7 @@
 """Find channels of a denoiser's network that are never active, and let training begin anew with them.
 
     python -m training.denoise.revive run/checkpoint.pt --clips clips                       # a table of layers
-    python -m training.denoise.revive run/checkpoint.pt --clips clips -o revived.pt         # for train --resume
+    python -m training.denoise.revive run/checkpoint.pt --clips clips -o revived.pt         # for train --start
 
 A ReLU that is 0 for every input passes no gradient back, so what feeds it never learns again. Such channels get random
 incoming weights and outgoing weights of zero: the network computes what it did, and both sides can learn.

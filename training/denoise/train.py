@@ -4,8 +4,10 @@ One GPU:      python -m training.denoise.train --clips CLIPS --out RUN --minutes
 Several GPUs: torchrun --nproc-per-node 4 -m training.denoise.train --clips CLIPS --out RUN --minutes 20
 
 The learning rate rises over 500 steps and follows the clock: a cosine down to zero at the end of --minutes. The folder
-of clips may still be filling. RUN/checkpoint.pt holds the averaged weights, RUN/log.csv and validation.csv the curves
-(training/measure/plot_curves.py draws them); --resume goes on from a checkpoint or from an exported network.
+of clips may still be filling. RUN/log.csv and validation.csv hold the curves (training/measure/plot_curves.py draws
+them). RUN/checkpoint.pt holds the weights, their average, the optimiser, step, time, random states, arguments and the
+git commit; --resume goes on with all of it, --start begins a new run from weights alone. The defaults are those of the
+last training of m.
 """
 
 import argparse
@@ -15,6 +17,7 @@ import json
 import math
 import os
 import random
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass, replace
@@ -60,10 +63,14 @@ def fuse() -> None:
 # The learning rate lives in the optimiser, outside of the graph, so it may change every step.
 
 class FlatGradient:
-    """Gradients of all parameters in one buffer: zeroed, summed over GPUs, clipped and mended as one tensor."""
+    """Gradients of all parameters in one buffer: zeroed, summed over GPUs, clipped and repaired as one tensor.
+
+    ``nonfinite`` counts the steps that a non-finite gradient emptied.
+    """
 
     def __init__(self, parameters: list[nn.Parameter]):
         self.buffer = torch.zeros(sum(p.numel() for p in parameters), device=parameters[0].device)
+        self.nonfinite = torch.zeros((), device=parameters[0].device)
         start = 0
         for p in parameters:
             stride = p.stride()
@@ -75,6 +82,7 @@ class FlatGradient:
         if several:
             torch.distributed.all_reduce(self.buffer, torch.distributed.ReduceOp.AVG)
         norm = self.buffer.norm()
+        self.nonfinite += ~norm.isfinite()
         self.buffer.mul_((limit / (norm + 1e-6)).clamp(max=1)).nan_to_num_(0, 0, 0)
         return norm
 
@@ -168,30 +176,70 @@ def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--clips", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--minutes", type=float, default=20)
+    parser.add_argument("--minutes", type=float, default=17)
+    parser.add_argument("--steps", type=int, help="end, and follow the cosine, by steps and not by minutes")
     parser.add_argument("--batch", type=int, default=16, help="clips a GPU and step")
     parser.add_argument("--crop", type=int, default=96, help="side of the windows in render pixels, multiple of 16")
-    parser.add_argument("--rate", type=float, default=1e-3)
-    parser.add_argument("--widths", type=int, nargs="+", default=list(TrunkConfig.widths))
+    parser.add_argument("--rate", type=float, default=8e-4)
+    parser.add_argument("--widths", type=int, nargs="+", default=[96, 160, 224, 320])
     parser.add_argument("--depth", type=int, default=TrunkConfig.depth)
     parser.add_argument("--stem", type=int, help="channels of the stem; default: those of the first level")
     parser.add_argument("--reach", type=int, default=TrunkConfig.reach, choices=(2, 4), help="side of the stem, pixels")
     parser.add_argument("--guides", action="store_true", help="read planes at output size")
-    parser.add_argument("--flicker", type=float, default=4.0, help="weight of the temporal difference")
+    parser.add_argument("--flicker", type=float, default=6.0, help="weight of the temporal difference")
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
     parser.add_argument("--even", action="store_true", help="clips of little noise count as much as noisy ones")
     parser.add_argument("--clean", type=float, default=Augment.clean, metavar="SHARE",
                         help="part of the offline renders whose colour is moved towards the reference (%(default)s)")
     parser.add_argument("--both-ways", type=float, default=0.0, metavar="SHARE",
                         help="part of the steps that run clips backwards, too, and rate the blend of both directions")
-    parser.add_argument("--resume", type=Path, help="checkpoint.pt, or an exported denoise_upscale.<tag>.onnx")
+    begin = parser.add_mutually_exclusive_group()
+    begin.add_argument("--start", type=Path, help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx")
+    begin.add_argument("--resume", type=Path, help="checkpoint.pt of a run to go on with, with its arguments")
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
     parser.add_argument("--seed", type=int, default=0)
     return parser
 
 
-def resumed(path: Path) -> dict[str, Tensor]:
-    """Weights of a checkpoint or of an exported network."""
+def parse(words: list[str] | None = None) -> argparse.Namespace:
+    """The arguments; those of a run that is resumed take the place of the defaults."""
+    parser = options()
+    args = parser.parse_args(words)
+    if args.resume:
+        saved = torch.load(args.resume, map_location="cpu", weights_only=True)
+        if "optimiser" not in saved:
+            parser.error(f"{args.resume} holds weights only: begin a new run with --start")
+        parser.set_defaults(**saved["arguments"])
+        args = parser.parse_args(words)
+    return args
+
+
+def git_commit() -> str:
+    """The commit of this code, marked where files differ from it; 'unknown' outside of a checkout."""
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+        return done.stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def random_state(device: torch.device) -> dict[str, Any]:
+    """States of all generators that training draws from."""
+    cuda = torch.cuda.get_rng_state(device) if device.type == "cuda" else None
+    return {"python": random.getstate(), "torch": torch.get_rng_state(), "cuda": cuda}
+
+
+def set_random_state(state: dict[str, Any], device: torch.device) -> None:
+    """Set them to what ``random_state`` returned."""
+    random.setstate(state["python"])
+    torch.set_rng_state(state["torch"])
+    if state["cuda"] is not None and device.type == "cuda":
+        torch.cuda.set_rng_state(state["cuda"], device)
+
+
+def load_start(path: Path) -> dict[str, Tensor]:
+    """Averaged weights of a checkpoint, or the weights of an exported network."""
     if path.suffix == ".onnx":
         return weights_of(path)
     return torch.load(path, map_location="cpu", weights_only=True)["weights"]
@@ -251,8 +299,8 @@ class Trainer:
             time.sleep(2)
         model = model or DenoiseUpscale(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach))
         self.config, self.model = model.config, model.to(device, memory_format=torch.channels_last)
-        if args.resume:
-            self.model.load_state_dict(resumed(args.resume))
+        if args.start:
+            self.model.load_state_dict(load_start(args.start))
         self.average = Average(self.model, 0.9995)
         self.loss = ClipLoss(self.model, args.flicker, args.reset, args.even)
         self.flat = FlatGradient(list(self.model.parameters()))
@@ -262,9 +310,25 @@ class Trainer:
         print(f"{len(self.pool)} clips to train on, {len(self.pool.validation)} held out", flush=True)
         self.step, self.recent, self.augment = 0, [], Augment(clean=args.clean)
         self.start = self.kept = time.monotonic()
+        if args.resume:
+            self.resume(torch.load(args.resume, map_location="cpu", weights_only=True))
+
+    def resume(self, saved: dict[str, Any]) -> None:
+        """Go on where a checkpoint was written. Only one process draws as it would have: others seed by the step."""
+        self.model.load_state_dict(saved["live"])
+        self.average.weights = {k: v.to(self.device) for k, v in saved["weights"].items()}
+        self.optimiser.load_state_dict(saved["optimiser"])
+        self.flat.nonfinite.fill_(saved["nonfinite"])
+        self.step = saved["step"]
+        self.start = time.monotonic() - saved["seconds"]
+        set_random_state(saved["random"], self.device)
+        if self.rank:
+            random.seed(f"{self.args.seed} {self.rank} {self.step}")
 
     def progress(self) -> float:
-        """Share of the training time that has passed, the same on every GPU."""
+        """Share of the training that is done, by steps or by the clock, the same on every GPU."""
+        if self.args.steps is not None:
+            return self.step / max(self.args.steps, 1)
         passed = (time.monotonic() - self.start) / (60 * self.args.minutes)
         if self.world == 1:
             return passed  # without waiting for the GPU, while the next batch is put together
@@ -272,18 +336,23 @@ class Trainer:
         dist.broadcast(share, 0)
         return float(share)
 
+    def advance(self, done: float) -> float:
+        """Take one step where a share of the training is ``done``; returns its learning rate."""
+        rate = rate_at(done, self.step, self.args.rate)
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        stack = self.pool.draw(self.args.batch, self.args.crop, self.args.seed + self.step)
+        results = self.gradient(directed(self.augment(stack), turns(self.step, self.args.both_ways)))
+        norm = self.flat.finish(1.0, self.world > 1)
+        self.optimiser.step()
+        self.average.update(self.step)
+        self.recent.append(torch.stack((*results, norm)))
+        self.step += 1
+        return rate
+
     def run(self) -> None:
         while (done := self.progress()) < 1:
-            rate = rate_at(done, self.step, self.args.rate)
-            for group in self.optimiser.param_groups:
-                group["lr"] = rate
-            stack = self.pool.draw(self.args.batch, self.args.crop, self.args.seed + self.step)
-            results = self.gradient(directed(self.augment(stack), turns(self.step, self.args.both_ways)))
-            norm = self.flat.finish(1.0, self.world > 1)
-            self.optimiser.step()
-            self.average.update(self.step)
-            self.recent.append(torch.stack((*results, norm)))
-            self.step += 1
+            rate = self.advance(done)
             if self.step in (1, 5, 20, 50, 100) or self.step % 250 == 0:
                 self.report(rate)
             if time.monotonic() - self.kept > 60 * KEEP_MINUTES:
@@ -293,12 +362,12 @@ class Trainer:
         self.keep()
 
     def report(self, rate: float) -> None:
-        values = [round(float(x), 5) for x in torch.stack(self.recent).mean(0)]
+        values = [round(float(x), 5) for x in torch.stack(self.recent).nanmean(0)]
         self.recent.clear()
         if self.rank == 0:
             seconds = time.monotonic() - self.start
             print(f"step {self.step} {seconds:.0f} s rate {rate:.2e} loss {values[0]:.4f} psnr {values[1]:.2f} "
-                  f"flicker {values[2]:.4f} norm {values[3]:.3f}", flush=True)
+                  f"flicker {values[2]:.4f} norm {values[3]:.3f} non-finite {int(self.flat.nonfinite)}", flush=True)
             self.note("log.csv", rate, *values)
 
     def note(self, name: str, *values: float) -> None:
@@ -310,6 +379,7 @@ class Trainer:
         """Validate the averaged weights and write the checkpoint."""
         if self.rank:
             return
+        state = random_state(self.device)  # validation draws, too
         quality, flicker = validate(self.loss, self.average.weights, self.pool)
         notes = {"steps": self.step, "minutes": round((time.monotonic() - self.start) / 60, 2), "gpus": self.world,
                  "batch": self.args.batch * self.world, "clips": len(self.pool) * self.world,
@@ -318,8 +388,14 @@ class Trainer:
             both = validate(self.loss, self.average.weights, self.pool, both=True)
             notes |= {"both_ways": self.args.both_ways, "both_psnr": both[0], "both_flicker": both[1]}
         weights = {k: v.cpu().contiguous() for k, v in self.average.weights.items()}
+        set_random_state(state, self.device)
+        arguments = {k: v for k, v in vars(self.args).items() if k not in ("clips", "out", "start", "resume")}
+        saved = {"config": self.config.as_dict(), "weights": weights, "notes": notes, "live": self.model.state_dict(),
+                 "optimiser": self.optimiser.state_dict(), "step": self.step, "seconds": time.monotonic() - self.start,
+                 "rate": self.optimiser.param_groups[0]["lr"], "seed": self.args.seed, "arguments": arguments,
+                 "commit": git_commit(), "random": state, "nonfinite": int(self.flat.nonfinite)}
         partial = self.args.out / "checkpoint.tmp"
-        torch.save({"config": self.config.as_dict(), "weights": weights, "notes": notes}, partial)
+        torch.save(saved, partial)
         os.replace(partial, self.args.out / "checkpoint.pt")
         self.note("validation.csv", quality, flicker)
         print("validation", json.dumps(notes), flush=True)
@@ -339,7 +415,7 @@ def set_up(args: argparse.Namespace, rank: int = 0) -> torch.device:
 
 
 def main() -> None:
-    args = options().parse_args()
+    args = parse()
     rank, world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
     device = set_up(args, rank)
     if world > 1:

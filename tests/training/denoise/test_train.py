@@ -193,6 +193,7 @@ def test_a_non_finite_gradient_becomes_no_step() -> None:
     flat.buffer[:] = torch.tensor([1.0, float("nan"), 2.0])
     flat.finish(1.0, several=False)
     assert torch.equal(parameter.grad, torch.zeros(3))
+    assert int(flat.nonfinite) == 1
 
 
 def test_copying_a_batch_copies_all_of_it() -> None:
@@ -220,12 +221,12 @@ def write_clips(folder: Path, count: int) -> None:
                   [{**variant, "jitter": jitter, "spp": 1, "style": "realtime"}], facts)
 
 
-def trainer(clips: Path, out: Path, minutes: float, resume: Path | None = None,
-            both_ways: float = 0.0) -> train.Trainer:
-    args = argparse.Namespace(clips=clips, out=out, minutes=minutes, batch=2, rate=1e-3, widths=list(SMALL.widths),
-                              depth=SMALL.depth, flicker=1.0, reset=0.1, resume=resume, wait=2, seed=0, crop=48,
-                              guides=False, both_ways=both_ways, even=False, clean=0.0, stem=SMALL.stem,
-                              reach=SMALL.reach)
+def trainer(clips: Path, out: Path, minutes: float, start: Path | None = None,
+            both_ways: float = 0.0, resume: Path | None = None, steps: int | None = None) -> train.Trainer:
+    args = argparse.Namespace(
+        clips=clips, out=out, minutes=minutes, batch=2, rate=1e-3, widths=list(SMALL.widths), depth=SMALL.depth,
+        flicker=1.0, reset=0.1, start=start, resume=resume, steps=steps, wait=2, seed=0, crop=48, guides=False,
+        both_ways=both_ways, even=False, clean=0.0, stem=SMALL.stem, reach=SMALL.reach)
     torch.manual_seed(0)
     return train.Trainer(args, 0, 1, torch.device("cpu"))
 
@@ -239,7 +240,7 @@ def test_a_clip_that_is_still_being_written_waits(tmp_path: Path) -> None:
     assert {path.name for path in pool.seen} == {"clip0000.npz", "clip0001.npz"}
 
 
-def test_a_checkpoint_holds_the_averaged_weights_and_can_be_resumed(tmp_path: Path) -> None:
+def test_a_checkpoint_holds_the_averaged_weights_and_can_be_started_from(tmp_path: Path) -> None:
     write_clips(tmp_path, 3)
     first = trainer(tmp_path, tmp_path, minutes=2 / 60)
     start = {key: value.clone() for key, value in first.model.state_dict().items()}
@@ -249,9 +250,32 @@ def test_a_checkpoint_holds_the_averaged_weights_and_can_be_resumed(tmp_path: Pa
     assert np.isfinite(checkpoint["notes"]["validation_psnr"])
     assert TrunkConfig.from_dict(checkpoint["config"]) == SMALL
     assert any(not torch.equal(checkpoint["weights"][key], start[key]) for key in start)
-    again = trainer(tmp_path, tmp_path, minutes=0, resume=tmp_path / "checkpoint.pt")
+    again = trainer(tmp_path, tmp_path, minutes=0, start=tmp_path / "checkpoint.pt")
     for key, value in again.model.state_dict().items():
         torch.testing.assert_close(value, checkpoint["weights"][key])
+
+
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
+    write_clips(tmp_path, 3)
+    whole, half = tmp_path / "whole", tmp_path / "half"
+    for folder in (whole, half):
+        folder.mkdir()
+    random.seed(0)
+    trainer(tmp_path, whole, 0, steps=4).run()
+    random.seed(0)
+    first = trainer(tmp_path, half, 0, steps=4)
+    for _ in range(2):
+        first.advance(first.progress())
+    first.keep()
+    random.seed(7)
+    trainer(tmp_path, half, 0, steps=4, resume=half / "checkpoint.pt").run()
+    one, other = (torch.load(folder / "checkpoint.pt", weights_only=True) for folder in (whole, half))
+    assert one["step"] == other["step"] == 4 and one["rate"] == other["rate"]
+    assert one["seed"] == 0 and one["commit"] and one["arguments"]["batch"] == 2
+    for part in ("weights", "live"):
+        assert all(torch.equal(one[part][name], other[part][name]) for name in one[part])
+    assert all(torch.equal(a, b) for index, state in one["optimiser"]["state"].items()
+               for a, b in zip(state.values(), other["optimiser"]["state"][index].values(), strict=True))
 
 
 def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
