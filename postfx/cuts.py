@@ -74,7 +74,8 @@ class CutDetector:
         if self._before is None:
             return {}
         light, guides, motion, cell = self._before
-        known = {"light": light, "cell": np.float64(cell)} | {f"guide {role}": one for role, one in guides.items()}
+        known = {"light": light, "cell": np.array(cell, np.float64)}
+        known |= {f"guide {role}": one for role, one in guides.items()}
         return known if motion is None else known | {"motion": motion}
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
@@ -149,19 +150,22 @@ def _cells(plane: np.ndarray, block: int) -> np.ndarray:
     corners = [(y, x) for y in (near, far) for x in (near, far)]
     at = {(y, x): plane[y::block, x::block][:rows, :columns].astype(np.float64) for y, x in corners}
     halves = (at[near, near] + at[far, far]) / 2, (at[near, far] + at[far, near]) / 2
-    return np.nan_to_num(np.stack(halves, axis=2), posinf=0, neginf=0)
+    cells: np.ndarray = np.nan_to_num(np.stack(halves, axis=2), posinf=0, neginf=0)
+    return cells
 
 
 def _log_depth(depth: np.ndarray) -> np.ndarray:
     """log2 of depth; cells with misses lie one doubling behind the farthest one without."""
     hit = depth < DEPTH_MISS / 8
     farthest = depth[hit].max(initial=1e-6)
-    return np.log2(np.clip(np.where(hit, depth, 2 * farthest), 1e-6, 2 * farthest))
+    doublings: np.ndarray = np.log2(np.clip(np.where(hit, depth, 2 * farthest), 1e-6, 2 * farthest))
+    return doublings
 
 
 def _band(planes: np.ndarray) -> np.ndarray:
     """(rows, columns, ...) without the finest noise and without what is wide."""
-    return _box(planes, SMOOTH) - _box(planes, BAND)
+    band: np.ndarray = _box(planes, SMOOTH) - _box(planes, BAND)
+    return band
 
 
 def _box(planes: np.ndarray, width: int) -> np.ndarray:
@@ -183,8 +187,8 @@ def _compared(before: Picture, now: Picture, motion: np.ndarray) -> float | None
     if inside.sum() < max(LEAST_COMPARED, LEAST_OVERLAP * inside.size):
         return 0.0
     x, y = x[inside], y[inside]
-    lights = bilinear(before.light, x, y), now.light[inside]
-    light = _true_correlation(*(one[..., None] for one in lights), LEAST_SPREAD["light"])
+    light_before, light_now = bilinear(before.light, x, y), now.light[inside]
+    light = _true_correlation(light_before[..., None], light_now[..., None], LEAST_SPREAD["light"])
     if light is not None and light >= RELATED:
         return light
     guides = [
@@ -200,7 +204,7 @@ def _compared(before: Picture, now: Picture, motion: np.ndarray) -> float | None
 def _true_correlation(before: np.ndarray, now: np.ndarray, least_spread: float) -> float | None:
     """Correlation of (cells, 2 halves, channels) as it would be without noise; None where there is little else."""
     reliabilities = _reliability(before), _reliability(now)
-    raw = _correlation(*((one[:, 0] + one[:, 1]) / 2 for one in (before, now)), least_spread)
+    raw = _correlation((before[:, 0] + before[:, 1]) / 2, (now[:, 0] + now[:, 1]) / 2, least_spread)
     if raw is None or min(reliabilities) < LEAST_RELIABILITY:
         return None
     return raw / math.sqrt(reliabilities[0] * reliabilities[1])

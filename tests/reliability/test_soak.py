@@ -9,7 +9,7 @@ import pytest
 from tests.reliability.conftest import Runs, write_frame
 
 PASSES = ("--model", "s", "--scale", "1.5", "--tonemap", "--threads", "1")
-READ, WRITE, NETWORK = "postfx.io.sequence.Sequence.read", "postfx.cli.job.write_frame", "postfx.flow.Flow._run"
+READ, WRITE, NETWORK = "postfx.io.sequence.Sequence.read", "postfx.cli.job.write_frame", "postfx.pipeline.Flow._run"
 PLACES = (WRITE, NETWORK, "postfx.io.writer.encode")
 RARE = ("postfx.runs.folder.save_checkpoint", "postfx.runs.manifest.write_atomically")
 """Called once a second or so."""
