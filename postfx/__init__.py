@@ -12,6 +12,8 @@ Everything public is named here and loaded on first use.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from postfx.version import __version__
+
 if TYPE_CHECKING:
     from postfx.errors import PostfxError
     from postfx.frame import ROLES, Frame, FrameSpec, Role
@@ -25,8 +27,6 @@ if TYPE_CHECKING:
     from postfx.runtime import Device, Library
     from postfx.system import models_dir
     from postfx.temporal import Backwards, RunUp
-
-__version__ = "0.1.0"
 
 _HOMES = {
     "Backwards": "postfx.temporal",

@@ -10,7 +10,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from postfx import __version__
 from postfx.bench import require
 from postfx.bench.material import Material, Sources, output_pattern
 from postfx.bench.methods import LeftOut, catalogue, select
@@ -21,6 +20,7 @@ from postfx.errors import BenchError, WriteError
 from postfx.frame import Role
 from postfx.passes.denoise.inputs import ABSENT
 from postfx.runtime import Device, Library
+from postfx.version import __version__
 
 LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"), ("matplotlib", "matplotlib"))
 

@@ -7,9 +7,9 @@ import os
 import sys
 from collections.abc import Sequence
 
-from postfx import __version__
 from postfx.cli import bench, capture_compare, exposure, inspect, lut, models, run, verify
 from postfx.errors import PostfxError
+from postfx.version import __version__
 
 VERBS = (run, verify, inspect, exposure, bench, models, lut, capture_compare)
 EXIT_ERROR = 2

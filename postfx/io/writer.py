@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx import __version__
 from postfx.colour.curves import SRGB
 from postfx.colour.displays import Display, parse_display
 from postfx.errors import WriteError
@@ -20,6 +19,7 @@ from postfx.io.encode import JPEG, encode, halves, has_end, light_of, tag_codes,
 from postfx.io.image_file import reason_of
 from postfx.io.metadata import kept_attributes, set_attributes
 from postfx.io.windows import OutputWindows, Pixels, cut, output_windows
+from postfx.version import __version__
 
 LINEAR_FORMATS = (".exr",)
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG)

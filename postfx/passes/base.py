@@ -8,12 +8,11 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from postfx.errors import FrameError, NotCompiledError, PassOptionError
-from postfx.frame import ROLES, Frame, FrameSpec, Role
+from postfx.frame import ROLES, FrameSpec, Role
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from postfx.pipeline import Pipeline
     from postfx.runtime import CommandBuffer, Device, Tensor
 
 
@@ -133,7 +132,6 @@ class Pass:
             raise PassOptionError(f"pass '{self.name}' has no option '{unknown[0]}': its options are {valid}")
         self.options: Mapping[str, Any] = MappingProxyType({**self.defaults, **options})
         self._spec: FrameSpec | None = None
-        self._alone: Pipeline | None = None
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         """What the pass reads, may read and writes for frames of `spec`. Pure: depends on options and spec only."""
@@ -203,11 +201,3 @@ class Pass:
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         """After `compile`: go on as a pass that had this `history`. Raises KeyError or BindingError if it is not one of
         this pass, compiled for the same spec."""
-
-    def __call__(self, frame: Frame) -> Frame:
-        """Run this pass alone on one frame, in a pipeline of its own that keeps the history between calls."""
-        if self._alone is None:
-            from postfx.pipeline import Pipeline
-
-            self._alone = Pipeline([self])
-        return self._alone(frame)

@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from postfx import __version__
 from postfx.errors import ReadError
 from postfx.files import parse_json, read_text
 from postfx.report.dependencies import edges
@@ -21,6 +20,7 @@ from postfx.runtime.snapshot import (
     CapturedTensor,
     CapturedValue,
 )
+from postfx.version import __version__
 
 FORMAT = "postfx capture 1"
 FILE = "capture.json"

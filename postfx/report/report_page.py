@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from postfx import __version__
 from postfx.errors import WriteError
 from postfx.frame import Frame
 from postfx.report.charts import charts
 from postfx.report.contact_sheet import contact_sheet
 from postfx.report.frame_log import LONGEST, FrameLog
 from postfx.report.page import page
+from postfx.version import __version__
 
 SCRIPTS = ("report_light.js", "report_viewer.js", "report_charts.js", "report.js")
 

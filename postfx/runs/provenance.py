@@ -15,9 +15,9 @@ import numba
 import numpy
 import OpenImageIO
 
-from postfx import __version__
 from postfx.plan import Plan
 from postfx.runtime import Device, Library
+from postfx.version import __version__
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ def test_nothing_is_read_or_run_for_nothing() -> None:
     assert bare.remarks == ("denoise_upscale: strength 0: the input is only resampled",)
     assert Role.STRENGTH in Pipeline([DenoiseUpscale()]).explain(spec).planes
     alone = DenoiseUpscale(strength=0)
-    assert alone(noisy(1))[Role.COLOUR].shape == (74, 100, 3) and not hasattr(alone._ready, "frames")
+    assert Pipeline([alone])(noisy(1))[Role.COLOUR].shape == (74, 100, 3) and not hasattr(alone._ready, "frames")
 
 
 def test_strength_in_the_portable_kernels(device: Device) -> None:
