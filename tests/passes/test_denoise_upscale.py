@@ -134,7 +134,7 @@ def test_frame_by_frame_equals_a_run(device: Device) -> None:
     frames = [noisy(number) for number in (1, 2, 3)]
     upscale = Pipeline([DenoiseUpscale()])
     single = [upscale(frame)[Role.COLOUR] for frame in frames]
-    for one, other in zip(single, run(frames, device), strict=True):
+    for one, other in zip(single, run(frames, device, "auto"), strict=True):
         np.testing.assert_array_equal(one, other[Role.COLOUR])
 
 
