@@ -12,16 +12,13 @@ import threading
 import weakref
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from postfx.caching import LRUCache
 from postfx.runtime.hazards import predecessors
 from postfx.runtime.memory import ALIGNMENT, Ranges
 from postfx.runtime.records import Dispatch, EncoderBarrier, Record
-from postfx.runtime.tensor import Allocation, Tensor, Transient, size_in_bytes
-
-if TYPE_CHECKING:
-    from postfx.runtime.device import Device
+from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient, size_in_bytes
 
 _NOWHERE = 1 << 62
 """Transient tensors have addresses that are multiples of this until they are placed: no memory has them."""
@@ -50,7 +47,7 @@ class Arena:
         plans: how many plans were made so far.
     """
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: TensorDevice) -> None:
         self._device = device
         self._plans: LRUCache[tuple[object, ...], Plan] = LRUCache(MOST_PLANS)
         self._memory: weakref.ref[Tensor] | None = None

@@ -9,15 +9,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Protocol, Self
 
 import numpy as np
 
 from postfx.errors import CaptureError, CommandError
 from postfx.runtime.capture_network import look_inside, require_onnx
+from postfx.runtime.heap import Heap
 from postfx.runtime.memory import Ranges
-from postfx.runtime.records import Barrier, ConsumerBarrier, Dispatch, EncoderBarrier
-from postfx.runtime.session import first_line
+from postfx.runtime.records import Barrier, ConsumerBarrier, Dispatch, EncoderBarrier, Record
+from postfx.runtime.session import Placement, first_line
 from postfx.runtime.snapshot import (
     MOST_SLICES,
     NODE_PICTURES,
@@ -31,14 +32,38 @@ from postfx.runtime.snapshot import (
     take,
 )
 from postfx.runtime.states import PipelineState
-from postfx.runtime.tensor import Tensor
-
-if TYPE_CHECKING:
-    from postfx.runtime.commands import CommandBuffer
-    from postfx.runtime.device import Device
+from postfx.runtime.tensor import Tensor, TensorDevice
 
 TENSORS = ("thumbnails", "none", "all")
 """What a capture keeps of tensors: figures and small pictures, nothing, or also the whole content in files."""
+
+
+class CapturableDevice(TensorDevice, Protocol):
+    """What a capture needs of the device whose commands it records."""
+
+    active_capture: Capture | None
+
+    @property
+    def threads(self) -> int: ...
+
+    @property
+    def heap(self) -> Heap: ...
+
+    @property
+    def placement(self) -> Placement: ...
+
+    @property
+    def commit_lock(self) -> threading.Lock: ...
+
+
+class CapturableCommands(Protocol):
+    """What a capture needs of a command buffer."""
+
+    label: str
+    records: list[Record]
+
+    @property
+    def device(self) -> CapturableDevice: ...
 
 
 @dataclass
@@ -47,7 +72,7 @@ class Recorder:
 
     capture: Capture
     buffer: CapturedBuffer
-    _commands: CommandBuffer
+    _commands: CapturableCommands
     _of: dict[Dispatch, CapturedDispatch]
     _inputs: dict[tuple[int, int, tuple[int, ...], str], Snapshot | None] = field(default_factory=dict)
     done: threading.Event = field(default_factory=threading.Event)
@@ -113,7 +138,7 @@ class Capture:
         tensors, folder, network: what is kept, see `Device.capture`.
     """
 
-    def __init__(self, device: Device, tensors: str, folder: str | Path | None, network: bool) -> None:
+    def __init__(self, device: CapturableDevice, tensors: str, folder: str | Path | None, network: bool) -> None:
         if tensors not in TENSORS:
             raise CaptureError(f"a capture cannot keep '{tensors}' of tensors: use one of {', '.join(TENSORS)}")
         if (tensors == "all") != (folder is not None):
@@ -149,7 +174,7 @@ class Capture:
         if self.failure is not None:
             raise CaptureError(f"the capture is not complete: {first_line(self.failure)}") from self.failure
 
-    def record(self, commands: CommandBuffer) -> Recorder:
+    def record(self, commands: CapturableCommands) -> Recorder:
         """Take a buffer in; its commit calls this, under the commit lock."""
         records, of = [], {}
         for record in commands.records:

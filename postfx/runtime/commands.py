@@ -6,19 +6,17 @@ import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import Protocol, Self, TypeVar
 
 from postfx.errors import BindingError, CommandError, CommandTimeout, EncodingError
 from postfx.runtime.arena import Placement
-from postfx.runtime.capture import Recorder
+from postfx.runtime.capture import CapturableDevice, Recorder
 from postfx.runtime.execution import Execution
-from postfx.runtime.hazards import Footprint, check_dispatch
+from postfx.runtime.hazards import Footprint, Hazards, RecordedCommands, check_dispatch
 from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.states import ArgumentTable, State
-from postfx.runtime.tensor import Allocation, Tensor
-
-if TYPE_CHECKING:
-    from postfx.runtime.device import Device
+from postfx.runtime.tensor import Allocation, Tensor, TensorDevice
+from postfx.runtime.threads import CommandQueue
 
 E = TypeVar("E", bound="Encoder")
 
@@ -27,6 +25,20 @@ _STATES = {
     "done": "it is done, call begin() to record anew",
     "discarded": "it was discarded, call begin() to record anew",
 }
+
+
+class CommandDevice(CapturableDevice, Protocol):
+    """What a command buffer needs of its device."""
+
+    @property
+    def hazards(self) -> Hazards: ...
+
+    @property
+    def queue(self) -> CommandQueue: ...
+
+    def next_encoder(self) -> int: ...
+
+    def require_process(self) -> None: ...
 
 
 class CommandBuffer:
@@ -41,7 +53,7 @@ class CommandBuffer:
         records: dispatches and barriers in order.
     """
 
-    def __init__(self, device: Device, label: str, captured: bool = True) -> None:
+    def __init__(self, device: CommandDevice, label: str, captured: bool = True) -> None:
         self.device = device
         self.label = label
         self.captured = captured
@@ -207,7 +219,8 @@ class CommandBuffer:
         return "/".join([*self._groups, label])
 
     def _run(self) -> None:
-        execution = self._execution = Execution(self.device, self.label, self.footprint().dispatches, self._recorder)
+        execution = self._execution = Execution(self.device.memory, self.device.hazards, self.label,
+                                                self.footprint().dispatches, self._recorder)
         execution.run()
         self._error, self._timings = execution.error, execution.timings
         self._execution = None
@@ -281,7 +294,8 @@ class Encoder:
             mend = f"use commands.{state.stage.replace('-', '_')}_encoder()"
             message = f"'{self.label}' takes {self.stage} work, but {state.command} is {state.stage} work: {mend}"
             raise EncodingError(message)
-        if state.device is not self._commands.device:
+        device: TensorDevice = self._commands.device
+        if state.device is not device:
             raise EncodingError(f"'{self.label}': {state.command} was made for another device")
         if table.state is not state:
             made, mend = table.state.command, f"make one for {state.command}"
@@ -355,7 +369,7 @@ NAMED = 4
 """Most waiting command buffers that a message names."""
 
 
-def wait_for_all(name: str, flying: Sequence[CommandBuffer], timeout: float | None) -> None:
+def wait_for_all(name: str, flying: Sequence[RecordedCommands], timeout: float | None) -> None:
     """Wait for all buffers, in order; when some failed, the first one's error is raised in the end.
 
     Args:
@@ -376,7 +390,7 @@ def wait_for_all(name: str, flying: Sequence[CommandBuffer], timeout: float | No
         raise first
 
 
-def timed_out(what: str, flying: Sequence[CommandBuffer]) -> CommandTimeout:
+def timed_out(what: str, flying: Sequence[RecordedCommands]) -> CommandTimeout:
     """An error that names the command that runs now and the buffers that wait behind it."""
     buffers = [commands for commands in flying if not commands.finished()]
     if not buffers:

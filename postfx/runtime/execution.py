@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from postfx.errors import CommandError
 from postfx.runtime.capture import Recorder
+from postfx.runtime.hazards import Hazards
 from postfx.runtime.memory import Memory
 from postfx.runtime.records import Dispatch
 from postfx.runtime.session import first_line
-
-if TYPE_CHECKING:
-    from postfx.runtime.device import Device
 
 
 class Span(NamedTuple):
@@ -36,12 +34,14 @@ class Execution:
     """
 
     def __init__(
-        self, device: Device, label: str, dispatches: Sequence[Dispatch], recorder: Recorder | None = None
+        self, memory: Memory, hazards: Hazards, label: str, dispatches: Sequence[Dispatch],
+        recorder: Recorder | None = None
     ) -> None:
         self.running: Dispatch | None = None
         self.error: CommandError | None = None
         self.timings: dict[int, tuple[str, float]] = {}
-        self._device = device
+        self._memory = memory
+        self._hazards = hazards
         self._label = label
         self._dispatches = dispatches
         self._recorder = recorder
@@ -52,8 +52,8 @@ class Execution:
         if spans is None:
             spans = self._one_by_one()
         try:
-            self._device.memory.synchronise()
-            self.timings = _timings(self._device.memory, spans)
+            self._memory.synchronise()
+            self.timings = _timings(self._memory, spans)
         except BaseException as error:  # what a GPU only began may fail later
             self.error = self.error or CommandError(f"'{self._label}' failed: {first_line(error)}", self._label)
             self.error.__cause__ = self.error.__cause__ or error
@@ -61,7 +61,7 @@ class Execution:
 
     def _replay(self) -> list[Span] | None:
         """Run all as a whole; None where that cannot be, or something has to be seen to on the way."""
-        dispatches, memory = self._dispatches, self._device.memory
+        dispatches, memory = self._dispatches, self._memory
         if not memory.replays or self._recorder is not None:
             return None
         if any(tensor.allocation.lost for dispatch in dispatches for tensor in (*dispatch.reads, *dispatch.writes)):
@@ -94,12 +94,12 @@ class Execution:
         return spans
 
     def _execute(self, dispatch: Dispatch) -> list[Span]:
-        memory = self._device.memory
+        memory = self._memory
         spans = _enqueue(memory, [dispatch])
         memory.relax()
         for tensor in dispatch.writes:
             if tensor.allocation.lost:
-                self._device.hazards.mark_found(tensor)
+                self._hazards.mark_found(tensor)
         if self._recorder is not None:
             memory.synchronise()
             self._recorder.ran(dispatch, memory.milliseconds(spans[0].begin, spans[0].end))
@@ -108,7 +108,7 @@ class Execution:
     def _lost_input(self, dispatch: Dispatch) -> tuple[str, CommandError] | None:
         """Name and error of what the dispatch reads and a command should have written that failed."""
         for tensor in dispatch.reads:
-            first = self._device.hazards.loss(tensor) if tensor.allocation.lost else None
+            first = self._hazards.loss(tensor) if tensor.allocation.lost else None
             if first is not None:
                 return f"'{tensor.name}'", first
         return None
@@ -118,7 +118,7 @@ class Execution:
         """Note the error; what the dispatches should have written is lost, by it or by the `first` one."""
         self.error = error
         error.__cause__ = cause
-        self._device.hazards.mark_lost([tensor for left in dispatches for tensor in left.writes], first or error)
+        self._hazards.mark_lost([tensor for left in dispatches for tensor in left.writes], first or error)
         if self._recorder is not None:
             self._recorder.failed(dispatches[0], first or error, ran=first is None)
 

@@ -9,15 +9,29 @@ from __future__ import annotations
 import threading
 import weakref
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 from postfx.errors import CommandError, HazardError
 from postfx.runtime.memory import Ranges
 from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.tensor import Allocation, Tensor, TensorState, Transient, Use
 
-if TYPE_CHECKING:
-    from postfx.runtime.commands import CommandBuffer
+
+class RecordedCommands(Protocol):
+    """What is asked of a command buffer that is recorded or in flight."""
+
+    label: str
+    records: list[Record]
+
+    @property
+    def running(self) -> Dispatch | None: ...
+
+    def footprint(self) -> Footprint: ...
+
+    def finished(self, timeout: float | None = 0.0) -> bool: ...
+
+    def wait(self, timeout: float | None = None) -> None: ...
+
 
 class Hazards:
     """What is in flight on one device. A buffer is in flight from commit until the host waited for it or a later one.
@@ -27,21 +41,21 @@ class Hazards:
     """
 
     def __init__(self) -> None:
-        self._flying: list[CommandBuffer] = []
-        self._open: weakref.WeakSet[CommandBuffer] = weakref.WeakSet()
+        self._flying: list[RecordedCommands] = []
+        self._open: weakref.WeakSet[RecordedCommands] = weakref.WeakSet()
         self._lock = threading.RLock()
 
-    def opened(self, commands: CommandBuffer) -> None:
+    def opened(self, commands: RecordedCommands) -> None:
         """A buffer takes commands from now on."""
         with self._lock:
             self._open.add(commands)
 
-    def closed(self, commands: CommandBuffer) -> None:
+    def closed(self, commands: RecordedCommands) -> None:
         """A buffer was committed or discarded."""
         with self._lock:
             self._open.discard(commands)
 
-    def commit(self, commands: CommandBuffer) -> None:
+    def commit(self, commands: RecordedCommands) -> None:
         """Check a buffer against itself and everything in flight, and put it in flight; HazardError leaves it out."""
         with self._lock:
             footprint = commands.footprint()
@@ -52,13 +66,13 @@ class Hazards:
                     allocation.written.add(*span)
             self._flying.append(commands)
 
-    def retire(self, commands: CommandBuffer) -> None:
+    def retire(self, commands: RecordedCommands) -> None:
         """The host waited for this buffer: it and everything committed before it are done."""
         with self._lock:
             if commands in self._flying:
                 del self._flying[: self._flying.index(commands) + 1]
 
-    def in_flight(self) -> list[CommandBuffer]:
+    def in_flight(self) -> list[RecordedCommands]:
         """Buffers that were committed and not retired, in the order of commit."""
         with self._lock:
             return list(self._flying)
@@ -79,7 +93,7 @@ class Hazards:
                     break
             needed = Ranges((tensor.span(),) if tensor.nbytes else ())
             allocation = tensor.allocation
-            gone = tensor.device.heap.arena.gone(allocation) if isinstance(allocation, Transient) else None
+            gone = tensor.device.heap.gone(allocation) if isinstance(allocation, Transient) else None
             failed = self._failure(resident.allocation, needed)
             defined = gone is None and failed is None and resident.allocation.written.includes(needed)
             return TensorState(tensor.released, defined, writer, reader, recorded, failed, gone)
@@ -135,7 +149,7 @@ class Hazards:
         if allocation.lost and (failed := self._failure(allocation, need.missing)):
             raise _lost_error(need, failed)
 
-    def _check_order(self, commands: CommandBuffer, footprint: Footprint) -> None:
+    def _check_order(self, commands: RecordedCommands, footprint: Footprint) -> None:
         if footprint.ordered and not self._flying:
             return
         conflict = find_conflict([buffer.footprint() for buffer in self._flying], footprint)
@@ -145,7 +159,7 @@ class Hazards:
         footprint.ordered = True
 
 
-def _dispatches(buffers: Iterable[CommandBuffer]) -> Iterator[tuple[CommandBuffer, Dispatch]]:
+def _dispatches(buffers: Iterable[RecordedCommands]) -> Iterator[tuple[RecordedCommands, Dispatch]]:
     return ((buffer, record) for buffer in buffers for record in buffer.records if isinstance(record, Dispatch))
 
 
@@ -153,7 +167,7 @@ def _uses(tensors: Iterable[Tensor], tensor: Tensor) -> bool:
     return any(other.overlaps(tensor) for other in tensors)
 
 
-def _use(commands: CommandBuffer, dispatch: Dispatch) -> Use:
+def _use(commands: RecordedCommands, dispatch: Dispatch) -> Use:
     return Use(dispatch.label, dispatch.command, commands.label)
 
 
@@ -423,7 +437,7 @@ def _lost_error(need: Need, failed: CommandError) -> HazardError:
 
 
 def _conflict_error(
-    found: Conflict, first: tuple[CommandBuffer, Dispatch], second: tuple[CommandBuffer, Dispatch]
+    found: Conflict, first: tuple[RecordedCommands, Dispatch], second: tuple[RecordedCommands, Dispatch]
 ) -> HazardError:
     """Two dispatches, each with its buffer, touch the same memory in no certain order."""
     (one_buffer, one), (two_buffer, two) = first, second

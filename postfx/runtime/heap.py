@@ -6,14 +6,10 @@ import threading
 import weakref
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from postfx.runtime.arena import Arena
 from postfx.runtime.memory import ALIGNMENT, Chunk, Memory
-from postfx.runtime.tensor import Allocation, Tensor, size_in_bytes
-
-if TYPE_CHECKING:
-    from postfx.runtime.device import Device
+from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient, size_in_bytes
 
 CHUNK = 64 << 20
 """Smallest amount of memory asked from the system at once, bytes; untouched pages of it cost nothing on the host."""
@@ -63,7 +59,7 @@ class Heap:
         allocations: how many times memory was carved from chunks so far.
     """
 
-    def __init__(self, device: Device, memory: Memory) -> None:
+    def __init__(self, device: TensorDevice, memory: Memory) -> None:
         self._device = device
         self._memory = memory
         self._blocks: list[_Block] = []
@@ -96,6 +92,10 @@ class Heap:
         if self._device.scratch:  # the arena is one piece, which as a whole would lie in a file
             return self.tensor(name, shape, dtype)
         return self.arena.tensor(name, shape, dtype)
+
+    def gone(self, transient: Transient) -> str | None:
+        """Why a transient tensor holds nothing any more, as a clause; None while its content is there."""
+        return self.arena.gone(transient)
 
     @property
     def size(self) -> int:

@@ -12,13 +12,12 @@ import numpy as np
 
 from postfx.errors import BindingError
 from postfx.runtime.session import Session
-from postfx.runtime.tensor import Allocation, Tensor, Transient
-from postfx.runtime.threads import Band
+from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
+from postfx.runtime.threads import Band, Helpers
 
 if TYPE_CHECKING:
     from postfx.kernels.kernel import Kernel
     from postfx.runtime.cuda import CudaMemory
-    from postfx.runtime.device import Device
 
 MINIMUM_ROWS = 4
 """Fewer rows than this are not worth a band of their own."""
@@ -36,11 +35,23 @@ class Binding(NamedTuple):
     dtype: str
 
 
+class StateDevice(TensorDevice, Protocol):
+    """What states need of the device that they run on."""
+
+    @property
+    def threads(self) -> int: ...
+
+    @property
+    def helpers(self) -> Helpers: ...
+
+    def compute_state(self, kernel: Kernel) -> State: ...
+
+
 class State(Protocol):
     """What an argument table is made for and an encoder dispatches; `model` is a network's file, `capturable` tells
     whether it may become part of a CUDA graph."""
 
-    device: Device
+    device: StateDevice
     command: str
     stage: str
     model: Path | None
@@ -64,7 +75,7 @@ class PipelineState:
     stage = "machine-learning"
     capturable = True
 
-    def __init__(self, device: Device, name: str, session: Session, dims: dict[str, int], model: Path,
+    def __init__(self, device: StateDevice, name: str, session: Session, dims: dict[str, int], model: Path,
                  constants: Sequence[str] = ()) -> None:
         self.device = device
         self.name = name
@@ -87,7 +98,7 @@ class ComputeState:
     model: Path | None = None
     capturable = True
 
-    def __init__(self, device: Device, kernel: Kernel) -> None:
+    def __init__(self, device: StateDevice, kernel: Kernel) -> None:
         self.device = device
         self.name = kernel.name
         self.command = f"kernel '{kernel.name}'"
@@ -106,7 +117,7 @@ class PortableComputeState(ComputeState):
 
     capturable = False
 
-    def __init__(self, device: Device, kernel: Kernel, session: Session) -> None:
+    def __init__(self, device: StateDevice, kernel: Kernel, session: Session) -> None:
         super().__init__(device, kernel)
         self._session = session
 
@@ -118,7 +129,7 @@ class PortableComputeState(ComputeState):
 class CompiledComputeState(ComputeState):
     """A kernel that runs by its compiled rows, in bands over the device's threads."""
 
-    def __init__(self, device: Device, kernel: Kernel) -> None:
+    def __init__(self, device: StateDevice, kernel: Kernel) -> None:
         super().__init__(device, kernel)
         self._rows = kernel.rows
         _compile_rows(kernel, self.bindings)
@@ -149,7 +160,7 @@ class CompiledComputeState(ComputeState):
 class CudaComputeState(ComputeState):
     """A kernel that runs by its CUDA source."""
 
-    def __init__(self, device: Device, kernel: Kernel, memory: CudaMemory) -> None:
+    def __init__(self, device: StateDevice, kernel: Kernel, memory: CudaMemory) -> None:
         super().__init__(device, kernel)
         self._memory = memory
 

@@ -6,15 +6,14 @@ import math
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from postfx.errors import BindingError, CommandError, DeviceError, HazardError
-from postfx.runtime.memory import Ranges, view_at
+from postfx.runtime.memory import Memory, Ranges, view_at
+from postfx.system import Scratch
 
-if TYPE_CHECKING:
-    from postfx.runtime.device import Device
 
 class Use(NamedTuple):
     """A command that uses a tensor: labels of its encoder and command buffer, and what it runs."""
@@ -102,6 +101,43 @@ def _in_use(name: str, verb: str, use: Use, does: str) -> HazardError:
     return HazardError(message, "host access", name, use.label, "host")
 
 
+class TensorDevice(Protocol):
+    """What a tensor needs of the device that holds it."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def memory(self) -> Memory: ...
+
+    @property
+    def scratch(self) -> Scratch | None: ...
+
+    @property
+    def hazards(self) -> ContentStates: ...
+
+    @property
+    def heap(self) -> TensorHeap: ...
+
+
+class ContentStates(Protocol):
+    """Knows which tensors hold data, and which commands use them."""
+
+    def state(self, tensor: Tensor) -> TensorState: ...
+
+    def mark_written(self, tensor: Tensor) -> None: ...
+
+
+class TensorHeap(Protocol):
+    """Where tensors get their memory."""
+
+    def tensor(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor: ...
+
+    def trim(self) -> None: ...
+
+    def gone(self, transient: Transient) -> str | None: ...
+
+
 DTYPES = ("float32", "float16", "float64", "int64", "int32", "int16", "int8", "uint8", "bool")
 """Element types a tensor may have."""
 
@@ -179,7 +215,8 @@ class Tensor:
     """
 
     def __init__(
-        self, device: Device, name: str, shape: tuple[int, ...], dtype: str, allocation: Allocation, offset: int = 0
+        self, device: TensorDevice, name: str, shape: tuple[int, ...], dtype: str, allocation: Allocation,
+        offset: int = 0
     ) -> None:
         if dtype not in DTYPES:
             raise BindingError(f"tensor '{name}' cannot be of type {dtype}: use one of {', '.join(DTYPES)}")
@@ -198,7 +235,7 @@ class Tensor:
         return f"Tensor('{self.name}', {self.shape}, {self.dtype})"
 
     @property
-    def device(self) -> Device:
+    def device(self) -> TensorDevice:
         """The device that holds the tensor."""
         return self._device
 
