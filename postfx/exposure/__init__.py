@@ -1,8 +1,20 @@
 """Exposure: one multiplier a frame. Metering, following it over time, and measuring whether a chain applies it."""
 
 from postfx.errors import ExposureError
-from postfx.exposure.metering import KEY, LIMITS_EV, MODES, ExposureMeter, measure
-from postfx.exposure.smoothing import SMOOTH, Metered, SmoothExposure, colours_of, frame_rate, metered, smooth_ev
+from postfx.exposure.metering import (
+    KEY,
+    LIMITS_EV,
+    MODES,
+    SMOOTH,
+    ExposureMeter,
+    Metered,
+    SmoothExposure,
+    colours_of,
+    frame_rate,
+    measure,
+    metered,
+    smooth_ev,
+)
 
 __all__ = [
     "KEY",

@@ -9,12 +9,21 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.errors import ExposureError
-from postfx.exposure.board import Board, Response
-from postfx.exposure.causes import likely_cause
-from postfx.exposure.metering import ExposureMeter, frame_rate, measure
-from postfx.exposure.smoothing import SECONDS, SMOOTH, Metered, shots, smooth_ev
+from postfx.exposure.metering import (
+    SECONDS,
+    SMOOTH,
+    ExposureMeter,
+    Metered,
+    frame_rate,
+    measure,
+    shots,
+    smooth_ev,
+)
+from postfx.exposure.views import luma
 from postfx.frame import Frame, Role
 from postfx.passes.base import Pass
+from postfx.passes.exposure_tool import CELLS, ExposureTool, cells
+from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
 TOLERANCE_EV = 0.2
@@ -22,6 +31,17 @@ TOLERANCE_EV = 0.2
 DRIFT_EV, MOVING_DRIFT_EV = 0.25, 0.5
 """From the darkest to the brightest frame; more where the scene itself moves, as exposure need not follow all of it."""
 RIGHT, DARK, BRIGHT, DRIFTING = "right", "too dark", "too bright", "drifting"
+
+NEAR_EV = 0.25
+"""A picture this close to mid grey needs no exposure: about what noise does to the meter."""
+SAME_EV = 0.125
+APPLIED_EV = 0.05  # the board's own error is below
+STEADY_EV = 0.1
+OPPOSED = -0.8  # correlation
+
+STEPS_EV = np.arange(-8.0, 8.01, 0.25)
+"""Where a view's response is sampled."""
+HEIGHT = 20 * CELLS
 
 
 class Reading(NamedTuple):
@@ -172,3 +192,115 @@ def _verdict(mismatch: np.ndarray, scene_moves: float) -> str:
     if abs(mismatch.mean()) <= TOLERANCE_EV:
         return RIGHT
     return BRIGHT if mismatch.mean() > 0 else DARK
+
+
+class Board:
+    """A chain of passes that sees nothing but the checkerboard.
+
+    passes: what comes after the upscaler. aspect: width over height of the frames. The board is 180 rows high whatever
+    the frames are: it looks the same at every size, and what it covers does not matter.
+    """
+
+    def __init__(self, passes: Sequence[Pass], aspect: float = 16 / 9, device: Device | None = None) -> None:
+        self._reference: dict[int, float] = {}
+        self._blank = np.zeros((HEIGHT, max(round(HEIGHT * aspect), 1), 3), np.float32)
+        tool = ExposureTool(reference=self._reference)
+        self._pipeline = Pipeline([tool, *passes], device, "metadata")
+
+    def level(self, exposure: float, reference: float, cut: bool) -> float:
+        """Level of mid grey on the board divided by `reference`, when the chain is told to multiply by `exposure`."""
+        number = len(self._reference)
+        self._reference[number] = reference
+        frame = Frame({Role.COLOUR: self._blank}, number=number, exposure=exposure, reset=cut)
+        return grey_level(self._pipeline(frame)[Role.COLOUR])
+
+
+class Response:
+    """What a view makes of mid grey that is so many stops off, sampled and not assumed.
+
+    Attributes:
+        grey: level of the board when it is exposed right.
+        limits_ev: stops between which the level tells the exposure; beyond, a view is black or white.
+    """
+
+    def __init__(self, view: Board) -> None:
+        levels = [view.level(2.0**ev, 1.0, cut=True) for ev in STEPS_EV]
+        self._levels, rising = np.unique(np.maximum.accumulate(levels), return_index=True)
+        self._ev = STEPS_EV[rising]
+        self.grey = self.level_at(0.0)
+        self.limits_ev = float(self._ev[0]), float(self._ev[-1])
+
+    def level_at(self, ev: float) -> float:
+        """Level of mid grey that is `ev` stops too bright."""
+        return float(np.interp(ev, self._ev, self._levels))
+
+    def ev_of(self, level: float) -> float:
+        """Stops that mid grey of this level is too bright, within the limits."""
+        return float(np.interp(level, self._levels, self._ev))
+
+
+def grey_level(picture: np.ndarray) -> float:
+    """Mean of the levels of a board's two greys; picture: (height, width, 3) as it leaves the chain."""
+    rows, columns = cells(*picture.shape[:2])
+    dark = rows[:, None] == columns[None, :]
+    level = luma(picture)
+    return float((level[dark].mean(dtype=np.float64) + level[~dark].mean(dtype=np.float64)) / 2)
+
+
+def likely_cause(readings: Sequence[Reading], drifting: bool) -> str | None:
+    """A sentence with the mistake and its mend, or None when none fits and the exposure may be a choice."""
+    told, picture, found, expected = (
+        np.array([getattr(reading, name) for reading in readings])
+        for name in ("exposure_ev", "picture_ev", "mismatch_ev", "expected_ev")
+    )
+    return (
+        _otherwise_applied(found - expected)
+        or _pattern(told, picture)
+        or (_movement(told, picture) if drifting else None)
+    )
+
+
+def _otherwise_applied(extra: np.ndarray) -> str | None:
+    """What the passes after the upscaler did besides what they were told."""
+    if abs(extra).max() <= APPLIED_EV:
+        return None
+    if np.ptp(extra) > STEADY_EV:
+        return (
+            f"after the upscaler the chain exposes by {extra.min():+.2f} to {extra.max():+.2f} EV besides what it is "
+            "told: it meters for itself or lags; give the tone mapper the frame's exposure"
+        )
+    return (
+        f"after the upscaler the chain exposes by {extra.mean():+.2f} EV besides what it is told: give the tone mapper "
+        "the frame's exposure and nothing else"
+    )
+
+
+def _pattern(told: np.ndarray, picture: np.ndarray) -> str | None:
+    """Exposures that are off by the kind of number they are."""
+    if abs(picture).max() <= NEAR_EV < abs(told).max():
+        return (
+            "the colour is at mid grey before it is exposed: if the exposure is multiplied in already, it is given a "
+            "second time; divide it out or give an exposure of 1 (0 EV)"
+        )
+    if not told.any():
+        return "the exposure is 1 (0 EV) throughout: it is probably not passed on"
+    if abs(told + picture).max() <= SAME_EV:
+        return "the exposure is one over what is needed: inverted, give the multiplier and not its inverse"
+    if (picture > 0).all() and abs(np.exp2(told) - picture).max() <= SAME_EV:
+        return "the exposure is the number of stops that is needed: give 2 to the power of it"
+    return None
+
+
+def _movement(told: np.ndarray, picture: np.ndarray) -> str:
+    """How exposure and picture move."""
+    told_moves, picture_moves = np.ptp(told) > STEADY_EV, np.ptp(picture) > STEADY_EV
+    if told_moves and not picture_moves:
+        return "the exposure changes while the picture does not"
+    if picture_moves and not told_moves:
+        return "the picture's brightness changes and the exposure does not follow; where that is meant, it is right"
+    if told_moves and np.corrcoef(told, picture)[0, 1] < OPPOSED:
+        return (
+            "the picture gets brighter as the exposure rises, so the exposure is in the colour when it is metered: it "
+            "feeds back; meter before exposing"
+        )
+    return "the exposure follows the picture late or not far enough; --exposure smooth looks ahead"

@@ -65,7 +65,7 @@ def false_colour(signal: np.ndarray) -> np.ndarray:
 
 def zebra(display: np.ndarray, level: float = ZEBRA) -> np.ndarray:
     """Diagonal stripes where the luma of a display picture (height, width, 3), 0..1, is `level` or more; uint8."""
-    picture = (np.clip(np.nan_to_num(display, nan=0.0), 0, 1) * 255 + 0.5).astype(np.uint8)
+    picture: np.ndarray = (np.clip(np.nan_to_num(display, nan=0.0), 0, 1) * 255 + 0.5).astype(np.uint8)
     rows, columns = np.indices(display.shape[:2])
     dark = (rows + columns) // STRIPE % 2 == 0
     picture[(luma(display) >= level) & dark] = 0

@@ -10,8 +10,7 @@ import pytest
 
 import postfx
 from postfx.exposure import ExposureError, ExposureMeter, colours_of, measure
-from postfx.exposure.board import Board, Response
-from postfx.exposure.debugger import Report, debug
+from postfx.exposure.debugger import Board, Report, Response, debug
 from postfx.passes.display import Display
 from postfx.passes.tonemap import ToneMap
 from postfx.runtime import Device

@@ -1,6 +1,7 @@
-"""Arrows between the parts point one way."""
+"""Arrows between the parts point one way, and no modules import each other in a circle."""
 
 import ast
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -37,3 +38,39 @@ def test_the_check_sees_imports(tmp_path):
     text = "def f():\n    import torch.nn\n    from onnxruntime import X\n    importlib.import_module('training.x')\n"
     (tmp_path / "m.py").write_text(text)
     assert imported(tmp_path / "m.py") == {"torch", "onnxruntime", "training"}
+
+
+def module_of(source: Path, root: Path) -> str:
+    """Dotted name of a source file; root: the folder that holds the package."""
+    parts = source.relative_to(root).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def import_graph(package: Path) -> dict[str, set[str]]:
+    """Module -> modules of the same package that it imports: anywhere in it, also for type checking only."""
+    modules = {module_of(source, package.parent): source for source in package.rglob("*.py")}
+    graph = {}
+    for name, source in modules.items():
+        graph[name] = set()
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                graph[name] |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                full = {alias.name: f"{node.module}.{alias.name}" for alias in node.names}
+                graph[name] |= {path if path in modules else node.module for path in full.values()}
+        graph[name] &= modules.keys() - {name}
+    return graph
+
+
+def test_no_imports_run_in_a_circle():
+    TopologicalSorter(import_graph(PACKAGE)).prepare()
+
+
+def test_the_check_sees_circles_of_type_checking_imports(tmp_path):
+    (tmp_path / "p").mkdir()
+    (tmp_path / "p" / "__init__.py").touch()
+    (tmp_path / "p" / "a.py").write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from p import b\n")
+    (tmp_path / "p" / "b.py").write_text("def f():\n    from p.a import g\n")
+    assert import_graph(tmp_path / "p") == {"p": set(), "p.a": {"p.b"}, "p.b": {"p.a"}}
+    with pytest.raises(CycleError):
+        TopologicalSorter(import_graph(tmp_path / "p")).prepare()
