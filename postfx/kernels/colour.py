@@ -34,13 +34,13 @@ import numpy as np
 
 from postfx.colour.primaries import LUMA_REC2020
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.numeric import clamp, compiled, fused, inline
+from postfx.kernels.numeric import Real, clamp, compiled, fused, inline
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 
 
 @compiled
-def cube_row(shaped, cube, places, shares, output):
+def cube_row(shaped: np.ndarray, cube: np.ndarray, places: np.ndarray, shares: np.ndarray, output: np.ndarray) -> None:
     """Look a row up: shaped (3, width), clipped to [0, 1], to output (width, 3). NaN counts as 0.
 
     `places` (3, width) int32 and `shares` (3, width) float32 are scratch. First where and how much, in vector code,
@@ -52,7 +52,7 @@ def cube_row(shaped, cube, places, shares, output):
 
 
 @fused
-def _find(shaped, size, places, shares):
+def _find(shaped: np.ndarray, size: int, places: np.ndarray, shares: np.ndarray) -> None:
     """Numbers before the first three of the four corners, and the shares of a colour, largest first."""
     last, end = np.float32(size - 1), np.int32(size - 2)
     along_red, along_green, along_blue = np.int32(3 * size * size), np.int32(3 * size), np.int32(3)
@@ -75,7 +75,7 @@ def _find(shaped, size, places, shares):
 
 
 @fused
-def _gather(flat, across, places, shares, output):
+def _gather(flat: np.ndarray, across: int, places: np.ndarray, shares: np.ndarray, output: np.ndarray) -> None:
     """Weighted sums of the corners' colours; the fourth corner is `across` numbers after the first."""
     for x in range(output.shape[0]):
         a, b, c = np.uint32(places[0, x]), np.uint32(places[1, x]), np.uint32(places[2, x])  # signs would be looked at
@@ -95,7 +95,7 @@ TWO_OVER_LN2 = np.float32(2.0 / np.log(2.0))
 
 
 @fused
-def shape_row(row, params, matrix, out, scratch):
+def shape_row(row: np.ndarray, params: np.ndarray, matrix: np.ndarray, out: np.ndarray, scratch: np.ndarray) -> None:
     """Shape a row of colour (width, 3) into out (3, width); `scratch` is int32 (width,). NaN counts as 0.
 
     The logarithm splits off the exponent and sums the series of atanh over the mantissa in [0.707, 1.414):
@@ -120,7 +120,7 @@ def shape_row(row, params, matrix, out, scratch):
 
 
 @fused
-def _log_row(values, scale, scratch):
+def _log_row(values: np.ndarray, scale: Real, scratch: np.ndarray) -> None:
     """Replace values >= 1 by min(log2(value) * scale, 1)."""
     bits = values.view(np.int32)
     for x in range(values.shape[0]):
@@ -135,7 +135,8 @@ def _log_row(values, scale, scratch):
 
 
 @compiled
-def apply_cube_rows(y0, y1, colour, params, matrix, cube, output):
+def apply_cube_rows(y0: int, y1: int, colour: np.ndarray, params: np.ndarray, matrix: np.ndarray, cube: np.ndarray,
+                    output: np.ndarray) -> None:
     """Output rows y0..y1-1."""
     width = colour.shape[1]
     shaped, scratch = np.empty((3, width), np.float32), np.empty(width, np.int32)
@@ -171,7 +172,7 @@ RED, GREEN, BLUE = map(np.float32, LUMA_REC2020)
 
 
 @inline
-def looked_up(table, place):
+def looked_up(table: np.ndarray, place: Real) -> Real:
     """A table between its entries; place is in [0, STEPS]."""
     i = int(place)
     low = table[i]
@@ -179,21 +180,22 @@ def looked_up(table, place):
 
 
 @inline
-def known(value):
+def known(value: Real) -> Real:
     """A NaN becomes 0, an infinity finite."""
     value = value if value == value else ZERO
     return min(max(value, np.float32(-MOST_LIGHT)), np.float32(MOST_LIGHT))
 
 
 @inline
-def encoded(light, most, gain, table):
+def encoded(light: Real, most: Real, gain: Real, table: np.ndarray) -> Real:
     """Code value of light, which is cut to [0, most] and then multiplied by a gain."""
     unit = min(min(max(light, ZERO), most) * gain, ONE)
     return looked_up(table, np.sqrt(np.sqrt(np.sqrt(unit))) * COUNT)
 
 
 @compiled
-def encode_display_rows(y0, y1, colour, params, decode, encode, output):
+def encode_display_rows(y0: int, y1: int, colour: np.ndarray, params: np.ndarray, decode: np.ndarray,
+                        encode: np.ndarray, output: np.ndarray) -> None:
     """Output rows y0..y1-1."""
     m = params
     most, exponent, codes = params[MOST], params[EXPONENT], params[CODES] > ZERO

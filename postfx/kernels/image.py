@@ -18,19 +18,21 @@ Runs on the host, before a frame is uploaded.
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.numeric import add, clamp, compiled, inline, vectorised
+from postfx.kernels.numeric import Real, add, clamp, compiled, inline, vectorised
 
 ZERO, ONE, INFINITE = np.float32(0), np.float32(1), np.float32(np.inf)
 MARGIN = 5  # pixels beside a row, so that no tap lies outside
 EVEN = np.float32(1e-3)
+Taps: TypeAlias = tuple[Real, Real, Real, Real]
 
 
 @inline
-def catmull_rom(t):
+def catmull_rom(t: Real) -> Taps:
     """Weights of the four taps around a position ``t`` in [0, 1) after the second one (Keys 1981, a = -0.5)."""
     half = np.float32(0.5)
     return (((-half * t + ONE) * t - half) * t, (np.float32(1.5) * t - np.float32(2.5)) * t * t + ONE,
@@ -38,18 +40,18 @@ def catmull_rom(t):
 
 
 @inline
-def known(value):
+def known(value: Real) -> Real:
     return value if abs(value) < INFINITE else ZERO
 
 
 @compiled
-def clean(source, target):
+def clean(source: np.ndarray, target: np.ndarray) -> None:
     for i in range(source.size):
         target[i] = known(source[i])
 
 
 @compiled
-def clean_row(source, channels, line):
+def clean_row(source: np.ndarray, channels: int, line: np.ndarray) -> None:
     """A flat row with its first and last pixel repeated in the margins; what is not finite counts as 0."""
     first, end = MARGIN * channels, MARGIN * channels + source.size
     clean(source, line[first:])
@@ -60,7 +62,7 @@ def clean_row(source, channels, line):
 
 
 @compiled
-def down_row(a, b, c, d, weights, value):
+def down_row(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, weights: Taps, value: np.ndarray) -> None:
     """Cubic sum of four rows."""
     u, v, w, z = weights
     for i in range(value.size):
@@ -68,7 +70,8 @@ def down_row(a, b, c, d, weights, value):
 
 
 @compiled
-def bounds_row(b, c, channels, low, high, least, most):
+def bounds_row(b: np.ndarray, c: np.ndarray, channels: int, low: np.ndarray, high: np.ndarray, least: np.ndarray,
+               most: np.ndarray) -> None:
     """The least and the largest of two rows, of each pixel and the one after it; `low` and `high` of each alone."""
     for i in range(b.size):
         low[i], high[i] = min(b[i], c[i]), max(b[i], c[i])
@@ -78,7 +81,8 @@ def bounds_row(b, c, channels, low, high, least, most):
 
 
 @compiled
-def across_row(value, least, most, index, weights, channels, row):
+def across_row(value: np.ndarray, least: np.ndarray, most: np.ndarray, index: np.ndarray, weights: np.ndarray,
+               channels: int, row: np.ndarray) -> None:
     """Cubic sums along a row whose taps begin at `index`, held within the four nearest samples."""
     for x in range(index.size):
         u, v, w, z = weights[0, x], weights[1, x], weights[2, x], weights[3, x]
@@ -89,7 +93,7 @@ def across_row(value, least, most, index, weights, channels, row):
 
 
 @compiled
-def is_doubled(columns, w):
+def is_doubled(columns: np.ndarray, w: int) -> bool:
     """Whether the result has twice the columns, evenly, so that all even ones lie alike, and all odd ones."""
     if columns.size != 2 * w or abs(columns[0]) > MARGIN - 3 or abs(columns[1]) > MARGIN - 3:
         return False
@@ -100,7 +104,8 @@ def is_doubled(columns, w):
 
 
 @compiled
-def even_row(a, b, c, d, least, most, weights, out):
+def even_row(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, least: np.ndarray, most: np.ndarray,
+             weights: Taps, out: np.ndarray) -> None:
     """Like `across_row` for every second pixel, whose four taps lie alike."""
     u, v, w, z = weights
     for i in range(out.size):
@@ -108,14 +113,14 @@ def even_row(a, b, c, d, least, most, weights, out):
 
 
 @inline
-def put_pixel(source, at, row, target):
+def put_pixel(source: np.ndarray, at: int, row: np.ndarray, target: int) -> None:
     """Three values, and the one after them, which the next pixel is written over: four are one instruction."""
     a, b, c, d = source[at], source[at + 1], source[at + 2], source[at + 3]
     row[target], row[target + 1], row[target + 2], row[target + 3] = a, b, c, d
 
 
 @compiled
-def interleave(even, odd, channels, row):
+def interleave(even: np.ndarray, odd: np.ndarray, channels: int, row: np.ndarray) -> None:
     """Pixels of two rows in turn."""
     first = 0
     if channels == 1:
@@ -134,7 +139,8 @@ def interleave(even, odd, channels, row):
 
 
 @compiled
-def double_row(value, least, most, columns, channels, sides, row):
+def double_row(value: np.ndarray, least: np.ndarray, most: np.ndarray, columns: np.ndarray, channels: int,
+               sides: np.ndarray, row: np.ndarray) -> None:
     """A row of twice as many pixels, evenly."""
     for side in range(2):
         at = math.floor(columns[side])
@@ -146,7 +152,7 @@ def double_row(value, least, most, columns, channels, sides, row):
 
 
 @compiled
-def taps_of(columns, w, channels):
+def taps_of(columns: np.ndarray, w: int, channels: int) -> tuple[np.ndarray, np.ndarray]:
     """Where in a row with margins the four taps of each column begin, and their weights."""
     index, weights = np.empty(columns.size, np.int64), np.empty((4, columns.size), np.float32)
     for x in range(columns.size):
@@ -157,7 +163,8 @@ def taps_of(columns, w, channels):
 
 
 @compiled
-def resample_rows(y0, y1, image, rows, columns, output):
+def resample_rows(y0: int, y1: int, image: np.ndarray, rows: np.ndarray, columns: np.ndarray,
+                  output: np.ndarray) -> None:
     """Cubic interpolation at `rows` (height,) and `columns` (width,), positions in the image, pixel centres whole.
 
     Values stay within those of the four nearest samples, so that edges do not ring and nothing turns negative; of a
@@ -213,7 +220,7 @@ RESAMPLE = Kernel("resample", ("image", "rows", "columns"), ("output",), resampl
 
 
 @inline
-def straight(light, alpha, empty):
+def straight(light: Real, alpha: Real, empty: Real) -> Real:
     """Colour of what covers a pixel: light over alpha; infinite where light comes from what covers nothing, `empty`
     where there is nothing at all."""
     light, alpha = known(light), known(alpha)
@@ -223,7 +230,7 @@ def straight(light, alpha, empty):
 
 
 @compiled
-def straight_row(upper, lower, least, most):
+def straight_row(upper: np.ndarray, lower: np.ndarray, least: np.ndarray, most: np.ndarray) -> None:
     """Least and largest straight colour (w, 3) of two rows (w, 4), pixel by pixel."""
     for x in range(least.shape[0]):
         above, below = upper[x, 3], lower[x, 3]
@@ -234,7 +241,7 @@ def straight_row(upper, lower, least, most):
 
 
 @compiled
-def hold_row(least, most, near, row):
+def hold_row(least: np.ndarray, most: np.ndarray, near: np.ndarray, row: np.ndarray) -> None:
     """Alpha within [0, 1], and colours within what the nearest straight colours make of that alpha."""
     for x in range(row.shape[0]):
         left, right = near[0, x], near[1, x]
@@ -247,14 +254,15 @@ def hold_row(least, most, near, row):
 
 
 @inline
-def nearest(position, size):
+def nearest(position: Real, size: int) -> tuple[int, int]:
     """The two samples around a position."""
     first = int(math.floor(position))
     return min(max(first, 0), size - 1), min(max(first + 1, 0), size - 1)
 
 
 @compiled
-def enlarge_rows(y0, y1, image, rows, columns, output):
+def enlarge_rows(y0: int, y1: int, image: np.ndarray, rows: np.ndarray, columns: np.ndarray,
+                 output: np.ndarray) -> None:
     """Cubic like `resample_rows`, and colours are no brighter and no darker than the nearest four pixels' own colours
     at the coverage that comes out: so edges have no halo, whatever they are composited over."""
     resample_rows(y0, y1, image, rows, columns, output)
@@ -273,13 +281,13 @@ def enlarge_rows(y0, y1, image, rows, columns, output):
 
 
 @inline
-def over(front, alpha, behind):
+def over(front: Real, alpha: Real, behind: Real) -> Real:
     """Porter and Duff 1984, premultiplied."""
     return known(front) + (ONE - clamp(alpha, ZERO, ONE)) * known(behind)
 
 
 @compiled
-def over_rows(y0, y1, overlay, colour, output):
+def over_rows(y0: int, y1: int, overlay: np.ndarray, colour: np.ndarray, output: np.ndarray) -> None:
     for y in range(y0, y1):
         for x in range(output.shape[1]):
             for c in range(3):
@@ -287,7 +295,7 @@ def over_rows(y0, y1, overlay, colour, output):
 
 
 @compiled
-def over_alpha_rows(y0, y1, overlay, alpha, output):
+def over_alpha_rows(y0: int, y1: int, overlay: np.ndarray, alpha: np.ndarray, output: np.ndarray) -> None:
     for y in range(y0, y1):
         for x in range(output.shape[1]):
             covered = clamp(overlay[y, x, 3], ZERO, ONE)
@@ -304,7 +312,7 @@ OVER_ALPHA = Kernel("overlay_over_alpha", ("overlay", "alpha"), ("output",), ove
 
 
 @compiled
-def rows(y0, y1, rows, columns, greys, output):
+def rows(y0: int, y1: int, rows: np.ndarray, columns: np.ndarray, greys: np.ndarray, output: np.ndarray) -> None:
     """Output rows y0..y1-1."""
     for y in range(y0, y1):
         for x in range(columns.size):
@@ -329,7 +337,7 @@ CHECKERBOARD = Kernel(
 
 
 @compiled
-def box_means(planes, width, means):
+def box_means(planes: np.ndarray, width: int, means: np.ndarray) -> None:
     """Mean over width x width cells, an odd number, edges repeated; planes (rows, columns, channels) to the same."""
     rows, columns, channels = planes.shape
     near, share = width // 2, 1.0 / (width * width)
@@ -351,7 +359,7 @@ def box_means(planes, width, means):
 
 
 @vectorised
-def products(a, b, mean_a, mean_b):
+def products(a: np.ndarray, b: np.ndarray, mean_a: Real, mean_b: Real) -> tuple[Real, Real, Real]:
     """Sums of squares and of products of two channels without their means."""
     square_a = square_b = both = 0.0
     for i in range(a.size):
@@ -361,7 +369,7 @@ def products(a, b, mean_a, mean_b):
 
 
 @compiled
-def moments(a, b):
+def moments(a: np.ndarray, b: np.ndarray) -> tuple[Real, Real, Real]:
     """Mean square of two sets of cells (cells, channels) without the means of their channels, and mean product."""
     cells, channels = a.shape
     square_a = square_b = both = 0.0
@@ -374,7 +382,7 @@ def moments(a, b):
 
 
 @compiled
-def mark_positive(plane, side, cells):
+def mark_positive(plane: np.ndarray, side: int, cells: np.ndarray) -> None:
     """Set cells of side x side pixels in which a plane (h, w, 1) is positive anywhere."""
     for y in range(plane.shape[0]):
         for x in range(plane.shape[1]):

@@ -44,5 +44,9 @@ class Kernel:
             raise ValueError(f"kernel '{self.name}' counts rows of '{self.row_axis[0]}', which it does not write")
         unknown = {*self.shapes, *self.types} - set(names)
         if unknown:
-            names = ", ".join(sorted(unknown))
-            raise ValueError(f"kernel '{self.name}' gives shapes or types of unknown bindings: {names}")
+            raise ValueError(f"kernel '{self.name}' gives shapes or types of unknown bindings: "
+                             f"{', '.join(sorted(unknown))}")
+
+    def fixed_shape(self, name: str) -> tuple[int, ...]:
+        """The shape of a binding that has no symbols; ValueError where it has some."""
+        return tuple(int(size) for size in self.shapes[name])

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.numeric import compiled, inline
+from postfx.kernels.numeric import Real, compiled, inline
 
 
 @inline
-def luminance(colour, y, x):
+def luminance(colour: np.ndarray, y: int, x: int) -> Real:
     """Luminance of a pixel of Rec.709."""
     return 0.2126 * colour[y, x, 0] + 0.7152 * colour[y, x, 1] + 0.0722 * colour[y, x, 2]
 
 
 @compiled
-def block_means(colour, block, means):
+def block_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
     """Mean luminance of each block x block pixels without the brightest; colour (h, w, 3) -> means (rows, columns).
 
     Non-finite pixels are left out, negative ones count as 0. Averaging keeps the noise of one sample a pixel out of
@@ -35,7 +35,7 @@ def block_means(colour, block, means):
 
 
 @compiled
-def half_means(colour, block, means):
+def half_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
     """Mean luminance of the two halves of each whole block; colour (h, w, 3) -> means (2, rows, columns).
 
     The halves are the even and the odd rows, so they show the same with other noise. The brightest pixel of each is

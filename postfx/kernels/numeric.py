@@ -1,12 +1,15 @@
 """How kernels are compiled, and the small functions that they inline."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numba import njit
 
 from postfx.kernels.compile_cache import KernelCache
+
+Real: TypeAlias = Any
+"""A number or truth value in a kernel: Numba compiles a function for the types that it is called with."""
 
 MAX_COLOUR = 1e4
 
@@ -34,14 +37,14 @@ vectorised = kernel_jit(fastmath=True)
 
 
 @inline
-def clamp(value, low, high):
+def clamp(value: Real, low: Real, high: Real) -> Real:
     """``value`` within [low, high], which holds 0 or lies above it; a NaN becomes the value nearest to 0."""
     known = value if value == value else np.float32(0)
     return min(max(np.float32(low), known), np.float32(high))
 
 
 @inline
-def centre(position, size, out_size):
+def centre(position: int, size: int, out_size: int) -> tuple[int, Real]:
     """The render pixel that holds an output pixel's centre, and the centre's offset from it in [-0.5, 0.5)."""
     at = (2 * position + 1) * size  # in units of 1 / (2 out_size): exact
     index = at // (2 * out_size)
@@ -49,7 +52,7 @@ def centre(position, size, out_size):
 
 
 @fast_inline
-def log(x):
+def log(x: Real) -> Real:
     """log(x) of a normal x > 0, absolute error below 3e-7; mantissa polynomial of Cephes ``logf`` (Moshier)."""
     bits = np.float32(x).view(np.int32)
     exponent = (bits - np.int32(0x3F3504F3)) >> np.int32(23)
@@ -67,7 +70,7 @@ def log(x):
 
 
 @fast_inline
-def log1p(x):
+def log1p(x: Real) -> Real:
     """log(1 + x) for x >= 0, relative error below 3e-6; branch-free, so that loops of it become vector code.
 
     A series below 0.03, where 1 + x would round.
@@ -78,7 +81,7 @@ def log1p(x):
 
 
 @fast_inline
-def exp_parts(x):
+def exp_parts(x: Real) -> tuple[Real, Real]:
     """m and 2^n with exp(x) = (1 + m) 2^n, for -80 <= x <= 80; polynomial of Cephes ``expf`` (Moshier)."""
     whole = np.floor(x * np.float32(1.4426950408889634) + np.float32(0.5))
     r = (x - whole * np.float32(0.693359375)) + whole * np.float32(2.12194440e-4)
@@ -92,27 +95,27 @@ def exp_parts(x):
 
 
 @fast_inline
-def exp(x):
+def exp(x: Real) -> Real:
     """exp(x) for -80 <= x <= 80, relative error below 2e-7."""
     more, power = exp_parts(x)
     return (more + np.float32(1)) * power
 
 
 @fast_inline
-def expm1(x):
+def expm1(x: Real) -> Real:
     """exp(x) - 1 for 0 <= x < 80, relative error below 2e-7."""
     more, power = exp_parts(x)
     return more * power + (power - np.float32(1))
 
 
 @inline
-def log_encode(exposed):
+def log_encode(exposed: Real) -> Real:
     """log(1 + x) of an exposed colour in [0, 1e4]."""
     return log1p(min(max(np.float32(0), exposed), np.float32(MAX_COLOUR)))
 
 
 @inline
-def demodulation(diffuse_albedo, specular_albedo, y, x):
+def demodulation(diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, y: int, x: int) -> tuple[Real, Real, Real]:
     """Reflectance that colour is divided by at a pixel: see ``training.ops.demodulation``."""
     r = clamp(diffuse_albedo[y, x, 0] + specular_albedo[y, x, 0], np.float32(0), np.float32(4))
     g = clamp(diffuse_albedo[y, x, 1] + specular_albedo[y, x, 1], np.float32(0), np.float32(4))
@@ -126,14 +129,14 @@ def demodulation(diffuse_albedo, specular_albedo, y, x):
 
 
 @vectorised
-def add(row, total):
+def add(row: np.ndarray, total: np.ndarray) -> None:
     """total += row, over the length of ``total``. Loops over this few arrays become vector code."""
     for x in range(total.size):
         total[x] += row[x]
 
 
 @vectorised
-def add_product(weights, row, total):
+def add_product(weights: np.ndarray, row: np.ndarray, total: np.ndarray) -> None:
     """total += weights * row, over the length of ``total``."""
     for x in range(total.size):
         total[x] += weights[x] * row[x]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.numeric import compiled
+from postfx.kernels.numeric import Real, compiled
 
 ZERO, ONE = np.float32(0), np.float32(1)
 LARGEST = np.int32(0x477FE000)
@@ -21,7 +21,7 @@ SUBNORMALS = np.float32(2**24)
 
 
 @compiled
-def halve(values, bits, output):
+def halve(values: np.ndarray, bits: np.ndarray, output: np.ndarray) -> None:
     """output (n,) uint16 = bits of the half floats nearest to `values` (n,) float32, ties to even, cut to +-65504.
 
     `bits` are those of `values`, as int32. NaN stays NaN.
@@ -37,7 +37,7 @@ def halve(values, bits, output):
 
 
 @compiled
-def look_up(codes, table, output):
+def look_up(codes: np.ndarray, table: np.ndarray, output: np.ndarray) -> bool:
     """output (n,) float32 = `table` between its entries, which lie evenly over codes (n,) float32 from 0 to 1 and end
     with the last one twice. Returns whether all codes lie there."""
     last = np.float32(table.size - 2)
@@ -55,7 +55,7 @@ def look_up(codes, table, output):
 
 
 @compiled
-def part(plain, differences):
+def part(plain: np.ndarray, differences: np.ndarray) -> None:
     """differences (n,) uint8 = bytes of `plain` (n,) uint8, n even, as OpenEXR compresses them (ImfZip.cpp): those in
     even places before those in odd ones, each less the one before it, plus 128."""
     half = plain.size // 2
@@ -68,7 +68,7 @@ def part(plain, differences):
 
 
 @compiled
-def paeth(rows, above, step, output):
+def paeth(rows: np.ndarray, above: np.ndarray, step: int, output: np.ndarray) -> None:
     """output (h, n + 1) uint8 = rows (h, n) uint8 by PNG's filter 4, after its number (ISO/IEC 15948, 9.4).
 
     `above` (n,) is the row before, zeros for the first; `step` the bytes of a pixel.
@@ -89,7 +89,7 @@ def paeth(rows, above, step, output):
 
 
 @compiled
-def dither_rows(codes, top, thresholds, output):
+def dither_rows(codes: np.ndarray, top: Real, thresholds: np.ndarray, output: np.ndarray) -> None:
     """output (height, values) uint8 = the whole part of top * codes, cut to 0..1, plus a threshold.
 
     codes: (height, values) float32, NaN counts as 0; thresholds (rows, columns) float32 in (0, 1), repeated.

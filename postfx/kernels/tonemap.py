@@ -51,13 +51,14 @@ import numpy as np
 
 from postfx.kernels.colour import cube_row, shape_row
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.numeric import compiled, fused, vectorised
+from postfx.kernels.numeric import Real, compiled, fused, vectorised
 
 SIDE = 256
 
 
 @fused
-def _sum_rows(colour, params, matrix, top, bottom, total, shaped, scratch):
+def _sum_rows(colour: np.ndarray, params: np.ndarray, matrix: np.ndarray, top: int, bottom: int, total: np.ndarray,
+              shaped: np.ndarray, scratch: np.ndarray) -> None:
     """total (3, width) = mean of the shaped rows between `top` and `bottom` (in pixels), each by its share."""
     height, width = colour.shape[0], colour.shape[1]
     total[:] = np.float32(0.0)
@@ -71,7 +72,8 @@ def _sum_rows(colour, params, matrix, top, bottom, total, shaped, scratch):
 
 
 @compiled
-def lowres_rows(y0, y1, colour, params, matrix, lowres):
+def lowres_rows(y0: int, y1: int, colour: np.ndarray, params: np.ndarray, matrix: np.ndarray,
+                lowres: np.ndarray) -> None:
     """Rows y0..y1-1 of the low-resolution copy."""
     height, width = colour.shape[0], colour.shape[1]
     shaped, scratch = np.empty((3, width), np.float32), np.empty(width, np.int32)
@@ -100,7 +102,7 @@ LOWRES = Kernel(
 
 
 @compiled
-def light_rows(y0, y1, lowres, light):
+def light_rows(y0: int, y1: int, lowres: np.ndarray, light: np.ndarray) -> None:
     """Rows y0..y1-1 of the means."""
     for y in range(y0, y1):
         for c in range(3):
@@ -128,7 +130,7 @@ MOST = 1e4
 
 
 @compiled
-def follow_rows(y0, y1, light, params, before, after):
+def follow_rows(y0: int, y1: int, light: np.ndarray, params: np.ndarray, before: np.ndarray, after: np.ndarray) -> None:
     """The one row; in float64, so that nothing depends on the order of the sum."""
     keep, follow, past, scale = params[0], params[1], params[2], params[3]
     for y in range(y0, y1):
@@ -161,7 +163,8 @@ BROKEN = np.float32(1e4)
 
 
 @compiled
-def smooth_rows(y0, y1, previous, current, keep, result):
+def smooth_rows(y0: int, y1: int, previous: np.ndarray, current: np.ndarray, keep: np.ndarray,
+                result: np.ndarray) -> None:
     """Grid rows y0..y1-1; with keep 0 `previous` is not looked at, so it may hold anything."""
     weight = np.float32(keep[0, 0])
     for y in range(y0, y1):
@@ -190,7 +193,8 @@ MOST_STOPS = 64.0
 
 
 @compiled
-def expose_rows(y0, y1, previous, current, keep, params, result):
+def expose_rows(y0: int, y1: int, previous: np.ndarray, current: np.ndarray, keep: np.ndarray, params: np.ndarray,
+                result: np.ndarray) -> None:
     """Numbers y0..y1-1; in float64, so that the exposure of a still picture stays as it is to the bit."""
     stops = np.float64(current[0, 0])
     before = np.log2(np.float64(previous[0])) if previous[0] > 0 else np.nan
@@ -223,7 +227,7 @@ ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 
 
 @fused
-def _guide_row(shaped, guide, mapped, level):
+def _guide_row(shaped: np.ndarray, guide: np.ndarray, mapped: np.ndarray, level: np.ndarray) -> None:
     """Guide of one row: shaped (3, width) -> level (width,), before the clip."""
     width = level.shape[0]
     for x in range(width):
@@ -245,7 +249,7 @@ def _guide_row(shaped, guide, mapped, level):
 
 
 @fused
-def _grid_row(grid, position, row):
+def _grid_row(grid: np.ndarray, position: Real, row: np.ndarray) -> None:
     """Grid between two of its rows: (1, gh, gw, gd, 12) at `position` in [0, 1] -> row (gw, gd, 12)."""
     gh, gw, gd = grid.shape[1], grid.shape[2], grid.shape[3]
     y = min(max(position * gh - HALF, ZERO), np.float32(gh - 1))
@@ -259,7 +263,9 @@ def _grid_row(grid, position, row):
 
 
 @fused
-def _add_level(a, b, target, across, red, green, blue, depth, out_red, out_green, out_blue):
+def _add_level(a: np.ndarray, b: np.ndarray, target: Real, across: np.ndarray, red: np.ndarray, green: np.ndarray,
+               blue: np.ndarray, depth: np.ndarray, out_red: np.ndarray, out_green: np.ndarray,
+               out_blue: np.ndarray) -> None:
     """Add one guide level's share to a span of pixels, which lie between the columns with matrices `a` and `b`."""
     a0, a1, a2, a3, a4, a5 = a[0], a[1], a[2], a[3], a[4], a[5]
     a6, a7, a8, a9, a10, a11 = a[6], a[7], a[8], a[9], a[10], a[11]
@@ -274,7 +280,8 @@ def _add_level(a, b, target, across, red, green, blue, depth, out_red, out_green
 
 
 @fused
-def _apply_row(spans, across, shaped, depth, row, total):
+def _apply_row(spans: np.ndarray, across: np.ndarray, shaped: np.ndarray, depth: np.ndarray, row: np.ndarray,
+               total: np.ndarray) -> None:
     """Sum the affine colours of all guide levels into total (3, width).
 
     Pixels between two grid columns share their matrices, so each level is one vector loop over them; levels that no
@@ -295,7 +302,7 @@ def _apply_row(spans, across, shaped, depth, row, total):
 
 
 @vectorised
-def _limits(values):
+def _limits(values: np.ndarray) -> tuple[Real, Real]:
     """Smallest and largest of finite values."""
     low = high = values[0]
     for x in range(values.shape[0]):
@@ -304,7 +311,7 @@ def _limits(values):
 
 
 @compiled
-def _columns(width, gw, spans, across):
+def _columns(width: int, gw: int, spans: np.ndarray, across: np.ndarray) -> None:
     """First pixel of each span between grid columns (gw + 2,), and how far across its span each pixel is, 0..1."""
     spans[0], spans[gw + 1] = 0, width
     for span in range(1, gw + 1):
@@ -315,7 +322,8 @@ def _columns(width, gw, spans, across):
 
 
 @compiled
-def slice_apply_rows(y0, y1, colour, params, matrix, guide, grid, cube, output):
+def slice_apply_rows(y0: int, y1: int, colour: np.ndarray, params: np.ndarray, matrix: np.ndarray, guide: np.ndarray,
+                     grid: np.ndarray, cube: np.ndarray, output: np.ndarray) -> None:
     """Output rows y0..y1-1."""
     height, width, levels = colour.shape[0], colour.shape[1], np.float32(grid.shape[3])
     shaped, scratch = np.empty((3, width), np.float32), np.empty(width, np.int32)

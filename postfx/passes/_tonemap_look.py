@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def find_model(tag: str) -> tuple[Library, str]:
 
 def shaper(library: Library, model: str) -> Shaper:
     """The shaper of a model, from its card. ModelError when there is none, or none that can be."""
-    given = library.card(model).get("shaper")
+    given: Any = library.card(model).get("shaper")
     try:
         found = Shaper(float(given["toe"]), float(given["scale"]), np.array(given["matrix"], np.float32))
     except (KeyError, TypeError, ValueError, OverflowError):

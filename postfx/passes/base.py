@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from inspect import Parameter, signature
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -115,15 +116,23 @@ class ResidentFrame:
 class Pass:
     """Base of all passes. A pass is compiled once for a spec and then encodes frame after frame.
 
-    Subclasses set `name` and `defaults`, and implement `reflect`, `compile` and `encode`; `compile` and `encode`
-    call `super()` first. A pass never reaches into another: planes are shared only through the frame.
+    Subclasses set `name`, take their options as keywords with defaults, which they hand to `super().__init__`, and
+    implement `reflect`, `compile` and `encode`; `compile` and `encode` call `super()` first. A pass never reaches into
+    another: planes are shared only through the frame.
     """
 
     name: ClassVar[str]
     """The pass's name in the registry, on the command line and in timings."""
 
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
-    """Every option with its default value."""
+    """Every option with its default value: those of the signature, if a subclass does not set them."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "__init__" in cls.__dict__ and "defaults" not in cls.__dict__:
+            options = signature(cls).parameters.values()
+            cls.defaults = MappingProxyType({option.name: option.default for option in options
+                                             if option.kind is Parameter.KEYWORD_ONLY})
 
     def __init__(self, **options: Any) -> None:
         unknown = sorted(set(options) - set(self.defaults))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, Never
 
 from postfx.frame import FrameSpec, Role
 from postfx.kernels.image import OVER
@@ -21,8 +21,11 @@ class BothWays(Pass):
 
     name: ClassVar[str] = "both_ways"
 
+    def __init__(self, **unknown: Never) -> None:
+        super().__init__(**unknown)
+
     def reflect(self, spec: FrameSpec) -> Reflection:
-        kept = tuple(role for role in spec.roles if role is not Role.LATER)
+        kept = tuple(plane for plane in spec.planes if plane[0] is not Role.LATER)
         return Reflection(reads=(Role.COLOUR, Role.LATER), writes=(Role.COLOUR,), output=replace(spec, planes=kept))
 
     def skip(self, spec: FrameSpec) -> str | None:

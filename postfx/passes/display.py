@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar, Never
 
 import numpy as np
 
@@ -30,11 +28,10 @@ class Display(Pass):
     """
 
     name: ClassVar[str] = "display"
-    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"display": "srgb"})
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        self._target = parse_display(self.options["display"])
+    def __init__(self, *, display: str = "srgb", **unknown: Never) -> None:
+        super().__init__(display=display, **unknown)
+        self._target = parse_display(display)
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         _source(spec, self._target)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar, Never
 
 import numpy as np
 
@@ -35,11 +34,13 @@ class ExposureTool(Pass):
     """
 
     name: ClassVar[str] = "exposure_tool"
-    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"reference": None})
+
+    def __init__(self, *, reference: Mapping[int, float] | None = None, **unknown: Never) -> None:
+        super().__init__(reference=reference, **unknown)
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         alpha = tuple(role for role in (Role.ALPHA,) if spec.has(role))
-        kept = tuple(role for role in spec.roles if role is not Role.OVERLAY)
+        kept = tuple(plane for plane in spec.planes if plane[0] is not Role.OVERLAY)
         return Reflection(reads=(Role.COLOUR,), may_read=alpha, writes=(Role.COLOUR, *alpha),
                           output=replace(spec, planes=kept))
 

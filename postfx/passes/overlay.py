@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from statistics import median
-from typing import ClassVar
+from typing import ClassVar, Never
 
 from postfx.frame import FrameSpec, Role
 from postfx.kernels.image import OVER, OVER_ALPHA
@@ -25,8 +25,11 @@ class Overlay(Pass):
 
     name: ClassVar[str] = "overlay"
 
+    def __init__(self, **unknown: Never) -> None:
+        super().__init__(**unknown)
+
     def reflect(self, spec: FrameSpec) -> Reflection:
-        kept = tuple(role for role in spec.roles if role is not Role.OVERLAY)
+        kept = tuple(plane for plane in spec.planes if plane[0] is not Role.OVERLAY)
         covered = tuple(role for role in (Role.COLOUR, Role.ALPHA) if spec.has(role))
         return Reflection(reads=(Role.COLOUR, Role.OVERLAY), may_read=(Role.ALPHA,), writes=covered,
                           output=replace(spec, planes=kept))
@@ -43,7 +46,8 @@ class Overlay(Pass):
         self._tables = {Role.COLOUR: self._table(device, spec, Role.COLOUR)}
         if spec.has(Role.ALPHA):
             self._tables[Role.ALPHA] = self._table(device, spec, Role.ALPHA)
-        self._blank, self._recorded, self._times = 0, False, []
+        self._blank, self._recorded = 0, False
+        self._times: list[float] = []
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Never
 
 import numpy as np
 
@@ -52,11 +51,9 @@ class ToneMap(Pass):
     """
 
     name: ClassVar[str] = "tonemap"
-    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"tag": "aces2", "keep": None})
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        keep = self.options["keep"]
+    def __init__(self, *, tag: str = "aces2", keep: float | None = None, **unknown: Never) -> None:
+        super().__init__(tag=tag, keep=keep, **unknown)
         if keep is not None and not 0 <= float(keep) < 1:
             raise PassOptionError(f"pass '{self.name}' keeps 0 to below 1 of the last grid, not {keep}")
 
@@ -90,14 +87,14 @@ class ToneMap(Pass):
     def _compile_network(self, device: Device, network: PipelineState, common: Mapping[str, Tensor],
                          kind: _Kind) -> None:
         """The network's part, and the kernels around it."""
-        shapes = {binding.name: binding.shape for binding in network.bindings}
+        shapes = network.shapes
         shaping = {name: common[name] for name in ("params", "matrix")}
         lowres, made = (device.heap.transient(name, shapes[name]) for name in ("lowres", kind.made))
         holding = {"current": made} | {name: common[name] for name in kind.hold.reads if name in common}
-        light = device.heap.transient("tonemap light", LIGHT.shapes["light"])
-        self._pace = device.heap.tensor("tonemap pace", FOLLOW.shapes["params"])
-        self._history = [_History(*(device.heap.tensor(name, shape) for name, shape in
-                                    (("held", kind.hold.shapes["result"]), ("light followed", FOLLOW.shapes["after"]))))
+        light = device.heap.transient("tonemap light", LIGHT.fixed_shape("light"))
+        self._pace = device.heap.tensor("tonemap pace", FOLLOW.fixed_shape("params"))
+        self._history = [_History(device.heap.tensor("held", kind.hold.fixed_shape("result")),
+                                  device.heap.tensor("light followed", FOLLOW.fixed_shape("after")))
                          for _ in range(2)]
         for tensor in (*self._history[0], *self._history[1]):
             tensor.fill(0)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar, Never
 
 import numpy as np
 
@@ -30,11 +28,10 @@ class View(Pass):
     """
 
     name: ClassVar[str] = "view"
-    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({"view": "neutral", "display": "srgb"})
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        self._view, self._cube = bake(self.options["view"], parse_display(self.options["display"]))
+    def __init__(self, *, view: str = "neutral", display: str = "srgb", **unknown: Never) -> None:
+        super().__init__(view=view, display=display, **unknown)
+        self._view, self._cube = bake(view, parse_display(display))
 
     @property
     def output(self) -> str:

@@ -54,9 +54,11 @@ class State(Protocol):
     device: StateDevice
     command: str
     stage: str
-    model: Path | None
     capturable: bool
     bindings: tuple[Binding, ...]
+
+    @property
+    def model(self) -> Path | None: ...
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that runs the state on tensors given in the order of `bindings`; nothing is copied."""
@@ -68,6 +70,7 @@ class PipelineState:
 
     Attributes:
         bindings: of what a dispatch reads and writes.
+        shapes: name -> shape of each binding.
         constants: name -> array of outputs that no input changes. They are not bound: on a GPU, ONNX Runtime would copy
             them beside the stream that all other work is on, early or late.
     """
@@ -83,6 +86,7 @@ class PipelineState:
         self.model = model
         self.command = f"network '{name}'"
         self.bindings = tuple(binding for binding in _session_bindings(session) if binding.name not in constants)
+        self.shapes = {value.name: value.fixed for value in (*session.inputs, *session.outputs)}
         self.constants = session.constants(constants)
         self._session = session
 

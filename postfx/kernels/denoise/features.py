@@ -32,6 +32,7 @@ from postfx.kernels.denoise.layout import (
 from postfx.kernels.denoise.reactive import kept_row
 from postfx.kernels.numeric import (
     MAX_COLOUR,
+    Real,
     clamp,
     compiled,
     demodulation,
@@ -47,7 +48,7 @@ ZERO, ONE, FOUR, NEAREST = np.float32(0), np.float32(1), np.float32(4), np.float
 
 
 @fused
-def is_unknown(a, b, c, d, tx, ty):
+def is_unknown(a: Real, b: Real, c: Real, d: Real, tx: Real, ty: Real) -> Real:
     """Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their weights."""
     if min(min(a, b), min(c, d)) > ZERO:
         return False
@@ -60,7 +61,8 @@ def is_unknown(a, b, c, d, tx, ty):
 
 
 @fused
-def recall_row(y, columns, moved, state, last_depth, keep, memory, before, valid):
+def recall_row(y: int, columns: np.ndarray, moved: np.ndarray, state: np.ndarray, last_depth: np.ndarray,
+               keep: np.ndarray, memory: np.ndarray, before: np.ndarray, valid: np.ndarray) -> None:
     """The state of the frame before along a row: bilinear (12, w), edge repeated, and the nearest pixel's depth.
 
     ``y`` and ``columns`` are places in the frame, ``moved`` (w, 2) is the motion there, ``keep`` (w,) how much of the
@@ -96,7 +98,8 @@ def recall_row(y, columns, moved, state, last_depth, keep, memory, before, valid
 
 
 @fused
-def mean_row(top, bottom, warped, left, right, total, mean):
+def mean_row(top: int, bottom: int, warped: np.ndarray, left: np.ndarray, right: np.ndarray, total: np.ndarray,
+             mean: np.ndarray) -> None:
     """Mean (3, w) of the output pixels that each render pixel of a row touches: rows ``top`` to ``bottom``."""
     width = warped.shape[1]
     total[:] = ZERO
@@ -115,7 +118,8 @@ def mean_row(top, bottom, warped, left, right, total, mean):
 
 
 @fused
-def colour_planes(row, colour, factor, exposure, memory, gain, mean, valid, features):
+def colour_planes(row: int, colour: np.ndarray, factor: np.ndarray, exposure: Real, memory: np.ndarray, gain: Real,
+                  mean: np.ndarray, valid: np.ndarray, features: np.ndarray) -> None:
     """This frame's colour, the accumulated colour and the last output, without reflectance and log-encoded.
 
     A loop that reads few arrays, each without gaps, becomes vector code: hence the copies and the many loops.
@@ -134,7 +138,8 @@ def colour_planes(row, colour, factor, exposure, memory, gain, mean, valid, feat
 
 
 @fused
-def bounded_planes(row, first, picture, count, low, high, features):
+def bounded_planes(row: int, first: int, picture: np.ndarray, count: int, low: Real, high: Real,
+                   features: np.ndarray) -> None:
     """Channels of a picture's row as they are, within bounds."""
     for c in range(picture.shape[1]):
         plane = features[0, first + c, row]
@@ -143,7 +148,8 @@ def bounded_planes(row, first, picture, count, low, high, features):
 
 
 @fused
-def depth_planes(row, depth, before, valid, scale, features):
+def depth_planes(row: int, depth: np.ndarray, before: np.ndarray, valid: np.ndarray, scale: Real,
+                 features: np.ndarray) -> None:
     """Depth relative to the picture's, and its change since the frame before."""
     near, change, count = features[0, 19, row], features[0, 20, row], valid.size
     for x in range(count):
@@ -156,7 +162,7 @@ def depth_planes(row, depth, before, valid, scale, features):
 
 
 @fused
-def motion_plane(row, moved, features):
+def motion_plane(row: int, moved: np.ndarray, features: np.ndarray) -> None:
     """Length of the motion, log-encoded."""
     plane = features[0, 25, row]
     for x in range(moved.shape[0]):
@@ -166,7 +172,7 @@ def motion_plane(row, moved, features):
 
 
 @fused
-def memory_planes(row, valid, memory, features):
+def memory_planes(row: int, valid: np.ndarray, memory: np.ndarray, features: np.ndarray) -> None:
     """Validity of the history, its sample count and the hidden state."""
     count = valid.size
     features[0, 21, row, :count] = valid
@@ -177,8 +183,11 @@ def memory_planes(row, valid, memory, features):
 
 
 @compiled
-def feature_rows(y0, y1, colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
-                 warped, depth_scale, params, window, keep, seen_rows, seen_columns, past, features):
+def feature_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray,
+                 normal: np.ndarray, roughness: np.ndarray, depth: np.ndarray, moved: np.ndarray, state: np.ndarray,
+                 last_depth: np.ndarray, warped: np.ndarray, depth_scale: np.ndarray, params: np.ndarray,
+                 window: np.ndarray, keep: np.ndarray, seen_rows: np.ndarray, seen_columns: np.ndarray,
+                 past: np.ndarray, features: np.ndarray) -> None:
     """The network's input and the reprojected accumulation."""
     h, w, height, width = int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]), int(window[OUT_WIDTH])
     top, first, above, before_left = int(window[TOP]), int(window[LEFT]), int(window[OUT_TOP]), int(window[OUT_LEFT])

@@ -23,7 +23,7 @@ from postfx.kernels.denoise.layout import (
     WIDTH,
     kernel,
 )
-from postfx.kernels.numeric import clamp, compiled, demodulation, fused
+from postfx.kernels.numeric import Real, clamp, compiled, demodulation, fused
 
 CORNERS = 4
 CHANNELS = GUIDES // CORNERS
@@ -31,7 +31,8 @@ ZERO, ONE, TWO, HALF = np.float32(0), np.float32(1), np.float32(2), np.float32(0
 
 
 @fused
-def picked_planes(picture, columns, low, high, first, row, guides):
+def picked_planes(picture: np.ndarray, columns: np.ndarray, low: Real, high: Real, first: int, row: int,
+                  guides: np.ndarray) -> None:
     """Pixels of a guide's row at ``columns``, within bounds, as planes from channel ``first`` on."""
     for c in range(picture.shape[1]):
         plane = guides[0, first + c, row]
@@ -40,8 +41,9 @@ def picked_planes(picture, columns, low, high, first, row, guides):
 
 
 @compiled
-def guide_rows(y0, y1, guide_diffuse_albedo, guide_specular_albedo, guide_normal, guide_roughness, guide_depth,
-               depth_scale, window, seen_rows, seen_columns, guides):
+def guide_rows(y0: int, y1: int, guide_diffuse_albedo: np.ndarray, guide_specular_albedo: np.ndarray,
+               guide_normal: np.ndarray, guide_roughness: np.ndarray, guide_depth: np.ndarray, depth_scale: np.ndarray,
+               window: np.ndarray, seen_rows: np.ndarray, seen_columns: np.ndarray, guides: np.ndarray) -> None:
     """The nearest guide pixel at every corner of what the network sees."""
     h, w = int(window[HEIGHT]), int(window[WIDTH])
     top, left = int(window[TOP]), int(window[LEFT])
@@ -70,7 +72,8 @@ GUIDE = kernel("guides", (*GUIDE_PLANES, "depth_scale", "window", "seen_rows", "
 
 
 @compiled
-def judged_pixel(y, x, h, w, diffuse_albedo, specular_albedo, guide_diffuse_albedo, guide_specular_albedo):
+def judged_pixel(y: int, x: int, h: int, w: int, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray,
+                 guide_diffuse_albedo: np.ndarray, guide_specular_albedo: np.ndarray) -> tuple[Real, Real]:
     """Squared relative difference of the guides' mean reflectance over a render pixel from that of the render size, and
     the mean of their squared differences: how far the first goes along with the second."""
     height, width = guide_diffuse_albedo.shape[:2]
@@ -91,8 +94,9 @@ def judged_pixel(y, x, h, w, diffuse_albedo, specular_albedo, guide_diffuse_albe
 
 
 @compiled
-def trust_rows(y0, y1, diffuse_albedo, specular_albedo, guide_diffuse_albedo, guide_specular_albedo, window, part_rows,
-               part_columns, trust):
+def trust_rows(y0: int, y1: int, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray,
+               guide_diffuse_albedo: np.ndarray, guide_specular_albedo: np.ndarray, window: np.ndarray,
+               part_rows: np.ndarray, part_columns: np.ndarray, trust: np.ndarray) -> None:
     """How much of the guides' reflectance counts, in cells of the part: all of it where their mean over a render pixel
     is what the render size has, less where it goes with the detail, as that of one sample a pixel does."""
     h, w = int(window[HEIGHT]), int(window[WIDTH])
@@ -110,14 +114,14 @@ def trust_rows(y0, y1, diffuse_albedo, specular_albedo, guide_diffuse_albedo, gu
 
 
 @compiled
-def place_of(at, offset, size):
+def place_of(at: Real, offset: Real, size: int) -> Real:
     """Where a pixel's centre lies among the cells of ``size`` render pixels, from centre to centre."""
     place = (np.float32(at) + offset + HALF) / np.float32(TRUST_CELL) - HALF
     return min(max(place, ZERO), np.float32((size - 1) // TRUST_CELL))
 
 
 @compiled
-def trust_row(trust, place, places, row):
+def trust_row(trust: np.ndarray, place: Real, places: np.ndarray, row: np.ndarray) -> None:
     """How far each pixel of a row of the output trusts the guides, linear between cells."""
     upper = int(place)
     lower, share = min(upper + 1, trust.shape[0] - 1), place - np.float32(upper)

@@ -3,13 +3,13 @@
 import numpy as np
 
 from postfx.kernels.denoise.layout import GAIN, HEIGHT, LEFT, TOP, WIDTH, kernel
-from postfx.kernels.numeric import centre, compiled, expm1, fused, fused_inline, log1p, vectorised
+from postfx.kernels.numeric import Real, centre, compiled, expm1, fused, fused_inline, log1p, vectorised
 
 ZERO, ONE = np.float32(0), np.float32(1)
 
 
 @fused_inline
-def cubic(t):
+def cubic(t: Real) -> tuple[Real, Real, Real, Real]:
     """The four weights of cubic convolution with a = -0.75, the ONNX GridSample and OpenCV default."""
     a = np.float32(-0.75)
     u, v, s = t + ONE, ONE - t, np.float32(2) - t
@@ -18,7 +18,7 @@ def cubic(t):
 
 
 @vectorised
-def steps(moved, axis, scale, shift, weights):
+def steps(moved: np.ndarray, axis: int, scale: Real, shift: np.ndarray, weights: np.ndarray) -> None:
     """Motion along a row in whole output pixels, and the weights (4, w) of the cubic taps for the rest of it.
 
     All output pixels in a render pixel share them, for they share its motion.
@@ -31,7 +31,7 @@ def steps(moved, axis, scale, shift, weights):
 
 
 @fused_inline
-def down(flat, start, line, d0, d1, d2, d3):
+def down(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real, d3: Real) -> tuple[Real, Real, Real]:
     """Weighted sum of four pixels below one another in a flat picture; unsigned places need no check for below 0."""
     one, two = np.uint64(1), np.uint64(2)
     second, third = start + line, start + line + line
@@ -42,7 +42,8 @@ def down(flat, start, line, d0, d1, d2, d3):
 
 
 @fused
-def edge_pixel(left, top, history, at, wx, wy, pixel):
+def edge_pixel(left: int, top: int, history: np.ndarray, at: int, wx: np.ndarray, wy: np.ndarray,
+               pixel: np.ndarray) -> None:
     """One pixel near the picture's edge, which is repeated."""
     height, width = history.shape[:2]
     pixel[:] = ZERO
@@ -55,7 +56,8 @@ def edge_pixel(left, top, history, at, wx, wy, pixel):
 
 
 @fused
-def warp_row(y, columns, history, index, shift_x, shift_y, wx, wy, row):
+def warp_row(y: int, columns: np.ndarray, history: np.ndarray, index: np.ndarray, shift_x: np.ndarray,
+             shift_y: np.ndarray, wx: np.ndarray, wy: np.ndarray, row: np.ndarray) -> None:
     """Row ``y`` of the history moved, at ``columns``; ``index`` is the render pixel of each output pixel.
 
     Two neighbours in one render pixel share their motion, and so three of their four columns of taps.
@@ -92,14 +94,15 @@ def warp_row(y, columns, history, index, shift_x, shift_y, wx, wy, row):
 
 
 @vectorised
-def rescale_row(row, gain):
+def rescale_row(row: np.ndarray, gain: Real) -> None:
     """A row of log-encoded colour after an exposure change."""
     for i in range(row.size):
         row[i] = log1p(expm1(row[i]) * gain)
 
 
 @compiled
-def history_rows(y0, y1, history, moved, params, window, out_rows, out_columns, warped):
+def history_rows(y0: int, y1: int, history: np.ndarray, moved: np.ndarray, params: np.ndarray, window: np.ndarray,
+                 out_rows: np.ndarray, out_columns: np.ndarray, warped: np.ndarray) -> None:
     """The last output where its pixels are now, bicubic, edge repeated; rescaled where the exposure changed."""
     height, width = history.shape[:2]
     h, w = int(window[HEIGHT]), int(window[WIDTH])

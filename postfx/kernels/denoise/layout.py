@@ -71,8 +71,8 @@ SHAPES = PLANES | GUIDE_PLANES | {
 }
 
 
-def kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...], rows: Callable, rows_of: tuple[str, int],
-           **shapes: tuple[int | str, ...]) -> Kernel:
+def kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...], rows: Callable[..., None],
+           rows_of: tuple[str, int], **shapes: tuple[int | str, ...]) -> Kernel:
     """A kernel whose bindings have the shapes above, or those given."""
     named = SHAPES | shapes
     return Kernel(f"denoise_{name}", reads, writes, rows, rows_of, {key: named[key] for key in reads + writes})

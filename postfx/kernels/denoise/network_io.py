@@ -32,7 +32,7 @@ import numpy as np
 
 from postfx.kernels.denoise.layout import BLEND, FINE, KERNEL, MEMORY, kernel
 from postfx.kernels.kernel import Kernel
-from postfx.kernels.numeric import compiled, exp, fused, fused_inline, vectorised
+from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, vectorised
 
 LANES = 8
 LEVEL = KERNEL + 1
@@ -77,11 +77,13 @@ def open_fine_rows(y0: int, y1: int, raw_fine: np.ndarray, fine: np.ndarray) -> 
 
 
 def _weights(logits: np.ndarray) -> np.ndarray:
-    return np.exp(np.clip(logits, -STEEPEST, STEEPEST))
+    weights: np.ndarray = np.exp(np.clip(logits, -STEEPEST, STEEPEST))
+    return weights
 
 
 def _gates(logits: np.ndarray) -> np.ndarray:
-    return 1 / (1 + np.exp(-np.clip(logits, -80, 80)))
+    gates: np.ndarray = 1 / (1 + np.exp(-np.clip(logits, -80, 80)))
+    return gates
 
 
 HALF = "float16"
@@ -101,43 +103,43 @@ LEAST, MOST = np.float32(-80), np.float32(80)
 
 
 @fused_inline
-def weight(logit):
+def weight(logit: Real) -> Real:
     """Filter weight, with which sums stay within half precision, too."""
     return exp(min(max(logit, -STEEPEST), STEEPEST))
 
 
 @fused_inline
-def gate(logit):
+def gate(logit: Real) -> Real:
     """Logistic function."""
     return ONE / (ONE + exp(min(max(-logit, LEAST), MOST)))
 
 
 @fused_inline
-def state(logit):
+def state(logit: Real) -> Real:
     """Hyperbolic tangent."""
     return ONE - TWO / (ONE + exp(min(max(TWO * logit, LEAST), MOST)))
 
 
 @fused
-def weights(left, right, row):
+def weights(left: np.ndarray, right: np.ndarray, row: np.ndarray) -> None:
     for x in range(left.size):
         row[2 * x], row[2 * x + 1] = weight(left[x]), weight(right[x])
 
 
 @fused
-def gates(left, right, row):
+def gates(left: np.ndarray, right: np.ndarray, row: np.ndarray) -> None:
     for x in range(left.size):
         row[2 * x], row[2 * x + 1] = gate(left[x]), gate(right[x])
 
 
 @fused
-def states(left, right, row):
+def states(left: np.ndarray, right: np.ndarray, row: np.ndarray) -> None:
     for x in range(left.size):
         row[2 * x], row[2 * x + 1] = state(left[x]), state(right[x])
 
 
 @compiled
-def open_phased_rows(y0, y1, phased_fine, fine):
+def open_phased_rows(y0: int, y1: int, phased_fine: np.ndarray, fine: np.ndarray) -> None:
     """The fine head: weights, gates and the hidden state."""
     for channel in range(FINE):
         for y in range(y0, y1):
@@ -156,7 +158,7 @@ OPEN_PHASED = kernel("open_phased", ("phased_fine",), ("fine",), open_phased_row
 
 
 @fused
-def scaled_weights(left, right, scales, row):
+def scaled_weights(left: np.ndarray, right: np.ndarray, scales: np.ndarray, row: np.ndarray) -> None:
     """Filter weights of a row of pixels; `scales` (2, 2) are what even and odd columns are scaled by."""
     for x in range(left.size):
         row[2 * x] = weight(np.float32(left[x]) * scales[0, 0] + scales[1, 0])
@@ -164,7 +166,7 @@ def scaled_weights(left, right, scales, row):
 
 
 @fused
-def scaled_gates(left, right, scales, row):
+def scaled_gates(left: np.ndarray, right: np.ndarray, scales: np.ndarray, row: np.ndarray) -> None:
     """Logistic function, likewise."""
     for x in range(left.size):
         row[2 * x] = gate(np.float32(left[x]) * scales[0, 0] + scales[1, 0])
@@ -172,7 +174,7 @@ def scaled_gates(left, right, scales, row):
 
 
 @fused
-def scaled_states(left, right, scales, row):
+def scaled_states(left: np.ndarray, right: np.ndarray, scales: np.ndarray, row: np.ndarray) -> None:
     """Hyperbolic tangent, likewise."""
     for x in range(left.size):
         row[2 * x] = state(np.float32(left[x]) * scales[0, 0] + scales[1, 0])
@@ -180,7 +182,7 @@ def scaled_states(left, right, scales, row):
 
 
 @compiled
-def open_fine_products_rows(y0, y1, products, scaling, fine):
+def open_fine_products_rows(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, fine: np.ndarray) -> None:
     """The fine head: weights, gates and the hidden state."""
     for channel in range(FINE):
         for y in range(y0, y1):
@@ -196,21 +198,21 @@ def open_fine_products_rows(y0, y1, products, scaling, fine):
 
 
 @fused
-def level_weights(sums, scale, bias, row):
+def level_weights(sums: np.ndarray, scale: Real, bias: Real, row: np.ndarray) -> None:
     """Filter weights of a row of places."""
     for x in range(row.size):
         row[x] = weight(np.float32(sums[x]) * scale + bias)
 
 
 @fused
-def level_gates(sums, scale, bias, row):
+def level_gates(sums: np.ndarray, scale: Real, bias: Real, row: np.ndarray) -> None:
     """Logistic function, likewise."""
     for x in range(row.size):
         row[x] = gate(np.float32(sums[x]) * scale + bias)
 
 
 @compiled
-def open_products_rows(y0, y1, products, scaling, heads):
+def open_products_rows(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, heads: np.ndarray) -> None:
     """Weights of a level's filters and its mix, which the coarsest level has not."""
     for channel in range(heads.shape[1]):
         scale, bias = scaling[0, channel], scaling[1, channel]
@@ -236,7 +238,7 @@ DARKEST_BYTE, BRIGHTEST_BYTE, ROUNDING = np.float32(0), np.float32(255), np.floa
 
 
 @compiled
-def codes(values, scale, zero, row):
+def codes(values: np.ndarray, scale: Real, zero: Real, row: np.ndarray) -> None:
     """8-bit codes of a channel's row; of what is no number, that of zero."""
     for x in range(values.size):
         value = values[x] * scale if values[x] == values[x] else DARKEST_BYTE
@@ -244,7 +246,7 @@ def codes(values, scale, zero, row):
 
 
 @vectorised
-def interleave(rows, pixels):
+def interleave(rows: np.ndarray, pixels: np.ndarray) -> None:
     """(C, w) -> (w, C)."""
     for x in range(pixels.shape[0]):
         for channel in range(pixels.shape[1]):
@@ -252,7 +254,7 @@ def interleave(rows, pixels):
 
 
 @compiled
-def store_rows(y0, y1, planes, coding, stored):
+def store_rows(y0: int, y1: int, planes: np.ndarray, coding: np.ndarray, stored: np.ndarray) -> None:
     """Codes of the planes, and those of zero around them."""
     _, channels, h, w = planes.shape
     ring = (stored.shape[1] - h) // 2

@@ -22,13 +22,14 @@ PLACE = 10
 
 
 @compiled
-def copy(source, target):
+def copy(source: np.ndarray, target: np.ndarray) -> None:
     for i in range(target.size):
         target[i] = source[i]
 
 
 @compiled
-def assemble_rows(y0, y1, tiles, places, frame_rows, frame_columns, picture):
+def assemble_rows(y0: int, y1: int, tiles: np.ndarray, places: np.ndarray, frame_rows: np.ndarray,
+                  frame_columns: np.ndarray, picture: np.ndarray) -> None:
     """Row by row: first what tiles hold, then what is their own; of several tiles the first is written last."""
     left, right = int(frame_columns[0]), int(frame_columns[0]) + frame_columns.size
     count, height, width, channels = tiles.shape
@@ -56,7 +57,8 @@ ZERO, ONE = np.float32(0), np.float32(1)
 
 
 @compiled
-def strength_rows(y0, y1, denoised, plain, strength, amount, output):
+def strength_rows(y0: int, y1: int, denoised: np.ndarray, plain: np.ndarray, strength: np.ndarray, amount: np.ndarray,
+                  output: np.ndarray) -> None:
     """From ``plain`` to ``denoised`` by strength times amount; both ends are exact."""
     factor = clamp(amount[0], ZERO, ONE)
     for y in range(y0, y1):

@@ -23,14 +23,14 @@ from postfx.kernels.denoise.layout import (
     TOP,
     kernel,
 )
-from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled, demodulation, inline, summed
+from postfx.kernels.numeric import MAX_COLOUR, Real, clamp, compiled, demodulation, inline, summed
 
 ZERO, ONE = np.float32(0), np.float32(1)
 NEAREST, FARTHEST, MOST_MOTION = np.float32(1e-6), np.float32(1e9), np.float32(1e5)
 
 
 @summed
-def scale_rows(y0, y1, depth, scale):
+def scale_rows(y0: int, y1: int, depth: np.ndarray, scale: np.ndarray) -> None:
     """Harmonic mean depth of what was hit, 1 where nothing was; a single row, so one thread sums in one order."""
     hits, near, flat = 0.0, 0.0, depth.reshape(depth.size)
     for i in range(flat.size):
@@ -42,13 +42,13 @@ def scale_rows(y0, y1, depth, scale):
 
 
 @inline
-def finite(value):
+def finite(value: Real) -> Real:
     """Motion of a pixel; what no picture can have (NaN, infinity) is none."""
     return value if -MOST_MOTION < value < MOST_MOTION else ZERO
 
 
 @compiled
-def nearer(line, place, near, found):
+def nearer(line: np.ndarray, place: Real, near: np.ndarray, found: np.ndarray) -> None:
     """Take what is nearer than what was found so far, and note its place."""
     for x in range(near.size):
         here, best, at = line[x], near[x], found[x]
@@ -57,7 +57,7 @@ def nearer(line, place, near, found):
 
 
 @compiled
-def dilate_row(y, left, depth, lines, near, found):
+def dilate_row(y: int, left: int, depth: np.ndarray, lines: np.ndarray, near: np.ndarray, found: np.ndarray) -> None:
     """For pixels of a row from `left` on, where the depth lies whose motion they take, from the pixel: that of a
     clearly nearer neighbour in 3x3, the first of the nearest, or its own. `depth` is (h, w)."""
     h, w = depth.shape
@@ -74,7 +74,8 @@ def dilate_row(y, left, depth, lines, near, found):
 
 
 @compiled
-def dilate_rows(y0, y1, motion, depth, part_rows, part_columns, moved):
+def dilate_rows(y0: int, y1: int, motion: np.ndarray, depth: np.ndarray, part_rows: np.ndarray,
+                part_columns: np.ndarray, moved: np.ndarray) -> None:
     """Motion of a clearly nearer neighbour in 3x3, else the pixel's own."""
     (h, w), left = depth.shape[:2], int(part_columns[0])
     count = min(moved.shape[1], w - left)
@@ -92,8 +93,9 @@ def dilate_rows(y0, y1, motion, depth, part_rows, part_columns, moved):
 
 
 @compiled
-def accumulate_rows(y0, y1, colour, diffuse_albedo, specular_albedo, depth, past, fine, params, window, state,
-                    next_depth, level):
+def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray,
+                    depth: np.ndarray, past: np.ndarray, fine: np.ndarray, params: np.ndarray, window: np.ndarray,
+                    state: np.ndarray, next_depth: np.ndarray, level: np.ndarray) -> None:
     """Running mean of demodulated colour; ``level`` (4, hp, wp) is it with its importance, zero beyond the frame.
 
     A state of zeros is one that is not known: as at the part's edge, where the frame goes on, since what is read of the
@@ -150,7 +152,8 @@ STATE = 4 + HIDDEN
 
 
 @compiled
-def resize_rows(y0, y1, state, last_depth, at_rows, at_columns, resized, resized_depth):
+def resize_rows(y0: int, y1: int, state: np.ndarray, last_depth: np.ndarray, at_rows: np.ndarray,
+                at_columns: np.ndarray, resized: np.ndarray, resized_depth: np.ndarray) -> None:
     """Bilinear at ``at_rows`` (height,) and ``at_columns`` (width,), edge repeated; depth of the nearest pixel.
 
     Pixels whose count is 0 hold nothing and do not count; where they are half of it, nothing is held.

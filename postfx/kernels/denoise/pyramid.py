@@ -13,7 +13,7 @@ ZERO, TINY = np.float32(0), np.float32(1e-8)
 
 
 @vectorised
-def pool_row(upper, lower, level):
+def pool_row(upper: np.ndarray, lower: np.ndarray, level: np.ndarray) -> None:
     """Importance-weighted mean over 2x2 pixels of two rows (4, 2 w); the last channel is the mean importance."""
     quarter = np.float32(0.25)
     for x in range(level.shape[1]):
@@ -28,7 +28,8 @@ def pool_row(upper, lower, level):
 
 
 @compiled
-def pool_rows(y0, y1, finer, finer_rows, finer_columns, level):
+def pool_rows(y0: int, y1: int, finer: np.ndarray, finer_rows: np.ndarray, finer_columns: np.ndarray,
+              level: np.ndarray) -> None:
     """A level from the finer one, whose first row and column of each cell are given; what lies beyond has no weight."""
     h, w, first = finer.shape[1], finer.shape[2], int(finer_columns[0])
     whole = first == 0 and w == 2 * level.shape[2]
@@ -47,7 +48,7 @@ def pool_rows(y0, y1, finer, finer_rows, finer_columns, level):
 
 
 @vectorised
-def mix_row(coarse, level, share, first, mixed):
+def mix_row(coarse: np.ndarray, level: np.ndarray, share: np.ndarray, first: int, mixed: np.ndarray) -> None:
     """The coarser result where the network trusts it more than the level's own colour; `first` is 1 where the row
     begins with the second pixel of a cell."""
     for k in range(3):
@@ -57,7 +58,8 @@ def mix_row(coarse, level, share, first, mixed):
 
 
 @compiled
-def mix_rows(y0, y1, coarse, level, heads, coarse_rows, coarse_columns, mixed):
+def mix_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.ndarray, coarse_rows: np.ndarray,
+             coarse_columns: np.ndarray, mixed: np.ndarray) -> None:
     """All rows of a level, by the coarser one's rows and columns that theirs lie in."""
     at = MIX if heads.shape[1] > KERNEL + 1 else KERNEL
     second = 1 if coarse_columns.size > 1 and coarse_columns[1] > 0 else 0
@@ -66,13 +68,14 @@ def mix_rows(y0, y1, coarse, level, heads, coarse_rows, coarse_columns, mixed):
 
 
 @vectorised
-def divide(row, total):
+def divide(row: np.ndarray, total: np.ndarray) -> None:
     for x in range(total.size):
         row[x] /= total[x]
 
 
 @compiled
-def kernel_row(y, size, mixed, weights, area, total, filtered):
+def kernel_row(y: int, size: int, mixed: np.ndarray, weights: np.ndarray, area: np.ndarray, total: np.ndarray,
+               filtered: np.ndarray) -> None:
     """A normalised kernel of its own for every pixel of a row, ``size`` x ``size`` taps; those beyond the picture's
     ``area`` do not count."""
     h, w = int(area[0]), int(area[1])
@@ -97,7 +100,7 @@ def kernel_row(y, size, mixed, weights, area, total, filtered):
 
 
 @compiled
-def filter_rows(y0, y1, mixed, heads, area, filtered):
+def filter_rows(y0: int, y1: int, mixed: np.ndarray, heads: np.ndarray, area: np.ndarray, filtered: np.ndarray) -> None:
     """The 5x5 kernel of a level."""
     total = np.empty(filtered.shape[2], np.float32)
     for y in range(y0, y1):
@@ -105,13 +108,14 @@ def filter_rows(y0, y1, mixed, heads, area, filtered):
 
 
 @inline
-def repeat_edge(line, w):
+def repeat_edge(line: np.ndarray, w: int) -> None:
     """A row of w pixels from the second place on, its first and last ones repeated around it."""
     line[0], line[w + 1] = line[1], line[w]
 
 
 @compiled
-def remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows, part_columns, radiance):
+def remodulate_rows(y0: int, y1: int, filtered: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray,
+                    part_rows: np.ndarray, part_columns: np.ndarray, radiance: np.ndarray) -> None:
     """Filtered colour times reflectance: (3, th + 2, tw + 2) exposed linear, a border of repeated pixels around it."""
     h, w = part_rows.size, part_columns.size
     top, left = int(part_rows[0]), int(part_columns[0])
@@ -128,7 +132,9 @@ def remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows
 
 
 @compiled
-def remodulate_guided_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows, part_columns, both):
+def remodulate_guided_rows(y0: int, y1: int, filtered: np.ndarray, diffuse_albedo: np.ndarray,
+                           specular_albedo: np.ndarray, part_rows: np.ndarray, part_columns: np.ndarray,
+                           both: np.ndarray) -> None:
     """Filtered colour, then the same times reflectance: (6, th + 2, tw + 2), likewise."""
     h, w = part_rows.size, part_columns.size
     top, left = int(part_rows[0]), int(part_columns[0])

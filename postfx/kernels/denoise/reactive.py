@@ -8,21 +8,22 @@ more than its own mask allows, nor than that of the place where it was in the fr
 import numpy as np
 
 from postfx.kernels.denoise.layout import MAX_FLOAT, kernel
-from postfx.kernels.numeric import MAX_COLOUR, clamp, compiled
+from postfx.kernels.numeric import MAX_COLOUR, Real, clamp, compiled
 
 ZERO, ONE = np.float32(0), np.float32(1)
 SPREAD = 1  # render pixels
 
 
 @compiled
-def seen(light):
+def seen(light: Real) -> Real:
     """Exposed light as a display shows it, 0 to 1."""
     held = min(light, np.float32(MAX_COLOUR))
     return np.sqrt(held / (ONE + held))
 
 
 @compiled
-def reactive_rows(y0, y1, colour, opaque_colour, difference, reactive):
+def reactive_rows(y0: int, y1: int, colour: np.ndarray, opaque_colour: np.ndarray, difference: np.ndarray,
+                  reactive: np.ndarray) -> None:
     """The mask of what is in front of opaque things; ``difference`` is exposure, scale and threshold.
 
     The largest channel's difference of the two colours as seen, times the scale, held within 1; 0 below the threshold.
@@ -38,7 +39,7 @@ def reactive_rows(y0, y1, colour, opaque_colour, difference, reactive):
 
 
 @compiled
-def spread_rows(y0, y1, reactive, next_reactive):
+def spread_rows(y0: int, y1: int, reactive: np.ndarray, next_reactive: np.ndarray) -> None:
     """The largest value around each pixel, within 0 and 1."""
     h, w = reactive.shape[:2]
     for y in range(y0, y1):
@@ -51,7 +52,8 @@ def spread_rows(y0, y1, reactive, next_reactive):
 
 
 @compiled
-def keep_rows(y0, y1, reactive, last_reactive, moved, part_rows, part_columns, keep):
+def keep_rows(y0: int, y1: int, reactive: np.ndarray, last_reactive: np.ndarray, moved: np.ndarray,
+              part_rows: np.ndarray, part_columns: np.ndarray, keep: np.ndarray) -> None:
     """How much of the history each pixel of a part uses."""
     h, w = reactive.shape[:2]
     for row in range(y0, y1):
@@ -64,7 +66,7 @@ def keep_rows(y0, y1, reactive, last_reactive, moved, part_rows, part_columns, k
 
 
 @compiled
-def kept_row(keep, y, share):
+def kept_row(keep: np.ndarray, y: int, share: np.ndarray) -> None:
     """A row of ``keep``, which has one value for all pixels or one for each."""
     row, last = keep[min(y, keep.shape[0] - 1)], keep.shape[1] - 1
     for x in range(share.size):

@@ -15,7 +15,7 @@ import numpy as np
 
 from postfx.kernels.denoise.layout import kernel
 from postfx.kernels.denoise.prepare import finite
-from postfx.kernels.numeric import clamp, compiled, inline
+from postfx.kernels.numeric import Real, clamp, compiled, inline
 
 FOCAL, FOCAL_THEN, JITTER, TURN, SHIFT, WORLD, CAMERA = 0, 2, 4, 6, 15, 18, 27
 ROUGHEST = np.float32(0.3)
@@ -28,7 +28,7 @@ ZERO, ONE, FAR, NEAR = np.float32(0), np.float32(1), np.float32(1e9), np.float32
 
 
 @inline
-def reflects(diffuse_albedo, specular_albedo, roughness, y, x):
+def reflects(diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, roughness: np.ndarray, y: int, x: int) -> Real:
     """Whether a pixel is smooth, and reflects more than it scatters."""
     share = ZERO
     for c in range(3):
@@ -37,7 +37,7 @@ def reflects(diffuse_albedo, specular_albedo, roughness, y, x):
 
 
 @inline
-def ray(camera, height, width, y, x):
+def ray(camera: np.ndarray, height: int, width: int, y: int, x: int) -> tuple[Real, Real]:
     """Direction through a pixel's sample, 1 along the view axis."""
     px = np.float32(x) + np.float32(0.5) + camera[JITTER] - np.float32(0.5) * np.float32(width)
     py = np.float32(y) + np.float32(0.5) + camera[JITTER + 1] - np.float32(0.5) * np.float32(height)
@@ -45,7 +45,7 @@ def ray(camera, height, width, y, x):
 
 
 @inline
-def motion_at(camera, rx, ry, nearness):
+def motion_at(camera: np.ndarray, rx: Real, ry: Real, nearness: Real) -> tuple[Real, Real, Real]:
     """Motion of a point at rest on a ray, at 1 / ``nearness`` along the view axis, and its z then over that now."""
     qx = rx * camera[TURN] + ry * camera[TURN + 3] + camera[TURN + 6] + camera[SHIFT] * nearness
     qy = rx * camera[TURN + 1] + ry * camera[TURN + 4] + camera[TURN + 7] + camera[SHIFT + 1] * nearness
@@ -56,7 +56,7 @@ def motion_at(camera, rx, ry, nearness):
 
 
 @inline
-def unit(normal, y, x):
+def unit(normal: np.ndarray, y: int, x: int) -> tuple[Real, Real, Real]:
     """A normal of length 1, zero where there is none."""
     a, b, c = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
     length = np.sqrt(a * a + b * b + c * c)
@@ -65,7 +65,7 @@ def unit(normal, y, x):
 
 
 @compiled
-def inverse_distance(hit_distance, depth, y, x):
+def inverse_distance(hit_distance: np.ndarray, depth: np.ndarray, y: int, x: int) -> Real:
     """Mean of one over the hit distance, over the 3x3 pixels of about the same depth that have one; -1 without any."""
     total, count, z = ZERO, 0, depth[y, x, 0]
     for j in range(max(0, y - 1), min(depth.shape[0], y + 2)):
@@ -78,7 +78,8 @@ def inverse_distance(hit_distance, depth, y, x):
 
 
 @compiled
-def bend_between(normal, depth, camera, first, last, z, facing):
+def bend_between(normal: np.ndarray, depth: np.ndarray, camera: np.ndarray, first: np.ndarray, last: np.ndarray,
+                 z: Real, facing: np.ndarray) -> Real:
     """Change of the normal over that of the position between two pixels (y, x); NaN where one is beyond an edge.
 
     ``z`` and ``facing`` are depth and normal between them.
@@ -101,7 +102,7 @@ def bend_between(normal, depth, camera, first, last, z, facing):
 
 
 @compiled
-def curvature(normal, depth, camera, y, x):
+def curvature(normal: np.ndarray, depth: np.ndarray, camera: np.ndarray, y: int, x: int) -> Real:
     """How much a surface bends outwards, 1 / scene units, at least 0; -1 at its edges. Mean of both axes."""
     h, w = depth.shape[:2]
     z, facing = depth[y, x, 0], unit(normal, y, x)
@@ -112,8 +113,9 @@ def curvature(normal, depth, camera, y, x):
 
 
 @compiled
-def reflection_rows(y0, y1, motion, depth, normal, roughness, diffuse_albedo, specular_albedo, hit_distance, camera,
-                    reflected):
+def reflection_rows(y0: int, y1: int, motion: np.ndarray, depth: np.ndarray, normal: np.ndarray, roughness: np.ndarray,
+                    diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, hit_distance: np.ndarray,
+                    camera: np.ndarray, reflected: np.ndarray) -> None:
     """The motion, and of smooth surfaces at rest that mostly reflect, with a hit distance, that of what they show."""
     h, w = depth.shape[:2]
     for y in range(y0, y1):

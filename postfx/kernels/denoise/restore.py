@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from postfx.kernels.denoise.layout import EXPOSURE, MAX_FLOAT, PLANES, kernel
-from postfx.kernels.numeric import MAX_COLOUR, add_product, clamp, compiled, inline, vectorised
+from postfx.kernels.numeric import MAX_COLOUR, Real, add_product, clamp, compiled, inline, vectorised
 
 TILE = 16
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (0, 4), (4, 0))
@@ -31,7 +31,7 @@ ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-12)
 
 
 @inline
-def light(colour, y, x, exposure):
+def light(colour: np.ndarray, y: int, x: int, exposure: Real) -> Real:
     """Exposed luminance of a pixel, within what the network sees."""
     r = min(clamp(colour[y, x, 0], ZERO, MAX_FLOAT) * exposure, np.float32(MAX_COLOUR))
     g = min(clamp(colour[y, x, 1], ZERO, MAX_FLOAT) * exposure, np.float32(MAX_COLOUR))
@@ -40,7 +40,7 @@ def light(colour, y, x, exposure):
 
 
 @compiled
-def difference_rows(top, colour, denoised, exposure, removed):
+def difference_rows(top: int, colour: np.ndarray, denoised: np.ndarray, exposure: Real, removed: np.ndarray) -> None:
     """What was removed as it is seen: times the slope of sqrt(y / (1 + y)) at the result, within [-1, 1]."""
     for y in range(removed.shape[0]):
         for x in range(removed.shape[1]):
@@ -51,13 +51,13 @@ def difference_rows(top, colour, denoised, exposure, removed):
 
 
 @vectorised
-def hold(row, limit):
+def hold(row: np.ndarray, limit: np.ndarray) -> None:
     for x in range(row.size):
         row[x] = min(max(row[x], -limit[x]), limit[x])
 
 
 @compiled
-def products(removed, dy, dx, total):
+def products(removed: np.ndarray, dy: int, dx: int, total: np.ndarray) -> None:
     """Products of pixels with their neighbours at a lag, summed down the rows of ``removed``."""
     height, width = removed.shape
     first, last = max(0, -dx), max(0, width - max(0, dx))
@@ -67,7 +67,7 @@ def products(removed, dy, dx, total):
 
 
 @compiled
-def across_tiles(total, dy, dx, sums):
+def across_tiles(total: np.ndarray, dy: int, dx: int, sums: np.ndarray) -> None:
     """Sums of the columns of every tile, without those whose neighbour lies in another, per whole tile of pairs."""
     scale = np.float32(TILE * TILE / ((TILE - dy) * (TILE - abs(dx))))
     for column in range(sums.size):
@@ -79,7 +79,8 @@ def across_tiles(total, dy, dx, sums):
 
 
 @compiled
-def judge_rows(y0, y1, colour, denoised, params, sums):
+def judge_rows(y0: int, y1: int, colour: np.ndarray, denoised: np.ndarray, params: np.ndarray,
+               sums: np.ndarray) -> None:
     """Sums over what was removed in each tile of 16 x 16 pixels."""
     h, w = colour.shape[:2]
     removed, total, limit = np.empty((TILE, w), np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
@@ -103,12 +104,12 @@ def judge_rows(y0, y1, colour, denoised, params, sums):
 
 
 @inline
-def ramp(value, low, high):
+def ramp(value: Real, low: Real, high: Real) -> Real:
     return min(max((value - np.float32(low)) / np.float32(high - low), ZERO), ONE)
 
 
 @compiled
-def gather(y, x, sums, spread, found):
+def gather(y: int, x: int, sums: np.ndarray, spread: np.ndarray, found: np.ndarray) -> None:
     """Power, noise of the structure and correlations around a tile; neighbours count by 1 2 1 both ways."""
     spread[:] = ZERO
     for j in range(max(0, y - 1), min(sums.shape[0], y + 2)):
@@ -123,7 +124,7 @@ def gather(y, x, sums, spread, found):
 
 
 @compiled
-def detail_of(found, common):
+def detail_of(found: np.ndarray, common: np.ndarray) -> Real:
     """Share of detail in what was removed around a tile, from what ``gather`` found."""
     structure = -found[1]
     for k in range(len(LAGS)):
@@ -134,7 +135,7 @@ def detail_of(found, common):
 
 
 @compiled
-def detail_rows(y0, y1, sums, evidence, detail):
+def detail_rows(y0: int, y1: int, sums: np.ndarray, evidence: np.ndarray, detail: np.ndarray) -> None:
     """Share of each tile's difference to give back; every band of rows judges the whole frame for itself.
 
     ``evidence`` for detail, 1 when nothing is known: below it multiplies every tile's share, and always that by which
@@ -165,7 +166,7 @@ def detail_rows(y0, y1, sums, evidence, detail):
 
 
 @inline
-def between(position, count):
+def between(position: int, count: int) -> tuple[int, int, Real]:
     """The tile before a pixel, the one after it, and how far the pixel lies between their centres."""
     at = min(max((np.float32(position) + np.float32(0.5)) / np.float32(TILE) - np.float32(0.5), ZERO),
              np.float32(count - 1))
@@ -174,7 +175,8 @@ def between(position, count):
 
 
 @compiled
-def restore_rows(y0, y1, colour, denoised, detail, output):
+def restore_rows(y0: int, y1: int, colour: np.ndarray, denoised: np.ndarray, detail: np.ndarray,
+                 output: np.ndarray) -> None:
     """From the result to the input by the share of detail, linear between the tiles' centres."""
     tiles_high, tiles_wide = detail.shape[:2]
     for y in range(y0, y1):

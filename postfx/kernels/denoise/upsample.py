@@ -38,6 +38,7 @@ from postfx.kernels.denoise.layout import (
 )
 from postfx.kernels.denoise.reactive import kept_row
 from postfx.kernels.numeric import (
+    Real,
     add,
     add_product,
     centre,
@@ -55,13 +56,13 @@ ZERO, HALF = np.float32(0), np.float32(0.5)
 
 
 @inline
-def gauss(distance):
+def gauss(distance: Real) -> Real:
     """How much a sample says about an output pixel at a distance in render pixels."""
     return np.float32(math.exp(-(distance * distance) / (2 * SIGMA * SIGMA)))
 
 
 @inline
-def wide_gauss(offset):
+def wide_gauss(offset: Real) -> tuple[Real, Real, Real]:
     """Normalised weights of the samples at -1, 0 and 1 plus ``offset`` for the softened picture."""
     a = math.exp(-((offset - 1) * (offset - 1)) / (2 * WIDE_SIGMA * WIDE_SIGMA))
     b = math.exp(-(offset * offset) / (2 * WIDE_SIGMA * WIDE_SIGMA))
@@ -71,26 +72,26 @@ def wide_gauss(offset):
 
 
 @inline
-def lean(offset):
+def lean(offset: Real) -> Real:
     """Share of the right or lower of the two quarter-pixel corners at an offset."""
     return np.float32(min(max(2 * offset + 0.5, 0.0), 1.0))
 
 
 @inline
-def held(px, py, width, height):
+def held(px: Real, py: Real, width: Real, height: Real) -> Real:
     """Whether a position lies in a picture."""
     return -HALF <= px <= np.float32(width) - HALF and -HALF <= py <= np.float32(height) - HALF
 
 
 @vectorised
-def between(upper, lower, share, scale, out):
+def between(upper: np.ndarray, lower: np.ndarray, share: Real, scale: Real, out: np.ndarray) -> None:
     """Linear interpolation of two rows, scaled."""
     for x in range(out.size):
         out[x] = (upper[x] + (lower[x] - upper[x]) * share) * scale
 
 
 @vectorised
-def lean_on(corners, index, leans, out):
+def lean_on(corners: np.ndarray, index: np.ndarray, leans: np.ndarray, out: np.ndarray) -> None:
     """Linear interpolation between the left and right corners of the pixels at ``index``."""
     for x in range(index.size):
         at = index[x]
@@ -98,20 +99,20 @@ def lean_on(corners, index, leans, out):
 
 
 @vectorised
-def scaled(row, scale, out):
+def scaled(row: np.ndarray, scale: Real, out: np.ndarray) -> None:
     for x in range(out.size):
         out[x] = row[x] * scale
 
 
 @vectorised
-def weighted(a, b, c, u, v, w, out):
+def weighted(a: np.ndarray, b: np.ndarray, c: np.ndarray, u: Real, v: Real, w: Real, out: np.ndarray) -> None:
     """a * u + b * v + c * w, over the length of ``out``."""
     for x in range(out.size):
         out[x] = a[x] * u + b[x] * v + c[x] * w
 
 
 @vectorised
-def weighted_picked(row, weights, index, out):
+def weighted_picked(row: np.ndarray, weights: np.ndarray, index: np.ndarray, out: np.ndarray) -> None:
     """Three neighbours of a row, beginning at ``index``, by weights (3, width)."""
     for x in range(index.size):
         at = index[x]
@@ -119,7 +120,8 @@ def weighted_picked(row, weights, index, out):
 
 
 @vectorised
-def add_picked(corners, source, gauss_x, index, leans, total, row):
+def add_picked(corners: np.ndarray, source: np.ndarray, gauss_x: np.ndarray, index: np.ndarray, leans: np.ndarray,
+               total: np.ndarray, row: np.ndarray) -> None:
     """Add a tap to a row at any scale; ``index`` and ``leans`` say which pixel and how far right in it."""
     for x in range(index.size):
         at = index[x]
@@ -130,7 +132,7 @@ def add_picked(corners, source, gauss_x, index, leans, total, row):
 
 
 @vectorised
-def encode_sharp(row, total, soft, sharpen):
+def encode_sharp(row: np.ndarray, total: np.ndarray, soft: np.ndarray, sharpen: np.ndarray) -> None:
     """Normalise a row by its sum of weights, log-encode it, and sharpen it against a softened one."""
     for x in range(total.size):
         row[x] = log_encode(row[x] / total[x])
@@ -139,7 +141,7 @@ def encode_sharp(row, total, soft, sharpen):
 
 
 @vectorised
-def place(row, first, step, flat):
+def place(row: np.ndarray, first: int, step: int, flat: np.ndarray) -> None:
     """Spread a row over an interleaved one."""
     for x in range(row.size):
         flat[first + step * x] = row[x]
@@ -150,7 +152,8 @@ ONE, TINY = np.float32(1), np.float32(1e-8)
 
 
 @fused
-def blend_rows(current, warped, trust, darken, history, output):
+def blend_rows(current: np.ndarray, warped: np.ndarray, trust: np.ndarray, darken: Real, history: np.ndarray,
+               output: np.ndarray) -> None:
     """Blend with the reprojected history and decode, all channels interleaved; rounding makes no light negative, and
     what is broken counts as nothing."""
     for i in range(history.size):
@@ -162,7 +165,7 @@ def blend_rows(current, warped, trust, darken, history, output):
 
 
 @fused
-def factor_row(y, left, diffuse_albedo, specular_albedo, guide):
+def factor_row(y: int, left: int, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, guide: np.ndarray) -> None:
     """The guides' reflectance in a row of the output, planar."""
     for x in range(guide.shape[1]):
         at = min(left + x, diffuse_albedo.shape[1] - 1)
@@ -170,7 +173,8 @@ def factor_row(y, left, diffuse_albedo, specular_albedo, guide):
 
 
 @vectorised
-def guided_row(plain, factor, trust, first, step, row):
+def guided_row(plain: np.ndarray, factor: np.ndarray, trust: np.ndarray, first: int, step: int,
+               row: np.ndarray) -> None:
     """A row without reflectance times that of the guides, every ``step``-th from ``first`` on, as far as these are
     trusted; for the rest the ``plain`` row, which has the reflectance of the render size."""
     for x in range(row.size):
@@ -179,7 +183,8 @@ def guided_row(plain, factor, trust, first, step, row):
 
 
 @compiled
-def trust_side(first, y, size, moved, past, scale, share, trust):
+def trust_side(first: int, y: Real, size: tuple[int, int], moved: np.ndarray, past: np.ndarray,
+               scale: tuple[Real, Real], share: np.ndarray, trust: np.ndarray) -> None:
     """At scale 2, how much of the history each output pixel on one side of the render pixels keeps, from ``first`` on.
 
     ``share`` is how much each render pixel may keep, ``trust`` the predicted blend at first; nothing is kept where the
@@ -192,14 +197,16 @@ def trust_side(first, y, size, moved, past, scale, share, trust):
 
 
 @inline
-def softened(line, wide_x, side, out):
+def softened(line: np.ndarray, wide_x: np.ndarray, side: int, out: np.ndarray) -> None:
     """The wide Gaussian of a row of the softened picture, at one side of the render pixels."""
     weighted(line, line[1:], line[2:], wide_x[0, side], wide_x[1, side], wide_x[2, side], out)
 
 
 @compiled
-def double_row(y, left, iy, lower, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, share,
-               guide, rows, soft, current, trust):
+def double_row(y: int, left: int, iy: int, lower: int, radiance: np.ndarray, column: np.ndarray, fine: np.ndarray,
+               moved: np.ndarray, past: np.ndarray, gauss_x: np.ndarray, gauss_y: np.ndarray, wide_x: np.ndarray,
+               size: tuple[int, int], scale: tuple[Real, Real], share: np.ndarray, guide: np.ndarray,
+               rows: np.ndarray, soft: np.ndarray, current: np.ndarray, trust: np.ndarray) -> None:
     """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps."""
     channels, w = radiance.shape[0], rows.shape[1]
     total, line = rows[channels], rows[channels + 1]
@@ -227,7 +234,8 @@ def double_row(y, left, iy, lower, radiance, column, fine, moved, past, gauss_x,
 
 
 @compiled
-def control_row(first, iy, ty, fine, index, leans, corners, out):
+def control_row(first: int, iy: int, ty: Real, fine: np.ndarray, index: np.ndarray, leans: np.ndarray,
+                corners: np.ndarray, out: np.ndarray) -> None:
     """A control that is predicted at four phases, for a row at any scale."""
     for side in range(2):
         between(fine[0, first + side, iy], fine[0, first + 2 + side, iy], ty, ONE, corners[side])
@@ -235,8 +243,11 @@ def control_row(first, iy, ty, fine, index, leans, corners, out):
 
 
 @compiled
-def any_row(y, left, iy, ty, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale, share, guide,
-            index, leans, corners, rows, soft, current, trust):
+def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: np.ndarray, fine: np.ndarray,
+            moved: np.ndarray, past: np.ndarray, gauss_x: np.ndarray, gauss_y: np.ndarray, wide_x: np.ndarray,
+            size: tuple[int, int], scale: tuple[Real, Real], share: np.ndarray, guide: np.ndarray, index: np.ndarray,
+            leans: np.ndarray, corners: np.ndarray, rows: np.ndarray, soft: np.ndarray, current: np.ndarray,
+            trust: np.ndarray) -> None:
     """A row at any scale."""
     channels, w = radiance.shape[0], corners.shape[1]
     total, line, sharpen = rows[channels], rows[channels + 1], rows[channels + 2]
@@ -267,8 +278,10 @@ def any_row(y, left, iy, ty, radiance, column, fine, moved, past, gauss_x, gauss
 
 
 @compiled
-def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, cells, guided, params,
-                 window, keep, output, history):
+def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: np.ndarray, past: np.ndarray,
+                 warped: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, cells: np.ndarray,
+                 guided: bool, params: np.ndarray, window: np.ndarray, keep: np.ndarray, output: np.ndarray,
+                 history: np.ndarray) -> None:
     """Output pixels from 3x3 samples by predicted weight and distance, blended with the reprojected history.
 
     The albedos have the frame's output size; they and the cells of trust are looked at only if ``guided``.
@@ -322,15 +335,19 @@ def resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, sp
 
 
 @compiled
-def upsample_rows(y0, y1, radiance, fine, moved, past, warped, params, window, keep, output, history):
+def upsample_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: np.ndarray, past: np.ndarray,
+                  warped: np.ndarray, params: np.ndarray, window: np.ndarray, keep: np.ndarray, output: np.ndarray,
+                  history: np.ndarray) -> None:
     """Radiance that already holds the reflectance."""
     resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, warped, False, params, window, keep,
                  output, history)
 
 
 @compiled
-def guided_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, trust, params, window,
-                keep, output, history):
+def guided_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: np.ndarray, past: np.ndarray,
+                warped: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, trust: np.ndarray,
+                params: np.ndarray, window: np.ndarray, keep: np.ndarray, output: np.ndarray,
+                history: np.ndarray) -> None:
     """Radiance without reflectance, which is put back at output size as far as the guides are trusted; for the rest
     that with the reflectance of the render size."""
     resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, trust, True, params,

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar, Never
 
 import numpy as np
 
@@ -68,23 +67,23 @@ class DenoiseUpscale(Pass):
     """
 
     name: ClassVar[str] = "denoise_upscale"
-    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({
-        "scale": None, "size": None, "model": "m", "strength": 1.0, "budget": None, "reactive": "auto"})
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        self.scale = checked_scale(self.options["scale"])
-        self.size = checked_size(self.options["size"], self.scale)
-        self.strength = float(self.options["strength"])
+    def __init__(self, *, scale: float | None = None, size: Sequence[int] | None = None, model: str = "m",
+                 strength: float = 1.0, budget: float | None = None, reactive: str = "auto", **unknown: Never) -> None:
+        super().__init__(scale=scale, size=size, model=model, strength=strength, budget=budget, reactive=reactive,
+                         **unknown)
+        self.scale = checked_scale(scale)
+        self.size = checked_size(size, self.scale)
+        self.strength = float(strength)
         if not 0 <= self.strength <= 1:
             raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not {self.strength:g}: give one of them")
-        self.budget = None if self.options["budget"] is None else float(self.options["budget"])
+        self.budget = None if budget is None else float(budget)
         if self.budget is not None and not self.budget > 0:
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a budget above 0")
-        self._mask = parse_reactive(str(self.options["reactive"]))
+        self._mask = parse_reactive(str(reactive))
         self._used: str | None = None
         self._cameras = Cameras()
-        self._tag = checked_tag(str(self.options["model"]))
+        self._tag = checked_tag(str(model))
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         carried = carried_roles(spec)
@@ -131,6 +130,8 @@ class DenoiseUpscale(Pass):
 
     def resize(self, spec: FrameSpec) -> bool:
         before = self._spec
+        if before is None:
+            return False
         alike = replace(before, width=spec.width, height=spec.height, guides=spec.guides)  # at 1x fewer guides are read
         if not self.size or spec != alike or self.reflect(spec).output != self._output:
             return False
@@ -177,34 +178,39 @@ class DenoiseUpscale(Pass):
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._fresh):
             return {}
-        known = {"exposure": np.float64(self._exposure), f"{NETWORK}{self._used}": np.int64(1)}
+        known = {"exposure": np.array(self._exposure, np.float64), f"{NETWORK}{self._used}": np.array(1, np.int64)}
         return known | self._cameras.kept() | self._history.kept()
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)
         if self._fresh:
             self._exposure = float(history["exposure"])
-            self._used = next(iter(key.removeprefix(NETWORK) for key in history if key.startswith(NETWORK)), None)
+            if not isinstance(self._ready, ReadyNetwork):
+                raise KeyError(f"pass '{self.name}' has no history at strength 0")
+            self._used = next(iter(key.removeprefix(NETWORK) for key in history if key.startswith(NETWORK)), "")
             self._history.use(self._ready.models[self._used])
             self._history.recall(history)
             self._cameras.recall(history)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        encode = self._encode_network if self.strength else self._ready.plain.encode
-        colour = encode(commands, frame)
+        ready = self._ready
+        if isinstance(ready, ReadyNetwork):
+            colour = self._encode_network(commands, frame, ready)
+        else:
+            colour = ready.plain.encode(commands, frame)
         frame.set(Role.COLOUR, colour)
-        self._ready.carried.encode(commands, frame)
+        ready.carried.encode(commands, frame)
         for role in (*PLANES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
             frame.tensors.pop(role, None)
         frame.guides.clear()
         frame.spec, frame.jitter = self._output, (0.0, 0.0)
 
-    def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
+    def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame, ready: ReadyNetwork) -> Tensor:
         """The denoised colour, blended by strength; the history stays fully denoised."""
-        ready, cells = self._ready, self._active(frame)
+        cells = self._active(frame, ready)
         spared = self._spared if frame.wanted else Spared()
-        if cells is not None and not cells.any():
+        if ready.strength and cells is not None and not cells.any():
             spared.begin(0.0, False, False)
             self._fresh = False
             return ready.strength.plain.encode(commands, frame)
@@ -216,7 +222,8 @@ class DenoiseUpscale(Pass):
         ready.frames.use(ready.models[self._used])
         still = keep and gain == 1 and self._is_still(frame)
         spared.begin(1.0 if band is None else band.share, keep, still)
-        planes = {**ready.planes.encode(commands, frame), **ready.reactive.encode(commands, frame)}
+        planes: Mapping[str, Tensor] = ready.planes.encode(commands, frame)
+        planes = {**planes, **ready.reactive.encode(commands, frame)}
         if ready.reflections:
             change = self._cameras.step(frame, keep and not still, spared.unfollowed)
             planes = ready.reflections.encode(commands, frame, change, planes)
@@ -227,10 +234,10 @@ class DenoiseUpscale(Pass):
             return colour
         return ready.strength.encode(commands, frame, colour, ready.frames.rows(band), spared.unblended)
 
-    def _active(self, frame: ResidentFrame) -> np.ndarray | None:
+    def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray | None:
         """Where the frame's strength is not 0, as squares of 4 pixels; None where that is not known, or where the
         whole frame is judged."""
-        restore = self._ready.restore
+        restore = ready.restore
         if Role.STRENGTH not in frame.given or (restore and restore.acts_on(frame)):
             return None
         return active_cells(frame.given[Role.STRENGTH])

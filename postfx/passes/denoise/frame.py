@@ -57,7 +57,8 @@ class Assembly:
 
     def slots(self, tiles: Sequence[Tile]) -> list[dict[str, Tensor]]:
         """Where each of a band's tiles writes, by the kernels' names."""
-        window, slots = tiles[0].window, [{} for _ in tiles]
+        window = tiles[0].window
+        slots: list[dict[str, Tensor]] = [{} for _ in tiles]
         key = len(tiles), window.rows, window.columns
         if key == self._made:
             return self._slots
@@ -253,8 +254,8 @@ class Frames:
         """Make a graph ready for windows of a size, or somewhat larger ones if there were others before."""
         if self._graphs:
             grid = self._sizes.grid
-            steps = (max(1, side // STEPS // grid) * grid for side in (self._sizes.h, self._sizes.w))
-            shape = whole_sides(self._sizes, tuple(map(whole_steps, shape, steps)))
+            rows, columns = (max(1, side // STEPS // grid) * grid for side in (self._sizes.h, self._sizes.w))
+            shape = whole_sides(self._sizes, (whole_steps(shape[0], rows), whole_steps(shape[1], columns)))
         self._graphs.get_or_make(shape, partial(self._graph_of, shape))
         return shape
 

@@ -27,7 +27,6 @@ CHANNELS = {"state": 4 + HIDDEN, "last_depth": 1}
 
 
 
-
 class Room:
     """Memory for what has render size, of frames of any size up to so many pixels."""
 
@@ -100,11 +99,12 @@ class History:
 
     def kept(self) -> dict[str, np.ndarray]:
         """Between two frames: what the last one left, by the kernels' names, and its render size."""
-        return {"size": np.int64(self._size)} | {name: tensor.content() for name, tensor in self.next.items()}
+        return {"size": np.array(self._size, np.int64)} | {name: tensor.content() for name, tensor in self.next.items()}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
         """Between two frames: take what was `kept` for what the last one left."""
-        self._size = tuple(map(int, kept["size"]))
+        height, width = kept["size"]
+        self._size = int(height), int(width)
         if self._size[0] * self._size[1] > self._rooms[1].pixels:
             self._rooms = self._make_rooms()
         self._held = _anywhere(self._size)
@@ -221,7 +221,7 @@ class Cameras:
 
     def kept(self) -> dict[str, np.ndarray]:
         """Between two frames: what is known of the last one."""
-        return {"camera": self._last.matrix, "fov_x": np.float64(self._last.fov_x)} if self._last else {}
+        return {"camera": self._last.matrix, "fov_x": np.array(self._last.fov_x, np.float64)} if self._last else {}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
         """Between two frames: take what was `kept` for the last one."""
@@ -238,11 +238,14 @@ class Cameras:
         if not moves or {Role.MOTION, Role.DEPTH} - frame.given.keys():
             return None
         if not (then and self._last):
-            return tell(NO_CAMERA)
+            tell(NO_CAMERA)
+            return None
         if not _is_moving(self._last, then):
             return None
         params = _best_params(frame, self._last, then)
-        return tell(NO_FIT) if params is None else params
+        if params is None:
+            tell(NO_FIT)
+        return params
 
 
 def _is_moving(now: Camera, then: Camera) -> bool:

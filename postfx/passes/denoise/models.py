@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from postfx.errors import PassOptionError
 from postfx.passes.denoise.tiling import LEVELS
@@ -85,9 +86,9 @@ def grid_of(models: Iterable[str]) -> int:
     return max(_grid(Library().card(model).get("outputs", {}) if has_model(model) else {}) for model in models)
 
 
-def _grid(outputs: Mapping[str, Mapping]) -> int:
+def _grid(outputs: Mapping[str, Mapping[str, Any]]) -> int:
     levels = [int(name[-1]) for name, facts in outputs.items() if "level" in name and not facts.get("constant")]
-    return 2 ** max(levels, default=LEVELS)
+    return 1 << max(levels, default=LEVELS)
 
 
 def load_network(device: Device, model: str, dims: Mapping[str, int]) -> PipelineState:
@@ -155,6 +156,8 @@ class Ladder:
         self.rung = 0
         self._costs, self._budget = tuple(costs), budget
         self._patience = PATIENCE
+        self._time = 0.0
+        self._frames = self._over = self._fits = 0
         self._go(0)
 
     def took(self, milliseconds: float) -> None:

@@ -69,9 +69,9 @@ def stored_channels(name: str) -> int:
 
 def seen_by(state: PipelineState) -> dict[str, tuple[int, ...]]:
     """Shapes of what kernels prepare for a network, by name."""
-    seen = {}
+    seen: dict[str, tuple[int, ...]] = {}
     for binding in state.bindings:
-        name, size = binding.name.removeprefix(PACKED), binding.shape
+        name, size = binding.name.removeprefix(PACKED), state.shapes[binding.name]
         if name in FEATURE_PARTS:
             seen["features"] = (1, CHANNELS["features"], *size[2:])
         elif name.startswith(STORED):  # with a ring of pixels around it, or without
@@ -93,9 +93,10 @@ def parts_of(features: Tensor) -> dict[str, Tensor]:
 
 def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
     """Shapes of the activated heads that a network gives, by name."""
-    heads, seen = {}, seen_by(state)["features"][2:]
+    heads: dict[str, tuple[int, ...]] = {}
+    seen = seen_by(state)["features"][2:]
     for binding in state.bindings:
-        name, size = binding.name.removeprefix(RAW), binding.shape
+        name, size = binding.name.removeprefix(RAW), state.shapes[binding.name]
         if binding.name == PHASED_FINE:
             heads["fine"] = opened_shape("fine", *size[2:])
         elif binding.name.startswith(PRODUCTS):
@@ -121,7 +122,7 @@ class Network:
         if unmarked:
             raise ModelError(f"network '{state.name}': no card beside it marks {', '.join(unmarked)} as constant; take "
                              "the card that it was made with, or make both again with training.denoise.quantise")
-        made = {b.name: new(b.name, b.shape, b.dtype) for b in state.bindings if b.name.startswith(MADE)}
+        made = {b.name: new(b.name, state.shapes[b.name], b.dtype) for b in state.bindings if b.name.startswith(MADE)}
         constants = {name: _kept(state, name, array) for name, array in state.constants.items()
                      if name.startswith((CODING, SCALING))}
         known = {**parts_of(seen["features"]), **seen, **heads, **made}
@@ -205,7 +206,7 @@ class Graph:
         dims = free_dimensions(window.padded)
         networks = {model: load_network(device, model, dims) for model in models}
         self._tables: dict[str, ArgumentTable] = {}
-        self._places: dict[Window, dict[str, Tensor]] = {}
+        self._places: dict[Window, dict[str, dict[str, Tensor]]] = {}
         between = cache(self._new)  # of several networks only one runs in a frame
         self._heads = {model: self._heads_of(state, between) for model, state in networks.items()}
         self._make_tensors(networks[models[0]])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from postfx.errors import FrameError, GuideError, PassOptionError
-from postfx.frame import FrameSpec, Role
+from postfx.frame import FrameSpec, GuideSpec, Role
 
 LEAST, MOST, USUAL = 1.0, 3.0, 2.0
 ASPECT = 0.01
@@ -51,7 +51,7 @@ def output_size(spec: FrameSpec, scale: float | None, size: Size | None) -> Size
     if size:
         return _fixed(spec, size)
     scaled = Size(round(spec.height * (scale or USUAL)), round(spec.width * (scale or USUAL)))
-    return _guided(spec, scale, scaled) if spec.guides else scaled
+    return _guided(spec, spec.guides, scale, scaled) if spec.guides else scaled
 
 
 def _fixed(spec: FrameSpec, size: Size) -> Size:
@@ -65,14 +65,14 @@ def _fixed(spec: FrameSpec, size: Size) -> Size:
         least = Size(*(-(-side // int(MOST)) for side in size))
         raise FrameError(f"{found} cannot become {size}, which is 1 to 3 times as large as what it is made of: render "
                          f"it at {least} to {size}")
-    if spec.guides and (spec.guides.height, spec.guides.width) != size:
-        found = f"{spec.guides.source or 'frame'}: guides are {spec.guides.width}x{spec.guides.height}"
+    guides = spec.guides
+    if guides and (guides.height, guides.width) != size:
+        found = f"{guides.source or 'frame'}: guides are {guides.width}x{guides.height}"
         raise GuideError(f"{found}, the output is {size}: render them at its size, or leave the size out")
     return size
 
 
-def _guided(spec: FrameSpec, scale: float | None, scaled: Size) -> Size:
-    guides = spec.guides
+def _guided(spec: FrameSpec, guides: GuideSpec, scale: float | None, scaled: Size) -> Size:
     sides = ((guides.width, spec.width), (guides.height, spec.height))
     if scale is None:
         low = max(LEAST, *((outer - 0.5) / side for outer, side in sides))

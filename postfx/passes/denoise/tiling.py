@@ -80,9 +80,8 @@ class Window:
     def level(self, i: int) -> tuple[int, int]:
         """Size of a pyramid level, whose cells lie where those of the whole frame do; the same for all windows of one
         size, the last row and column may hold nothing."""
-        frame = self.frame
-        return tuple(max(-(-(first + count) >> i) - (first >> i) for first in _firsts(count, size, frame.grid))
-                     for count, size in zip(self.padded, (frame.h, frame.w), strict=True))
+        frame, (rows, columns) = self.frame, self.padded
+        return _cells(rows, frame.h, frame.grid, i), _cells(columns, frame.w, frame.grid, i)
 
     def area(self, i: int) -> np.ndarray:
         """Rows and columns of a pyramid level that hold picture."""
@@ -93,14 +92,16 @@ class Window:
     def finer(self, i: int) -> tuple[np.ndarray, np.ndarray]:
         """For each row and column of a pyramid level the first one of the finer level that it is made of; it may lie
         before the window."""
-        return tuple(2 * np.arange(size, dtype=np.float32) - (first >> i - 1 & 1)
-                     for size, first in zip(self.level(i), (self.top, self.left), strict=True))
+        rows, columns = (2 * np.arange(size, dtype=np.float32) - (first >> i - 1 & 1)
+                         for size, first in zip(self.level(i), (self.top, self.left), strict=True))
+        return rows, columns
 
     def coarser(self, i: int) -> tuple[np.ndarray, np.ndarray]:
         """For each row and column of a pyramid level that of the coarser level in which it lies."""
         sides = zip(self.level(i), self.level(i + 1), (self.top, self.left), strict=True)
-        return tuple(np.minimum(np.arange(size) + (first >> i & 1) >> 1, coarse - 1).astype(np.float32)
-                     for size, coarse, first in sides)
+        rows, columns = (np.minimum(np.arange(size) + (first >> i & 1) >> 1, coarse - 1).astype(np.float32)
+                         for size, coarse, first in sides)
+        return rows, columns
 
     def places(self) -> dict[str, np.ndarray]:
         """What tells the kernels of the window, by their bindings' names."""
@@ -132,6 +133,11 @@ def _enlarged(first: int, count: int, size: int, out_size: int, grid: int) -> tu
     return first * out_size // size, -(-count * out_size // size) + (not whole)
 
 
+def _cells(count: int, size: int, grid: int, i: int) -> int:
+    """Rows of a pyramid level that so many rows of a frame touch, wherever they begin."""
+    return max(-(-(first + count) >> i) - (first >> i) for first in _firsts(count, size, grid))
+
+
 def _firsts(count: int, size: int, grid: int) -> range:
     """First rows of windows of so many rows, as far as cells of the coarsest level tell them apart."""
     return range(0, 1 if count >= size else GRID, grid)
@@ -144,7 +150,8 @@ def _counted(first: int, count: int, size: int) -> np.ndarray:
 
 def _mirrored(count: int, held: int) -> np.ndarray:
     """Numbers that go on beyond those of a side as in a mirror, and stop at its start."""
-    return np.maximum(held - 1 - np.abs(np.arange(count) - (held - 1)), 0)
+    places: np.ndarray = np.maximum(held - 1 - np.abs(np.arange(count) - (held - 1)), 0)
+    return places
 
 
 HALOS, GUIDED_HALO = {"s": 72, "m": 44, "l": 48}, 104
@@ -220,7 +227,8 @@ def active_cells(strength: np.ndarray) -> np.ndarray:
 def _grouped(mask: np.ndarray, step: int) -> np.ndarray:
     """Whether any of so many rows of a mask holds."""
     padded = np.pad(mask, ((0, -len(mask) % step), (0, 0)))
-    return np.logical_or.reduce([padded[i::step] for i in range(step)])
+    groups: np.ndarray = np.logical_or.reduce([padded[i::step] for i in range(step)])
+    return groups
 
 
 def halo_of(models: Iterable[str]) -> int:
@@ -267,7 +275,8 @@ def _areas(part: np.ndarray) -> np.ndarray:
     active, count = part.any(1), part.shape[1]
     first = np.minimum.accumulate(np.where(active, part.argmax(1), count))
     last = np.maximum.accumulate(np.where(active, count - part[:, ::-1].argmax(1), 0))
-    return np.maximum.accumulate(np.where(active, np.arange(1, len(part) + 1), 0)) * (last - first)
+    areas: np.ndarray = np.maximum.accumulate(np.where(active, np.arange(1, len(part) + 1), 0)) * (last - first)
+    return areas
 
 
 def _trimmed(cells: np.ndarray, box: Box) -> Box:
