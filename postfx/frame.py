@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import base64
+import html
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from postfx.colour.curves import srgb_encode
 from postfx.colour.displays import KINDS, parse_display
 from postfx.errors import ColourError, FrameError, GuideError
 
@@ -209,7 +212,7 @@ class ColourSource:
     attributes: Mapping[str, Any]
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Frame:
     """One image of a sequence: planes of one size, perhaps guides at output size, and what the passes must know.
 
@@ -233,6 +236,9 @@ class Frame:
         guide_size: width and height of the guides; given only for a frame whose guides were not read.
         guide_jitter: like `jitter`, of the guides' samples, in pixels of the guides.
         guide_source: file that the guides were read from, or None.
+
+    Two frames are equal when all of that is, NaN being equal to NaN; only the files that they come from may differ.
+    `print` shows a table of the planes, and a notebook the picture as well.
 
     Raises FrameError when a plane or guide has a wrong shape, channel count or data type, or when sizes differ;
     GuideError, one of its kind, when a guide is of another role.
@@ -282,6 +288,53 @@ class Frame:
     def __contains__(self, role: object) -> bool:
         return role in self.planes
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Frame):
+            return NotImplemented
+        names = (item.name for item in fields(self) if item.name not in _ORIGIN)
+        return all(_is_same(getattr(self, name), getattr(other, name)) for name in names)
+
+    def __repr__(self) -> str:
+        width, height = self.spec.width, self.spec.height
+        rows = [("plane", "size", "type", "range"), *self._rows()]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        return "\n  ".join([f"Frame {self._name()}: {width}x{height}, {self.encoding}", *lines])
+
+    def _repr_html_(self) -> str:
+        """Table of the planes under the picture, for notebooks."""
+        picture = self._repr_png_()
+        source = "" if picture is None else base64.b64encode(picture).decode("ascii")
+        image = f'<img src="data:image/png;base64,{source}" alt="colour">' if source else ""
+        cells = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in self._rows())
+        title = html.escape(repr(self).partition("\n")[0])
+        head = "<tr><th>plane</th><th>size</th><th>type</th><th>range</th></tr>"
+        return f"<p>{title}</p>{image}<table>{head}{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
+
+    def _repr_png_(self) -> bytes | None:
+        """The colour as a PNG file at most 640 pixels wide or high, for notebooks; None without a colour.
+
+        Scene-linear light is exposed by `exposure`, or as it is, and shown as x / (1 + x) in sRGB.
+        """
+        if Role.COLOUR not in self:
+            return None
+        from postfx.report.pictures import png, reduced  # only notebooks need them
+
+        colour = np.maximum(np.nan_to_num(reduced(self[Role.COLOUR], _PICTURE), posinf=0, neginf=0), 0)
+        if self.encoding == "scene-linear":
+            colour = colour * (self.exposure or 1.0)
+            colour = colour / (1 + colour)
+        if self.encoding in LINEAR:
+            colour = srgb_encode(np.minimum(colour, 1))
+        return png((np.clip(colour, 0, 1) * 255 + 0.5).astype(np.uint8))
+
+    def _rows(self) -> list[tuple[str, str, str, str]]:
+        """Of each plane and guide its name, size and channels, type, and range."""
+        planes = [(str(role), plane) for role, plane in self.planes.items()]
+        planes += [(f"guide {role}", plane) for role, plane in self.guides.items()]
+        return [(name, f"{plane.shape[1]}x{plane.shape[0]}x{plane.shape[2]}", str(plane.dtype), _range(plane))
+                for name, plane in planes]
+
     def _check_all(self, planes: dict[Role, np.ndarray], kind: str, source: str | None) -> dict[Role, np.ndarray]:
         checked = {Role(role): self._check(Role(role), plane, kind) for role, plane in planes.items()}
         if len({plane.shape[:2] for plane in checked.values()}) > 1:
@@ -307,3 +360,28 @@ class Frame:
     def _name(self, source: str | None = None) -> str:
         source = source or self.source
         return f"{self.number} ({source})" if source else str(self.number)
+
+
+_ORIGIN = ("source", "guide_source", "colour_source")
+"""Fields of a frame that tell where it was read from."""
+
+_PICTURE = 640
+"""Longest side of a frame's picture in a notebook, pixels."""
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Whether two values are equal, arrays element by element."""
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        floats = np.asarray(one).dtype.kind == np.asarray(other).dtype.kind == "f"
+        return np.array_equal(one, other, equal_nan=floats)
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_is_same(value, other[key]) for key, value in one.items())
+    return bool(one == other)
+
+
+def _range(plane: np.ndarray) -> str:
+    """Smallest and largest finite value, and how many values are not finite."""
+    finite = plane[np.isfinite(plane)]
+    text = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "nothing finite"
+    wrong = plane.size - finite.size
+    return f"{text}, {wrong} not finite" if wrong and finite.size else text

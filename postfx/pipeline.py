@@ -91,6 +91,13 @@ class Pipeline:
         self._run_up = run_up
         self._begins = True  # nothing is known of the frames before
         self._flow = Flow(self.device)
+        self._own_device = device
+
+    def __reduce__(self) -> tuple[Callable[..., Pipeline], tuple[Any, ...]]:
+        """Pickled by what it was made of: the copy is not compiled and has no history. Without a device of its own it
+        runs on the default device of the process that it comes to."""
+        cuts = "auto" if self._detector else "none"
+        return _make_pipeline, (self.passes, self._own_device, self._meter, cuts, self._run_up)
 
     def __call__(self, frame: Frame) -> Frame:
         """The frame after all passes; the given frame is not changed. For one thread at a time.
@@ -222,6 +229,15 @@ class Pipeline:
         self._begins = True
         for instance in self.passes:
             instance.reset()
+
+
+def _make_pipeline(
+    passes: Sequence[Pass], device: Device | None, meter: ExposureMeter | SmoothExposure, cuts: str,
+    run_up: RunUp | None
+) -> Pipeline:
+    pipeline = Pipeline(passes, device, meter, cuts, run_up)
+    pipeline.reset()
+    return pipeline
 
 
 class Flow:

@@ -1,6 +1,9 @@
-"""Frames and specs: what they hold and what they refuse."""
+"""Frames and specs: what they hold, how they compare and print, and what they refuse."""
+
+from dataclasses import replace
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from postfx import Frame, FrameSpec, Role
@@ -113,3 +116,42 @@ def test_guides_of_several_sizes_are_refused():
 def test_guides_of_a_wrong_shape_are_refused():
     with pytest.raises(FrameError, match="guide 'normal' of frame 1 has shape"):
         Frame({"colour": plane(Role.COLOUR)}, guides={"normal": np.zeros((8, 10, 2), np.float32)})
+
+
+def test_frames_compare_by_their_planes():
+    frame = Frame({"colour": np.full((4, 5, 3), np.nan)}, 3, world_to_camera=np.eye(4), metadata={"m": np.arange(3)})
+    same = replace(frame, planes={"colour": frame[Role.COLOUR].copy()}, metadata={"m": np.arange(3)}, source="a.exr")
+    assert frame == same and not frame != same
+    for other in (replace(frame, number=4), replace(frame, planes={"colour": plane(Role.COLOUR)}),
+                  replace(frame, planes={**frame.planes, "depth": plane(Role.DEPTH)}), replace(frame, metadata={}),
+                  replace(frame, guides={"depth": plane(Role.DEPTH)}), replace(frame, world_to_camera=None),
+                  replace(frame, metadata={"m": np.arange(4)}), "frame"):
+        assert frame != other
+
+
+def test_a_frame_prints_as_a_table():
+    colour = plane(Role.COLOUR)
+    colour[0, 0] = 2.5, np.nan, np.inf
+    frame = Frame({"colour": colour, "depth": np.full((4, 5), np.nan)}, 12, source="a.exr",
+                  guides={"normal": plane(Role.NORMAL, 8, 10)})
+    assert str(frame).splitlines() == [
+        "Frame 12 (a.exr): 5x4, scene-linear",
+        "  plane         size    type     range",
+        "  colour        5x4x3   float32  0 to 2.5, 2 not finite",
+        "  depth         5x4x1   float32  nothing finite",
+        "  guide normal  10x8x3  float32  0 to 0",
+    ]
+
+
+@pytest.mark.parametrize(("encoding", "grey"), [("scene-linear", 156), ("display-linear", 188), ("srgb", 128)])
+def test_a_frame_is_a_picture_in_a_notebook(encoding, grey, tmp_path):
+    frame = Frame({"colour": np.full((50, 1280, 3), 0.5)}, encoding=encoding, source="<a>.exr")
+    (tmp_path / "frame.png").write_bytes(frame._repr_png_())
+    pixels = oiio.ImageBuf(str(tmp_path / "frame.png")).get_pixels(oiio.UINT8)
+    assert pixels.shape == (25, 640, 3) and (pixels == grey).all()
+    assert "&lt;a&gt;.exr" in frame._repr_html_() and "data:image/png;base64,iVBORw0KGgo" in frame._repr_html_()
+
+
+def test_a_frame_without_colour_is_a_table_in_a_notebook():
+    frame = Frame({"depth": plane(Role.DEPTH)})
+    assert frame._repr_png_() is None and "<img" not in frame._repr_html_() and "<td>depth</td>" in frame._repr_html_()

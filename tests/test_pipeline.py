@@ -1,5 +1,7 @@
 """The flow of frames through passes."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,10 @@ from postfx.errors import FrameError, MissingPlaneError, PassContractError
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes.base import Pass, Reflection
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.display import Display
+from postfx.passes.overlay import Overlay
+from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import BindingError, CommandError, Device, HazardError, Library
 from tests import toys
@@ -60,12 +66,11 @@ def test_results_are_not_overwritten_by_the_next_frame(device):
     assert np.array_equal(first[Role.COLOUR], kept)
 
 
-def test_sequence_equals_frame_by_frame(device, monkeypatch):
-    monkeypatch.setattr("postfx.pipeline.default_device", lambda: device)  # toys have no CUDA kernels
+def test_sequence_equals_frame_by_frame(device):
     frames = [make_frame(number, reset=number == 3) for number in range(1, 6)]
     pipeline = Pipeline([toys.Sum()], device)
     together = [pipeline(frame) for frame in frames]
-    alone = toys.Sum()
+    alone = Pipeline([toys.Sum()], device)
     apart = [alone(frame) for frame in frames]
     for one, other in zip(together, apart, strict=True):
         assert np.array_equal(one[Role.COLOUR], other[Role.COLOUR])
@@ -278,3 +283,23 @@ def test_frame_is_left_alone(device):
     colour = frame[Role.COLOUR].copy()
     Pipeline([toys.Sum()], device)(frame)
     assert np.array_equal(frame[Role.COLOUR], colour) and isinstance(frame, Frame) and frame.number == 3
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_a_pickled_pipeline_begins_anew(own, device, monkeypatch):
+    monkeypatch.setattr("postfx.pipeline.default_device", lambda: device)  # toys have no CUDA kernels
+    pipeline = Pipeline([toys.Sum()], device if own else None, cuts="none")
+    first = pipeline(make_frame(1))
+    pipeline(make_frame(2))
+    copied = pickle.loads(pickle.dumps(pipeline))
+    assert copied.plan is None and copied.device.name == pipeline.device.name
+    assert copied.device.threads == pipeline.device.threads
+    assert (copied.device is not pipeline.device) == own
+    assert copied(make_frame(1)) == first
+    assert copied.exposure == Pipeline([toys.Sum()], device, cuts="none")._meter(make_frame(1))
+
+
+def test_a_pickled_pass_has_its_options():
+    for one in (DenoiseUpscale(scale=1.5, model="s"), ToneMap(keep=0.5), Display(display="pq"), Overlay()):
+        copied = pickle.loads(pickle.dumps(one))
+        assert type(copied) is type(one) and copied.options == one.options

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
 from types import MappingProxyType
@@ -142,6 +142,10 @@ class Pass:
         self.options: Mapping[str, Any] = MappingProxyType({**self.defaults, **options})
         self._spec: FrameSpec | None = None
 
+    def __reduce__(self) -> tuple[Callable[..., Pass], tuple[type[Pass], dict[str, Any]]]:
+        """Pickled by its options: the copy is not compiled and has no history."""
+        return _make_pass, (type(self), dict(self.options))
+
     def reflect(self, spec: FrameSpec) -> Reflection:
         """What the pass reads, may read and writes for frames of `spec`. Pure: depends on options and spec only."""
         raise NotImplementedError
@@ -210,3 +214,7 @@ class Pass:
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         """After `compile`: go on as a pass that had this `history`. Raises KeyError or BindingError if it is not one of
         this pass, compiled for the same spec."""
+
+
+def _make_pass(kind: type[Pass], options: dict[str, Any]) -> Pass:
+    return kind(**options)

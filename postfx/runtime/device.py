@@ -66,6 +66,7 @@ class Device:
     ) -> None:
         if threads is not None and threads < 1:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
+        self._arguments = name, threads, compiled_kernels, kernels, memory, graphs
         self.threads = threads or usable_cores()
         self.scratch = None if memory is None else Scratch(memory)
         name = "cpu" if self.scratch and name == "auto" else name
@@ -87,6 +88,10 @@ class Device:
 
     def __repr__(self) -> str:
         return f"Device('{self.name}', threads={self.threads})"
+
+    def __reduce__(self) -> tuple[type[Device], tuple[object, ...]]:
+        """Pickled by its arguments: the copy is a device of its own, with nothing in its memory."""
+        return type(self), self._arguments
 
     @cached_property
     def queue(self) -> CommandQueue:
