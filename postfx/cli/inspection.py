@@ -82,7 +82,7 @@ class Inspection:
 
 
 def _guides(frame: Frame, reading: Reading) -> dict[str, Any] | None:
-    if not frame.guides:
+    if not frame.guides or reading.guides is None or frame.guide_size is None:
         return None
     matches = reading.guides.planes
     held = [(role, frame.guides[role]) for role in frame.spec.guide_roles]

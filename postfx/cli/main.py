@@ -23,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = make_parser().parse_args(argv)
     _read_and_write_by(getattr(arguments, "threads", None))
     try:
-        code = arguments.execute(arguments)
+        code: int = arguments.execute(arguments)
         sys.stdout.flush()
         return code
     except PostfxError as error:

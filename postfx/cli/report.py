@@ -90,7 +90,8 @@ class RunReport:
     def _pictures(self, frame: Frame, result: Frame, exposure: float, cut: bool) -> dict[str, np.ndarray]:
         """Light of one size that is shown alike: before, after and, if there is one, the reference."""
         after = result[Role.COLOUR]
-        before = resampled(frame[Role.COLOUR], *after.shape[:2], frame.jitter)
+        height, width = after.shape[:2]
+        before = resampled(frame[Role.COLOUR], height, width, frame.jitter)
         scene = {"before": before}
         reference = self._references.colour(frame.number) if self._references else None
         scene |= {"reference": reference} if reference is not None and reference.shape == after.shape else {}
@@ -121,7 +122,7 @@ def write_inspection(inspection: Inspection, path: str) -> None:
     for before, frame in zip([frames[0], *frames], frames, strict=False):
         motion = frame.planes.get(Role.MOTION)
         if motion is not None:  # leads from sample to sample here, not from centre to centre
-            motion = motion + (np.float32(frame.jitter) - np.float32(before.jitter))
+            motion = motion + (np.asarray(frame.jitter, np.float32) - np.asarray(before.jitter, np.float32))
         readings = {"exposure metered": measure(frame[Role.COLOUR])}
         log.add(frame.number, {"input": frame[Role.COLOUR]}, meter(frame), motion, frame.reset, readings)
     _check(Path(path))

@@ -240,6 +240,7 @@ def display_passes(
     from postfx.colour.displays import parse_display
     from postfx.colour.views import is_view
     from postfx.passes.registry import create
+    from postfx.passes.view import View
     from postfx.plan import Skipped
 
     if not is_picture and display is None and tonemap is None:
@@ -249,8 +250,9 @@ def display_passes(
     if no_tonemap:
         return [create("display", display=shown_on)], [Skipped("tonemap", "--no-tonemap")]
     if tonemap and is_view(tonemap):
-        mapper = create("view", view=tonemap, display=shown_on)
-        made_for = mapper.output
+        view = View(view=tonemap, display=shown_on)
+        mapper: Pass = view
+        made_for = view.output
     else:
         mapper = create("tonemap", **({"tag": tonemap} if tonemap else {}))
         made_for = "srgb"

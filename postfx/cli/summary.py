@@ -231,7 +231,7 @@ class Report:
             lines.append(f"ran      {_frames(len(self.ahead_ms))} in reverse order, for a history of the first ones: "
                          f"{median(self.ahead_ms):.1f} ms a frame")
         lines += [f"chose    {name}: {_counted(counts)}" for name, counts in self.chosen.items()]
-        lines += [f"guides   {self._guides_text()}"] if self.guides else []
+        lines += [f"guides   {_guides_text(self.guides)}"] if self.guides else []
         lines += [f"cuts     found at {_listed(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
         if self.left_alone.frames:
             lines.append(f"left     {self.left_alone}")
@@ -245,11 +245,6 @@ class Report:
             more = f" ... {self.outputs[-1]}" if self.frames > 1 else ""
             lines.append(f"wrote    {self.outputs[0]}{more}")
         return "\n".join(lines)
-
-    def _guides_text(self) -> str:
-        text = f"{self.guides['width']}x{self.guides['height']}"
-        text += f", used: {', '.join(self.guides['used'])}" if self.guides["used"] else ", not used"
-        return text + ("; the output has their size" if self.guides["output_follows"] else "")
 
     def _fault_lines(self) -> list[str]:
         """How many frames failed, and the first few of them."""
@@ -287,6 +282,12 @@ def guides_in(plan: Plan, sized: bool) -> dict[str, Any] | None:
     follows = not sized and (output.width, output.height) == (guides.width, guides.height)
     used = [str(role) for role in from_files(plan.guides)]
     return {"width": guides.width, "height": guides.height, "used": used, "output_follows": follows}
+
+
+def _guides_text(guides: dict[str, Any]) -> str:
+    text = f"{guides['width']}x{guides['height']}"
+    text += f", used: {', '.join(guides['used'])}" if guides["used"] else ", not used"
+    return text + ("; the output has their size" if guides["output_follows"] else "")
 
 
 def _spread(times: list[float]) -> dict[str, float] | None:

@@ -63,6 +63,7 @@ def convert(
         plane = _motion_pixels(plane, rule.unit, *(camera.display_size or (plane.shape[1], height)))
         plane[~np.isfinite(plane)] = 0
     if rule.role is Role.NORMAL and rule.space == "camera":
+        assert camera.world_to_camera is not None, "the plane is not used without a worldToCamera header"
         plane = normals_to_world(plane, camera.world_to_camera)
     if rule.clamp is not None:
         plane = np.clip(plane, *rule.clamp)
@@ -78,8 +79,8 @@ def fill_value(rule: PlaneRule) -> float:
 
 def _affine(plane: np.ndarray, rule: PlaneRule) -> np.ndarray:
     if any(rule.offset):
-        plane = plane + np.float32(rule.offset)
-    return plane * np.float32(rule.scale) if any(scale != 1 for scale in rule.scale) else plane
+        plane = plane + np.asarray(rule.offset, np.float32)
+    return plane * np.asarray(rule.scale, np.float32) if any(scale != 1 for scale in rule.scale) else plane
 
 
 def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:
@@ -93,12 +94,15 @@ def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int, heig
 
 def _planar(plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:
     """Depth along the view axis; what the camera must be known for is checked when the plane is found."""
-    if rule.kind == "ray" and camera.fov_x is not None:
+    fov = camera.fov_over(plane.shape[1])
+    if rule.kind == "ray" and fov is not None:
         sample = (camera.jitter[0] + camera.shift[0], camera.jitter[1] + camera.shift[1])
-        return depth_from_ray(plane, camera.fov_over(plane.shape[1]), sample, camera.pixel_aspect, first, height)
+        return depth_from_ray(plane, fov, sample, camera.pixel_aspect, first, height)
     if rule.kind == "device":
+        assert camera.near is not None
         return depth_from_device(plane, camera.near, camera.far or math.inf, rule.reversed)
     if rule.kind == "normalised":
+        assert camera.near is not None and camera.far is not None
         return depth_from_normalised(plane, camera.near, camera.far, rule.reversed)
     return plane
 
@@ -110,7 +114,7 @@ def _empty(rule: PlaneRule) -> float:
 
 def _motion_pixels(plane: np.ndarray, unit: str, width: int, height: int) -> np.ndarray:
     size = {"pixels": None, "uv": (width, height), "ndc": (width / 2, height / 2)}[unit]
-    return plane if size is None else plane * np.float32(size)
+    return plane if size is None else plane * np.asarray(size, np.float32)
 
 
 KINDS = {
@@ -155,8 +159,12 @@ class DepthOption:
 
     def camera(self, camera: Camera) -> Camera:
         """A header's camera, with the numbers given here in place of its own."""
-        given = {"near": self.near, "far": self.far, "fov_x": self.fov}
-        return replace(camera, **{name: value for name, value in given.items() if value is not None})
+        return replace(
+            camera,
+            near=camera.near if self.near is None else self.near,
+            far=camera.far if self.far is None else self.far,
+            fov_x=camera.fov_x if self.fov is None else self.fov,
+        )
 
 
 def parse_depth(text: str) -> DepthOption:
@@ -183,7 +191,8 @@ def parse_depth(text: str) -> DepthOption:
     unknown = sorted(set(numbers) - set(_NUMBERS))
     if unknown:
         raise DepthOptionError(f"depth '{text}': unknown '{unknown[0]}': use {', '.join(_NUMBERS)}")
-    return DepthOption(*KINDS[kind], **numbers)
+    near, far, fov, miss, scale = map(numbers.get, _NUMBERS)
+    return DepthOption(*KINDS[kind], near, far, fov, miss, scale)
 
 
 def missing_number(rule: PlaneRule, camera: Camera) -> str | None:
@@ -243,7 +252,7 @@ class InputColours:
         found = attributes.get("chromaticities")
         if self.declared:
             return self.declared
-        if np.size(found) == 8 and np.isfinite(found).all():
+        if found is not None and np.size(found) == 8 and np.isfinite(found).all():
             return next((own for own in LINEAR_SPACES.values() if are_same(own, found)), tuple(map(float, found)))
         return LINEAR_SPACES[_INTEROP.get(str(attributes.get("colorInteropID")), "rec709")]
 
@@ -263,7 +272,7 @@ class InputColours:
         primaries = self.primaries(frame.metadata)
         converted = primaries != REC709 and not self.native
         if converted:
-            matrix = np.float32(matrix_between(primaries, REC709))
+            matrix = np.asarray(matrix_between(primaries, REC709), np.float32)
             for planes in (frame.planes, frame.guides):
                 for role in planes.keys() & {*_LIGHTS, *_REFLECTANCES}:
                     _turn(planes[role], matrix, role in _REFLECTANCES)

@@ -32,7 +32,8 @@ def quantise(codes: np.ndarray, bits: int, dither: Dither, number: int = 1, firs
     """
     top = np.float32(2**bits - 1)
     if bits != 8 or dither is Dither.NONE:
-        return np.rint(np.clip(np.nan_to_num(codes), 0, 1) * top).astype(np.uint8 if bits == 8 else np.uint16)
+        rounded: np.ndarray = np.rint(np.clip(np.nan_to_num(codes), 0, 1) * top)
+        return rounded.astype(np.uint8 if bits == 8 else np.uint16)
     height, width, channels = codes.shape
     turns = range(0, channels) if dither is Dither.STATIC else range(3 * number, 3 * number + channels)
     whole = np.empty((height, width * channels), np.uint8)

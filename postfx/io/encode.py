@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import OpenImageIO as oiio
@@ -134,8 +134,8 @@ def _compressed(pieces: Iterable[np.ndarray]) -> Iterator[bytes]:
 
 
 _ENDS = {".png": b"\0\0\0\0IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
-_TIFF = {b"II*\0": "<HI", b"MM\0*": ">HI", b"II+\0": "<QQ", b"MM\0+": ">QQ"}
-# First bytes -> how a directory's count of entries and offsets are stored.
+_TIFF = {b"II*\0": ("<", "H", "I"), b"MM\0*": (">", "H", "I"), b"II+\0": ("<", "Q", "Q"), b"MM\0+": (">", "Q", "Q")}
+# First bytes -> byte order, and how a directory's count of entries and offsets are stored.
 _WHERE, _HOW_MANY = (273, 324), (279, 325)  # tags of strips and of tiles: offsets, and counts of bytes
 _WHOLE = {3: "H", 4: "I", 16: "Q"}
 
@@ -165,7 +165,7 @@ def _is_whole_tiff(file: BinaryIO, size: int) -> bool:
         return False
 
 
-def _last_byte(file: BinaryIO, layout: str) -> int:
+def _last_byte(file: BinaryIO, layout: tuple[str, str, str]) -> int:
     order, kind, offset = layout
     wide = struct.calcsize(order + offset)
     file.seek(wide)  # behind the first four bytes, or eight
@@ -188,7 +188,7 @@ def _numbers(file: BinaryIO, order: str, wide: int, kind: int, count: int, value
     return _unpacked(file, form)
 
 
-def _unpacked(file: BinaryIO, form: str) -> tuple:
+def _unpacked(file: BinaryIO, form: str) -> tuple[Any, ...]:
     return struct.unpack(form, file.read(struct.calcsize(form)))
 
 

@@ -235,7 +235,7 @@ class FrameFiles:
             index, self.layout = self._look(profile, depth)
             self.area = area_of(self.layout, area)
             if self.area and self.area.is_wider:
-                index, self.layout = self._look_wider(profile, depth)
+                index, self.layout = self._look_wider(profile, depth, self.area)
             drop_smaller_planes(self.layout)
             self.guides = larger_planes(self.layout)
             if guides:
@@ -280,15 +280,16 @@ class FrameFiles:
         wanted, guiding = self._wanted(roles, guides)
         if not wanted:
             raise self.missing(Role.COLOUR)
-        masked = self.alone is not None and Role.STRENGTH in wanted
-        stored = {*wanted, *self.alone.reads} - self._made() if masked else wanted
+        alone = self.alone if Role.STRENGTH in wanted else None
+        stored = {*wanted, *alone.reads} - self._made() if alone else wanted
         matches = {role: self.match(role) for role in Role if role in stored}
         guide_matches = {role: self.guide(role) for role in guiding}
         planes = read_planes(matches, self.layout.camera, scratch)
-        guides = read_planes(guide_matches, self.guides.camera, scratch) if guide_matches else {}
-        if masked:
-            planes = self._masked(planes, wanted, scratch)
-        return self._frame(number, planes, guides, next(iter(matches.values())).channels[0])
+        guide_planes = read_planes(guide_matches, self.guides.camera, scratch) if self.guides and guide_matches else {}
+        if alone:
+            strength = alone.strength(planes, scratch)
+            planes = {role: strength if role is Role.STRENGTH else planes[role] for role in wanted}
+        return self._frame(number, planes, guide_planes, next(iter(matches.values())).channels[0])
 
     def guide(self, role: Role) -> Match:
         """Where a guide is; MissingPlaneError when it is not there at output size."""
@@ -304,39 +305,34 @@ class FrameFiles:
         return self.layout.planes[role]
 
     def missing(self, role: Role) -> MissingPlaneError:
-        """Error that says what was looked for and how to mend it."""
+        """Error that says what was looked for and how to fix it."""
         profile, rules = self.layout.profile, self.layout.profile.rules(role)
         looked = [names for rule in rules for names in rule.candidates(self.layout.layer)][:2]
         hint = next((rule.enable for rule in rules if rule.enable), "")
-        mend = f"switch it on ({hint})" if hint else "render it"
+        remedy = f"switch it on ({hint})" if hint else "render it"
         tried = " or ".join(", ".join(names) for names in looked) or "nothing"
         return MissingPlaneError(
             f"{self.path}: no plane '{role}': profile {profile.name} looks for {tried}; "
-            f"{mend}, or name it in a profile (--profile FILE.toml)"
+            f"{remedy}, or name it in a profile (--profile FILE.toml)"
         )
 
     def _made(self) -> set[Role]:
         """What is not in the files and made all the same."""
         return {Role.STRENGTH} - self.layout.planes.keys() if self.alone else set()
 
-    def _masked(
-        self, planes: dict[Role, np.ndarray], wanted: list[Role], scratch: Scratch | None
-    ) -> dict[Role, np.ndarray]:
-        """Planes that were wanted, the strength as what is left alone makes it."""
-        strength = self.alone.strength(planes, scratch)
-        return {role: strength if role is Role.STRENGTH else planes[role] for role in wanted}
-
     def _look(self, profile: str | None, depth: DepthOption | None) -> tuple[ChannelIndex, Layout]:
         index = ChannelIndex(self._files)
         return index, make_layout(index, self._attributes(), load_profile(profile) if profile else None, depth,
                                   self._without)
 
-    def _look_wider(self, profile: str | None, depth: DepthOption | None) -> tuple[ChannelIndex, Layout]:
+    def _look_wider(
+        self, profile: str | None, depth: DepthOption | None, area: Area
+    ) -> tuple[ChannelIndex, Layout]:
         """Likewise, with planes that cover overscan."""
         for file in self._files.values():
-            file.widen(*self.area)
+            file.widen(*area)
         index, layout = self._look(profile, depth)
-        layout.camera = camera_over(layout.camera, self.area)
+        layout.camera = camera_over(layout.camera, area)
         return index, layout
 
     def _attributes(self) -> dict[str, Any]:

@@ -75,9 +75,10 @@ class ImageFile:
             raise ReadError(f"{make_printable(str(path))}: its name is not UTF-8: rename it")
         if not checked:
             check_claims(self.path)
-        self._input = oiio.ImageInput.open(str(self.path))
-        if self._input is None:
+        opened = oiio.ImageInput.open(str(self.path))
+        if opened is None:
             raise ReadError(f"{path}: cannot be opened: {reason_of(oiio.geterror)}; write the file again")
+        self._input = opened
         self.parts = self._scan()
 
     def __enter__(self) -> ImageFile:
@@ -160,7 +161,8 @@ class ImageFile:
         return np.ascontiguousarray(pixels[data.y0 - top:data.y1 + 1 - top])
 
     def _scan(self) -> tuple[Part, ...]:
-        parts, deep = [], []
+        parts: list[Part] = []
+        deep: list[Part] = []
         while self._input.seek_subimage(len(parts) + len(deep), 0):
             spec = self._input.spec()
             (deep if spec.deep else parts).append(part_of(len(parts) + len(deep), spec))
@@ -174,10 +176,11 @@ def _runs(part: Part, names: Sequence[str]) -> Iterator[tuple[int, int]]:
     """First and last channel, not included, of neighbours of one format that hold the named ones."""
     wanted = sorted(part.channels.index(name) for name in names)
     begin = wanted[0]
-    for before, index in zip(wanted, [*wanted[1:], None], strict=True):
-        if index is None or part.formats[index] != part.formats[before] or index > before + 1:
+    for before, index in zip(wanted, wanted[1:], strict=False):
+        if part.formats[index] != part.formats[before] or index > before + 1:
             yield begin, before + 1
             begin = index
+    yield begin, wanted[-1] + 1
 
 
 def reason_of(fetch: Callable[[], str]) -> str:

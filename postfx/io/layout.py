@@ -54,8 +54,13 @@ class ChannelIndex:
 
     def find(self, names: Iterable[str]) -> tuple[Channel, ...] | None:
         """Channels by full name, * matching anything; None unless all are there."""
-        found = [self._find_one(name.lower()) for name in names]
-        return tuple(found) if all(found) else None
+        found: list[Channel] = []
+        for name in names:
+            channel = self._find_one(name.lower())
+            if channel is None:
+                return None
+            found.append(channel)
+        return tuple(found)
 
     def matching(self, name: str) -> list[Channel]:
         """A channel or those of a layer, by full name or the end of it, * matching anything; each once."""
@@ -201,8 +206,10 @@ def make_layout(
     layout.camera = depth.camera(camera) if depth else camera
     for rule in profile.planes:
         if rule.role not in layout.planes and rule.role not in without:
-            given = depth is not None and rule.role is Role.DEPTH
-            _match_rule(index, layout, depth.rule(rule) if given else rule, given)
+            if depth is not None and rule.role is Role.DEPTH:
+                _match_rule(index, layout, depth.rule(rule), given=True)
+            else:
+                _match_rule(index, layout, rule, given=False)
     layout.warnings += _colour_warnings(layout)
     return layout
 

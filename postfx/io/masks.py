@@ -135,7 +135,7 @@ class LeftAlone:
 
     def strength(self, planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> np.ndarray:
         """Strength (height, width, 1) of a frame whose planes hold `reads`, times its own; in an array of `scratch`."""
-        width, height = self._size
+        width, height = self._known_size()
         basis = {str(entry): text for entry, text in self._basis.items()}
         self.shares = Coverage(1, 0.0, {str(entry): 0.0 for entry in self._entries}, basis=basis)
         found = scratch.empty((height, width, 1)) if scratch else np.empty((height, width, 1), np.float32)
@@ -148,6 +148,10 @@ class LeftAlone:
         found *= planes.get(Role.STRENGTH, np.float32(1))
         self.shares.alone = 1 - np.count_nonzero(found) / found.size
         return found
+
+    def _known_size(self) -> tuple[int, int]:
+        assert self._size is not None, "a frame without colour is not denoised"
+        return self._size
 
     def _is_looked_up(self) -> bool:
         return any(not (entry.is_auto or entry.is_converged) for entry in self._entries)
@@ -169,7 +173,7 @@ class LeftAlone:
         """Note where an entry's ids are."""
         layers = [one for one in self._cryptomattes if entry.plane is None or one.is_called(entry.plane)]
         if not layers and entry.plane is not None:
-            self._numbered.setdefault(self._plane_of(entry), []).append(entry)
+            self._numbered.setdefault(self._plane_of(entry, entry.plane), []).append(entry)
             id_range(entry)
         elif not layers:
             raise StrengthError(f"{self._path}: no Cryptomatte to find '{entry.name}' in: render one, or give ids of a "
@@ -181,14 +185,14 @@ class LeftAlone:
         if layers and not found and strict:
             raise self._unknown(entry, layers)
 
-    def _plane_of(self, entry: Entry) -> Channel:
-        found = self._index.matching(entry.plane)
+    def _plane_of(self, entry: Entry, plane: str) -> Channel:
+        found = self._index.matching(plane)
         if len(found) != 1:
             known = ", ".join(one.name for one in self._cryptomattes) or "none"
             names = ", ".join(channel.name for channel in found[:SHOWN])
             what = f"has several channels ({names}): name one" if found else \
                 f"is not there: name a channel of ids, or a Cryptomatte (here: {known})"
-            raise StrengthError(f"{self._path}: plane '{entry.plane}' of '{entry}' {what}")
+            raise StrengthError(f"{self._path}: plane '{plane}' of '{entry}' {what}")
         self._check_size(found[0].name, found[0])
         return found[0]
 
@@ -213,7 +217,7 @@ class LeftAlone:
 
     def _of_ids(self, rows: tuple[int, int]) -> np.ndarray:
         """Strength of some rows by ids alone; what it covers is counted."""
-        strength = np.ones((rows[1] - rows[0], self._size[0]), np.float32)
+        strength = np.ones((rows[1] - rows[0], self._known_size()[0]), np.float32)
         owned = [self._owned(layer, rows) for layer in self._named]
         found = [entry for entry in dict.fromkeys(reversed(self._entries)) if any(entry in shares for shares in owned)]
         for entry, share in split_shares(owned, found[::-1]):
@@ -239,7 +243,8 @@ class LeftAlone:
     def _without_misses(
         self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray], scratch: Scratch | None
     ) -> None:
-        seen, missed = {role: planes[role] for role in self.reads if role is not Role.STRENGTH}, 0
+        seen: dict[Role, np.ndarray] = {role: planes[role] for role in self.reads if role is not Role.STRENGTH}
+        missed = 0
         for rows, strength, count in strength_in_bands(seen, scratch.relax if scratch else None):
             found[rows] *= entry.strength + (1 - entry.strength) * strength
             self._count(entry, 1 - strength)
@@ -255,5 +260,5 @@ class LeftAlone:
             self._count(entry, 1 - strength)
 
     def _count(self, entry: Entry, share: np.ndarray) -> None:
-        width, height = self._size
+        width, height = self._known_size()
         self.shares.covered[str(entry)] += float(share.sum(dtype=np.float64)) / (width * height)

@@ -70,6 +70,8 @@ def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
 def _type_of(value: Any) -> str:
     if isinstance(value, tuple):
         kinds = {type(item) for item in value}
-        kind = kinds.pop() if len(kinds) == 1 else None
+        if len(kinds) != 1:
+            return ""
+        kind = kinds.pop()
         return _TUPLE_TYPES.get((kind, len(value)), f"{_WORDS[kind]}[{len(value)}]" if kind in _WORDS else "")
     return _WORDS.get(type(value), "")

@@ -9,7 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-import fileseq
+from fileseq.exceptions import MaxSizeException, ParseException
+from fileseq.frameset import FrameSet
 
 from postfx.errors import SequenceError
 from postfx.io.image_file import READABLE
@@ -87,7 +88,9 @@ class Pattern:
 
     def _regex(self) -> re.Pattern[str]:
         # programs that count the minus among the digits write frame -3 of #### as -003
-        number = rf"(?P<number>\d{{{self.digits},}}|-\d{{{max(1, self.digits - 1)},}})" if self.numbered else ""
+        number = ""
+        if self.digits is not None:
+            number = rf"(?P<number>\d{{{self.digits},}}|-\d{{{max(1, self.digits - 1)},}})"
         name = re.escape(self.prefix) + number + re.escape(self.suffix)
         name = name.replace(re.escape(PLANE), r"(?P<plane>[^./]+)", 1)
         return re.compile(name.replace(re.escape(PLANE), r"(?P=plane)"), re.ASCII)
@@ -118,12 +121,12 @@ def parse_frames(text: str) -> list[int]:
     """Frame numbers of '1-100x2', '1,5,7-9' and the like, in the order given; SequenceError when malformed."""
     try:
         parts = [_RANGE.fullmatch(part) for part in text.split(",") if part.strip()]
-        if not all(parts):
+        if None in parts:
             raise ValueError("not whole numbers of up to nine digits")
-        if any(abs(int(part["last"] or part["first"]) - int(part["first"])) >= MOST_FRAMES for part in parts):
+        if any(abs(int(part["last"] or part["first"]) - int(part["first"])) >= MOST_FRAMES for part in parts if part):
             raise SequenceError(f"--frames {text}: holds more than {MOST_FRAMES} frames")
-        numbers = list(fileseq.FrameSet(text))
-    except (fileseq.ParseException, fileseq.MaxSizeException, ValueError) as error:
+        numbers = list(FrameSet(text))
+    except (ParseException, MaxSizeException, ValueError) as error:
         raise SequenceError(f"--frames {text}: not a frame range: write it like 1-100, 1-100x2 or 1,5,8-12") from error
     if not numbers:
         raise SequenceError(f"--frames {text}: holds no frame")
@@ -155,9 +158,10 @@ def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
     found: dict[tuple[str, str], Pattern] = {}
     for path in sorted(_listed(folder), key=lambda path: (number_in_name(path) or 0) < 0):
         if path.suffix.lower() in suffixes and not path.name.startswith(".") and os.path.isfile(path):
-            pattern = pattern_of(path)
+            pattern, number = pattern_of(path), number_in_name(path)
             known = found.setdefault((pattern.prefix, pattern.suffix), pattern)
-            if pattern.numbered and pattern.digits < known.digits and number_in_name(path) >= 0:
+            fewer = pattern.digits is not None and known.digits is not None and pattern.digits < known.digits
+            if fewer and number is not None and number >= 0:
                 found[pattern.prefix, pattern.suffix] = pattern
     return list(found.values())
 

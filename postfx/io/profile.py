@@ -239,8 +239,9 @@ def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     for key in ("scale", "offset"):
         if len(table.get(key, [1])) not in (1, ROLES[role].channels):
             raise ProfileError(f"{path}: {where}: {key} needs 1 or {ROLES[role].channels} numbers")
-    rest = {key: tuple(value) if key in listed else value for key, value in table.items() if key != "role"}
-    return PlaneRule(role, **{"names": ("",), **rest, "channels": channels})
+    values: dict[str, Any] = {key: tuple(value) if key in listed else value
+                              for key, value in table.items() if key != "role"}
+    return PlaneRule(role, **{"names": ("",), **values, "channels": channels})
 
 
 def _join(name: str, letter: str) -> str:

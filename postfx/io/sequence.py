@@ -175,6 +175,7 @@ class Sequence:
         """How much of a frame `leave`, which must be given, leaves as it is."""
         with self.open(number) as files:
             files.read(number, [Role.STRENGTH], [])
+            assert files.alone is not None, "asked only where --leave is given"
             return files.alone.shares
 
     def _read(

@@ -175,8 +175,8 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) 
         spec.attribute("png:compressionLevel", _PNG_LEVEL)
         spec.attribute("png:filter", _PNG_PAETH)
         return spec
-    spec.x, spec.y, shown = window.x0, window.y0, windows.display
-    spec.full_x, spec.full_y, spec.full_width, spec.full_height = shown.x0, shown.y0, shown.width, shown.height
+    spec.x, spec.y, full = window.x0, window.y0, windows.display
+    spec.full_x, spec.full_y, spec.full_width, spec.full_height = full.x0, full.y0, full.width, full.height
     set_attributes(spec, kept_attributes(frame))
     if display:
         tag_light(spec, display.kind.primaries, display.white)

@@ -52,7 +52,9 @@ def save_checkpoint(
 
     def write(file: BinaryIO) -> None:
         digest = hashlib.sha256()
-        for content in (header, *(memoryview(array.reshape(-1)).cast("B") for array in arrays.values())):
+        contents: list[bytes | memoryview] = [header]
+        contents += [array.reshape(-1).data.cast("B") for array in arrays.values()]
+        for content in contents:
             for first in range(0, len(content), PIECE):
                 piece = content[first : first + PIECE]
                 digest.update(piece)

@@ -53,6 +53,7 @@ def now() -> str:
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+Handler = Callable[[int, FrameType | None], Any] | int | signal.Handlers | None
 
 
 class Stop:
@@ -65,7 +66,7 @@ class Stop:
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
         self._asked: int | None = None
-        self._before: dict[int, object] = {}
+        self._before: dict[int, Handler] = {}
 
     @property
     def asked(self) -> bool:

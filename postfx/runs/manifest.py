@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -111,9 +111,8 @@ def _output(entry: Mapping[str, Any]) -> Output:
     wrong = [name for name, kind in kinds.items() if type(getattr(output, name)) is not kind]
     if wrong or not isinstance(output.sha256, str | None):
         raise TypeError(f"'{wrong[0] if wrong else 'sha256'}' of a file")
-    for path, (size, changed) in output.inputs.items():
-        output.inputs[path] = int(size), int(changed)
-    return output
+    inputs = {path: (int(size), int(changed)) for path, (size, changed) in output.inputs.items()}
+    return replace(output, inputs=inputs)
 
 
 RUNNING = "running"

@@ -218,6 +218,7 @@ class Run:
 
     def recall(self, work: Work, frame: Frame) -> None:
         """Let the passes go on as they did after a work's checkpoint was made."""
+        assert work.checkpoint is not None, "only work with a checkpoint is recalled"
         self._pipeline.recall(frame, load_checkpoint(work.checkpoint))
         self._log("recall", frame=work.number)
 

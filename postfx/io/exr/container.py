@@ -84,7 +84,8 @@ class Header:
     @property
     def tiles(self) -> tuple[int, int, int]:
         """Width and height of tiles, and the mode: levels in the low four bits, rounding in the high ones."""
-        return self._unpacked("tiles", "<IIB")
+        width, height, mode = self._unpacked("tiles", "<IIB")
+        return width, height, mode
 
     @property
     def channels(self) -> list[ChannelInfo]:
