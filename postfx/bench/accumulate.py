@@ -21,7 +21,10 @@ ONE = np.float32(1)
 
 
 @inline
-def same_surface(depth, normal, past_depth, past_normal, y, x, py, px):
+def same_surface(
+    depth: np.ndarray, normal: np.ndarray, past_depth: np.ndarray, past_normal: np.ndarray,
+    y: int, x: int, py: int, px: int,
+) -> bool | np.bool_:
     """Whether depth agrees within 10 % and the normals within 37 degrees; pixels without a normal agree."""
     near = abs(past_depth[py, px, 0] - depth[y, x, 0]) < DEPTH_STEP * depth[y, x, 0]
     dot, now, past = np.float32(0), np.float32(0), np.float32(0)
@@ -33,7 +36,10 @@ def same_surface(depth, normal, past_depth, past_normal, y, x, py, px):
 
 
 @compiled
-def accumulate_rows(y0, y1, current, history, motion, depth, normal, past_depth, past_normal, output):
+def accumulate_rows(
+    y0: int, y1: int, current: np.ndarray, history: np.ndarray, motion: np.ndarray, depth: np.ndarray,
+    normal: np.ndarray, past_depth: np.ndarray, past_normal: np.ndarray, output: np.ndarray,
+) -> None:
     """output (H, W, 4): colour and the count of frames in it. `history` is the last output; planes are (h, w, C)."""
     height, width = current.shape[:2]
     h, w = motion.shape[:2]
@@ -93,9 +99,9 @@ class Accumulator:
         shape = frame[Role.MOTION].shape[:2]
         now = {"depth": _plane(frame, Role.DEPTH, np.ones((*shape, 1), np.float32)),
                "normal": _plane(frame, Role.NORMAL, np.zeros((*shape, 3), np.float32))}
-        fresh = self._history is None or frame.reset
-        history = np.zeros((height, width, 4), np.float32) if fresh else self._history
-        past = now if fresh else self._past
+        history, past = self._history, self._past
+        if history is None or frame.reset:
+            history, past = np.zeros((height, width, 4), np.float32), now
         reads = {"current": current, "history": history, "motion": frame[Role.MOTION], **now,
                  **{f"past_{name}": plane for name, plane in past.items()}}
         self._history, self._past = self._kernels.run(ACCUMULATE, reads, (height, width, 4)), now

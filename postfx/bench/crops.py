@@ -80,14 +80,14 @@ def behind(ours: np.ndarray, others: list[np.ndarray], count: int) -> list[tuple
 def _means(values: np.ndarray) -> np.ndarray:
     """Means of all squares that fit into the picture, by their upper left corners."""
     side = _side(values.shape)
-    means = uniform_filter(values.astype(np.float64), side, mode="nearest", origin=-(side // 2))
+    means: np.ndarray = uniform_filter(values.astype(np.float64), side, mode="nearest", origin=-(side // 2))
     return means[: values.shape[0] - side + 1, : values.shape[1] - side + 1]
 
 
 def _greatest(means: np.ndarray, count: int, side: int) -> list[tuple[int, int]]:
     """Corners of the squares of the greatest means, without overlap; minus infinity is never taken."""
     open_ = means.copy()
-    found = []
+    found: list[tuple[int, int]] = []
     while len(found) < count and np.isfinite(open_).any():
         y, x = np.unravel_index(int(np.argmax(open_)), open_.shape)
         found.append((int(y), int(x)))
@@ -154,4 +154,5 @@ def _compared(columns: list[Column]) -> tuple[np.ndarray, np.ndarray]:
 def _repeated(image: np.ndarray, height: int, width: int) -> np.ndarray:
     """Nearest pixels, so that the input is seen as it is."""
     h, w = image.shape[:2]
-    return image[(np.arange(height) * h // height)[:, None], np.arange(width) * w // width]
+    repeated: np.ndarray = image[(np.arange(height) * h // height)[:, None], np.arange(width) * w // width]
+    return repeated

@@ -42,7 +42,8 @@ class HostKernels:
         """
         gain = np.float32(2.0 ** (measure(colour) or 0.0))
         exposed = np.log1p(np.maximum(colour, 0) * gain)
-        return np.expm1(self.resample(exposed, height, width, jitter)) / gain
+        enlarged: np.ndarray = np.expm1(self.resample(exposed, height, width, jitter)) / gain
+        return enlarged
 
     def resample(self, image: np.ndarray, height: int, width: int, jitter: tuple[float, float]) -> np.ndarray:
         """Cubic interpolation of (h, w, C), whose samples are `jitter` (x, y) pixels off their centres."""

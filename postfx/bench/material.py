@@ -83,6 +83,7 @@ def _one_spec(sequence: Sequence, numbers: list[int] | tuple[int, ...]) -> Frame
                 f"{path}: is {spec.width}x{spec.height}, the first frame {first.width}x{first.height}: "
                 f"measure frames of one size, chosen by --frames"
             )
+    assert first is not None, "a sequence has frames"
     return first
 
 

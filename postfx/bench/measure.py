@@ -30,7 +30,8 @@ def run_task(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
     for _ in range(ATTEMPTS):
         last = _run_process(task, tell)
         if "times" in last:
-            return last["times"]
+            times: dict[str, Any] = last["times"]
+            return times
         if "error" in last:
             break
     raise BenchError(f"method '{task.method.name}': {last.get('error', 'kernels keep being compiled: try again')}")
@@ -48,7 +49,7 @@ def _run_process(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
         environment = {**os.environ, "PYTHONPATH": path}
         with subprocess.Popen(command, stdin=words, stdout=subprocess.PIPE, stderr=complaints, text=True,
                               env=environment) as process:
-            for line in process.stdout:
+            for line in process.stdout or ():
                 last = _message(line) or last
                 if "run" in last:
                     tell(last["run"])

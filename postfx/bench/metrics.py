@@ -7,6 +7,7 @@ light. Colours are (height, width, 3), scene-linear Rec.709, float32.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import flip_evaluator
 import numpy as np
@@ -37,7 +38,9 @@ def psnr(picture: np.ndarray, reference: np.ndarray) -> float:
 
 def ssim(picture: np.ndarray, reference: np.ndarray) -> float:
     """Structural similarity (Wang 2004) of code values, mean over pixels and channels."""
-    return float(structural_similarity(picture, reference, channel_axis=2, data_range=1))
+    # scikit-image comes without types.
+    found = structural_similarity(picture, reference, channel_axis=2, data_range=1)  # type: ignore[no-untyped-call]
+    return float(found)
 
 
 def flip(picture: np.ndarray, reference: np.ndarray) -> float:
@@ -89,7 +92,7 @@ class SequenceScore:
     """Scores frames given in order; `frames` holds their figures, `summary` the means."""
 
     def __init__(self) -> None:
-        self.frames: list[dict[str, float | int | None]] = []
+        self.frames: list[dict[str, Any]] = []
         self._exposure: float | None = None
         self._before: Pictures | None = None
 
@@ -130,6 +133,6 @@ class SequenceScore:
         return flicker(self._before, now, motion)
 
 
-def _mean(rows: list[dict], name: str) -> float | None:
+def _mean(rows: list[dict[str, Any]], name: str) -> float | None:
     values = [row[name] for row in rows if row[name] is not None]
     return float(np.mean(values)) if values else None

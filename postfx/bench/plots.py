@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator
@@ -21,6 +21,8 @@ SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14
          (-10, -26), (0, 26), (0, -34), (24, 30), (24, -38)]
 """Where a label may stand, in points from its dot; the first free one is taken, and a line drawn to those not NEAR."""
 NEAR = 8
+Point = tuple[float, float, dict[str, Any]]
+"""Where a method's dot is, and its row."""
 
 
 def pareto(facts: dict[str, Any], figure: str, path: Path) -> None:
@@ -35,7 +37,7 @@ def pareto(facts: dict[str, Any], figure: str, path: Path) -> None:
     if not rows:
         return
     picture = Figure(figsize=(9, 6), dpi=130, layout="constrained")
-    FigureCanvasAgg(picture)
+    canvas = FigureCanvasAgg(picture)
     axes = picture.add_subplot()
     low, high = _range(rows, figure)
     points = [(row["time"][time], min(max(row["scores"][figure], low), high), row) for row in rows]
@@ -46,7 +48,8 @@ def pareto(facts: dict[str, Any], figure: str, path: Path) -> None:
         _dot(axes, x, y, row, figure)
     _dress(axes, facts, rows, figure, "GPU milliseconds a frame" if gpu else "milliseconds a frame (wall clock)")
     picture.canvas.draw()
-    _label(axes, points, figure)
+    renderer = canvas.get_renderer()  # type: ignore[no-untyped-call]  # matplotlib leaves it untyped
+    _label(axes, points, figure, renderer)
     picture.savefig(path)
 
 
@@ -65,7 +68,7 @@ def _limits(axes: Axes, times: list[float], low: float, high: float) -> None:
     axes.set_ylim(low - space, high + space)
 
 
-def _draw_front(axes: Axes, points: list[tuple], names: list[str], figure: str) -> None:
+def _draw_front(axes: Axes, points: list[Point], names: list[str], figure: str) -> None:
     """Steps through the methods shown: until the next one is affordable, the last one is the best there is."""
     ordered = sorted((x, y) for x, y, row in points if row["name"] in names and row["scores"][figure] == y)
     axes.step(*zip(*ordered, strict=True), where="post", color="#222222", linewidth=1.2, alpha=0.5, zorder=1,
@@ -113,28 +116,28 @@ def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure
     axes.figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
 
 
-def _label(axes: Axes, points: list[tuple], figure: str) -> None:
+def _label(axes: Axes, points: list[Point], figure: str, renderer: RendererAgg) -> None:
     """Name every dot, beside it where nothing else is."""
-    renderer = axes.figure.canvas.get_renderer()
     dots = [axes.transData.transform((x, y)) for x, y, _ in points]
     taken = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in dots]
     frame = axes.get_window_extent(renderer)
     for x, y, row in points:
         value, text = row["scores"][figure], _name(row)
         text += f" {value:.3g}" if value != y else ""
-        taken.append(_place(axes, (x, y), text, COLOURS[row["family"]], taken, frame))
+        taken.append(_place(axes, renderer, (x, y), text, COLOURS[row["family"]], taken, frame))
 
 
 def _name(row: dict[str, Any]) -> str:
     """Short name: the marker says what is not in it."""
     if row["family"] != "ours":
-        return row["title"]
-    return row["model"].split(".")[0] + ("" if row["precision"] == "fp32" else f" {row['precision']}")
+        return str(row["title"])
+    return str(row["model"]).split(".")[0] + ("" if row["precision"] == "fp32" else f" {row['precision']}")
 
 
-def _place(axes: Axes, dot: tuple[float, float], text: str, colour: str, taken: list[Bbox], frame: Bbox) -> Bbox:
+def _place(
+    axes: Axes, renderer: RendererAgg, dot: tuple[float, float], text: str, colour: str, taken: list[Bbox], frame: Bbox
+) -> Bbox:
     """Write a label at the first free spot, else at the one that covers least; returns where it stands."""
-    renderer = axes.figure.canvas.get_renderer()
     label = axes.annotate(text, dot, (0, 0), textcoords="offset points", fontsize=10.5, color=colour, zorder=4,
                           fontweight="bold" if len(text) <= 2 else "normal",
                           arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkB": 4})
@@ -150,6 +153,7 @@ def _place(axes: Axes, dot: tuple[float, float], text: str, colour: str, taken: 
             break
     _, index, box = min(found, key=lambda item: item[:2])
     _stand(label, *SPOTS[index])
+    assert label.arrow_patch is not None  # it was made with arrowprops
     label.arrow_patch.set_visible(index >= NEAR)
     return box
 

@@ -26,10 +26,14 @@ class Network:
     def __init__(self, method: Method, device: Device, scale: float, sequence: Sequence | None) -> None:
         self._method = method
         self._lost = frozenset(map(Role, method.without))
-        options = {"model": exact(method.model), "scale": scale}
-        run_up = RunUp(sequence, prepare=self._given) if method.run_up else None
-        self._pipeline = Pipeline([DenoiseUpscale(**options), BothWays()], device, run_up=run_up)
-        self._backwards = Backwards(sequence, device, prepare=self._given, **options) if method.both else None
+        model = exact(method.model)
+        run_up, self._backwards = None, None
+        if method.run_up or method.both:
+            assert sequence is not None, "frames are run ahead"
+            run_up = RunUp(sequence, prepare=self._given) if method.run_up else None
+            if method.both:
+                self._backwards = Backwards(sequence, device, prepare=self._given, model=model, scale=scale)
+        self._pipeline = Pipeline([DenoiseUpscale(model=model, scale=scale), BothWays()], device, run_up=run_up)
         self.device_ms = 0.0
 
     def reset(self) -> None:

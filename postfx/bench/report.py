@@ -152,7 +152,8 @@ def _against(value: float | None, figure: str, others: list[dict[str, Any]]) -> 
     if value is None or not values:
         return None
     best = max(values) if _rises(figure) else min(values)
-    return value - best if _rises(figure) else value / best
+    difference: float = value - best if _rises(figure) else value / best
+    return difference
 
 
 def _rises(figure: str) -> bool:

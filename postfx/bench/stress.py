@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,10 @@ def changed(**planes: float | Callable[[np.ndarray], np.ndarray]) -> Change:
     return change
 
 
+def _expose(ev: int, colour: np.ndarray) -> np.ndarray:
+    return np.asarray(colour * 2.0**ev, np.float32)
+
+
 def _fireflies(colour: np.ndarray) -> np.ndarray:
     spotted = colour.copy()
     spotted[::7, ::5] = 1e6
@@ -42,7 +47,7 @@ def _fireflies(colour: np.ndarray) -> np.ndarray:
 
 _MISSES = dict(depth=1e10, normal=0, diffuse_albedo=0, specular_albedo=0, roughness=0, motion=0)
 LIGHTS: dict[str, Change] = {
-    f"{ev:+d} EV": changed(colour=lambda c, ev=ev: np.float32(c * 2.0**ev)) for ev in (-40, -20, 20, 40)
+    f"{ev:+d} EV": changed(colour=partial(_expose, ev)) for ev in (-40, -20, 20, 40)
 } | {
     "black": changed(colour=0), "denormal": changed(colour=1e-42), "constant": changed(colour=0.5),
     "largest half": changed(colour=65504), "1e10": changed(colour=1e10), "largest float": changed(colour=3.4e38),

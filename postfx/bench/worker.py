@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from postfx.bench.methods import Method
 from postfx.bench.reconstruct import Chain, Network, make
@@ -63,7 +64,7 @@ def main() -> int:
     return 0
 
 
-def measure(task: Task) -> dict | None:
+def measure(task: Task) -> dict[str, Any] | None:
     """Milliseconds (wall, device) and CPU seconds of every frame of every run, and the peak of memory in MB.
 
     One frame before the runs, `first_ms`, makes everything ready. Reading and writing files is not timed. None when
@@ -106,7 +107,7 @@ def _compiled_kernels() -> set[str]:
     return {path.name for path in folder.glob(f"*{SUFFIX}")} if folder else set()
 
 
-def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> dict:
+def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> dict[str, Any]:
     row = _timed(method, frame)
     result = row.pop("result")
     if write:
@@ -115,12 +116,12 @@ def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> di
     return row
 
 
-def _evened(rows: list[dict]) -> list[dict]:
+def _evened(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Each frame's share of what all took: the first of a part waits until others have run in reverse."""
     return [{key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}] * len(rows)
 
 
-def _timed(method: Network | Chain, frame: Frame) -> dict:
+def _timed(method: Network | Chain, frame: Frame) -> dict[str, Any]:
     device, cpu, wall = method.device_ms, time.process_time(), time.perf_counter()
     result = method(frame)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu

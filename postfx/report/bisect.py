@@ -14,6 +14,9 @@ from postfx.errors import CompareError, ReadError
 from postfx.report.capture_data import read
 from postfx.runtime.capture_network import largest_error
 
+Tensor = dict[str, Any]
+"""A tensor's entry in capture.json."""
+
 
 @dataclass(frozen=True)
 class Difference:
@@ -80,7 +83,7 @@ def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison
     return Comparison(tolerance, differences, next(over, None))
 
 
-def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, str | None, dict, dict]]:
+def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, str | None, Tensor, Tensor]]:
     """Tensors to compare: inputs from outside where both have their content, nodes where both have them, and all that
     was written."""
     where = f"command {one['index']} '{one['label']}'"
@@ -89,8 +92,8 @@ def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, st
     for access, key in (("input", "reads"), ("write", "writes")):
         mine, theirs = one[key], other[key]
         if [_shape(tensor) for tensor in mine] != [_shape(tensor) for tensor in theirs]:
-            mend = "compare frames of one size and one model"
-            raise CompareError(f"{where} {key} other tensors in the other capture: {mend}")
+            remedy = "compare frames of one size and one model"
+            raise CompareError(f"{where} {key} other tensors in the other capture: {remedy}")
         for left, right in zip(mine, theirs, strict=True):
             if left["bytes"] and (access == "write" or (left.get("file") and right.get("file"))):
                 yield access, None, left, right
@@ -98,7 +101,9 @@ def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, st
             yield from _node_pairs(where, one["network"]["nodes"], other["network"]["nodes"])
 
 
-def _node_pairs(where: str, mine: list[dict], theirs: list[dict]) -> Iterator[tuple[str, str, dict, dict]]:
+def _node_pairs(
+    where: str, mine: list[dict[str, Any]], theirs: list[dict[str, Any]]
+) -> Iterator[tuple[str, str, Tensor, Tensor]]:
     """What nodes wrote, but constants, up to the first node that failed in one of the captures."""
     failed = any(node["error"] for node in (*mine, *theirs))
     pairs = [pair for pair in zip(mine, theirs, strict=False) if not (pair[0]["error"] or pair[1]["error"])]
@@ -111,7 +116,7 @@ def _node_pairs(where: str, mine: list[dict], theirs: list[dict]) -> Iterator[tu
                 yield "node", name, left, right
 
 
-def _kind(node: dict[str, Any]) -> tuple:
+def _kind(node: dict[str, Any]) -> tuple[str, list[tuple[str, list[int]]]]:
     return node["op"], [_shape(value) for value in node["outputs"]]
 
 
@@ -121,10 +126,10 @@ def _shape(tensor: dict[str, Any]) -> tuple[str, list[int]]:
 
 def _load(folder: Path, tensor: dict[str, Any]) -> np.ndarray:
     if not tensor.get("file"):
-        mend = "postfx run --capture DIR --capture-tensors all"
-        raise CompareError(f"capture in '{folder}' has no content of tensor '{tensor['name']}': make it with {mend}")
+        command = "postfx run --capture DIR --capture-tensors all"
+        raise CompareError(f"capture in '{folder}' has no content of tensor '{tensor['name']}': make it with {command}")
     try:
-        array = np.load(folder / tensor["file"], mmap_mode="r", allow_pickle=False)
+        array: np.ndarray = np.load(folder / tensor["file"], mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError) as error:
         raise ReadError(f"tensor file '{folder / tensor['file']}' cannot be read: {error}") from error
     if list(array.shape) != tensor["shape"]:

@@ -102,7 +102,8 @@ def _value(tensor: CapturedValue) -> dict[str, Any]:
     if tensor.snapshot is None:
         return plain
     figures = {name: finite_or_text(value) for name, value in asdict(tensor.snapshot.statistics).items()}
-    values = tensor.snapshot.values and [finite_or_text(value) for value in tensor.snapshot.values]
+    known = tensor.snapshot.values
+    values = None if known is None else [finite_or_text(value) for value in known]
     kept = {"statistics": figures, "channels": tensor.snapshot.channels, "values": values}
     return {**plain, **kept, "file": tensor.snapshot.file}
 

@@ -102,7 +102,7 @@ def _pictures(snapshot: Snapshot) -> list[dict[str, Any]]:
 
 def _networks(data: dict[str, Any]) -> list[dict[str, Any]]:
     """Each network once for every size that it ran at, with the numbers of its 'commands'."""
-    ran: dict[tuple, list[int]] = {}
+    ran: dict[tuple[str, tuple[tuple[str, int], ...]], list[int]] = {}
     for command in data["commands"]:
         if command["model"]:
             ran.setdefault((command["model"], tuple(command["dims"].items())), []).append(command["index"])

@@ -25,10 +25,12 @@ def edges(commands: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _writers(address: list[int], earlier: list[dict[str, Any]]) -> list[int | None]:
     """Commands that wrote the bytes last, latest first."""
-    left, writers = Ranges((tuple(address),) if address[0] < address[1] else ()), []
+    start, end = address
+    left, writers = Ranges(((start, end),) if start < end else ()), []
     for command in reversed(earlier):
         for tensor in command["writes"]:
-            if left.touches(Ranges((tuple(tensor["address"]),))):
-                left.remove(*tensor["address"])
+            start, end = tensor["address"]
+            if left.touches(Ranges(((start, end),))):
+                left.remove(start, end)
                 writers.append(command["index"])
     return writers + ([None] if left.spans else [])

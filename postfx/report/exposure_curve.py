@@ -43,20 +43,23 @@ class _Plot:
 
     def x(self, index: np.ndarray | int) -> np.ndarray:
         """Middle of a frame's column."""
-        return (self.edges[index] + self.edges[np.asarray(index) + 1]) / 2
+        middle: np.ndarray = (self.edges[index] + self.edges[np.asarray(index) + 1]) / 2
+        return middle
 
     def y(self, ev: np.ndarray | float) -> np.ndarray:
-        return BOTTOM - (np.asarray(ev) - self.low) / (self.high - self.low) * (BOTTOM - TOP)
+        place: np.ndarray = BOTTOM - (np.asarray(ev) - self.low) / (self.high - self.low) * (BOTTOM - TOP)
+        return place
 
     def axes(self) -> None:
         step = next(step for step in (0.25, 0.5, 1, 2, 4, 8, 16) if (self.high - self.low) / step <= 8)
         for ev in np.arange(np.ceil(self.low / step), np.floor(self.high / step) + 1) * step:
-            self.canvas.box(LEFT, self.y(ev), RIGHT_EDGE, self.y(ev) + 1, FAINT if ev == 0 else GRID)
-            self.canvas.text(LEFT - 10, self.y(ev), f"{ev:+g} EV" if ev else "0 EV", FAINT, 14, "right")
+            y = float(self.y(ev))
+            self.canvas.box(LEFT, y, RIGHT_EDGE, y + 1, FAINT if ev == 0 else GRID)
+            self.canvas.text(LEFT - 10, y, f"{ev:+g} EV" if ev else "0 EV", FAINT, 14, "right")
         every = -(-len(self.used) // 16)
         for index in range(0, len(self.used), every):
             number = str(self.report.readings[index].number)
-            self.canvas.text(self.x(index), STRIP[1] + 16, number, FAINT, 14, "center")
+            self.canvas.text(float(self.x(index)), STRIP[1] + 16, number, FAINT, 14, "center")
         self.canvas.text((LEFT + RIGHT_EDGE) / 2, STRIP[1] + 44, "frame", FAINT, 14, "center")
 
     def curves(self) -> None:

@@ -90,8 +90,9 @@ class FrameLog:
         named = {f"change {name}": value for name, value in changes.items()}
         self.rows.append(Row(number, cut, named | dict(readings or {})))
         worst = changes.get(self._judged)
-        is_worst = worst is not None and (self._worst is None or worst > self._worst[0])
-        if is_worst:
+        is_worst = False
+        if worst is not None and (self._worst is None or worst > self._worst[0]):
+            is_worst = True
             if self._worst and self._worst[1] not in self._wanted:
                 del self._sights[self._worst[1]]
             self._worst = worst, number

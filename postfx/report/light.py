@@ -21,7 +21,7 @@ def coded(light: np.ndarray, highest: float) -> np.ndarray:
     codes; of the 255 steps of a screen, x / (1 + x) in sRGB has at most 32 in a stop.
     """
     steps = np.log1p(np.clip(np.nan_to_num(light), 0, highest) / np.float32(TOE)) / np.log1p(highest / TOE)
-    codes = np.rint(LARGEST * steps).astype(np.uint16)
+    codes: np.ndarray = np.rint(LARGEST * steps).astype(np.uint16)
     codes[~np.isfinite(light).all(2)] = NOT_FINITE
     return codes
 

@@ -37,7 +37,7 @@ def describe(path: Path, dims: Mapping[str, int]) -> dict[str, Any]:
     try:
         return {**head, "note": None, **_graph(load_graph(path), dims)}
     except (CaptureError, ModelError) as error:
-        empty = {"inputs": [], "outputs": [], "values": {}, "weights": {}, "nodes": [], "blocks": []}
+        empty: dict[str, Any] = {"inputs": [], "outputs": [], "values": {}, "weights": {}, "nodes": [], "blocks": []}
         return {**head, "note": str(error), **empty}
 
 

@@ -69,7 +69,9 @@ def reduced(pixels: np.ndarray, most: int) -> np.ndarray:
         return pixels
     size = oiio.ROI(0, max(round(width * share), 1), 0, max(round(height * share), 1), 0, 1, 0, channels)
     source = oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
-    return oiio.ImageBufAlgo.resize(source, filtername="box", roi=size).get_pixels(oiio.FLOAT)
+    found = oiio.ImageBufAlgo.resize(source, filtername="box", roi=size).get_pixels(oiio.FLOAT)
+    assert found is not None, "pixels in memory can be resized"
+    return found
 
 
 def _liveliest(stack: np.ndarray, shown: np.ndarray) -> int:
