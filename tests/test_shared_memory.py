@@ -13,7 +13,7 @@ import postfx
 import postfx.runtime.device as device_module
 from postfx.frame import GUIDE_ROLES, ROLES, Frame, Role
 from postfx.report.bisect import compare
-from postfx.report.capture_page import write_capture
+from postfx.report.page import write_capture
 from postfx.runtime import Device
 from postfx.runtime.device import ProviderMemory
 from postfx.runtime.heap import Heap

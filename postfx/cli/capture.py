@@ -8,7 +8,7 @@ from pathlib import Path
 
 from postfx.errors import CommandError, SequenceError
 from postfx.io.output import check_folder
-from postfx.report.capture_page import write_capture
+from postfx.report.page import write_capture
 from postfx.runtime import Capture, Device
 
 

@@ -18,9 +18,8 @@ from postfx.io.sequence import Sequence
 from postfx.passes.base import Pass
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
-from postfx.report.drawing import save_png
-from postfx.report.exposure_curve import draw
-from postfx.report.false_colour_key import with_key
+from postfx.report.charts import draw_exposure
+from postfx.report.drawing import save_png, with_key
 from postfx.runtime import Device
 
 SIGNALS = ("log_c", "display")
@@ -76,7 +75,7 @@ class ExposureCheck:
         curves = [self._arguments.curve, views and views / "curve.png"]
         name = Path(str(self._sequence.pattern)).name
         for path in map(Path, filter(None, curves)):
-            draw(self._report, f"{name}: exposure {self._arguments.exposure}, {self._report.verdict}", path)
+            draw_exposure(self._report, f"{name}: exposure {self._arguments.exposure}, {self._report.verdict}", path)
             yield path
         if views:
             yield from self._write_views(views)

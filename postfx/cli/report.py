@@ -18,9 +18,8 @@ from postfx.frame import Frame, Role
 from postfx.io.output import check_folder
 from postfx.kernels.image import resampled
 from postfx.pipeline import Pipeline
-from postfx.report.frame_log import FrameLog, Look
-from postfx.report.reference import Comparison, References, compared
-from postfx.report.report_page import write_report
+from postfx.report.frame_log import Comparison, FrameLog, Look, References, measure_errors
+from postfx.report.page import write_report
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence
@@ -112,7 +111,7 @@ class RunReport:
     def _compared(self, pictures: dict[str, np.ndarray], exposure: float) -> Comparison | None:
         if "reference" not in pictures:
             return None
-        return compared({name: self._look.codes(light, exposure) for name, light in pictures.items()})
+        return measure_errors({name: self._look.codes(light, exposure) for name, light in pictures.items()})
 
 
 def write_inspection(inspection: Inspection, path: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +15,12 @@ from postfx.errors import WriteError
 from postfx.exposure import measure
 from postfx.exposure.views import shown
 from postfx.frame import ERROR_ROLES, Frame, Role
-from postfx.report.pictures import png
+from postfx.report.pictures import png, png_uri, shrink
 
 MAGENTA, RED, MISS = (255, 0, 255), (255, 0, 0), (24, 24, 96)
 BRIGHTEST = 99  # percentile
+SHEET_SIDE = 480
+"""Pixels of the longer side of a picture in a contact sheet."""
 
 
 def write_pictures(frame: Frame, folder: str | Path) -> list[Path]:
@@ -54,6 +57,18 @@ def picture(plane: np.ndarray, role: Role) -> np.ndarray:
     broken = np.isnan(plane).any(2) if role is Role.DEPTH else ~np.isfinite(plane).all(2)
     pixels[broken] = MAGENTA
     return pixels
+
+
+def contact_sheet(frame: Frame) -> list[dict[str, Any]]:
+    """Of each plane and guide its 'name', 'src' (a data URI, at most 480 pixels wide or high) and 'size'."""
+    planes = {str(role): _entry(plane, role) for role, plane in frame.planes.items()}
+    planes |= {f"guide {role}": _entry(plane, role) for role, plane in frame.guides.items()}
+    return [{"name": name, **entry} for name, entry in planes.items()]
+
+
+def _entry(plane: np.ndarray, role: Role) -> dict[str, Any]:
+    pixels = np.rint(shrink(picture(plane, role), SHEET_SIDE)).astype(np.uint8)
+    return {"src": png_uri(pixels), "size": plane.shape[1::-1]}
 
 
 def _write(path: Path, pixels: np.ndarray) -> Path:

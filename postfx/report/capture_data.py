@@ -1,16 +1,16 @@
-"""A capture in plain types: what capture.json holds."""
+"""A capture in plain types: what capture.json holds, and which command wrote what another one reads."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from postfx.errors import ReadError
 from postfx.files import parse_json, read_text
-from postfx.report.dependencies import edges
-from postfx.report.plain import finite_or_text
 from postfx.runtime.capture import Capture
+from postfx.runtime.memory import Ranges
 from postfx.runtime.snapshot import (
     CapturedBarrier,
     CapturedBuffer,
@@ -30,7 +30,7 @@ def as_dict(capture: Capture) -> dict[str, Any]:
     """The capture in types that JSON has, without pictures; numbers that are not finite are text.
 
     'commands' are all dispatches in order; 'buffers' have the order of dispatches and barriers; 'edges' say which
-    command wrote what another one reads (`postfx.report.dependencies.edges`). Times are milliseconds, memory bytes.
+    command wrote what another one reads (`postfx.report.capture_data.edges`). Times are milliseconds, memory bytes.
     """
     commands = [
         _command(dispatch, number) for number, buffer in enumerate(capture.buffers) for dispatch in buffer.dispatches
@@ -118,3 +118,37 @@ def _record(record: CapturedDispatch | CapturedBarrier) -> dict[str, Any]:
         return {"dispatch": record.index}
     masks = {"after": list(record.after), "before": list(record.before)}
     return {"barrier": record.form, "encoder": record.encoder, **masks}
+
+
+def edges(commands: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Edges {'from', 'to', 'tensor'}: command `from` was the last to write memory that command `to` reads.
+
+    Args:
+        commands: in the order of commit, as in `postfx.report.capture_data`.
+
+    `from` is None where something that is read was written by no command before: an input, or history.
+    """
+    found = []
+    for number, command in enumerate(commands):
+        for tensor in command["reads"]:
+            for writer in _writers(tensor["address"], commands[:number]):
+                found.append({"from": writer, "to": command["index"], "tensor": tensor["name"]})
+    return found
+
+
+def _writers(address: list[int], earlier: list[dict[str, Any]]) -> list[int | None]:
+    """Commands that wrote the bytes last, latest first."""
+    start, end = address
+    left, writers = Ranges(((start, end),) if start < end else ()), []
+    for command in reversed(earlier):
+        for tensor in command["writes"]:
+            start, end = tensor["address"]
+            if left.touches(Ranges(((start, end),))):
+                left.remove(start, end)
+                writers.append(command["index"])
+    return writers + ([None] if left.spans else [])
+
+
+def finite_or_text(value: float | int | None) -> float | int | str | None:
+    """NaN and infinities as text, which JSON has no numbers for."""
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,18 +1,25 @@
-"""What a page shows of a sequence's frames, gathered while they pass: curves of all, pictures of a few."""
+"""What a page shows of a sequence's frames, gathered while they pass: curves of all, pictures of a few.
+
+The curves hold the change along the motion and, where there are references, the errors against them.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from importlib.util import find_spec
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from postfx.colour.curves import srgb_encode
+from postfx.errors import ReportError
 from postfx.exposure.views import shown
-from postfx.report.flicker import change
-from postfx.report.light import coded, packed
-from postfx.report.pictures import png_uri, reduced
+from postfx.frame import Role
+from postfx.io.sequence import Sequence as FrameSequence
+from postfx.report.pictures import encode_light, pack_codes, png_uri, shrink
+from postfx.sampling import Curve, bilinear, is_inside, motion_at
 
 LONGEST = 800
 """Pixels of a picture's longer side; larger ones are reduced."""
@@ -53,7 +60,7 @@ class Row:
 
 @dataclass
 class Sight:
-    """One frame's pictures: name -> codes of `postfx.report.light`; `maps`: name -> sRGB (height, width, 3) uint8."""
+    """One frame's pictures: name -> codes of `encode_light`; `maps`: name -> sRGB (height, width, 3) uint8."""
 
     exposure: float
     size: tuple[int, int]
@@ -106,14 +113,14 @@ class FrameLog:
     def _change(self, name: str, light: np.ndarray, exposure: float, motion: np.ndarray | None) -> float | None:
         if motion is None or name not in self._before:
             return None
-        return change(self._before[name], light, motion, lambda part: self.look.codes(part, exposure))
+        return measure_change(self._before[name], light, motion, lambda part: self.look.codes(part, exposure))
 
     def _sight(self, pictures: Pixels, exposure: float, maps: Pixels) -> Sight:
         def codes(light: np.ndarray) -> np.ndarray:
-            return coded(reduced(self.look.exposed(light, exposure), LONGEST), self.look.highest)
+            return encode_light(shrink(self.look.exposed(light, exposure), LONGEST), self.look.highest)
 
         size = next(iter(pictures.values())).shape[1::-1]
-        small = {name: np.rint(255 * np.clip(reduced(one, LONGEST), 0, 1)).astype(np.uint8)
+        small = {name: np.rint(255 * np.clip(shrink(one, LONGEST), 0, 1)).astype(np.uint8)
                  for name, one in maps.items()}
         return Sight(exposure, size, {name: codes(light) for name, light in pictures.items()}, small)
 
@@ -125,6 +132,84 @@ class FrameLog:
             "why": ", ".join(why),
             "exposure_ev": float(np.log2(sight.exposure)),
             "size": sight.size,
-            "pictures": {name: packed(codes, self.look.highest) for name, codes in sight.pictures.items()},
+            "pictures": {name: pack_codes(codes, self.look.highest) for name, codes in sight.pictures.items()},
             "maps": {name: png_uri(pixels) for name, pixels in sight.maps.items()},
         }
+
+
+LIBRARIES = {"flip_evaluator": "flip-evaluator", "skimage": "scikit-image"}
+
+
+class Comparison(NamedTuple):
+    """Figures of a frame: 'psnr after', ..., and 'FLIP': its error as a colour (height, width, 3) 0..1."""
+
+    figures: dict[str, float]
+    flip: np.ndarray
+
+
+class References:
+    """Noise-free frames at output size; frames without one are not compared.
+
+    Raises SequenceError when there is none, ReportError when their size is not (width, height) or a library is missing.
+    """
+
+    def __init__(self, source: str, size: tuple[int, int]) -> None:
+        for module, package in LIBRARIES.items():
+            if find_spec(module) is None:
+                raise ReportError(f"{package} is not installed, which --reference needs: pip install 'postfx[bench]'")
+        self._sequence, self._size = FrameSequence(source), size
+        with self._sequence.open(self._sequence.numbers[0]) as files:
+            spec = files.spec()
+        self._check(spec.width, spec.height)
+
+    def colour(self, number: int) -> np.ndarray | None:
+        """Light of a frame's reference, (height, width, 3); None where there is no file."""
+        if number not in self._sequence.present():
+            return None
+        colour = self._sequence.read(number, [Role.COLOUR], [])[Role.COLOUR]
+        self._check(*colour.shape[1::-1])
+        return colour
+
+    def _check(self, width: int, height: int) -> None:
+        if (width, height) != self._size:
+            sizes = f"{width}x{height}, the output {self._size[0]}x{self._size[1]}"
+            raise ReportError(f"{self._sequence.pattern}: references are {sizes}: give them at the size of the output")
+
+
+def measure_errors(codes: Mapping[str, np.ndarray]) -> Comparison:
+    """Errors of 'before' and 'after' against 'reference', all code values (height, width, 3) 0..1.
+
+    PSNR is of both, FLIP of 'after' only.
+    """
+    from postfx.bench.metrics import flip_map, psnr  # libraries of the extra 'bench'
+
+    flip, colours = flip_map(codes["after"], codes["reference"])
+    figures = {f"psnr {name}": psnr(codes[name], codes["reference"]) for name in ("before", "after")}
+    return Comparison({**figures, "flip after": flip}, colours)
+
+
+MOST_POINTS, LEAST_POINTS = 40_000, 100
+CALMEST = 0.8
+
+
+def measure_change(before: np.ndarray, now: np.ndarray, motion: np.ndarray, curve: Curve) -> float | None:
+    """1000 times the mean absolute difference to the frame before, followed by the motion: what does not hold still.
+
+    before, now: light (height, width, 3), `curve` makes code values 0..1 of it; motion: (h, w, 2) in its own pixels. Of
+    an even grid of up to 40000 pixels the calmest 80 % count, which leaves out what was hidden before; so do not those
+    that come from outside. None where too few pixels are left, or the sizes differ. Moving reflections and shadows
+    count, so a clean picture is not at 0: compare pictures of the same frames.
+    """
+    height, width = now.shape[:2]
+    if before.shape != now.shape:
+        return None
+    step = max(1, math.ceil(math.sqrt(height * width / MOST_POINTS)))
+    rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
+    moved = motion_at(motion, rows, columns, height, width)
+    x, y = (columns + moved[..., 0]).ravel(), (rows[:, None] + moved[..., 1]).ravel()
+    inside = is_inside(before, x, y)
+    if inside.sum() < LEAST_POINTS:
+        return None
+    current = curve(now[rows[:, None], columns]).reshape(-1, 3)[inside]
+    differences = np.abs(current - bilinear(before, x[inside], y[inside], curve)).mean(1)
+    return float(1000 * np.sort(differences)[: int(CALMEST * differences.size)].mean())

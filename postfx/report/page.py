@@ -1,20 +1,35 @@
-"""Pages that open from the disk: one file of HTML that needs nothing beside it and asks no network."""
+"""Pages that open from the disk: one HTML file that needs nothing beside it and asks no network.
+
+`write_report` writes the page of a sequence, `write_capture` that of a capture, with its JSON beside it.
+"""
 
 from __future__ import annotations
 
 import html
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-_PARTS = Path(__file__).parent
+from postfx.doctor.pictures import contact_sheet
+from postfx.errors import WriteError
+from postfx.frame import Frame
+from postfx.report.capture_data import FILE, as_dict
+from postfx.report.charts import charts
+from postfx.report.frame_log import LONGEST, FrameLog
+from postfx.report.networks import describe
+from postfx.report.pictures import picture, sheet
+from postfx.runtime.capture import Capture
+from postfx.runtime.snapshot import CapturedDispatch, CapturedValue, Snapshot
+from postfx.version import __version__
+
+_PARTS = Path(__file__).parent / "assets"
 
 
 def page(title: str, name: str, scripts: Sequence[str], data: dict[str, Any]) -> str:
     """The file's text: the elements of `name`.html with the style of page.css and `name`.css, and the scripts.
 
-    page.js runs before the `scripts`, files of this folder; they find `data`, of types that JSON has, in `data`.
+    page.js runs before the `scripts`, files of `assets`; they find `data`, of types that JSON has, in `data`.
     """
     parts = {
         "title": html.escape(title),
@@ -40,3 +55,128 @@ def _filled(template: str, parts: dict[str, str]) -> str:
 
 def _part(name: str) -> str:
     return (_PARTS / name).read_text(encoding="utf-8")
+
+
+REPORT_SCRIPTS = ("report_light.js", "report_viewer.js", "report_charts.js", "report.js")
+
+
+def write_report(
+    path: Path, title: str, log: FrameLog, facts: dict[str, Any], first: Frame, run: dict[str, Any] | None = None
+) -> None:
+    """Write the page. Raises WriteError.
+
+    log: what was seen of the frames. facts: what `postfx inspect --json` prints, of the input. first: the input's first
+    frame with all planes. run: what `postfx run --json` prints, and 'plan', the text of --explain.
+    """
+    data = {
+        "postfx": __version__,
+        "display": log.look.display,
+        "longest": LONGEST,
+        "frames": log.frames(),
+        "numbers": [row.number for row in log.rows],
+        "cuts": [row.number for row in log.rows if row.cut],
+        "charts": charts(log.rows),
+        "readings": {row.number: row.readings for row in log.rows},
+        "facts": facts,
+        "sheet": contact_sheet(first),
+        "run": run,
+    }
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(page(title, "report", REPORT_SCRIPTS, data), encoding="utf-8")
+    except OSError as error:
+        raise WriteError(f"report '{path}' cannot be written: {error.strerror or error}") from error
+
+
+PAGE = "capture.html"
+CAPTURE_SCRIPTS = ("capture_graph.js", "network_layout.js", "network_graph.js", "network_rows.js",
+                   "network_details.js", "capture.js")
+Draw = Callable[[Snapshot], list[dict[str, Any]]]
+
+
+def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
+    """Write `folder / capture.html` and `folder / capture.json`; returns the path of the page.
+
+    Raises WriteError when they cannot be written.
+    """
+    folder = Path(folder)
+    data = as_dict(capture)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / FILE).write_text(json.dumps(data, indent=1, allow_nan=False), encoding="utf-8")
+        (folder / PAGE).write_text(_page(capture, data, title), encoding="utf-8")
+    except OSError as error:
+        raise WriteError(f"capture in '{folder}' cannot be written: {error.strerror or error}") from error
+    return folder / PAGE
+
+
+def capture_page(capture: Capture, title: str) -> str:
+    """The page: times, dependencies, tensors and networks of a capture, in one file without network access."""
+    return _page(capture, as_dict(capture), title)
+
+
+def _page(capture: Capture, data: dict[str, Any], title: str) -> str:
+    dispatches = [dispatch for buffer in capture.buffers for dispatch in buffer.dispatches]
+    pictures = _Pictures()
+    pairs = zip(data["commands"], dispatches, strict=True)
+    commands = [_with_pictures(command, dispatch, pictures) for command, dispatch in pairs]
+    facts = {**data, "commands": commands, "pictures": pictures.sets, "networks": _networks(data)}
+    return page(title, "capture", CAPTURE_SCRIPTS, facts)
+
+
+class _Pictures:
+    """Pictures of snapshots, each once: an input that ten commands read has one snapshot."""
+
+    def __init__(self) -> None:
+        self.sets: list[list[dict[str, Any]]] = []
+        self._known: dict[int, int] = {}
+
+    def add(
+        self, plain: list[dict[str, Any]], values: Sequence[CapturedValue], draw: Draw
+    ) -> list[dict[str, Any]]:
+        """The values' entries with 'pictures', a number in `sets` or None."""
+        return [{**entry, "pictures": self._number(v.snapshot, draw)} for entry, v in zip(plain, values, strict=True)]
+
+    def _number(self, snapshot: Snapshot | None, draw: Draw) -> int | None:
+        if snapshot is None or not snapshot.pictures:
+            return None
+        if id(snapshot) not in self._known:
+            self._known[id(snapshot)] = len(self.sets)
+            self.sets.append(draw(snapshot))
+        return self._known[id(snapshot)]
+
+
+def _with_pictures(plain: dict[str, Any], dispatch: CapturedDispatch, pictures: _Pictures) -> dict[str, Any]:
+    """A command's entry with numbers of pictures, and its nodes' entries likewise."""
+    accesses = {key: pictures.add(plain[key], getattr(dispatch, key), _pictures) for key in ("reads", "writes")}
+    if dispatch.network is None:
+        return {**plain, **accesses}
+    pairs = zip(plain["network"]["nodes"], dispatch.network.nodes, strict=True)
+    nodes = [{**entry, "outputs": pictures.add(entry["outputs"], node.outputs, _node_picture)} for entry, node in pairs]
+    return {**plain, **accesses, "network": {**plain["network"], "nodes": nodes}}
+
+
+def _node_picture(snapshot: Snapshot) -> list[dict[str, Any]]:
+    count = len(snapshot.pictures)
+    label = "the only channel" if count == 1 else f"channels 0 to {count - 1}"
+    return [{**sheet(snapshot.pictures), "label": label}]
+
+
+def _pictures(snapshot: Snapshot) -> list[dict[str, Any]]:
+    """The first three slices as one picture, and where all was captured, each slice as one of its own."""
+    slices = snapshot.pictures
+    together = slices[:3]
+    label = "the only channel" if snapshot.channels == 1 else f"channels 0 to {len(together) - 1} as colour"
+    pictures = [{**picture(together), "label": label}]
+    if snapshot.file is None or len(slices) == 1:
+        return pictures
+    return pictures + [{**picture([one]), "label": f"channel {number}"} for number, one in enumerate(slices)]
+
+
+def _networks(data: dict[str, Any]) -> list[dict[str, Any]]:
+    """Each network once for every size that it ran at, with the numbers of its 'commands'."""
+    ran: dict[tuple[str, tuple[tuple[str, int], ...]], list[int]] = {}
+    for command in data["commands"]:
+        if command["model"]:
+            ran.setdefault((command["model"], tuple(command["dims"].items())), []).append(command["index"])
+    return [{**describe(Path(model), dict(dims)), "commands": numbers} for (model, dims), numbers in ran.items()]

@@ -9,7 +9,7 @@ import pytest
 
 from postfx.errors import ReportError
 from postfx.report import reference
-from postfx.report.reference import References
+from postfx.report.frame_log import References
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
 RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise", "--device", "cpu", "--overwrite")

@@ -9,7 +9,7 @@ import pytest
 
 from postfx.errors import ReadError, WriteError
 from postfx.report.capture_data import as_dict, read
-from postfx.report.capture_page import capture_page, write_capture
+from postfx.report.page import capture_page, write_capture
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.capture_network import MISSING
 from tests import toys

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from postfx.report.charts import charts
-from postfx.report.flicker import change
-from postfx.report.frame_log import LONGEST, FrameLog, Look
-from postfx.report.light import coded
+from postfx.report.frame_log import LONGEST, FrameLog, Look, measure_change
+from postfx.report.pictures import encode_light
 
 SCENE, DISPLAY = Look(False), Look(True)
 STILL = np.zeros((8, 12, 2), np.float32)
@@ -25,19 +24,19 @@ def test_what_moves_along_does_not_change():
     motion = np.zeros((20, 30, 2), np.float32)
     motion[..., 0] = -1  # of its own pixels: two of the picture's
     now = np.roll(before, 2, axis=1)
-    assert change(before, now, motion, lambda light: light) == pytest.approx(0, abs=1e-4)
-    assert change(before, now, 0 * motion, lambda light: light) > 100
+    assert measure_change(before, now, motion, lambda light: light) == pytest.approx(0, abs=1e-4)
+    assert measure_change(before, now, 0 * motion, lambda light: light) > 100
 
 
 def test_a_step_is_measured_and_a_fifth_of_the_picture_is_left_out():
     before, now = picture(), picture(0.53)
     now[:2] = 50
-    assert change(before, now, STILL, lambda light: light) == pytest.approx(30, rel=1e-3)
+    assert measure_change(before, now, STILL, lambda light: light) == pytest.approx(30, rel=1e-3)
 
 
 def test_nothing_is_said_of_other_sizes_and_of_what_comes_from_outside():
-    assert change(picture(), picture(size=(8, 12)), STILL, lambda light: light) is None
-    assert change(picture(), picture(), STILL + 100, lambda light: light) is None
+    assert measure_change(picture(), picture(size=(8, 12)), STILL, lambda light: light) is None
+    assert measure_change(picture(), picture(), STILL + 100, lambda light: light) is None
 
 
 def test_pictures_of_four_frames_are_kept_however_many_there_are():
@@ -82,7 +81,7 @@ def test_large_frames_are_reduced_and_the_exposure_is_in_the_codes():
     (frame,) = log.frames()
     packed = frame["pictures"]["after"]
     assert frame["size"] == (1600, 900) and (packed["width"], packed["height"]) == (LONGEST, 450)
-    assert (log._sights[1].pictures["after"] == coded(picture(2.0, (1, 1)), SCENE.highest)[0, 0]).all()
+    assert (log._sights[1].pictures["after"] == encode_light(picture(2.0, (1, 1)), SCENE.highest)[0, 0]).all()
     assert log._sights[1].maps["FLIP"].shape == (450, 800, 3) and (log._sights[1].maps["FLIP"] == 255).all()
 
 

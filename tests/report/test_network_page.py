@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from postfx.report.capture_page import write_capture
+from postfx.report.page import write_capture
 from postfx.runtime import ArgumentTable, Device
 from tests.deep import capture_deep, make_deep, make_long
 from tests.report.browser import rendered

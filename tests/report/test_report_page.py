@@ -12,7 +12,7 @@ pytest.importorskip("skimage")
 from postfx import read_sequence  # noqa: E402
 from postfx.cli.main import main  # noqa: E402
 from postfx.frame import Role  # noqa: E402
-from postfx.report.light import coded  # noqa: E402
+from postfx.report.pictures import encode_light  # noqa: E402
 from tests.report.browser import chromium  # noqa: E402
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
@@ -73,7 +73,8 @@ def test_light_is_unpacked_as_it_was_packed(tab, page):
     values, ev = tab.value("""unpack(data.frames.at(-1).pictures.reference)
         .then(codes => [Array.from(codes), data.frames.at(-1).exposure_ev])""")
     (reference,) = read_sequence(ROOM / "reference.####.exr", frames=[3])
-    assert np.array_equal(np.reshape(values, (360, 640, 3)), coded(reference[Role.COLOUR] * np.float32(2**ev), 64.0))
+    expected = encode_light(reference[Role.COLOUR] * np.float32(2**ev), 64.0)
+    assert np.array_equal(np.reshape(values, (360, 640, 3)), expected)
 
 
 def test_the_line_moves_with_the_mouse_and_the_keys(tab):

@@ -8,8 +8,8 @@ import pytest
 
 from postfx.errors import WriteError
 from postfx.exposure.debugger import Reading, Report, Shot
+from postfx.report.charts import LEFT, NEEDED, RIGHT_EDGE, STRIP, USED, draw_exposure
 from postfx.report.drawing import Canvas
-from postfx.report.exposure_curve import LEFT, NEEDED, RIGHT_EDGE, STRIP, USED, draw
 
 
 def report(used: list[float], needed: list[float], cuts: tuple[int, ...] = ()) -> Report:
@@ -28,7 +28,7 @@ def rows_of(pixels: np.ndarray, colour: tuple[int, int, int], x: float) -> np.nd
 
 
 def test_curves_stand_at_their_stops_and_the_strip_shows_what_was_seen(tmp_path: Path) -> None:
-    draw(report([0.0] * 8, [1.0] * 8), "title", tmp_path / "a/curve.png")
+    draw_exposure(report([0.0] * 8, [1.0] * 8), "title", tmp_path / "a/curve.png")
     pixels = oiio.ImageBuf(str(tmp_path / "a/curve.png")).get_pixels(oiio.FLOAT) * 255
     x = LEFT + (RIGHT_EDGE - LEFT) * 2.5 / 8
     used, needed = rows_of(pixels, USED, x).mean(), rows_of(pixels, NEEDED, x).mean()
@@ -40,7 +40,7 @@ def test_curves_stand_at_their_stops_and_the_strip_shows_what_was_seen(tmp_path:
 
 def test_curves_are_not_joined_over_a_cut(tmp_path: Path) -> None:
     for cuts in ((), (4,)):
-        draw(report([0.0] * 4 + [2.0] * 4, [0.0] * 8, cuts), "title", tmp_path / "curve.png")
+        draw_exposure(report([0.0] * 4 + [2.0] * 4, [0.0] * 8, cuts), "title", tmp_path / "curve.png")
         pixels = oiio.ImageBuf(str(tmp_path / "curve.png")).get_pixels(oiio.FLOAT) * 255
         x = LEFT + (RIGHT_EDGE - LEFT) * 3.9 / 8
         assert (rows_of(pixels, USED, x).size > 0) == (not cuts)
@@ -48,7 +48,7 @@ def test_curves_are_not_joined_over_a_cut(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("count", (1, 2, 3000))
 def test_any_number_of_frames_fits(count: int, tmp_path: Path) -> None:
-    draw(report([0.0] * count, list(np.linspace(-9, 9, count))), "title", tmp_path / "curve.png")
+    draw_exposure(report([0.0] * count, list(np.linspace(-9, 9, count))), "title", tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 3000
 
 
@@ -61,4 +61,4 @@ def test_lines_are_as_wide_as_they_should_be_and_stay_inside() -> None:
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(WriteError, match="file/curve.png: cannot be written"):
-        draw(report([0.0], [0.0]), "title", tmp_path / "file/curve.png")
+        draw_exposure(report([0.0], [0.0]), "title", tmp_path / "file/curve.png")
