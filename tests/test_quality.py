@@ -15,9 +15,13 @@ import pytest
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 pytest.importorskip("skimage", reason="needs the extra 'bench'")
 from postfx.bench.material import Material, Sources  # noqa: E402
-from postfx.bench.methods import OTHERS, Method, catalogue  # noqa: E402
+from postfx.bench.methods import (  # noqa: E402
+    OTHERS,
+    Method,
+    catalogue,
+    make,  # noqa: E402
+)
 from postfx.bench.metrics import SequenceScore, psnr, shown  # noqa: E402
-from postfx.bench.reconstruct import make  # noqa: E402
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
 from postfx.kernels.denoise.layout import KERNEL  # noqa: E402
 from postfx.passes.denoise import models  # noqa: E402

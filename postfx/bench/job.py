@@ -1,4 +1,4 @@
-"""One benchmark: what is asked for, the loop over the methods, and the files that come out."""
+"""One benchmark: what is asked for, the loop over the methods, its progress, and the files that come out."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
 from postfx.bench import require
 from postfx.bench.material import Material, Sources, output_pattern
+from postfx.bench.measure import Task, run_task, score, timing
 from postfx.bench.methods import LeftOut, catalogue, select
-from postfx.bench.progress import BenchProgress
 from postfx.bench.report import ablations, compare, front, offered, write_csv
-from postfx.bench.worker import Task
 from postfx.errors import BenchError, WriteError
 from postfx.frame import Role
 from postfx.passes.denoise.inputs import ABSENT
@@ -78,8 +80,11 @@ class Bench:
         return facts
 
     def _write(self, facts: dict[str, Any]) -> None:
-        from postfx.bench.crops import draw_crops, draw_worst  # these load the libraries that were asked for above
-        from postfx.bench.plots import pareto
+        from postfx.bench.pictures import (  # these load the libraries that were asked for above
+            draw_crops,
+            draw_worst,
+            pareto,
+        )
 
         folder = self._wish.output
         try:
@@ -93,8 +98,6 @@ class Bench:
             raise WriteError(f"{folder}: cannot be written: {error.strerror}; check rights and free space") from error
 
     def _row(self, method: Any, progress: BenchProgress) -> dict[str, Any]:
-        from postfx.bench.measure import run_task, score, timing  # loads the libraries that were asked for above
-
         progress.begin(method.name)
         task = self._task(method)
         time = timing(run_task(task, progress.ran), self._device)
@@ -151,3 +154,51 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+class BenchProgress:
+    """Counts finished methods and runs. Use as a context manager."""
+
+    def __init__(self, methods: list[str], runs: int) -> None:
+        self._console = Console(stderr=True)
+        self._methods, self._runs, self._count = methods, runs, 0
+        self._bar = Progress(
+            TextColumn("{task.fields[doing]}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+            console=self._console, transient=True, disable=not self._console.is_terminal,
+        )
+        self._task = self._bar.add_task("methods", total=len(methods) * (runs + 1), doing="")
+
+    def __enter__(self) -> BenchProgress:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def begin(self, method: str) -> None:
+        """A method is about to be measured."""
+        self._count += 1
+        self._bar.update(self._task, doing=f"{method}: warming up", completed=(self._count - 1) * (self._runs + 1))
+
+    def ran(self, runs: int) -> None:
+        """So many of its runs are done."""
+        method = self._methods[self._count - 1]
+        self._bar.update(self._task, doing=f"{method}: {runs} of {self._runs} runs", advance=1)
+
+    def scoring(self) -> None:
+        """Its results are being scored."""
+        self._bar.update(self._task, doing=f"{self._methods[self._count - 1]}: scoring")
+
+    def done(self, time: dict[str, Any], scores: dict[str, Any]) -> None:
+        """It is finished."""
+        text = f"{time['wall_ms']:.1f} ms a frame, PSNR {scores['psnr']:.2f} dB"
+        self._print(self._methods[self._count - 1], text)
+
+    def failed(self, method: str, reason: str) -> None:
+        """It could not be measured."""
+        self._print(method, f"failed: {reason}")
+
+    def _print(self, method: str, text: str) -> None:
+        self._bar.update(self._task, completed=self._count * (self._runs + 1))
+        line = f"{self._count}/{len(self._methods)} {method}: {text}"
+        self._console.print(line, highlight=False, soft_wrap=True, markup=False)

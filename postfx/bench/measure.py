@@ -1,29 +1,43 @@
-"""Measures methods one after the other, each in a process of its own, and scores what they wrote."""
+"""Measures one method in a process of its own, so that its peak of memory is its own, and scores what it wrote.
+
+`run_task` starts the process, python -m postfx.bench.measure, which reads a task as JSON on standard input and writes
+progress, and at the end the times, as lines of JSON on standard output.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import postfx
 from postfx.bench.material import Material
-from postfx.bench.metrics import SequenceScore
-from postfx.bench.worker import Task
-from postfx.errors import BenchError
+from postfx.bench.methods import Chain, Method, Network, make
+from postfx.errors import BenchError, PostfxError
+from postfx.frame import Frame, Role
+from postfx.io.sequence import Sequence
+from postfx.io.writer import write_frame
+from postfx.kernels.compile_cache import SUFFIX, cache_folder
+from postfx.runtime import Device
+
+if TYPE_CHECKING:
+    from postfx.bench.metrics import SequenceScore
 
 ATTEMPTS = 4
 """The first process may compile kernels, and so may others on the machine meanwhile."""
 
 
 def run_task(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
-    """Times of a task, as `worker.measure` gives them; `tell` is called with the count of finished runs.
+    """Times of a task, as `measure` gives them; `tell` is called with the count of finished runs.
 
     Raises BenchError when the process fails.
     """
@@ -41,7 +55,7 @@ def _run_process(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
     """The last thing that the worker said; an error where it ended badly."""
     package = str(Path(postfx.__file__).resolve().parent.parent)
     path = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
-    command = [sys.executable, "-m", "postfx.bench.worker"]
+    command = [sys.executable, "-m", "postfx.bench.measure"]
     last: dict[str, Any] = {}
     with tempfile.TemporaryFile("w+") as words, tempfile.TemporaryFile("w+") as complaints:
         words.write(task.to_json() + "\n")
@@ -81,6 +95,8 @@ def timing(times: dict[str, Any], device: str) -> dict[str, Any]:
 
 def score(material: Material, pattern: str) -> SequenceScore:
     """Scores of the results that a method wrote."""
+    from postfx.bench.metrics import SequenceScore  # here, as its libraries must not count as memory of a method
+
     scores = SequenceScore()
     for number in material.noisy.numbers:
         result = next(iter(material.result(pattern, number).planes.values()))
@@ -96,3 +112,115 @@ def _message(line: str) -> dict[str, Any] | None:
         return None
     return found if isinstance(found, dict) else None
 
+
+@dataclass(frozen=True)
+class Task:
+    """What to measure: a method on a sequence, `runs` times; `output` holds '{number}' for the frame number."""
+
+    method: Method
+    noisy: str
+    guides: str | None
+    profile: str | None
+    frames: tuple[int, ...]
+    scale: float
+    size: tuple[int, int]
+    device: str
+    threads: int
+    runs: int
+    output: str
+
+    def to_json(self) -> str:
+        """The task as one line."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Task:
+        """The task that `to_json` wrote."""
+        values = json.loads(text)
+        facts = values.pop("method")
+        method = Method(**facts | {"without": tuple(facts["without"])})
+        return cls(method, **values | {"frames": tuple(values["frames"]), "size": tuple(values["size"])})
+
+
+def main() -> int:
+    """Carry out the task on standard input."""
+    task = Task.from_json(sys.stdin.readline())
+    try:
+        times = measure(task)
+        _say(**({"times": times} if times else {"again": True}))
+    except PostfxError as error:
+        _say(error=str(error))
+        return 2
+    return 0
+
+
+def measure(task: Task) -> dict[str, Any] | None:
+    """Milliseconds (wall, device) and CPU seconds of every frame of every run, and the peak of memory in MB.
+
+    One frame before the runs, `first_ms`, makes everything ready. Reading and writing files is not timed. None when
+    kernels had to be compiled, once for this machine: the compiler's memory would count, so measure again.
+    """
+    kept = _compiled_kernels()
+    device = Device(task.device, task.threads)
+    sequence = Sequence(task.noisy, task.frames, task.profile, guides=task.guides)
+    method = make(task.method, device, task.scale, task.size, sequence)
+    first = _timed(method, next(iter(sequence)))
+    if _compiled_kernels() != kept:
+        return None
+    runs = []
+    for index in range(task.runs):
+        method.reset()
+        rows = [_frame(task, method, frame, index == task.runs - 1) for frame in sequence]
+        runs.append(_evened(rows) if task.method.both or task.method.run_up else rows)
+        _say(run=index + 1)
+    columns = {key: [[row[key] for row in run] for run in runs] for key in ("wall_ms", "cpu_s", "device_ms")}
+    return {**columns, "first_ms": first["wall_ms"], "peak_mb": peak_memory()}
+
+
+def peak_memory() -> float:
+    """Greatest resident memory of this process in MB (10^6 bytes).
+
+    From the kernel's mark for this program: `ru_maxrss` would also count the process that started it.
+    """
+    status = Path("/proc/self/status")
+    if status.is_file():
+        marks = [line for line in status.read_text().splitlines() if line.startswith("VmHWM:")]
+        if marks:
+            return int(marks[0].split()[1]) * 1024 / 1e6
+    factor = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * factor / 1e6
+
+
+def _compiled_kernels() -> set[str]:
+    """Files of compiled kernels; empty where none can be kept."""
+    folder = cache_folder()
+    return {path.name for path in folder.glob(f"*{SUFFIX}")} if folder else set()
+
+
+def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> dict[str, Any]:
+    row = _timed(method, frame)
+    result = row.pop("result")
+    if write:
+        path = task.output.replace("{number}", f"{frame.number:04d}")
+        write_frame(path, replace(frame, planes={Role.COLOUR: result}, guides={}, jitter=(0.0, 0.0)))
+    return row
+
+
+def _evened(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each frame's share of what all took: the first of a part waits until others have run in reverse."""
+    return [{key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}] * len(rows)
+
+
+def _timed(method: Network | Chain, frame: Frame) -> dict[str, Any]:
+    device, cpu, wall = method.device_ms, time.process_time(), time.perf_counter()
+    result = method(frame)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return {"wall_ms": 1e3 * wall, "cpu_s": cpu, "device_ms": method.device_ms - device, "result": result}
+
+
+def _say(**values: object) -> None:
+    print(json.dumps(values), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

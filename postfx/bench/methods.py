@@ -1,13 +1,23 @@
-"""The methods that a benchmark can measure, by name."""
+"""The methods that a benchmark can measure, by name, and what carries each out."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
+from postfx.bench.baselines import Accumulator, HostKernels, Oidn
 from postfx.errors import BenchError
-from postfx.passes.denoise.models import PASS, UNSCALED
+from postfx.frame import Frame, Role
+from postfx.io.sequence import Sequence
+from postfx.passes.both_ways import BothWays
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.models import PASS, UNSCALED, exact
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from postfx.temporal import Backwards, RunUp
 
 GUIDES = "guides"
 PRECISIONS = {"fp32": ("cpu", "cuda"), "int8": ("cpu",), "fp16": ("cuda",)}
@@ -72,7 +82,7 @@ OTHERS = (
 )
 
 
-def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool, lost: Sequence[str] = ()) -> Catalogue:
+def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool, lost: Collection[str] = ()) -> Catalogue:
     """All methods for models of a library, a device 'cpu' or 'cuda', and frames with or without guides and motion.
 
     `lost`: planes of the frames that ablations leave out, each alone and all together.
@@ -129,7 +139,7 @@ def _of_model(name: str, motion: bool) -> list[Method]:
     return [plain, alone, run_up, both] if motion else [plain]
 
 
-def _ablations(method: Method, lost: Sequence[str]) -> list[Method]:
+def _ablations(method: Method, lost: Collection[str]) -> list[Method]:
     """A network without each of some planes and without all: in full precision only, which they do not depend on, and
     without guides, which would stand in for the planes."""
     if method.guides or method.precision != "fp32":
@@ -170,3 +180,77 @@ def _words(text: str, known: set[str], option: str) -> set[str]:
     if unknown:
         raise BenchError(f"{option} {text}: there is no '{unknown[0]}' here: choose among {', '.join(sorted(known))}")
     return words
+
+
+class Network:
+    """The project's denoised upscaler."""
+
+    def __init__(self, method: Method, device: Device, scale: float, sequence: Sequence | None) -> None:
+        self._method = method
+        self._lost = frozenset(map(Role, method.without))
+        model = exact(method.model)
+        run_up, self._backwards = None, None
+        if method.run_up or method.both:
+            assert sequence is not None, "frames are run ahead"
+            run_up = RunUp(sequence, prepare=self._given) if method.run_up else None
+            if method.both:
+                self._backwards = Backwards(sequence, device, prepare=self._given, model=model, scale=scale)
+        self._pipeline = Pipeline([DenoiseUpscale(model=model, scale=scale), BothWays()], device, run_up=run_up)
+        self.device_ms = 0.0
+
+    def reset(self) -> None:
+        """Drop the history."""
+        self._pipeline.reset()
+        if self._backwards:
+            self._backwards.reset()
+
+    def __call__(self, frame: Frame) -> np.ndarray:
+        """Colour (H, W, 3) of a frame."""
+        frame = self._given(frame)
+        frame = self._backwards(frame) if self._backwards else frame
+        result = self._pipeline(replace(frame, reset=frame.reset or self._method.alone))
+        self.device_ms += sum(self._pipeline.timings.values()) + sum(self._pipeline.ahead)
+        self.device_ms += (self._backwards.milliseconds or 0.0) if self._backwards else 0.0
+        return result[Role.COLOUR]
+
+    def _given(self, frame: Frame) -> Frame:
+        """The frame with what the method is given of it."""
+        planes = {role: plane for role, plane in frame.planes.items() if role not in self._lost}
+        return replace(frame, guides=frame.guides if self._method.guides else {}, planes=planes)
+
+
+class Chain:
+    """A denoiser of single frames or none, cubic enlargement, then accumulation or none.
+
+    Accumulation runs on the CPU and is not part of `device_ms`.
+    """
+
+    def __init__(self, method: Method, device: Device, size: tuple[int, int]) -> None:
+        self._height, self._width = size
+        self._kernels = HostKernels(device)
+        self._oidn = Oidn(method.quality, device.name.split(":")[0], device.threads) if method.quality else None
+        host = HostKernels(device if device.name == "cpu" else Device("cpu", device.threads))
+        self._accumulator = Accumulator(host) if method.accumulated else None
+
+    @property
+    def device_ms(self) -> float:
+        """Milliseconds in OIDN's filter and in the enlargement so far, without copies."""
+        return self._kernels.milliseconds + (self._oidn.milliseconds if self._oidn else 0.0)
+
+    def reset(self) -> None:
+        """Drop the history."""
+        if self._accumulator:
+            self._accumulator.reset()
+
+    def __call__(self, frame: Frame) -> np.ndarray:
+        """Colour (H, W, 3) of a frame."""
+        colour = self._oidn(frame) if self._oidn else frame[Role.COLOUR]
+        large = self._kernels.enlarge(colour, self._height, self._width, frame.jitter)
+        return self._accumulator(large, frame) if self._accumulator else large
+
+
+def make(method: Method, device: Device, scale: float, size: tuple[int, int],
+         sequence: Sequence | None = None) -> Network | Chain:
+    """What carries out a method, for outputs of `size` (height, width). The `sequence` is needed where frames are
+    run ahead: for a run-up and for both ways."""
+    return Network(method, device, scale, sequence) if method.model else Chain(method, device, size)

@@ -98,7 +98,7 @@ def test_labels_of_the_plot_stand_apart(tmp_path, figure, monkeypatch):
 
 def test_crops_are_where_pictures_differ_and_do_not_overlap():
     pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
-    from postfx.bench.crops import pick
+    from postfx.bench.pictures import pick
 
     difference = np.zeros((60, 100))
     difference[10:31, 70:91] = 1.0
@@ -110,7 +110,7 @@ def test_crops_are_where_pictures_differ_and_do_not_overlap():
 
 def test_failures_are_where_ours_is_behind_the_better_of_the_others():
     pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
-    from postfx.bench.crops import behind
+    from postfx.bench.pictures import behind
 
     ours, one, other = np.zeros((60, 100)), np.full((60, 100), 0.1), np.full((60, 100), 9.0)
     ours[10:31, 70:91] = 0.3

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.bench.host_kernels import HostKernels
+from postfx.bench.baselines import HostKernels
 from postfx.frame import Frame, Role
 from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.passes.denoise.tiling import GRID

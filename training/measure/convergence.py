@@ -71,8 +71,7 @@ def shrunk(plane: np.ndarray, factor: int) -> np.ndarray:
 def methods(args: argparse.Namespace, scale: int, size: tuple[int, int]) -> dict[str, Callable[[Any], np.ndarray]]:
     """Method -> what turns a frame into a picture of `size` (height, width); the input itself comes first."""
     import postfx
-    from postfx.bench.methods import OTHERS, Method
-    from postfx.bench.reconstruct import make
+    from postfx.bench.methods import OTHERS, Method, make
 
     device = postfx.Device(args.device)
     wanted = {INPUT: "bicubic"} | ({} if args.no_oidn else {"OIDN high": "oidn-high"})

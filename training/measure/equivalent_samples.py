@@ -187,7 +187,7 @@ def measure(args: argparse.Namespace) -> None:
 def _pictures(view: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str, list[np.ndarray]]:
     """Method -> its results for the single images, each taken as the first frame of a sequence."""
     import postfx
-    from postfx.bench.oidn import Oidn
+    from postfx.bench.baselines import Oidn
     from postfx.frame import Role
     from postfx.passes.denoise.models import exact
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from postfx.bench.accumulate import LONGEST, Accumulator
-from postfx.bench.host_kernels import HostKernels
+from postfx.bench.baselines import LONGEST, Accumulator, HostKernels
 from postfx.frame import Frame, Role
 from postfx.runtime import Device
 

@@ -9,9 +9,8 @@ import pytest
 
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 from postfx.bench import measure  # noqa: E402
-from postfx.bench.measure import run_task, timing  # noqa: E402
+from postfx.bench.measure import Task, peak_memory, run_task, timing  # noqa: E402
 from postfx.bench.methods import OTHERS, Method  # noqa: E402
-from postfx.bench.worker import Task, peak_memory  # noqa: E402
 from postfx.errors import BenchError  # noqa: E402
 
 
@@ -26,8 +25,8 @@ def test_timing_of_runs():
 def test_peak_memory_is_the_process_own():
     """A parent that is large when it starts another process does not count there."""
     ballast = np.ones(150_000_000 // 8)
-    code = "from postfx.bench.worker import peak_memory; import numpy as n; b = peak_memory(); a = n.ones(25_000_000); "
-    code += "print([b, peak_memory()])"
+    code = "from postfx.bench.measure import peak_memory; import numpy as n; b = peak_memory(); "
+    code += "a = n.ones(25_000_000); print([b, peak_memory()])"
     before, after = json.loads(subprocess.check_output([sys.executable, "-c", code], text=True))
     assert 190 < after - before < 230
     assert peak_memory() > before + ballast.nbytes / 1e6 / 2

@@ -1,0 +1,247 @@
+"""Open Image Denoise, enlargement and accumulation along the motion: what postfx is compared with.
+
+Open Image Denoise is called through the package pyoidn. Accumulation at output size is what people put behind a
+denoiser of single frames: the history is followed by motion, dropped where depth or normal show another surface, and
+averaged over up to ten frames.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from postfx.bench import require
+from postfx.errors import BenchError
+from postfx.exposure import measure
+from postfx.frame import Frame, Role
+from postfx.kernels.image import RESAMPLE, positions
+from postfx.kernels.kernel import Kernel
+from postfx.kernels.numeric import centre, compiled, inline
+from postfx.runtime import ArgumentTable, Device
+
+
+class Oidn:
+    """Denoises frames of one size one by one, with albedo and normal as clean auxiliary images where there are any.
+
+    Args:
+        quality: 'fast', 'balanced' or 'high'.
+        device: 'cpu' or 'cuda'.
+        threads: CPU threads.
+
+    Attributes:
+        milliseconds: sum of the time in the filter, without copies to the device and back.
+
+    The albedo is the sum of the diffuse and the specular one, at most 1: better for OIDN than the diffuse one alone.
+    Raises BenchError when pyoidn is not installed or OIDN cannot run there.
+    """
+
+    def __init__(self, quality: str, device: str, threads: int) -> None:
+        require("pyoidn", "pyoidn", "runs Open Image Denoise")
+        self._oidn: Any = import_module("pyoidn")
+        self._quality = getattr(self._oidn, f"OIDN_QUALITY_{quality.upper()}")
+        self._device = self._new_device(device, threads)
+        self._host = device == "cpu"
+        self._images: dict[str, Any] = {}
+        self._filter: Any = None
+        self.milliseconds = 0.0
+
+    def __call__(self, frame: Frame) -> np.ndarray:
+        """Denoised colour (h, w, 3) of a frame."""
+        planes = _planes(frame)
+        if self._filter is None:
+            self._prepare(planes)
+        for name, plane in planes.items():
+            self._images[name].write(0, plane.nbytes, plane)
+        begin = time.perf_counter()
+        self._filter.execute()
+        self._device.wait()
+        self.milliseconds += 1e3 * (time.perf_counter() - begin)
+        self._check()
+        result = np.empty(planes["color"].shape, np.float32)
+        self._images["output"].read(0, result.nbytes, result)
+        return result
+
+    def _new_device(self, name: str, threads: int) -> Any:
+        if name == "cuda" and not self._oidn.Device.is_cuda_available():
+            raise BenchError("OIDN finds no CUDA device: use --device cpu, or leave OIDN out by --methods")
+        kind = self._oidn.OIDN_DEVICE_TYPE_CUDA if name == "cuda" else self._oidn.OIDN_DEVICE_TYPE_CPU
+        device = self._oidn.Device(kind)
+        if name == "cpu":
+            device.set_int("numThreads", threads)
+        device.commit()
+        return device
+
+    def _prepare(self, planes: dict[str, np.ndarray]) -> None:
+        """Filter and images, which later frames of the same size use again."""
+        height, width = planes["color"].shape[:2]
+        self._filter = self._oidn.Filter(self._device, self._oidn.OIDN_FILTER_TYPE_RT)
+        storage = self._oidn.OIDN_STORAGE_HOST if self._host else self._oidn.OIDN_STORAGE_DEVICE
+        for name in (*planes, "output"):
+            image = self._oidn.Buffer(self._device, planes["color"].nbytes, storage)
+            self._filter.set_image(name, image, self._oidn.OIDN_FORMAT_FLOAT3, width, height)
+            self._images[name] = image
+        self._filter.set_bool("hdr", True)
+        self._filter.set_bool("cleanAux", "albedo" in planes)
+        self._filter.set_quality(self._quality)
+        self._filter.commit()
+        self._check()
+
+    def _check(self) -> None:
+        message = self._device.get_error()
+        if message:
+            raise BenchError(f"OIDN failed: {message}")
+
+
+def _planes(frame: Frame) -> dict[str, np.ndarray]:
+    """Images by OIDN's names. OIDN takes normals only together with an albedo, and no value that is not finite."""
+    found = {"color": frame[Role.COLOUR]}
+    albedos = [frame[role] for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in frame]
+    if albedos:
+        found["albedo"] = np.clip(sum(albedos), 0, 1)
+        if Role.NORMAL in frame:
+            found["normal"] = frame[Role.NORMAL]
+    finite = {name: np.nan_to_num(plane, posinf=0.0, neginf=0.0) for name, plane in found.items()}
+    return {name: np.ascontiguousarray(plane, np.float32) for name, plane in finite.items()}
+
+
+class HostKernels:
+    """Runs a kernel at once and waits. `milliseconds` sums the time on the device, without copies to it and back."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.milliseconds = 0.0
+
+    def run(self, kernel: Kernel, reads: dict[str, np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
+        """The one output of a kernel, of `shape`, from its arguments by name."""
+        tensors = {name: self.device.wrap(name, array) for name, array in reads.items()}
+        output = self.device.heap.tensor(kernel.writes[0], shape)
+        table = ArgumentTable(self.device.compute_state(kernel), tensors | {kernel.writes[0]: output})
+        commands = self.device.command_buffer(kernel.name)
+        try:
+            with commands.compute_encoder(kernel.name) as encoder:
+                encoder.dispatch(table.state, table)
+            commands.commit()
+            commands.wait()
+            self.milliseconds += sum(elapsed for _, elapsed in commands.timings)
+            return output.download()
+        finally:
+            commands.discard()
+            for tensor in (*tensors.values(), output):
+                tensor.release()
+
+    def enlarge(self, colour: np.ndarray, height: int, width: int, jitter: tuple[float, float]) -> np.ndarray:
+        """Cubic interpolation of light (h, w, 3), whose samples are `jitter` (x, y) pixels off their centres.
+
+        Interpolates log(1 + exposed light): linear light would spread highlights over their neighbours.
+        """
+        gain = np.float32(2.0 ** (measure(colour) or 0.0))
+        exposed = np.log1p(np.maximum(colour, 0) * gain)
+        enlarged: np.ndarray = np.expm1(self.resample(exposed, height, width, jitter)) / gain
+        return enlarged
+
+    def resample(self, image: np.ndarray, height: int, width: int, jitter: tuple[float, float]) -> np.ndarray:
+        """Cubic interpolation of (h, w, C), whose samples are `jitter` (x, y) pixels off their centres."""
+        h, w = image.shape[:2]
+        reads = {"image": image, "rows": positions(h, height, jitter[1]), "columns": positions(w, width, jitter[0])}
+        return self.run(RESAMPLE, reads, (height, width, image.shape[2]))
+
+
+LONGEST = 10
+DEPTH_STEP, FACING = np.float32(0.1), np.float32(0.8)
+ONE = np.float32(1)
+
+
+@inline
+def same_surface(
+    depth: np.ndarray, normal: np.ndarray, past_depth: np.ndarray, past_normal: np.ndarray,
+    y: int, x: int, py: int, px: int,
+) -> bool | np.bool_:
+    """Whether depth agrees within 10 % and the normals within 37 degrees; pixels without a normal agree."""
+    near = abs(past_depth[py, px, 0] - depth[y, x, 0]) < DEPTH_STEP * depth[y, x, 0]
+    dot, now, past = np.float32(0), np.float32(0), np.float32(0)
+    for c in range(3):
+        dot += normal[y, x, c] * past_normal[py, px, c]
+        now += normal[y, x, c] * normal[y, x, c]
+        past += past_normal[py, px, c] * past_normal[py, px, c]
+    return near and (dot > FACING * math.sqrt(now * past) or now + past == np.float32(0))
+
+
+@compiled
+def accumulate_rows(
+    y0: int, y1: int, current: np.ndarray, history: np.ndarray, motion: np.ndarray, depth: np.ndarray,
+    normal: np.ndarray, past_depth: np.ndarray, past_normal: np.ndarray, output: np.ndarray,
+) -> None:
+    """output (H, W, 4): colour and the count of frames in it. `history` is the last output; planes are (h, w, C)."""
+    height, width = current.shape[:2]
+    h, w = motion.shape[:2]
+    for y in range(y0, y1):
+        row, _ = centre(y, h, height)
+        for x in range(width):
+            column, _ = centre(x, w, width)
+            py = np.float32(y) + motion[row, column, 1] * np.float32(height) / np.float32(h)
+            px = np.float32(x) + motion[row, column, 0] * np.float32(width) / np.float32(w)
+            half = np.float32(0.5)
+            count = ONE
+            if -half < py < height - half and -half < px < width - half:
+                near_y, near_x = int(math.floor(py + half)), int(math.floor(px + half))
+                past_row, _ = centre(near_y, h, height)
+                past_column, _ = centre(near_x, w, width)
+                if same_surface(depth, normal, past_depth, past_normal, row, column, past_row, past_column):
+                    count = min(history[near_y, near_x, 3] + ONE, np.float32(LONGEST))
+            output[y, x, 3] = count
+            top, left = int(math.floor(py)), int(math.floor(px))
+            for c in range(3):
+                value = current[y, x, c]
+                if count > ONE:
+                    up, down = max(top, 0), min(top + 1, height - 1)
+                    before, after = max(left, 0), min(left + 1, width - 1)
+                    fy, fx = py - np.float32(top), px - np.float32(left)
+                    above = history[up, before, c] * (ONE - fx) + history[up, after, c] * fx
+                    below = history[down, before, c] * (ONE - fx) + history[down, after, c] * fx
+                    past = above * (ONE - fy) + below * fy
+                    value = past + (value - past) / count
+                output[y, x, c] = value
+
+
+ACCUMULATE = Kernel(
+    "accumulate", ("current", "history", "motion", "depth", "normal", "past_depth", "past_normal"), ("output",),
+    accumulate_rows, ("output", 0),
+    {"current": ("height", "width", 3), "history": ("height", "width", 4), "motion": ("h", "w", 2),
+     "depth": ("h", "w", 1), "normal": ("h", "w", 3), "past_depth": ("h", "w", 1), "past_normal": ("h", "w", 3),
+     "output": ("height", "width", 4)},
+)
+
+
+class Accumulator:
+    """Averages colours at output size over frames; a frame's depth or normals may be missing."""
+
+    def __init__(self, kernels: HostKernels) -> None:
+        self._kernels = kernels
+        self.reset()
+
+    def reset(self) -> None:
+        """Drop the history."""
+        self._history: np.ndarray | None = None
+        self._past: dict[str, np.ndarray] = {}
+
+    def __call__(self, current: np.ndarray, frame: Frame) -> np.ndarray:
+        """Mean (H, W, 3) of `current` and what the motion of `frame` leads back to."""
+        height, width = current.shape[:2]
+        shape = frame[Role.MOTION].shape[:2]
+        now = {"depth": _plane(frame, Role.DEPTH, np.ones((*shape, 1), np.float32)),
+               "normal": _plane(frame, Role.NORMAL, np.zeros((*shape, 3), np.float32))}
+        history, past = self._history, self._past
+        if history is None or frame.reset:
+            history, past = np.zeros((height, width, 4), np.float32), now
+        reads = {"current": current, "history": history, "motion": frame[Role.MOTION], **now,
+                 **{f"past_{name}": plane for name, plane in past.items()}}
+        self._history, self._past = self._kernels.run(ACCUMULATE, reads, (height, width, 4)), now
+        return np.ascontiguousarray(self._history[..., :3])
+
+
+def _plane(frame: Frame, role: Role, absent: np.ndarray) -> np.ndarray:
+    return frame[role] if role in frame else absent
