@@ -84,14 +84,14 @@ def test_the_table_is_whole_outside_a_terminal(capsys):
 @pytest.mark.parametrize("figure", ["psnr_late", "flicker_late"])
 def test_labels_of_the_plot_stand_apart(tmp_path, figure, monkeypatch):
     pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
-    from postfx.bench import plots
+    from postfx.bench import pictures
 
-    boxes, place = [], plots._place
-    monkeypatch.setattr(plots, "_place", lambda *arguments: boxes.append(place(*arguments)) or boxes[-1])
-    plots.pareto(facts(), figure, tmp_path / "plot.png")
+    boxes, place = [], pictures._place
+    monkeypatch.setattr(pictures, "_place", lambda *arguments: boxes.append(place(*arguments)) or boxes[-1])
+    pictures.pareto(facts(), figure, tmp_path / "plot.png")
     assert len(boxes) == len(ROWS)
     pairs = [(one, other) for index, one in enumerate(boxes) for other in boxes[:index]]
-    assert not any(plots._overlap(one, other) for one, other in pairs)
+    assert not any(pictures._overlap(one, other) for one, other in pairs)
     picture = oiio.ImageBuf(str(tmp_path / "plot.png")).get_pixels(oiio.UINT8)
     assert picture.shape[:2] == (780, 1170) and np.ptp(picture) == 255
 
@@ -139,7 +139,7 @@ class Sequence:
 
 def test_failures_are_drawn_of_the_worst_frame_only_where_there_are_any(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
-    from postfx.bench import crops
+    from postfx.bench import pictures
 
     flat = np.ones((40, 60, 3), np.float32)
     spot = flat.copy()
@@ -147,14 +147,14 @@ def test_failures_are_drawn_of_the_worst_frame_only_where_there_are_any(tmp_path
     rows = [{**row("l", 60, 30, family="ours"), "output": "l", "frames": [{"psnr": 30.0}, {"psnr": 24.0}]},
             {**row("oidn-high", 60, 28, family="oidn"), "output": "oidn", "frames": [{"psnr": 25.0}, {"psnr": 26.0}]},
             row("l-both-ways", 120, 31, family="ours", both=True)]  # sees frames that OIDN does not
-    seen, draw = [], crops._draw
-    monkeypatch.setattr(crops, "_draw", lambda *arguments: seen.append(arguments[1:4]) or draw(*arguments))
+    seen, draw = [], pictures._draw
+    monkeypatch.setattr(pictures, "_draw", lambda *arguments: seen.append(arguments[1:4]) or draw(*arguments))
     material = Sequence({"l": {3: flat, 4: spot}, "oidn": {3: spot, 4: flat * 1.01}})
-    crops.draw_worst(material, rows, tmp_path / "worst.png")
+    pictures.draw_worst(material, rows, tmp_path / "worst.png")
     (places, frame, why), = seen
     assert places[0] == (20, 40) and (frame, why) == ("frame 4", "where l is behind OIDN most")
     assert np.ptp(oiio.ImageBuf(str(tmp_path / "worst.png")).get_pixels(oiio.UINT8)) > 100
-    crops.draw_worst(material, rows[:1], tmp_path / "worst.png")
+    pictures.draw_worst(material, rows[:1], tmp_path / "worst.png")
     assert not (tmp_path / "worst.png").exists()
-    crops.draw_worst(Sequence({"l": {3: flat, 4: flat}, "oidn": {3: spot, 4: spot}}), rows, tmp_path / "worst.png")
+    pictures.draw_worst(Sequence({"l": {3: flat, 4: flat}, "oidn": {3: spot, 4: spot}}), rows, tmp_path / "worst.png")
     assert len(seen) == 1 and not (tmp_path / "worst.png").exists()

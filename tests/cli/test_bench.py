@@ -131,11 +131,11 @@ def test_errors_name_the_mend(postfx, scene, tmp_path, numbers, facts, arguments
 
 
 def test_a_library_that_is_not_installed(monkeypatch, capsys):
-    from postfx.bench import errors
+    from postfx import bench
     from postfx.cli.main import main
 
-    find = errors.find_spec
-    monkeypatch.setattr(errors, "find_spec", lambda name: None if name == "flip_evaluator" else find(name))
+    find = bench.find_spec
+    monkeypatch.setattr(bench, "find_spec", lambda name: None if name == "flip_evaluator" else find(name))
     assert main(["bench", *INPUTS]) == 2
     message = "error: flip-evaluator is not installed, which measures or draws: pip install 'postfx[bench]'\n"
     assert capsys.readouterr().err == message

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postfx.errors import ReportError
-from postfx.report import reference
+from postfx.report import frame_log
 from postfx.report.frame_log import References
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
@@ -106,7 +106,7 @@ def test_references_must_have_the_output_s_size():
 
 
 def test_a_library_that_is_missing_is_named(monkeypatch):
-    monkeypatch.setattr(reference, "find_spec", lambda name: None)
+    monkeypatch.setattr(frame_log, "find_spec", lambda name: None)
     with pytest.raises(ReportError, match=r"flip-evaluator is not installed, .* pip install 'postfx\[bench\]'"):
         References(str(ROOM / "reference.####.exr"), (640, 360))
 
