@@ -318,9 +318,9 @@ class Frame:
         """
         if Role.COLOUR not in self:
             return None
-        from postfx.report.pictures import png, reduced  # only notebooks need them
+        from postfx.report.pictures import png, shrink  # only notebooks need them
 
-        colour = np.maximum(np.nan_to_num(reduced(self[Role.COLOUR], _PICTURE), posinf=0, neginf=0), 0)
+        colour = np.maximum(np.nan_to_num(shrink(self[Role.COLOUR], _PICTURE), posinf=0, neginf=0), 0)
         if self.encoding == "scene-linear":
             colour = colour * (self.exposure or 1.0)
             colour = colour / (1 + colour)
