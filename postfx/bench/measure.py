@@ -52,7 +52,7 @@ def run_task(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
 
 
 def _run_process(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
-    """The last thing that the worker said; an error where it ended badly."""
+    """The last message of the worker process; an error if it failed."""
     package = str(Path(postfx.__file__).resolve().parent.parent)
     path = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
     command = [sys.executable, "-m", "postfx.bench.measure"]
@@ -105,7 +105,7 @@ def score(material: Material, pattern: str) -> SequenceScore:
 
 
 def _message(line: str) -> dict[str, Any] | None:
-    """A worker's line; None for what a library printed."""
+    """A message of the worker; None for a line that a library printed."""
     try:
         found = json.loads(line)
     except ValueError:

@@ -44,14 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("input", metavar="NOISY", help="noisy frames: a pattern, a folder or a file")
     parser.add_argument("--reference", metavar="REF", help="references, numbered like the frames")
     parser.add_argument("-o", "--output", metavar="OUT", help="folder for tables, plots and results")
-    parser.add_argument("--stress", action="store_true", help="measure nothing: put what no renderer should write "
-                        "(NaN, 40 stops, motion of 1e6 pixels) into frames, and check what networks make of it")
+    parser.add_argument("--stress", action="store_true", help="measure nothing: write values into frames that no "
+                        "renderer should (NaN, 40 stops, motion of 1e6 pixels), and check what the networks output")
     parser.add_argument("--guides", metavar="GUIDES", help="planes at output size, numbered like the frames")
     parser.add_argument("--frames", metavar="RANGE", help="frames to measure, e.g. 1-8")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile of NOISY (default: found)")
     parser.add_argument("--methods", metavar="LIST", help="names or families, comma-separated (default: all)")
     parser.add_argument("--models", metavar="LIST", help="tags of networks, e.g. s,m,l (default: all there are)")
-    parser.add_argument("--ablations", action="store_true", help="also measure networks that lack planes")
+    parser.add_argument("--ablations", action="store_true", help="also measure networks without some planes")
     parser.add_argument("--runs", type=parse_positive, default=3, metavar="N", help="runs a method (default: 3)")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
     parser.add_argument("--threads", type=parse_positive, metavar="N", help="CPU threads (default: all usable cores)")

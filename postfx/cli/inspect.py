@@ -12,7 +12,7 @@ DESCRIPTION = """\
 Find what is wrong with a sequence: reads up to eight consecutive frames from the first one (or the first of --frames),
 and checks albedos, normals, roughness, depth, motion, jitter, cuts, exposure and noise. Motion is tried in all common
 variants (signs, axes, units, with jitter) by warping, and the best one is named. Each finding says what was measured,
-the likely cause and the mend. What is said about depth (--depth) is taken as true and then checked like all else.
+the likely cause and the fix. What --depth says is taken as true and then checked like everything else.
 After the findings: the renderer profile, sizes, every plane with its channels and values, what is missing, planes at
 output size, and the camera.
 """

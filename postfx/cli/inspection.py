@@ -48,7 +48,7 @@ class Inspection:
 
     @property
     def frames(self) -> list[Frame]:
-        """The frames that were looked at, in order, neither clamped nor mended."""
+        """The frames that were looked at, in order, neither clamped nor repaired."""
         return list(self._reading.material.frames)
 
     def write_pictures(self, folder: str) -> None:

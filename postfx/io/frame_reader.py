@@ -317,7 +317,7 @@ class FrameFiles:
         )
 
     def _made(self) -> set[Role]:
-        """What is not in the files and made all the same."""
+        """Planes that are not in the files but are made from them."""
         return {Role.STRENGTH} - self.layout.planes.keys() if self.alone else set()
 
     def _look(self, profile: str | None, depth: DepthOption | None) -> tuple[ChannelIndex, Layout]:

@@ -160,7 +160,7 @@ class LeftAlone:
         return [entry for entry in self._entries if entry.is_auto][-1:]
 
     def _basis_of(self, entry: Entry, layout: Layout) -> str:
-        """What tells that something has converged."""
+        """Says which planes show that pixels have converged."""
         threshold = converged.parse_threshold(entry)
         for role in layout.planes.keys() & {*converged.READS}:
             self._check_size(f"plane '{role}'", layout.planes[role].channels[0])

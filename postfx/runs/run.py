@@ -194,8 +194,8 @@ class Run:
             self._folder = RunFolder(first.parent, self._id, names)
         except OSError as error:
             self._log.close()
-            mend = "check the folder's rights and free space"
-            raise WriteError(f"{first}: cannot be written: {error.strerror}; {mend}") from error
+            remedy = "check the folder's rights and free space"
+            raise WriteError(f"{first}: cannot be written: {error.strerror}; {remedy}") from error
         try:
             self._begin(names)
         except BaseException:

@@ -21,7 +21,7 @@ function drawSummary() {
 function drawFindings() {
   const table = document.getElementById("findings"), { findings, examined } = data.facts;
   if (!findings.length) element("caption", table, `None, in ${examined.length} frames that were looked at.`, "note");
-  else row(table, ["", "what", "evidence", "likely cause and mend"], true);
+  else row(table, ["", "what", "evidence", "likely cause and fix"], true);
   for (const finding of findings) {
     const level = element("td", null, finding.level, `level ${finding.level}`), cause = element("td", null, finding.cause);
     element("div", cause, finding.mend, "mend");
