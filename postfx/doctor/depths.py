@@ -69,7 +69,7 @@ def _fit(frame: Frame, kind: DepthKind) -> Fit | None:
 def _reread(frame: Frame, kind: DepthKind, fov_x: float | None) -> Frame:
     depth = frame[Role.DEPTH]
     hit = is_hit(depth)
-    cosine = 1.0
+    cosine = np.ones(())
     if fov_x is not None:
         cosine = 1 / np.linalg.norm(rays(frame, fov_x, *np.indices(hit.shape)), axis=-1)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

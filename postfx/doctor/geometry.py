@@ -49,7 +49,8 @@ class Fit(NamedTuple):
 
 def is_hit(depth: np.ndarray) -> np.ndarray:
     """(height, width): whether a pixel shows a surface at a positive distance."""
-    return np.isfinite(depth[..., 0]) & (depth[..., 0] > 0) & (depth[..., 0] < DEPTH_MISS)
+    result: np.ndarray = np.isfinite(depth[..., 0]) & (depth[..., 0] > 0) & (depth[..., 0] < DEPTH_MISS)
+    return result
 
 
 def rays(frame: Frame, fov_x: float, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -82,7 +83,8 @@ def normals_of_depth(frame: Frame, fov_x: float, points: Points) -> tuple[np.nda
 
     def place(down: int, right: int) -> np.ndarray:
         rows, columns = points.rows + down, points.columns + right
-        return rays(frame, fov_x, rows, columns) * z[rows, columns][:, None]
+        result: np.ndarray = rays(frame, fov_x, rows, columns) * z[rows, columns][:, None]
+        return result
 
     normal = np.cross(place(0, STEP) - place(0, -STEP), place(STEP, 0) - place(-STEP, 0))
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
@@ -103,12 +105,14 @@ def surface_normals(frame: Frame) -> np.ndarray:
     normal = finite(frame[Role.NORMAL])
     used = np.abs(normal).max(2) > 0
     hit = is_hit(frame[Role.DEPTH]) if Role.DEPTH in frame else used
-    return normal[used & hit] if hit.any() else normal[used]
+    result: np.ndarray = normal[used & hit] if hit.any() else normal[used]
+    return result
 
 
 def lengths_of(vectors: np.ndarray) -> np.ndarray:
     """Lengths along the last axis."""
-    return np.linalg.norm(vectors, axis=-1)
+    result: np.ndarray = np.linalg.norm(vectors, axis=-1)
+    return result
 
 
 def are_unit(normals: np.ndarray) -> bool:
@@ -154,22 +158,26 @@ def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
 
     Points behind the earlier camera have `postfx.integrate.motion.OUT_OF_SIGHT`.
     """
-    if None in (now.fov_x, before.fov_x) or now.world_to_camera is None or before.world_to_camera is None:
+    if now.fov_x is None or before.fov_x is None or Role.DEPTH not in now:
         return None
-    if Role.DEPTH not in now:
+    if now.world_to_camera is None or before.world_to_camera is None:
         return None
     points = smooth_points(now[Role.DEPTH])
     try:
-        motion = motion_from_depth(now[Role.DEPTH], _world_to_clip(now), _world_to_clip(before), now.jitter)
+        cameras = (_world_to_clip(now, now.world_to_camera, now.fov_x),
+                   _world_to_clip(before, before.world_to_camera, before.fov_x))
+        motion = motion_from_depth(now[Role.DEPTH], *cameras, now.jitter)
     except IntegrationError:  # a matrix of zeros, or an angle that no camera has
         return None
-    return motion[points.rows, points.columns]
+    result: np.ndarray = motion[points.rows, points.columns]
+    return result
 
 
-def _world_to_clip(frame: Frame) -> np.ndarray:
-    size = frame.spec.width, frame.spec.height
-    axes = {"right": "-x", "up": "+y", "forward": "+z"}
-    return frame.world_to_camera @ perspective(frame.fov_x, *size, **axes, pixel_aspect=pixel_aspect(frame.metadata))
+def _world_to_clip(frame: Frame, world_to_camera: np.ndarray, fov_x: float) -> np.ndarray:
+    to_clip = perspective(fov_x, frame.spec.width, frame.spec.height, right="-x", up="+y", forward="+z",
+                          pixel_aspect=pixel_aspect(frame.metadata))
+    matrix: np.ndarray = world_to_camera @ to_clip
+    return matrix
 
 
 def _procrustes(seen: np.ndarray, stored: np.ndarray, fov_x: float) -> Fit:

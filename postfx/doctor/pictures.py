@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +87,8 @@ def _near(plane: np.ndarray) -> np.ndarray:
         return np.zeros_like(plane)
     inverse = 1 / np.where(hit[..., None], np.maximum(plane, 1e-6), np.inf)
     low, high = np.percentile(inverse[hit], (1, BRIGHTEST))
-    return 0.08 + 0.92 * (inverse - low) / max(high - low, 1e-12)
+    result: np.ndarray = 0.08 + 0.92 * (inverse - low) / max(high - low, 1e-12)
+    return result
 
 
 def _direction(plane: np.ndarray) -> np.ndarray:
@@ -95,16 +96,18 @@ def _direction(plane: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(plane, axis=2, keepdims=True)
     hue = np.arctan2(plane[..., 1], plane[..., 0])[..., None] / (2 * np.pi) * 6
     colour = np.clip(np.abs((hue + (0, 4, 2)) % 6 - 3) - 1, 0, 1)
-    return colour * length / max(float(np.percentile(length, BRIGHTEST)), 1e-6)
+    result: np.ndarray = colour * length / max(float(np.percentile(length, BRIGHTEST)), 1e-6)
+    return result
 
 
 def _over_median(plane: np.ndarray) -> np.ndarray:
     used = plane[plane > 0]
     middle = float(np.median(used)) if used.size else 1.0
-    return np.maximum(plane, 0) / (np.maximum(plane, 0) + middle)
+    result: np.ndarray = np.maximum(plane, 0) / (np.maximum(plane, 0) + middle)
+    return result
 
 
-_MAPPINGS: Mapping = {
+_MAPPINGS: Mapping[Role, Callable[[np.ndarray], np.ndarray]] = {
     Role.COLOUR: _light,
     Role.OVERLAY: _light,
     Role.LATER: _light,

@@ -66,7 +66,8 @@ def _read_stored(files: FrameFiles, number: int) -> Frame:
 
 
 def _change_rules(files: FrameFiles, **changes: Any) -> None:
-    for layout in filter(None, (files.layout, files.guides)):
+    layouts: list[Layout | GuideLayout] = [files.layout, *([files.guides] if files.guides else [])]
+    for layout in layouts:
         layout.planes = {role: _changed(match, changes) for role, match in layout.planes.items()}
 
 

@@ -21,9 +21,10 @@ def _explain(reading: Reading, role: Role) -> dict[str, Any]:
     layout, guides = reading.layout, reading.guides
     match = layout.planes.get(role)
     guide = guides.planes.get(role) if guides else None
-    if match is None and guide is None:
+    used = match or guide
+    if used is None:
         return {"planes": [], "why": _why_not(layout, role)}
-    found = {"planes": _names(match or guide), "why": _why(layout, match or guide, _prefix(match, role))}
+    found = {"planes": _names(used), "why": _why(layout, used, _prefix(match, role))}
     return {**found, "guides": _names(guide)} if match and guide else found
 
 

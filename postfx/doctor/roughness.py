@@ -65,7 +65,7 @@ class RoughnessFit:
     @property
     def best(self) -> Kind:
         """The reading with the least error."""
-        return min(self.errors, key=self.errors.get)
+        return min(self.errors, key=lambda kind: self.errors[kind])
 
     @property
     def is_telling(self) -> bool:

@@ -61,7 +61,8 @@ def noise_level(plane: np.ndarray) -> float | None:
 def blocks(plane: np.ndarray, size: int = BLOCK) -> np.ndarray:
     """Means of whole blocks of a (height, width) plane."""
     rows, columns = plane.shape[0] // size, plane.shape[1] // size
-    return plane[: rows * size, : columns * size].reshape(rows, size, columns, size).mean((1, 3))
+    result: np.ndarray = plane[: rows * size, : columns * size].reshape(rows, size, columns, size).mean((1, 3))
+    return result
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
@@ -79,4 +80,5 @@ def percent(mask: np.ndarray) -> float:
 def _laplacian(plane: np.ndarray) -> np.ndarray:
     up, middle, down = plane[:-2], plane[1:-1], plane[2:]
     rows = up - 2 * middle + down
-    return rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:]
+    result: np.ndarray = rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:]
+    return result

@@ -66,26 +66,32 @@ _UNITS = (
 )
 
 
+def _pair(values: float | tuple[float, float]) -> np.ndarray:
+    """One factor or one a channel, in the precision of the planes."""
+    return np.asarray(values, np.float32)
+
+
 def _signed(signs: tuple[int, int]) -> Variant:
     code, name = _SIGNS[signs]
     cause = {"": "", "motion-sign": "current minus previous, or motion to the next frame, was written"}.get(
         code, "the axis counts the other way, for example y up instead of down")
     return Variant(code, name or "as it is", cause, _profile(_Unit("", ""), signs) if code else "",
-                   lambda motion, size, jitter: motion * np.float32(signs), 1 if code else 0)
+                   lambda motion, size, jitter: motion * _pair(signs), 1 if code else 0)
 
 
 def _swapped(signs: tuple[int, int]) -> Variant:
     name = "x and y swapped" + (f", then {_SIGNS[signs][1]}" if signs != (1, 1) else "")
     also = f", scale = [{signs[0]}, {signs[1]}]" if signs != (1, 1) else ""
     return Variant("motion-axes", name, "the channels are in the order y, x", f'in a profile channels = ["YX"]{also}',
-                   lambda motion, size, jitter: motion[..., ::-1] * np.float32(signs), 3)
+                   lambda motion, size, jitter: motion[..., ::-1] * _pair(signs), 3)
 
 
 def _scaled(unit: _Unit, signs: tuple[int, int]) -> Variant:
     name = unit.name + (f", {_SIGNS[signs][1]}" if signs != (1, 1) else "")
 
     def fix(motion: np.ndarray, size: Size, jitter: np.ndarray) -> np.ndarray:
-        return (motion + np.float32(unit.offset)) * np.float32(unit.factor(size)) * np.float32(signs)
+        result: np.ndarray = (motion + _pair(unit.offset)) * _pair(unit.factor(size)) * _pair(signs)
+        return result
 
     return Variant(unit.code, name, unit.cause, _profile(unit, signs), fix, 2 if signs == (1, 1) else 3)
 
@@ -100,7 +106,7 @@ def _profile(unit: _Unit, signs: tuple[int, int]) -> str:
 
 
 def _jittered(times: int | tuple[int, int], code: str, name: str, cause: str, mend: str) -> Variant:
-    return Variant(code, name, cause, mend, lambda motion, size, jitter: motion + np.float32(times) * jitter, 4)
+    return Variant(code, name, cause, mend, lambda motion, size, jitter: motion + _pair(times) * jitter, 4)
 
 
 _SIGN_PAIRS = tuple(_SIGNS)

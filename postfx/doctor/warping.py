@@ -65,7 +65,8 @@ class Warped:
     @property
     def jitter(self) -> np.ndarray:
         """Jitter of this frame minus that of the previous one."""
-        return np.float32(self.now.jitter) - np.float32(self.before.jitter)
+        jitter: np.ndarray = np.array(self.now.jitter, np.float32) - np.array(self.before.jitter, np.float32)
+        return jitter
 
     @property
     def as_it_is(self) -> float:
@@ -108,7 +109,8 @@ def prepared(frame: Frame, role: Role) -> np.ndarray:
     """A plane as it is compared: depth and blurred colour as logarithms, the others as they are."""
     plane = frame[role]
     if role is Role.DEPTH:
-        return np.log(np.clip(np.nan_to_num(plane, nan=1e4), 1e-3, 1e4))
+        result: np.ndarray = np.log(np.clip(np.nan_to_num(plane, nan=1e4), 1e-3, 1e4))
+        return result
     if role is Role.COLOUR:
         light = np.maximum(luminance(finite(plane)), 0)[..., None]
         mean = float(light.mean()) or 1.0

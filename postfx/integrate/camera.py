@@ -98,7 +98,8 @@ def positions_from_depth(
     """
     depth = as_plane(depth)
     eye, rays = view_rays(depth.shape[1], depth.shape[0], world_to_clip, jitter)
-    return eye + depth[..., None] * rays
+    result: np.ndarray = eye + depth[..., None] * rays
+    return result
 
 
 def project(points: np.ndarray, world_to_clip: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -135,4 +136,5 @@ def _clip(points: np.ndarray, world_to_clip: np.ndarray) -> np.ndarray:
 def _axis(name: str) -> np.ndarray:
     if name not in _AXES:
         raise IntegrationError(f"axis '{name}': use {', '.join(_AXES)}")
-    return np.eye(3)[_AXES[name]] * (-1 if name[0] == "-" else 1)
+    result: np.ndarray = np.eye(3)[_AXES[name]] * (-1 if name[0] == "-" else 1)
+    return result

@@ -31,7 +31,8 @@ def specular_albedo(f0: np.ndarray, roughness: np.ndarray, cosine: np.ndarray) -
     f0 = np.asarray(f0, np.float64)
     scale, bias = split_sum(_channel(roughness), np.abs(_channel(cosine)))
     shown = np.clip(f0.max(axis=-1, keepdims=True) / NO_SPECULAR, 0, 1)
-    return np.clip(f0 * scale + bias * shown, 0, 1)
+    result: np.ndarray = np.clip(f0 * scale + bias * shown, 0, 1)
+    return result
 
 
 def split_sum(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -53,7 +54,8 @@ def f0_of(base_colour: np.ndarray, metallic: np.ndarray, ior: float = 1.5) -> np
 
 def diffuse_albedo(base_colour: np.ndarray, metallic: np.ndarray) -> np.ndarray:
     """Diffuse albedo (height, width, 3): base colour without its metallic part, which reflects nothing diffusely."""
-    return np.asarray(base_colour, np.float64) * (1 - _channel(metallic))
+    result: np.ndarray = np.asarray(base_colour, np.float64) * (1 - _channel(metallic))
+    return result
 
 
 def roughness_from_smoothness(smoothness: np.ndarray) -> np.ndarray:
@@ -74,16 +76,22 @@ def roughness_from_exponent(exponent: np.ndarray) -> np.ndarray:
     return (2 / (np.maximum(np.asarray(exponent, np.float64), 0) + 2)) ** 0.25
 
 
-def _rational(fit: tuple[list, list], alpha: np.ndarray, cosine: np.ndarray, powers: tuple[int, ...]) -> np.ndarray:
-    return _polynomial(fit[0], alpha, cosine, (0, 1), (0, 1)) / _polynomial(
+Matrix = list[list[float]]
+"""Factors of a polynomial, by the powers of both variables."""
+
+
+def _rational(fit: tuple[Matrix, Matrix], alpha: np.ndarray, cosine: np.ndarray, powers: tuple[int, ...]) -> np.ndarray:
+    result: np.ndarray = _polynomial(fit[0], alpha, cosine, (0, 1), (0, 1)) / _polynomial(
         fit[1], alpha, cosine, _POWERS["alpha"], powers)
+    return result
 
 
 def _polynomial(
-    matrix: list, alpha: np.ndarray, cosine: np.ndarray, alphas: tuple[int, ...], cosines: tuple[int, ...]
+    matrix: Matrix, alpha: np.ndarray, cosine: np.ndarray, alphas: tuple[int, ...], cosines: tuple[int, ...]
 ) -> np.ndarray:
     terms = ((matrix[i][j], a, c) for i, a in enumerate(alphas) for j, c in enumerate(cosines))
-    return sum(factor * alpha**a * cosine**c for factor, a, c in terms)
+    result: np.ndarray = sum(factor * alpha**a * cosine**c for factor, a, c in terms)
+    return result
 
 
 def _channel(values: np.ndarray) -> np.ndarray:

@@ -54,7 +54,7 @@ def write_planes(path: str | PathLike[str], frame: Frame) -> Path:
     roles = [role for role in Role if role in frame]
     storage = {role: oiio.FLOAT if role in FULL_FLOAT else oiio.HALF for role in roles}
     pixels = [frame[role] if role in FULL_FLOAT else np.clip(frame[role], -_HALF_MAX, _HALF_MAX) for role in roles]
-    spec = oiio.ImageSpec(frame.spec.width, frame.spec.height, sum(map(len, map(CHANNELS.get, roles))), oiio.HALF)
+    spec = oiio.ImageSpec(frame.spec.width, frame.spec.height, sum(len(CHANNELS[role]) for role in roles), oiio.HALF)
     spec.channelnames = [name for role in roles for name in CHANNELS[role]]
     spec.channelformats = [storage[role] for role in roles for _ in CHANNELS[role]]
     spec.attribute("compression", "zip")
@@ -92,6 +92,8 @@ def _set(spec: oiio.ImageSpec, name: str, value: Any) -> None:
 
 def _write(path: Path, spec: oiio.ImageSpec, pixels: np.ndarray) -> None:
     output = oiio.ImageOutput.create("exr")
-    done = output is not None and output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
+    if output is None:
+        raise OSError(oiio.geterror().splitlines()[0])
+    done = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
     if not (done and output.close()):
-        raise OSError((output.geterror() if output else oiio.geterror()).splitlines()[0])
+        raise OSError(output.geterror().splitlines()[0])

@@ -35,13 +35,15 @@ def unfolded_positions(eye: np.ndarray, mirror: np.ndarray, positions: np.ndarra
     """
     mirror = np.asarray(mirror, np.float64)
     ray = mirror - eye
-    return mirror + ray / _length(ray) * _length(np.asarray(positions, np.float64) - mirror)
+    result: np.ndarray = mirror + ray / _length(ray) * _length(np.asarray(positions, np.float64) - mirror)
+    return result
 
 
 def mirrored_normals(normals: np.ndarray, mirror_normals: np.ndarray) -> np.ndarray:
     """Normals (..., 3) of reflected surfaces as the virtual scene behind a mirror has them: n - 2 (n . m) m."""
     normals, mirror_normals = np.asarray(normals, np.float64), np.asarray(mirror_normals, np.float64)
-    return normals - 2 * _dot(normals, mirror_normals) * mirror_normals
+    result: np.ndarray = normals - 2 * _dot(normals, mirror_normals) * mirror_normals
+    return result
 
 
 def fresnel_schlick(f0: np.ndarray | float, cosine: np.ndarray | float) -> np.ndarray:
@@ -50,7 +52,8 @@ def fresnel_schlick(f0: np.ndarray | float, cosine: np.ndarray | float) -> np.nd
     f0: reflectance at normal incidence, 0..1. cosine: between normal and view direction; its sign does not count.
     """
     f0 = np.asarray(f0, np.float64)
-    return f0 + (1 - f0) * (1 - np.clip(np.abs(cosine), 0, 1)) ** 5
+    result: np.ndarray = f0 + (1 - f0) * (1 - np.clip(np.abs(cosine), 0, 1)) ** 5
+    return result
 
 
 def fresnel_dielectric(cosine: np.ndarray | float, ior: float = 1.5) -> np.ndarray:
@@ -98,8 +101,10 @@ def blend_surfaces(
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return (a * b).sum(axis=-1, keepdims=True)
+    result: np.ndarray = (a * b).sum(axis=-1, keepdims=True)
+    return result
 
 
 def _length(vectors: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(vectors, axis=-1, keepdims=True)
+    result: np.ndarray = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return result

@@ -63,7 +63,7 @@ def _by_camera(warped: Warped) -> str:
 def _by_picture(warped: Warped) -> str:
     offsets = list(product(range(-SEARCHED, SEARCHED + 1), repeat=2))
     scores = {at: score_offset(warped.features, np.add(at, warped.jitter)) for at in offsets}
-    best = min(scores, key=scores.get)
+    best = min(scores, key=lambda at: scores[at])
     if scores[best] >= min(CLEARLY_MOVED * scores[0, 0], RELATED * warped.unrelated):
         return ""
     return f"but the frame before fits better ({scores[best]:.3g}, not {scores[0, 0]:.3g}) when moved by {best} pixels"
@@ -90,11 +90,11 @@ def _is_better(shots: list[Warped], variant: Variant, ratio: float) -> bool:
     least = BETTER_BY_JITTER if variant.code in JITTER_CODES else BETTER
     least = BETTER_THAN_NONE if variant.code == "motion-worse-than-none" else least
     telling = np.mean([warped.as_it_is for warped in shots]) > TELLING
-    return telling and ratio < least and wins >= MOST_PAIRS_AGREE
+    return bool(telling and ratio < least and wins >= MOST_PAIRS_AGREE)
 
 
 def _evidence(shots: list[Warped], best: Variant) -> str:
-    stored, fitting = (np.mean([min(w.scores[v], w.unrelated) for w in shots]) for v in (VARIANTS[0], best))
+    stored, fitting = (float(np.mean([min(w.scores[v], w.unrelated) for w in shots])) for v in (VARIANTS[0], best))
     roles = ", ".join(str(role) for role in shots[0].by_role[best])
     ranking = sorted((v for v in VARIANTS if v is not best), key=lambda v: _ratio(shots, v))
     return (f"the frame before, warped, fits {stored / max(fitting, 1e-9):.3g} times better if the motion is "

@@ -115,6 +115,7 @@ def _explained(frame: Frame, fit: Fit) -> np.ndarray | None:
 
 def _worlds(frame: Frame) -> list[np.ndarray]:
     """Matrices from the picture's axes to the world's, by the axes that a camera may have."""
+    assert frame.world_to_camera is not None  # without it nobody asks
     rotation = frame.world_to_camera[:3, :3]
     rotation = rotation / np.maximum(np.linalg.norm(rotation, axis=0, keepdims=True), 1e-12)
     return [(rotation @ axes).T for axes in CAMERA_AXES]

@@ -87,4 +87,5 @@ def _slope(overlay: np.ndarray) -> tuple[float, int]:
 
 def _detail(plane: np.ndarray) -> np.ndarray:
     """Without what is finer or coarser, of which noise and shading make most."""
-    return local_mean(plane[..., None], NARROW) - local_mean(plane[..., None], WIDE)
+    result: np.ndarray = local_mean(plane[..., None], NARROW) - local_mean(plane[..., None], WIDE)
+    return result

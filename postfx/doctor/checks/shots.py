@@ -132,7 +132,8 @@ def _noise(frame: Frame) -> np.ndarray:
         light = light / (luminance(finite(frame[Role.DIFFUSE_ALBEDO])) + np.float32(0.1))
     off = (light[..., None] - local_mean(light[..., None], 2))[..., 0]
     size = np.sqrt(local_mean(off[..., None] ** 2, 3))[..., 0]
-    return np.clip(off / np.maximum(size, 1e-6), -3, 3) * whole
+    result: np.ndarray = np.clip(off / np.maximum(size, 1e-6), -3, 3) * whole
+    return result
 
 
 def _shift(warped: Warped) -> tuple[float, float, float]:
