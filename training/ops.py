@@ -7,9 +7,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from postfx.kernels import numeric
+from postfx.kernels.numeric import MAX_COLOUR
+
 TAPS = 5
-MAX_COLOUR = 1e4
-TINY = 1e-8  # no sum of weights that counts is smaller
+TINY = float(numeric.TINY)
 MAX_SPAN = 4  # pixels that one pixel of a picture up to 3 times as small touches, along a line
 
 

@@ -1,4 +1,5 @@
-// What the CUDA kernels share: tensors, positions and the small functions of postfx/kernels/numeric.py.
+// What the CUDA kernels share: tensors, positions and the small functions of postfx/kernels/numeric.py. Constants such
+// as MAX_COLOUR come before: postfx/kernels/cuda_source.py prints them.
 //
 // A kernel takes one View for each of its bindings, in their order. A thread makes one pixel: x counts the axis after
 // `row_axis`, y that axis itself (postfx/kernels/kernel.py). Kernels whose row binding has one axis run as one block.
@@ -11,15 +12,6 @@ struct View {
 #define PIXEL(width, height) \
     const int x = blockIdx.x * blockDim.x + threadIdx.x, y = blockIdx.y * blockDim.y + threadIdx.y; \
     if (x >= (width) || y >= (height)) return
-
-[[maybe_unused]] const float MAX_COLOUR = 1e4f, TINY = 1e-8f, MAX_COUNT = 32.0f, MAX_DEPTH = 1e10f, MAX_FLOAT = 3e38f;
-[[maybe_unused]] const float MOST_LOG = 20.0f, MOST_STATE = 3e5f;  // NaN is not below them, either
-// Channels of the fine head, of a filter kernel and of the parameters: postfx/kernels/denoise/layout.py.
-enum { HIDDEN = 8, KERNEL = 25, PHASES = 25, BLEND = 61, SHARPEN = 65 };
-enum { MIX = 69, DISTRUST, IMPORTANCE, MEMORY, FINE = MEMORY + HIDDEN };
-enum { EXPOSURE, JITTER_X, JITTER_Y, GAIN };
-enum { TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH };
-enum { TRUST_CELL = 8 };
 
 struct Colour {
     float r, g, b;
@@ -249,7 +241,7 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
         const float across = gauss(j - 1 + v);
 #pragma unroll
         for (int i = 0; i < 3; i++) {
-            const float* const tap = head + (PHASES + 4 * (3 * j + i)) * plane;
+            const float* const tap = head + (TAP_WEIGHTS + 4 * (3 * j + i)) * plane;
             const float weight = at_corner<DOUBLED>(tap, plane, corner, right, lower) * (across * narrow[i]);
             const float even = wide_y[j] * wide_x[i];
             const float* const sample = samples + j * radiance.size[2] + i;

@@ -12,6 +12,8 @@ Real: TypeAlias = Any
 """A number or truth value in a kernel: Numba compiles a function for the types that it is called with."""
 
 MAX_COLOUR = 1e4
+TINY = np.float32(1e-8)
+"""No sum of weights that counts is smaller."""
 
 
 def kernel_jit(**options: Any) -> Callable[[Callable[..., Any]], Any]:

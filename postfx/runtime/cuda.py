@@ -6,7 +6,6 @@ Commands that were put on the stream before with the same tensors are launched a
 from __future__ import annotations
 
 import ctypes
-import re
 import sys
 import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -19,14 +18,13 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.errors import DeviceError, ModelError
+from postfx.kernels.cuda_source import family_of, read_source
 from postfx.runtime.memory import address
 
 if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor
 
 T = TypeVar("T")
-SOURCES = Path(__file__).parents[1] / "kernels"
-_KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\(\w+\) )?(\w+)\(')
 PIXELS, ONE_BLOCK = (32, 8), (32, 32)
 """Threads of a block, columns and rows: of kernels with a thread a pixel, and of those that are one block."""
 
@@ -141,26 +139,10 @@ class CudaMemory:
             self._thread.entered = True
 
 
-def has_source(name: str) -> bool:
-    """Whether a kernel is written for CUDA."""
-    return name in _sources()
-
-
-def read_source(name: str) -> str:
-    """The CUDA source of a kernel: that of its family, behind what all kernels share."""
-    return (SOURCES / "common.cuh").read_text() + _sources()[name].read_text()
-
-
-@cache
-def _sources() -> dict[str, Path]:
-    """Every kernel's file by the kernel's name; a file holds a family of kernels."""
-    return {name: path for path in SOURCES.rglob("*.cu") for name in _KERNEL.findall(path.read_text())}
-
-
 @cache
 def _compiled(name: str, arch: str) -> Any:
     try:
-        return _compiled_family(_sources()[name], arch).get_kernel(name)
+        return _compiled_family(family_of(name), arch).get_kernel(name)
     except Exception as error:
         raise ModelError(f"kernel '{name}' cannot be compiled for sm_{arch}: {error}") from error
 
@@ -170,8 +152,7 @@ def _compiled_family(path: Path, arch: str) -> Any:
     """All kernels of a file; they share what compiling takes."""
     from cuda.core import Program, ProgramOptions
 
-    source = (SOURCES / "common.cuh").read_text() + path.read_text()
-    return Program(source, "c++", ProgramOptions(arch=f"sm_{arch}", std="c++17")).compile("cubin")
+    return Program(read_source(path), "c++", ProgramOptions(arch=f"sm_{arch}", std="c++17")).compile("cubin")
 
 
 MOST = 16

@@ -15,8 +15,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from postfx.kernels.cuda_source import family_of, read_source
 from postfx.kernels.kernel import Kernel
-from postfx.runtime.cuda import read_source
 
 COMPILER = shutil.which("g++")
 SHIM = """
@@ -72,7 +72,7 @@ def _compiled(name: str, count: int) -> ctypes._CFuncPtr:
             f"        for (blockIdx.x = 0; blockIdx.x < columns; blockIdx.x++) {name}({', '.join(views)});\n}}\n")
     with TemporaryDirectory() as folder:
         source, library = Path(folder) / f"{name}.cpp", Path(folder) / f"{name}.so"
-        source.write_text(SHIM + read_source(name) + loop)
+        source.write_text(SHIM + read_source(family_of(name)) + loop)
         options = ("-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas")
         subprocess.run([COMPILER, *options, source, "-o", library], check=True)
         function = ctypes.CDLL(str(library)).run

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from postfx.kernels.cuda_source import has_source
 from postfx.kernels.denoise.pyramid import MIX_LEVELS
 from postfx.kernels.denoise.restore import DETAIL, JUDGE, TILE
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
-from postfx.runtime.cuda import has_source
 from tests.kernels import host_cuda, tonemap_cases
 from tests.kernels.denoise_cases import CASES, KERNELS, Case, arguments, element_type, in_frame, run, shape
 from tests.kernels.test_denoise_kernels import assert_same

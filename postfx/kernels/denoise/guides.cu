@@ -44,7 +44,6 @@ extern "C" __global__ void denoise_guides(View guide_diffuse_albedo, View guide_
 // How far the guides' reflectance is trusted, in cells of 8x8 render pixels: less, the more of its detail is apart from
 // the reflectance of the render size. diffuse_albedo and specular_albedo (h, w, 3), guide_diffuse_albedo and
 // guide_specular_albedo (height, width, 3), window (8,), part_rows (th,), part_columns (tw,) -> trust (cells, cells, 1).
-const float DOUBT = 0.7f, FAINT = 1e-4f;
 
 extern "C" __global__ void denoise_trust(View diffuse_albedo, View specular_albedo, View guide_diffuse_albedo,
                                          View guide_specular_albedo, View window, View part_rows, View part_columns,

@@ -18,6 +18,8 @@ they go on as in a mirror. ``past`` (th, tw, 4) is the reprojected accumulation 
 does not hold a pixel that lies in the frame. ``finer_rows`` and ``finer_columns`` tell where in the finer level a
 level's cells begin, -1 before its first, ``coarse_rows`` and ``coarse_columns`` in which cells of the coarser one its
 pixels lie.
+
+Numbers are defined here once: `postfx.kernels.cuda_source` prints them for the CUDA kernels, and training imports them.
 """
 
 from collections.abc import Callable
@@ -28,8 +30,14 @@ from postfx.kernels.kernel import Kernel
 
 HIDDEN = 8
 FEATURES = 27 + HIDDEN
-KERNEL, PHASES, BLEND, SHARPEN, MIX, DISTRUST, IMPORTANCE, MEMORY = 25, 25, 61, 65, 69, 70, 71, 72
+KERNEL, PHASES = 25, 9 * 4
+"""Channels of a 5x5 filter kernel, and of 3x3 weights at four phases."""
+TAP_WEIGHTS = KERNEL
+BLEND = TAP_WEIGHTS + PHASES
+SHARPEN, MIX = BLEND + 4, BLEND + 8
+DISTRUST, IMPORTANCE, MEMORY = MIX + 1, MIX + 2, MIX + 3
 FINE = MEMORY + HIDDEN
+"""Channels of the fine head: where its parts begin behind the 5x5 kernel, and how many there are."""
 GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
 EXPOSURE, JITTER_X, JITTER_Y, GAIN = range(4)
 TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)

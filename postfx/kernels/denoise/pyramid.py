@@ -7,9 +7,9 @@ those of the whole frame do, so a window's first row or column may be the second
 import numpy as np
 
 from postfx.kernels.denoise.layout import BOTH, KERNEL, MIX, REFLECTANCE, kernel
-from postfx.kernels.numeric import add, add_product, compiled, demodulation, inline, vectorised
+from postfx.kernels.numeric import TINY, add, add_product, compiled, demodulation, inline, vectorised
 
-ZERO, TINY = np.float32(0), np.float32(1e-8)
+ZERO = np.float32(0)
 
 
 @vectorised

@@ -30,14 +30,15 @@ from postfx.kernels.denoise.layout import (
     OUT_LEFT,
     OUT_TOP,
     OUT_WIDTH,
-    PHASES,
     SHARPEN,
+    TAP_WEIGHTS,
     TOP,
     WIDTH,
     kernel,
 )
 from postfx.kernels.denoise.reactive import kept_row
 from postfx.kernels.numeric import (
+    TINY,
     Real,
     add,
     add_product,
@@ -148,7 +149,7 @@ def place(row: np.ndarray, first: int, step: int, flat: np.ndarray) -> None:
 
 
 TAPS = 9
-ONE, TINY = np.float32(1), np.float32(1e-8)
+ONE = np.float32(1)
 
 
 @fused
@@ -215,7 +216,7 @@ def double_row(y: int, left: int, iy: int, lower: int, radiance: np.ndarray, col
         rows[:channels], rows[channels] = ZERO, TINY
         for tap in range(TAPS):
             j, i = tap // 3, tap % 3
-            scaled(fine[0, PHASES + 4 * tap + corner, iy], gauss_y[j] * gauss_x[i, side], line)
+            scaled(fine[0, TAP_WEIGHTS + 4 * tap + corner, iy], gauss_y[j] * gauss_x[i, side], line)
             add(line, total)
             for c in range(channels):
                 add_product(line, radiance[c, iy + j, i:i + w], rows[c])
@@ -255,7 +256,7 @@ def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: 
     for tap in range(TAPS):
         j, i = tap // 3, tap % 3
         for side in range(2):
-            corner = PHASES + 4 * tap + side
+            corner = TAP_WEIGHTS + 4 * tap + side
             between(fine[0, corner, iy], fine[0, corner + 2, iy], ty, gauss_y[j], corners[side])
         add_picked(corners, radiance[:3, iy + j, i:i + w], gauss_x[i], index, leans, total, rows[:3])
         if channels > 3:
