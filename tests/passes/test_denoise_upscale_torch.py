@@ -16,7 +16,8 @@ from tests.passes.denoise_frames import guided, noisy
 
 torch = pytest.importorskip("torch")
 
-from tests.training.small_denoiser import LOW, SMALL, one_thread, small_model  # noqa: E402, F401
+from tests.training.conftest import one_thread  # noqa: E402, F401
+from tests.training.small_denoiser import LOW, SMALL, small_model  # noqa: E402
 from training.denoise import model as network  # noqa: E402
 
 TOLERANCE = 1e-3

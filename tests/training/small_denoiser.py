@@ -1,10 +1,9 @@
-"""A small upscaler for tests, and the threads it runs on."""
+"""A small upscaler for tests."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import pytest
 import torch
 
 from training.denoise.model import DenoiseUpscale, TrunkConfig
@@ -22,12 +21,3 @@ def small_model(guides: bool = False, config: TrunkConfig = SMALL) -> DenoiseUps
         for parameter in model.parameters():
             parameter += torch.randn_like(parameter) * 0.05
     return model
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """Networks this small lose more time to waiting threads than they gain: 26 s against 2 s for a few steps."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)

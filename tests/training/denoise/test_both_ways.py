@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch")
 from postfx.frame import Frame, Role  # noqa: E402
 from postfx.temporal.reverse_motion import LOST, motion_to_next  # noqa: E402
 from tests.training.denoise.test_train import inner, moving_clip, steps_lower_the_loss, trainer, write_clips  # noqa: E402
-from tests.training.small_denoiser import one_thread, small_model  # noqa: E402, F401
+from tests.training.small_denoiser import small_model  # noqa: E402
 from training import ops  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise import train  # noqa: E402

@@ -9,7 +9,6 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from tests.training.denoise.test_revive import CONFIG, batch, outputs  # noqa: E402, F401
-from tests.training.small_denoiser import one_thread  # noqa: E402, F401
 from training.denoise.cut import cut, first_unused, looked_at  # noqa: E402
 from training.denoise.model import DenoiseUpscale  # noqa: E402
 

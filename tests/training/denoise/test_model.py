@@ -8,7 +8,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from tests.training.small_denoiser import SMALL, one_thread, small_model  # noqa: E402, F401
+from tests.training.small_denoiser import SMALL, small_model  # noqa: E402
 from training import ops  # noqa: E402
 from training.denoise import model as network  # noqa: E402
 from training.denoise.model import FEATURES, FINE, HIDDEN, Inputs, State, Trunk, aligned, empty_state  # noqa: E402

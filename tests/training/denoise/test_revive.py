@@ -6,7 +6,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from tests.training.small_denoiser import one_thread, small_model  # noqa: E402, F401
+from tests.training.small_denoiser import small_model  # noqa: E402
 from training.denoise.dataset import Batch  # noqa: E402
 from training.denoise.model import DenoiseUpscale, Inputs, TrunkConfig, empty_state  # noqa: E402
 from training.denoise.revive import active_channels, revive, table  # noqa: E402

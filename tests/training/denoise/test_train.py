@@ -14,7 +14,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from tests.training.small_denoiser import SMALL, one_thread, small_model  # noqa: E402, F401
+from tests.training.small_denoiser import SMALL, small_model  # noqa: E402
 from training.datagen.clip_file import save_clip  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise import train  # noqa: E402
