@@ -26,10 +26,11 @@ if TYPE_CHECKING:
     from postfx.pipeline import Pipeline
     from postfx.runtime import Device, Library
     from postfx.system import models_dir
-    from postfx.temporal import Backwards, RunUp
+    from postfx.temporal.bidirectional import Backwards
+    from postfx.temporal.run_up import RunUp
 
 _HOMES = {
-    "Backwards": "postfx.temporal",
+    "Backwards": "postfx.temporal.bidirectional",
     "BothWays": "postfx.passes.both_ways",
     "DenoiseUpscale": "postfx.passes.denoise",
     "Device": "postfx.runtime",
@@ -41,7 +42,7 @@ _HOMES = {
     "PostfxError": "postfx.errors",
     "ROLES": "postfx.frame",
     "Role": "postfx.frame",
-    "RunUp": "postfx.temporal",
+    "RunUp": "postfx.temporal.run_up",
     "Sequence": "postfx.io.sequence",
     "ToneMap": "postfx.passes.tonemap",
     "models_dir": "postfx.system",

@@ -17,7 +17,8 @@ from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.models import PASS, UNSCALED, exact
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
-from postfx.temporal import Backwards, RunUp
+from postfx.temporal.bidirectional import Backwards
+from postfx.temporal.run_up import RunUp
 
 GUIDES = "guides"
 PRECISIONS = {"fp32": ("cpu", "cuda"), "int8": ("cpu",), "fp16": ("cuda",)}

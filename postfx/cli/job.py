@@ -38,7 +38,7 @@ from postfx.runs.events import Stop
 from postfx.runs.provenance import provenance_of
 from postfx.runs.run import Options, Run, Work
 from postfx.runtime import Device
-from postfx.temporal import Backwards
+from postfx.temporal.bidirectional import Backwards
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
 BACKWARDS = "denoise_upscale backwards"

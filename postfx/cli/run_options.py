@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from postfx.io.sequence import Sequence
     from postfx.passes.base import Pass
     from postfx.plan import Skipped
-    from postfx.temporal import RunUp
+    from postfx.temporal.run_up import RunUp
 
 # Modules that load NumPy or the runtime are imported inside functions: --help must not wait for them.
 

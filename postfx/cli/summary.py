@@ -15,7 +15,7 @@ from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
 from postfx.masks.entries import Coverage
 from postfx.plan import Plan, Skipped, from_files
-from postfx.temporal import RunUp
+from postfx.temporal.run_up import RunUp
 
 SHOWN_FRAMES = 3
 SHOWN_CUTS = 12

@@ -10,7 +10,7 @@ import pytest
 from postfx.cli.run_options import announce_run_up
 from postfx.errors import Interrupted
 from postfx.io.sequence import Sequence
-from postfx.temporal import RunUp
+from postfx.temporal.run_up import RunUp
 
 RUN = ("run", "in/shot.####.exr", "--model", "s")
 

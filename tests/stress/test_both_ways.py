@@ -13,7 +13,7 @@ from postfx.passes.both_ways import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
-from postfx.temporal import Backwards
+from postfx.temporal.bidirectional import Backwards
 from tests.passes.denoise_frames import flat, noisy
 from tests.stress.scenes import SIZES, on
 

@@ -14,7 +14,8 @@ from postfx.passes.both_ways import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
-from postfx.temporal import Backwards, bidirectional
+from postfx.temporal import bidirectional
+from postfx.temporal.bidirectional import Backwards
 
 SIZE = 32, 48
 

@@ -282,4 +282,5 @@ def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
     """Such machines have PyTorch, NumPy, Numba and ONNX, but not what reads pictures and runs networks."""
     absent = ("OpenImageIO", "onnxruntime", "fileseq", "colour", "mitsuba")
     program = f"import sys; sys.modules.update(dict.fromkeys({absent})); import training.denoise.train"
+    program += "; import postfx.temporal.reverse_motion"  # which --both-ways imports when it makes a batch
     subprocess.run([sys.executable, "-c", program], check=True)
