@@ -188,9 +188,12 @@ def test_pairs_that_do_not_fit_are_refused(tmp_path: Path, monkeypatch: pytest.M
         teach_here(monkeypatch, "x", "--pairs", *folders, "-o", str(tmp_path / "run"))
 
 
-def test_eight_pairs_of_photographs_are_enough(shared_dir: Path) -> None:
-    """Measured: 57 dB and more on pictures that were not among the eight."""
+def test_eight_pairs_of_photographs_are_enough(shared_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On pictures that were not among the eight; the solver stops early here, too."""
+    from training.tonemap import pairs as module
     from training.tonemap.pairs import Pairs, fit, nearest_cube
+
+    monkeypatch.setattr(module, "TOLERANCE", 1e-4)
 
     found = find_pictures([f"{shared_dir}/hdr/*.exr"], [f"{shared_dir}/environments/*.hdr"], 320)
     found = {name: expose(light) for name, light in found.items()}

@@ -1,1 +1,0 @@
-"""The validation set: held-out scenes at several scales, rendered compactly, and every method measured on them."""
