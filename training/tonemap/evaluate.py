@@ -31,8 +31,7 @@ from postfx.passes._tonemap_look import find_model, shaper
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
-from training.measure.quality_report.document import Block, compose, parse
-from training.measure.quality_report.markdown import number, table
+from training.measure.quality_report.document import Block, compose, number, parse, table
 from training.tonemap.checks import SRGB, Render, exposed, flicker, greys, halo, nearest_exposure, sweep
 from training.tonemap.looks import Look, exact_target, look_from
 from training.tonemap.model import default_shaper, look_up, shape

@@ -38,7 +38,7 @@ def bench(network: float, *more: dict) -> dict:
 
 def comparison() -> dict:
     """comparison.json of two clips at two scales, by the code that writes it."""
-    from training.measure.validation.report import equal_rays, summary
+    from training.measure.validation.compare import equal_rays, summary
 
     rows = []
     for render, scale in (("x2", 2.0), ("x1", 1.0)):

@@ -12,8 +12,10 @@ Image = pytest.importorskip("PIL.Image", reason="needs the extra 'train'")
 
 from postfx.bench import report  # noqa: E402
 from tests.training.measure.quality_results import bench, comparison, method  # noqa: E402
-from training.measure.quality_report import markdown, pictures  # noqa: E402
+from training.measure.quality_report import document  # noqa: E402
+from training.measure.quality_report import results as quality_results  # noqa: E402
 from training.measure.quality_report.__main__ import MAKERS, main  # noqa: E402
+from training.measure.quality_report.results import LIMIT, shrunk  # noqa: E402
 
 
 @pytest.fixture
@@ -176,7 +178,7 @@ def test_lines_of_plots_keep_their_colours(tmp_path):
     for y, colour in lines.items():
         drawn[y, 50:90] = colour
     Image.fromarray(drawn).save(tmp_path / "plot.png")
-    (tmp_path / "small.png").write_bytes(pictures.shrunk(tmp_path / "plot.png", "png"))
+    (tmp_path / "small.png").write_bytes(shrunk(tmp_path / "plot.png", "png"))
     with Image.open(tmp_path / "small.png") as picture:
         small = np.asarray(picture.convert("RGB")).astype(int)
     assert all(np.abs(small[y, 60] - colour).max() <= 10 for y, colour in lines.items())
@@ -195,7 +197,7 @@ def test_pictures_are_made_smaller(tmp_path, results, monkeypatch, capsys):
         assert (tmp_path / "images" / name).stat().st_size < (results / "curves.png").stat().st_size / 2
     with Image.open(tmp_path / "images/curves.png") as picture:
         assert len(picture.convert("RGB").getcolors()) <= 256
-    monkeypatch.setattr(pictures, "LIMIT", 1000)
+    monkeypatch.setattr(quality_results, "LIMIT", 1000)
     written(tmp_path, results, *names, code=2)
     assert "MB, more than 0.001: show fewer of them" in capsys.readouterr().err
 
@@ -232,16 +234,16 @@ def test_the_document_has_known_markers_and_its_pictures():
     assert {block.name for block in blocks} == {*MAKERS, "picture"}
     shown = [block.text.split("](")[1].rstrip(")\n") for block in blocks if block.name == "picture" and block.text]
     files = {f"images/quality/{path.name}": path.stat().st_size for path in (docs / "images/quality").iterdir()}
-    assert shown and set(shown) == set(files) and sum(files.values()) <= pictures.LIMIT
+    assert shown and set(shown) == set(files) and sum(files.values()) <= LIMIT
 
 
 @pytest.mark.parametrize(("value", "form", "text"), [(-0.001, "+.2f", "+0.00"), (-1.236, "+.2f", "-1.24"),
                                                      (None, ".2f", "-"), (-0.04, ".1f", "0.0")])
 def test_numbers(value, form, text):
-    assert markdown.number(value, form) == text
+    assert document.number(value, form) == text
 
 
 @pytest.mark.parametrize(("name", "text"), [("m-int8-guides-alone", "postfx m int8 with guides, no history"),
                                             ("oidn-high-accumulated", "OIDN high + accumulation"), ("l", "postfx l")])
 def test_names(name, text):
-    assert markdown.titled(name) == text
+    assert document.titled(name) == text

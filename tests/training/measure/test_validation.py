@@ -12,8 +12,8 @@ import pytest
 from postfx.frame import Role
 from postfx.io.sequence import read_sequence
 from training.datagen.clip_file import HALF_MAX
-from training.measure.validation import __main__, compare, pack, report
-from training.measure.validation.plan import FULL, HALF, SCENES, STYLES, renders
+from training.measure.validation import __main__, clips, compare
+from training.measure.validation.clips import FULL, HALF, SCENES, STYLES, renders
 
 SIZE = (66, 48)
 
@@ -22,7 +22,7 @@ SIZE = (66, 48)
 def test_colours_keep_their_leading_bits(bits: int, error: float) -> None:
     light = np.exp(np.random.default_rng(0).normal(-1, 3, (2, 8, 9, 3))).astype(np.float32)
     light[0, 0, 0], light[0, 0, 1] = 0, 2 * HALF_MAX
-    back = pack.unpack_colour(pack.pack_colour(light, bits), bits)
+    back = clips.unpack_colour(clips.pack_colour(light, bits), bits)
     light = np.minimum(light, HALF_MAX)
     assert np.all(np.abs(back - light) <= (error + 2.0**-11) * light + 2e-6)  # half float rounds first
     assert np.isfinite(back).all() and not back[0, 0, 0].any()
@@ -34,21 +34,21 @@ def test_planes_keep_their_steps() -> None:
     for name, channels in shapes.items():
         low, high = (-100, 100) if name == "motion" else (-1, 1) if name == "normal" else (0, 1)
         values = rng.uniform(low, high, (2, 5, 7, channels))
-        step = pack.PACKING[name]
-        back = pack.unpack_plane(name, pack.pack_plane(name, values, step), step)
+        step = clips.PACKING[name]
+        back = clips.unpack_plane(name, clips.pack_plane(name, values, step), step)
         assert back.shape == values.shape and np.abs(back - values).max() <= 0.51 * step, name
     depth = np.exp(rng.uniform(-5, 15, (2, 5, 7)))
     depth[0, 0, :3] = 1e10
-    back = pack.unpack_plane("depth", pack.pack_plane("depth", depth, 1 / 512), 1 / 512)[..., 0]
+    back = clips.unpack_plane("depth", clips.pack_plane("depth", depth, 1 / 512), 1 / 512)[..., 0]
     assert np.allclose(back, depth, rtol=1e-3) and (back[0, 0, :3] == 1e10).all()
 
 
 def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     reference = np.random.default_rng(2).random((2, 4, 6, 3))
     planes = {"colour": reference[:, :2, :3], "depth": np.full((2, 2, 3), 1e10)}
-    pack.save(tmp_path / "clip.00000.npz", reference, {"x2": planes}, {"seed": 9000})
+    clips.save(tmp_path / "clip.00000.npz", reference, {"x2": planes}, {"seed": 9000})
     assert [path.name for path in tmp_path.iterdir()] == ["clip.00000.npz"]
-    colour, back, facts = pack.load(tmp_path / "clip.00000.npz")
+    colour, back, facts = clips.load(tmp_path / "clip.00000.npz")
     assert np.allclose(colour, reference, rtol=6e-3) and facts == {"seed": 9000}
     assert np.allclose(back["x2"]["colour"], planes["colour"], rtol=2e-2) and back["x2"]["depth"].max() == 1e10
 
@@ -78,7 +78,7 @@ def test_gains_are_over_the_best_of_oidn(tmp_path: Path, capsys: pytest.CaptureF
             row("a", "x1", "oidn-high", "oidn", 30), row("b", "x1", "oidn-high", "oidn", 26),
             row("a", "x1", "oidn-fast", "oidn", 20), row("b", "x1", "oidn-fast", "oidn", 27),
             row("a", "x1", "bicubic", "plain", 10, None), row("b", "x1", "bicubic", "plain", 10, None)]
-    report.report(tmp_path, rows)
+    compare.report(tmp_path, rows)
     facts = json.loads((tmp_path / "comparison.json").read_text())
     found = {entry["method"]: entry for entry in facts["scales"]["x1"]}
     assert found["m"]["gain"] == pytest.approx(29.5 - 28) and found["oidn-fast"]["gain"] == pytest.approx(23.5 - 28)

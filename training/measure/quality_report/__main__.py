@@ -40,11 +40,9 @@ import sys
 from inspect import Parameter, signature
 from pathlib import Path
 
-from training.measure.quality_report.document import Block, compose, parse
-from training.measure.quality_report.errors import Missing, ReportError
-from training.measure.quality_report.makers import MAKERS
-from training.measure.quality_report.pictures import Album
-from training.measure.quality_report.results import Results
+from training.measure.quality_report.document import Block, Missing, ReportError, compose, parse
+from training.measure.quality_report.results import Album, Results
+from training.measure.quality_report.tables import MAKERS
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 

@@ -1,13 +1,26 @@
-"""The document: text written by hand and blocks between markers."""
+"""The document: text written by hand, blocks between markers, and how tables, numbers and names read there."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from training.measure.quality_report.errors import ReportError
+from postfx.bench.methods import OTHERS, PRECISIONS
+
+# Errors ---------------------------------------------------------------------------------------------------------------
+
+class ReportError(Exception):
+    """The document or a file of the results is not as it must be; one line that names it."""
+
+
+class Missing(Exception):
+    """Data of a block was not measured; names the file."""
+
+
+# Blocks ---------------------------------------------------------------------------------------------------------------
 
 OPEN = re.compile(r"<!-- table: (.*?) -->\s*")
 CLOSE = re.compile(r"<!-- end -->\s*")
@@ -63,3 +76,51 @@ def compose(parts: list[str | Block], made: dict[int, str]) -> str:
 
 def _text(block: Block, made: dict[int, str]) -> str:
     return f"<!-- table: {block.title} -->\n{made.get(block.line, block.text)}<!-- end -->\n"
+
+
+# Words and numbers ----------------------------------------------------------------------------------------------------
+
+FORMS = {"psnr": ".2f", "ssim": ".4f", "flip": ".4f", "relmse": ".4f", "flicker": ".2f"}
+NAMES = {"psnr": "PSNR", "ssim": "SSIM", "flip": "FLIP", "relmse": "relMSE", "flicker": "flicker"}
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of GitHub's markdown."""
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "".join(f"|{''.join(f' {cell} |' if cell else ' |' for cell in line)}\n" for line in lines)
+
+
+def number(value: float | None, form: str, unit: str = "") -> str:
+    """A number, or a dash where it is not known; never '-0.00'."""
+    if value is None:
+        return "-"
+    sign = "+" if form.startswith("+") else ""
+    zero = "z" if form.endswith("f") else ""
+    return format(value, sign + zero + form.removeprefix("+")) + unit
+
+
+def bold(text: str, wanted: bool) -> str:
+    """Text, bold where wanted."""
+    return f"**{text}**" if wanted else text
+
+
+def place(sequence: str) -> str:
+    """A folder's name for readers."""
+    return sequence.replace("_", " ")
+
+
+def titled(name: str) -> str:
+    """A method's name for readers: 'm-int8-guides-alone' is 'postfx m int8 with guides, no history'."""
+    known = {method.name: method.title for method in OTHERS}
+    if name in known:
+        return known[name]
+    tag, *words = name.split("-")
+    text = " ".join(["postfx", tag, *(word for word in words if word in PRECISIONS)])
+    said = {"guides": " with guides", "alone": ", no history", "run": ", run-up", "both": ", both ways"}
+    return text + "".join(more for word, more in said.items() if word in words)
+
+
+def is_network(row: dict[str, Any], name: str = "name") -> bool:
+    """Whether a row tells of one of our networks as it is meant to run: full precision, history, all planes; of frames
+    in order or with a run-up."""
+    return row["family"] == "ours" and set(row[name].split("-")[1:]) <= {"guides", "run", "up"}

@@ -6,7 +6,7 @@ python -m training.measure.validation compare CLIPS -o RESULTS [--models m]     
 python -m training.measure.validation expand CLIPS FOLDER                            the clips as EXR sequences
 
 A clip is eight frames of a scene with references, 1x at 1 sample a pixel, 2x at 4 (as many light paths), 1.5x and 3x at
-1 to 8, all planes, and guides at output size (see plan.py). `render` writes CLIPS/clip.NNNNN.npz and goes on where it
+1 to 8, all planes, and guides at output size (see clips.py). `render` writes CLIPS/clip.NNNNN.npz and goes on where it
 was ended; `training.datagen.render` tells of its options. `compare` runs what `postfx bench` runs on every render.
 """
 
@@ -61,15 +61,12 @@ def main(argv: list[str] | None = None) -> int:
 
         draw(clips(args.clips), args.target)
     if args.command == "expand":
-        from training.measure.validation.expand import (
-            expand,  # needs OpenImageIO, which the machine that renders need not have
-        )
+        from training.measure.validation.compare import expand  # needs OpenImageIO, which a renderer may lack
 
         for clip in clips(args.clips):
             print(expand(clip, args.target)[0])
     if args.command == "compare":
-        from training.measure.validation.compare import compare
-        from training.measure.validation.report import report
+        from training.measure.validation.compare import compare, report
 
         report(args.results, compare(clips(args.clips), args))
     return 0

@@ -1,4 +1,4 @@
-"""Measures every method on every render of the clips.
+"""Measures every method on every render of the clips, and reports means over them.
 
 PSNR here is that of `postfx bench` with the reference's own noise, known from its halves, taken out of the error.
 """
@@ -6,8 +6,10 @@ PSNR here is that of `postfx bench` with the reference's own noise, known from i
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,11 @@ import numpy as np
 
 from postfx.bench.job import Bench, Wish
 from postfx.bench.material import Sources
-from training.measure.validation.expand import expand
-from training.measure.validation.report import mean
+from training.datagen.clip_file import GUIDES
+from training.datagen.to_exr import frame_header, write_exr
+from training.measure.validation.clips import FULL, HALF, load
+
+# Measurements ---------------------------------------------------------------------------------------------------------
 
 FIGURES = ("ssim", "flip", "flicker")
 
@@ -59,3 +64,149 @@ def without_noise(psnr: float, noise: float) -> float:
     """PSNR against a reference without the noise (mean square) that this one has; raised by 10 dB at most."""
     error = 10 ** (-psnr / 10)
     return float(-10 * np.log10(max(error - noise, error / 10)))
+
+
+# Report ---------------------------------------------------------------------------------------------------------------
+# Means over the clips: a table for each scale, and the same light paths spent both ways.
+
+COMPARED = ("psnr_late", "ssim_late", "flip_late", "flicker_late")
+FRAMEWISE = "oidn-high"
+
+Row = dict[str, Any]
+
+
+def report(folder: Path, rows: list[Row]) -> None:
+    """Write comparison.csv (a line for each clip, render and method) and comparison.json, and print the tables."""
+    tables = {render: summary([row for row in rows if row["render"] == render])
+              for render in dict.fromkeys(row["render"] for row in rows)}
+    rays = equal_rays(tables)
+    facts = {"scales": tables, "equal_rays": rays, "rows": rows}
+    (folder / "comparison.json").write_text(json.dumps(facts, indent=1) + "\n")
+    columns = [key for key, value in rows[0].items() if not isinstance(value, list)]
+    with (folder / "comparison.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    for render, table in tables.items():
+        print("\n".join([_title([row for row in rows if row["render"] == render]), *_lines(table), ""]))
+    if rays:
+        print("\n".join(["equally many light paths; gain over the best of OIDN at full size", *_lines(rays)]))
+
+
+def summary(rows: list[Row]) -> list[Row]:
+    """A row for each method of one render: means over the clips, and comparisons with OIDN where it was measured.
+
+    `gain`: PSNR above that OIDN method which is best in the mean; `flip_ratio`, `flicker_ratio`: part of the least of
+    the OIDN methods. `least_gain`: PSNR above the best OIDN method of a clip, at the clip where that is least.
+    `worst_frame`: PSNR of a frame above OIDN high's, at the frame where that is least.
+    """
+    by_method = {name: [row for row in rows if row["method"] == name]
+                 for name in dict.fromkeys(row["method"] for row in rows)}
+    means = [_means(own) for own in by_method.values()]
+    baselines = [row for row in means if row["family"] == "oidn"]
+    for row in means:
+        own = by_method[row["method"]]
+        row |= _against(row, baselines)
+        row["least_gain"] = min((gain for one in own if (gain := _clip_gain(one, rows)) is not None), default=None)
+        row["worst_frame"] = _worst_frame(own, by_method.get(FRAMEWISE, []))
+    return means
+
+
+def equal_rays(tables: dict[str, list[Row]]) -> list[Row]:
+    """Methods from half size and at full size, compared with the best of OIDN at full size; empty without both."""
+    full, half = tables.get(FULL.name, []), tables.get(HALF.name, [])
+    baselines = [row for row in full if row["family"] == "oidn"]
+    if not half or not baselines:
+        return []
+    keys = ("family", "clips", "wall_ms", *COMPARED)
+    ways = {f"half, {HALF.spp} spp": half, f"full, {FULL.spp} spp": full}
+    plain = [{"method": f"{row['method']} ({way})"} | {key: row[key] for key in keys}
+             for way, table in ways.items() for row in table]
+    return [row | _against(row, baselines) for row in plain]
+
+
+def _means(rows: list[Row]) -> Row:
+    found = {"method": rows[0]["method"], "family": rows[0]["family"], "clips": len(rows)}
+    return found | {key: mean([row[key] for row in rows]) for key in ("wall_ms", *COMPARED)}
+
+
+def _against(row: Row, baselines: list[Row]) -> Row:
+    best = {key: [other[key] for other in baselines if other[key] is not None] for key in COMPARED}
+    found: Row = {"gain": row["psnr_late"] - max(best["psnr_late"]) if best["psnr_late"] else None}
+    for key in ("flip", "flicker"):
+        value, others = row[f"{key}_late"], best[f"{key}_late"]
+        found[f"{key}_ratio"] = value / min(others) if others and value is not None else None
+    return found
+
+
+def _clip_gain(row: Row, rows: list[Row]) -> float | None:
+    """PSNR above the best OIDN method of the same clip."""
+    others = [other["psnr_late"] for other in rows if other["scene"] == row["scene"] and other["family"] == "oidn"]
+    return row["psnr_late"] - max(others) if others else None
+
+
+def _worst_frame(rows: list[Row], framewise: list[Row]) -> float | None:
+    """Least difference of a frame's PSNR to OIDN high's."""
+    theirs = {row["scene"]: row["psnr_frames"] for row in framewise}
+    gaps = [one - other for row in rows if row["scene"] in theirs
+            for one, other in zip(row["psnr_frames"], theirs[row["scene"]], strict=True)]
+    return min(gaps, default=None)
+
+
+def mean(values: list[float | None]) -> float | None:
+    """Of the values that are known; None where none is."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _title(rows: list[Row]) -> str:
+    noise = np.mean([-10 * np.log10(np.mean(row["reference_noise"]) + 1e-12) for row in rows])
+    clips = len({row["scene"] for row in rows})
+    return f"{rows[0]['scale']:g}x, {clips} clips; the references' own noise, {noise:.1f} dB, is taken out of PSNR"
+
+
+def _lines(table: list[Row]) -> Iterator[str]:
+    heads = {"wall_ms": ("ms", ".1f"), "psnr_late": ("PSNR", ".2f"), "ssim_late": ("SSIM", ".4f"),
+             "flip_late": ("FLIP", ".4f"), "flicker_late": ("flicker", ".2f"), "gain": ("gain", "+.2f"),
+             "flip_ratio": ("FLIP x", ".2f"), "flicker_ratio": ("flicker x", ".2f"),
+             "least_gain": ("least", "+.2f"), "worst_frame": ("frame", "+.2f")}
+    shown = [key for key in heads if key in table[0]]
+    yield f"{'method':<38}" + "".join(f"{heads[key][0]:>10}" for key in shown)
+    for row in table:
+        cells = ["-" if row[key] is None else format(row[key], heads[key][1]) for key in shown]
+        yield f"{row['method']:<38}" + "".join(f"{cell:>10}" for cell in cells)
+
+
+# EXR sequences --------------------------------------------------------------------------------------------------------
+
+def expand(clip: Path, folder: Path) -> tuple[Path, dict[str, Any]]:
+    """Write reference, guides and all renders of a clip to FOLDER/SCENE.SEED/NAME.####.exr; that folder and the facts.
+
+    What was written of this file is kept.
+    """
+    reference, renders, facts = load(clip)
+    folder = folder / f"{facts['scene']}.{facts['seed']}"
+    done = folder / "done"
+    if done.exists() and done.stat().st_mtime >= clip.stat().st_mtime:
+        return folder, facts
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("*.exr"):
+        old.unlink()
+    exposure = facts["exposure"]
+    renders.setdefault("guides", {name: renders[FULL.name][name] for name in GUIDES})
+    for t, colour in enumerate(reference):
+        header = {"postfx:exposure": exposure, "postfx:spp": facts["reference_spp"]}
+        write_exr(folder / f"reference.{t + 1:04d}.exr", {"colour": colour}, header)
+        for name, planes in renders.items():
+            frame = {plane: values[t] for plane, values in planes.items()}
+            write_exr(folder / f"{name}.{t + 1:04d}.exr", frame, _header(name, t, facts))
+    done.touch()
+    return folder, facts
+
+
+def _header(name: str, t: int, facts: dict[str, Any]) -> dict[str, Any]:
+    if name == "guides":
+        return {"postfx:jitter": np.array(facts["renders"][FULL.name]["jitter"][t])}
+    render = facts["renders"][name]
+    return frame_header(np.array(facts["to_world"][t]), facts["fov"][t], np.array(render["jitter"][t]), render["spp"],
+                        facts["exposure"], bool(facts["reset"][t]))

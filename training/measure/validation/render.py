@@ -13,8 +13,7 @@ from training.datagen.clip import Style, filter_table, guide_frame, noisy_frame,
 from training.datagen.clip_file import GUIDES, HALF_MAX, exposure_of, first_only
 from training.datagen.held_out import FIRST_SEED, HeldOut, Kind, held_out_view
 from training.datagen.tracing import Tracer
-from training.measure.validation.pack import Planes
-from training.measure.validation.plan import FULL, GUIDE_SPP, HALF, SCENES, STYLES, Render, renders
+from training.measure.validation.clips import FULL, GUIDE_SPP, HALF, SCENES, STYLES, Planes, Render, renders
 
 LEAST_SPP = 64
 
@@ -35,7 +34,7 @@ class Options:
 
 def render_clip(tracer: Tracer, index: int, options: Options,
                 tell: Callable[[str], None]) -> tuple[np.ndarray, dict[str, Planes], dict[str, Any]]:
-    """References (T, H, W, 3), planes (T, h, w, C) of every render, and facts, as `pack.save` takes them.
+    """References (T, H, W, 3), planes (T, h, w, C) of every render, and facts, as `clips.save` takes them.
 
     `tell` hears how far it is.
     """

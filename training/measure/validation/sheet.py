@@ -8,8 +8,7 @@ import numpy as np
 from PIL import Image
 
 from postfx.colour.curves import srgb_encode
-from training.measure.validation.pack import load
-from training.measure.validation.plan import FULL
+from training.measure.validation.clips import FULL, load
 
 WIDTH = 240  # of a panel, pixels
 FASTEST = 20  # motion, pixels a frame, that is drawn in full colour

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 
 from training.datagen.render_worker import add_share, clip_path, work
-from training.measure.validation.pack import save
+from training.measure.validation.clips import save
 
 
 def add_options(parser: argparse.ArgumentParser) -> list[str]:
