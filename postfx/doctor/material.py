@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from postfx.doctor.geometry import Fit, fit_rotation
+from postfx.doctor.motion_variants import Warped, warp_pair
 from postfx.doctor.statistics import Values, count_values
-from postfx.doctor.warping import Warped, warp_pair
 from postfx.frame import Frame, Role
 
 MOST_PAIRS = 7

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from postfx.doctor.variants import VARIANTS
+from postfx.doctor.motion_variants import VARIANTS
 from tests.doctor.breakages import BREAKAGES
 
 SHARED = ("living_room", "staircase", "garage")

@@ -10,9 +10,8 @@ import numpy as np
 from postfx.doctor.findings import Finding, error, info
 from postfx.doctor.geometry import motion_of_camera
 from postfx.doctor.material import Material
+from postfx.doctor.motion_variants import RELATED, VARIANTS, Variant, Warped, score_offset
 from postfx.doctor.statistics import correlation
-from postfx.doctor.variants import VARIANTS, Variant
-from postfx.doctor.warping import RELATED, Warped, score_offset
 from postfx.frame import Role
 
 BETTER, BETTER_BY_JITTER, BETTER_THAN_NONE = 0.85, 0.95, 0.65

@@ -9,8 +9,8 @@ import numpy as np
 from postfx.colour.primaries import luminance
 from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.material import Material
+from postfx.doctor.motion_variants import Warped, score_offset
 from postfx.doctor.statistics import correlation, finite, noise_level
-from postfx.doctor.warping import Warped, score_offset
 from postfx.frame import Frame, Role
 from postfx.sampling import local_mean
 
