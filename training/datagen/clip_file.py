@@ -6,6 +6,8 @@ Keys: `reference` (T, H, W, 3) float16 linear Rec.709; for each noisy variant v 
 `v{v}_depth` (T, h, w) float32 along the view axis, misses 1e10; `v{v}_motion` (T, h, w, 2) float32, previous minus
 current position in noisy pixels, x right, y down, without jitter; `v{v}_jitter` (T, 2) float32, sample position minus
 0.5, x right, y down; `v{v}_spp` int; `v{v}_style` 'realtime', 'box' or 'blackman-harris'.
+`half` (T, H, W, 3), where it is there, is the half of the reference's samples that noisy renders with `v{v}_half` true,
+which were made of the other half, are compared with.
 Guides, the first-hit planes at output size: `guide_diffuse_albedo`, `guide_specular_albedo`, `guide_normal`
 (T, H, W, 3), `guide_roughness` (T, H, W), `guide_depth` (T, H, W), all float16; depth is the base-2 logarithm of the
 depth within 1e-4..1e10, so that it fits. `guide_jitter` (T, 2) float32 in output pixels: where in the pixel the one
@@ -77,6 +79,8 @@ def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: di
     by name plus jitter.
     """
     arrays = {"reference": to_half(reference)}
+    if "half" in facts:
+        arrays["half"] = to_half(facts["half"])
     if "guides" in facts:
         arrays |= _guide_arrays(facts["guides"])
     for index, variant in enumerate(variants):
@@ -86,6 +90,7 @@ def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: di
         arrays[f"v{index}_jitter"] = np.asarray(variant["jitter"], np.float32)
         arrays[f"v{index}_spp"] = np.int32(variant["spp"])
         arrays[f"v{index}_style"] = np.str_(variant["style"])
+        arrays[f"v{index}_half"] = np.bool_(variant.get("half", False))
     arrays["reset"] = np.asarray(facts.get("reset", first_only(len(reference))), np.uint8)
     arrays["scale"] = np.float32(facts["scale"])
     arrays["seed"] = np.int64(facts["seed"])

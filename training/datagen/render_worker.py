@@ -35,6 +35,10 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
     parser.add_argument("--even-spp", type=int, metavar="N", help="samples a pixel of noisy renders are drawn evenly in"
                         " stops from 1 to N (default: mostly 1 to 8)")
     parser.add_argument("--scale", type=float, help="one scale for all clips (default: drawn)")
+    parser.add_argument("--blender", type=Path, help="render with Cycles: a Python that has Blender's module bpy")
+    parser.add_argument("--half-samples", type=int, default=256, help="Cycles: samples a render pixel in each half of a"
+                        " reference")
+    parser.add_argument("--kind", help="Cycles: one kind of scene for all clips (default: drawn)")
     return [action.dest for action in parser._actions if action.dest not in before]
 
 
@@ -67,6 +71,8 @@ def light_paths(reference: np.ndarray, variants: list[dict], facts: dict) -> int
 
 def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
     """A function from a clip's number to what `save_clip` takes."""
+    if args.blender:
+        return cycles_maker(args)
     import mitsuba as mi
 
     mi.set_variant(args.variant)
@@ -84,6 +90,17 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
     maps, real = Environments(args.real and args.real / "environments"), RealScenes(args.real)
     tracer = Tracer()
     return lambda index: make_clip(tracer, options, maps, real, args.seed, index)
+
+
+def cycles_maker(args: argparse.Namespace) -> Callable[[int], tuple]:
+    """The same by Cycles; `--real` is the folder of glTF scenes, panoramas and pages."""
+    from training.datagen.cycles.clips import Blender, CyclesOptions, make_clip
+
+    fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
+    options = CyclesOptions(args.width, args.height, args.frames, args.even_spp or CyclesOptions.most_spp,
+                            args.half_samples, kind=args.kind, **fixed)
+    blender = Blender(args.blender, args.real)
+    return lambda index: make_clip(blender, options, args.seed, index)
 
 
 def numbers(args: argparse.Namespace) -> Iterator[int]:

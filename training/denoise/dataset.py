@@ -33,7 +33,8 @@ class Clip:
 
     Two more channels are the motion to the next frame, if it was asked for (0 in the last frame).
     ``spread`` (V,) tells which renders spread their samples over the pixel; ``keep`` (T,) is 0 at cuts and at the
-    first frame; ``guides`` (T, 11, H, W) float16 are the planes at output size, if they were asked for.
+    first frame; ``guides`` (T, 11, H, W) float16 are the planes at output size, if they were asked for. Renders that
+    are made of half of the reference's samples are compared with the other ``half`` (T, 3, H, W): ``halved`` (V,).
     """
 
     name: str
@@ -44,6 +45,8 @@ class Clip:
     reference: Tensor
     guides: Tensor | None
     exposure: float
+    half: Tensor | None
+    halved: list[bool]
 
 
 @dataclass
@@ -75,7 +78,7 @@ class Stack:
 
 def grey_exposure(colour: np.ndarray) -> float:
     """Multiplier that brings the log-average luminance of (H, W, 3) to 0.18."""
-    luminance = colour.astype(np.float64) @ np.array(LUMINANCE)
+    luminance = (colour.astype(np.float64) @ np.array(LUMINANCE)).clip(min=0)  # samples of volumes may be negative
     return float(0.18 / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean() + 1e-9))))
 
 
@@ -106,6 +109,8 @@ def load(path: Path, device: torch.device, guides: bool = False, inverse: bool =
         plane("reference"),
         torch.cat([plane(f"guide_{name}") for name, _ in GUIDES], 1) if guides else None,
         grey_exposure(reference[0]),
+        plane("half") if "half" in data.files else None,
+        [f"{v}_half" in data.files and bool(data[f"{v}_half"]) for v in variants],
     )
 
 
@@ -170,10 +175,15 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None) -> 
         torch.stack([c.jitter[v] for c, v, _ in chosen]),
         torch.tensor([c.spread[v] for c, v, _ in chosen], device=device),
         torch.stack([c.keep for c in clips]),
-        torch.stack([c.reference[..., w[2], w[3]] for c, _, w in chosen]).float(),
+        torch.stack([target(c, v)[..., w[2], w[3]] for c, v, w in chosen]).float(),
         torch.stack([c.guides[..., w[2], w[3]] for c, _, w in chosen]).float() if guided else None,
         torch.tensor([c.exposure for c in clips], device=device, dtype=torch.float32)[:, None, None, None],
     )
+
+
+def target(clip: Clip, variant: int) -> Tensor:
+    """What a noisy render is compared with: samples that it does not hold itself."""
+    return clip.half if clip.halved[variant] else clip.reference
 
 
 def _window(clip: Clip, crop: int | None) -> tuple[slice, slice, slice, slice]:

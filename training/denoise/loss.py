@@ -80,6 +80,7 @@ def difference(output: Tensor, reference: Tensor) -> Tensor:
 
 COARSE = (4, 8, 16)  # output pixels
 KNEE, COARSE_KNEE = 0.02, 0.005  # code values
+LIGHT_CELL, LIGHT_MOST, LIGHT_FLOOR, LIGHT_KNEE, LIGHT = 16, 1000.0, 0.05, 0.05, 0.5
 SEEN = 0.5  # weight of how different pictures look
 NOISY, MOST_SCALE = 0.2, 8.0  # the display-encoded error of an input whose frames count once, and how much they may
 
@@ -103,6 +104,13 @@ def frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
     blotches = sum(huber(F.avg_pool2d(error, size), COARSE_KNEE) for size in COARSE)
     seen = difference(output, reference)
     return huber(error, KNEE) + 4 * error.square().mean() + 0.5 * edges + blotches + SEEN * seen
+
+
+def light_loss(output: Tensor, reference: Tensor) -> Tensor:
+    """Relative error of the light in cells of 16x16 output pixels, of exposed linear pictures: the display curve alone
+    would let uncertain lamps fade."""
+    found, wanted = (F.avg_pool2d(x.clamp(max=LIGHT_MOST), LIGHT_CELL) for x in (output, reference))
+    return huber((found - wanted) / (wanted.mean(1, keepdim=True) + LIGHT_FLOOR), LIGHT_KNEE)
 
 
 def flicker_loss(output: Tensor, previous: Tensor, reference: Tensor, reference_previous: Tensor,
@@ -148,6 +156,7 @@ class Truth:
     count ``even``, the more the less noise their input has."""
 
     def __init__(self, batch: Batch, even: bool = False):
+        self.references = batch.references
         self.shown = [ops.display(reference) for reference in batch.references]
         ones = torch.ones_like(batch.keep[0])
         self.scale = [even_scale(ops.display(inputs.colour), shown) if even else ones
@@ -163,6 +172,7 @@ class Truth:
         and the mean flicker."""
         shown = [ops.display(output) for output in outputs]
         pictures = sum(map(frame_loss, shown, self.shown, self.scale))
+        pictures = pictures + LIGHT * sum(map(light_loss, outputs, self.references))
         flicker = torch.stack([self._flicker(shown, t) for t in range(1, len(shown))])
         late = range(len(shown) // 2, len(shown))
         quality = torch.stack([psnr(shown[t].detach(), self.shown[t]).mean() for t in late])

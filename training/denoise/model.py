@@ -40,7 +40,8 @@ class TrunkConfig:
     """Channels of the levels at 1/2, 1/4, 1/8 and 1/16 of the render size, convolutions a level, guides read or not;
     channels of the stem, the first level's if None, and its side: 4 pixels, or the 2 that each of its places holds.
 
-    The network may have fewer levels than the filter pyramid: the coarser ones then have one filter each.
+    The network may have fewer levels than the filter pyramid: the coarser ones then have one filter each. With
+    ``trust`` the last hidden channel says how far the planes of a pixel are trusted (`trusted`).
     """
 
     widths: tuple[int, ...] = (64, 128, 192, 256)
@@ -48,6 +49,7 @@ class TrunkConfig:
     guides: bool = False
     stem: int | None = None
     reach: int = 4
+    trust: bool = False
 
     @property
     def first(self) -> int:
@@ -384,6 +386,7 @@ def reflectance(factor: Tensor, own: Tensor) -> Reflectance:
 # The recurrent step -------------------------------------------------------------------------------------------------
 
 MAX_COUNT = 32.0
+MEAN_CELL = 8  # render pixels
 MAX_DEPTH = 1e10
 MAX_FLOAT = 3e38
 ALIGN = 16
@@ -568,6 +571,14 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
     return result
 
 
+def trusted(factor: Tensor, share: Tensor) -> Tensor:
+    """Reflectance of planes that may be noisy: its own by a ``share`` (N, 1, h, w) in [-1, 1], else its mean over
+    8x8 pixels. Colour is divided and multiplied by the same, so noise that is left out is not printed into it."""
+    cells = F.avg_pool2d(factor, MEAN_CELL, ceil_mode=True, count_include_pad=False)
+    smooth = F.interpolate(cells, factor.shape[-2:], mode="bilinear", align_corners=False)
+    return torch.lerp(smooth, factor, (1 + share) / 2)
+
+
 class DenoiseUpscale(nn.Module):
     """One recurrent step. Output size is free: any width and height of 1 to 3 times the render size.
 
@@ -594,6 +605,8 @@ class DenoiseUpscale(nn.Module):
         coarsest = 2 ** len(levels)
         pad = (0, -w % coarsest, 0, -h % coarsest)
         here = fine[..., :h, :w]
+        if self.config.trust:
+            factor = trusted(factor, here[:, FINE - 1:])
         noisy, distrust = demodulate(inputs.colour, factor), here[:, DISTRUST:IMPORTANCE]
         accumulated, count = accumulate(noisy, past.accumulated, past.count, distrust)
         importance = F.pad(here[:, IMPORTANCE:MEMORY], pad)
@@ -602,6 +615,8 @@ class DenoiseUpscale(nn.Module):
         guided = None
         if self.config.guides:
             guided = reflectance(ops.demodulation(guides.diffuse_albedo, guides.specular_albedo), factor)
+        elif self.config.trust and state.output.shape[-2:] == (h, w):  # texture is not resampled where nothing is
+            guided = Reflectance(factor, (inputs.jitter == 0).all(1).to(factor.dtype)[:, None, None, None])
         shaded = radiance * factor if guided is None else torch.cat((radiance, radiance * factor), 1)
         output = resolve(shaded, here, inputs.jitter, past.output, past.inside, guided)
         state = State(output, accumulated, count, here[:, MEMORY:], inputs.depth, torch.ones_like(state.fresh))

@@ -186,6 +186,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--stem", type=int, help="channels of the stem; default: those of the first level")
     parser.add_argument("--reach", type=int, default=TrunkConfig.reach, choices=(2, 4), help="side of the stem, pixels")
     parser.add_argument("--guides", action="store_true", help="read planes at output size")
+    parser.add_argument("--trust", action="store_true", help="planes count as far as the network trusts them")
     parser.add_argument("--flicker", type=float, default=6.0, help="weight of the temporal difference")
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
     parser.add_argument("--even", action="store_true", help="clips of little noise count as much as noisy ones")
@@ -245,6 +246,15 @@ def load_start(path: Path) -> dict[str, Tensor]:
     return torch.load(path, map_location="cpu", weights_only=True)["weights"]
 
 
+@torch.no_grad()
+def begin_trust(trunk: network.Trunk) -> None:
+    """The last hidden channel of a network that used it otherwise becomes trust in the planes, nearly 1 everywhere."""
+    head = slice(4 * (network.FINE - 1), 4 * network.FINE)
+    trunk.fine.weight[head] = 0
+    trunk.fine.bias[head] = 2
+    trunk.stem.weight[:, network.FEATURES - 1] = 0
+
+
 def rate_at(progress: float, step: int, peak: float) -> float:
     """Learning rate at a share of the training time and a step: where it rises faster, units die for good."""
     return peak * min((step + 1) / WARM_STEPS, 1) * max(0.5 * (1 + math.cos(math.pi * progress)), 1e-3)
@@ -297,10 +307,13 @@ class Trainer:
             print(f"waiting for {args.wait} clips to train on (--wait): {args.clips} has {len(self.pool)}", flush=True)
         while self.pool.refresh() < args.wait:
             time.sleep(2)
-        model = model or DenoiseUpscale(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach))
+        model = model or DenoiseUpscale(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach,
+                                                    args.trust))
         self.config, self.model = model.config, model.to(device, memory_format=torch.channels_last)
         if args.start:
             self.model.load_state_dict(load_start(args.start))
+            if args.trust and args.start.suffix == ".onnx":
+                begin_trust(self.model.trunk)
         self.average = Average(self.model, 0.9995)
         self.loss = ClipLoss(self.model, args.flicker, args.reset, args.even)
         self.flat = FlatGradient(list(self.model.parameters()))

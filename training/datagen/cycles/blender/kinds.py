@@ -1,0 +1,404 @@
+"""What a clip shows: a setting (room, street, wood, studio, a whole glTF scene), things in it, light, and what the
+camera and the air do to it.
+
+`build` draws a scene of a kind. The kinds are those that results are judged by; a kind says what must be there, and
+the generator draws all else, so that fog, depth of field, motion blur and lamps also occur beside each other.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from . import scene as parts
+from .scene import Library, Rng
+
+KINDS = {  # how often each is drawn for training
+    "fog": 0.16, "indirect": 0.14, "foliage": 0.13, "fur": 0.08, "glass": 0.08, "dof": 0.09, "motion_blur": 0.07,
+    "interior": 0.07, "outdoor": 0.08, "product": 0.06, "text": 0.04,
+}
+
+
+@dataclass
+class Shot:
+    """A scene that is ready to be rendered; ``facts`` go into the clip's file."""
+
+    target: np.ndarray
+    size: float  # of what the camera looks at, metres
+    facts: dict = field(default_factory=dict)
+
+
+def build(kind: str, library: Library, frames: int, width: int, rng: Rng) -> Shot:
+    """A scene of ``kind`` with its camera's path; ``width`` in pixels sets how fast the camera may be."""
+    parts.clear()
+    shot = SETTINGS[kind](library, frames, rng)
+    shot.facts["kind"] = kind
+    camera = bpy.context.scene.camera
+    shot.facts["camera"] = parts.move_camera(camera, shot.target, frames, width, rng)
+    if kind == "dof" or (kind not in ("motion_blur", "text") and rng.random() < 0.08):
+        focus(camera, shot, rng, strong=kind == "dof")
+    blur = kind == "motion_blur" or rng.random() < 0.03
+    bpy.context.scene.render.use_motion_blur = blur
+    bpy.context.scene.render.motion_blur_shutter = rng.uniform(0.3, 1.0)
+    shot.facts["blur"] = blur
+    return shot
+
+
+def focus(camera: bpy.types.Object, shot: Shot, rng: Rng, strong: bool) -> None:
+    """Depth of field: on the thing or behind it."""
+    lens = camera.data.dof
+    distance = float(np.linalg.norm(np.array(camera.matrix_world.translation) - shot.target))
+    lens.use_dof = True
+    lens.focus_distance = distance * float(rng.choice([1.0, 0.7, 1.6, 0.4], p=[0.6, 0.15, 0.15, 0.1]))
+    blur = 2 ** rng.uniform(-6.5, -3.5) * (2.0 if strong else 0.7)  # the aperture over the distance
+    lens.aperture_fstop = camera.data.lens / 1000 / (blur * distance)
+    lens.aperture_blades = int(rng.choice([0, 5, 6, 8]))
+    shot.facts["dof"] = True
+
+
+# Settings
+
+
+def room(library: Library, frames: int, rng: Rng, dark: bool = False) -> Shot:
+    """A furnished box lit by a window, a door ajar, lamps or strips; ``dark``: no light reaches most of it directly."""
+    w, d, h = rng.uniform(3, 7), rng.uniform(3, 8), rng.uniform(2.3, 3.4)
+    wall, floor, ceiling = parts.material(rng, "rough"), parts.material(rng), parts.material(rng, "rough")
+    if rng.random() < 0.6:
+        wall.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (*[rng.uniform(0.5, 0.85)] * 3, 1)
+    parts.quad((0, 0, 0), (w / 2, 0, 0), (0, d / 2, 0), floor)
+    parts.quad((0, 0, h), (-w / 2, 0, 0), (0, d / 2, 0), ceiling)
+    for x in (-1, 1):
+        parts.quad((x * w / 2, 0, h / 2), (0, -x * d / 2, 0), (0, 0, h / 2), wall)
+    parts.quad((0, -d / 2, h / 2), (-w / 2, 0, 0), (0, 0, h / 2), wall)
+    opening = str(rng.choice(["window", "none", "door"], p=[0.25, 0.1, 0.65] if dark else [0.6, 0.25, 0.15]))
+    wall_with_opening(w, d, h, opening, wall, rng)
+    light_room(library, w, d, h, opening, dark, rng)
+    things = furnish(library, w, d, rng)
+    move_some(things, frames, rng, 0.5)
+    eye = np.array([rng.uniform(-0.35, 0.35) * w, -0.42 * d, rng.uniform(0.8, 1.8)])
+    target = np.array([rng.uniform(-0.3, 0.3) * w, rng.uniform(0, 0.3) * d, rng.uniform(0.3, 1.2)])
+    if opening == "door" and dark:  # beside the light, not into it
+        target[0] = -0.35 * w
+    parts.camera_at(eye, target, rng.uniform(40, 85))
+    return Shot(target, 1.0, {"setting": "room", "opening": opening})
+
+
+def wall_with_opening(w: float, d: float, h: float, opening: str, wall: bpy.types.Material, rng: Rng) -> None:
+    """The far wall, as four boxes around a hole."""
+    y = d / 2
+    if opening == "none":
+        parts.quad((0, y, h / 2), (w / 2, 0, 0), (0, 0, h / 2), wall)
+        return
+    wide = rng.uniform(0.8, 1.0) if opening == "door" else rng.uniform(0.6, 0.6 * w)
+    left = rng.uniform(-w / 2 + 0.2, w / 2 - wide - 0.2)
+    low, high = (0.0, 2.05) if opening == "door" else (rng.uniform(0.3, 1.0), rng.uniform(1.8, h - 0.15))
+    for a, b in (((-w / 2, y, 0), (left, y + 0.15, h)), ((left + wide, y, 0), (w / 2, y + 0.15, h)),
+                 ((left, y, 0), (left + wide, y + 0.15, low)), ((left, y, high), (left + wide, y + 0.15, h))):
+        if b[0] - a[0] > 1e-3 and b[2] - a[2] > 1e-3:
+            parts.box(a, b, wall)
+    if opening == "door":
+        leaf = parts.box((0, -0.02, 0), (wide, 0.02, 2.0), parts.material(rng))
+        angle = rng.uniform(0.08, 0.6)
+        leaf.matrix_world = (Matrix.Translation((left, y, 0)) @ Matrix.Rotation(angle, 4, "Z")
+                             @ Matrix.Translation((wide / 2, 0, 1.0)))
+
+
+def light_room(library: Library, w: float, d: float, h: float, opening: str, dark: bool, rng: Rng) -> None:
+    white = np.array([1, rng.uniform(0.7, 1), rng.uniform(0.5, 1)])
+    if opening != "none":
+        pick = rng.random()
+        if pick < 0.4 and not (dark and opening == "door"):
+            parts.sky(rng.uniform(0.3, 1), rng.uniform(0.05, 1.2), rng.uniform(0, 6.3), rng.random() < 0.6)
+        elif pick < 0.6 and library.panoramas:
+            panorama(library, rng)
+        else:
+            pose = Matrix.Translation((rng.uniform(-w / 2, w / 2), d / 2 + rng.uniform(0.6, 2), h / 2))
+            parts.lamp("AREA", pose @ Matrix.Rotation(math.pi / 2, 4, "X"), 2 ** rng.uniform(5, 9),
+                       rng.uniform(0.5, 2.5), tuple(white))
+    if opening == "none" or rng.random() < (0.1 if dark else 0.3):
+        for _ in range(int(rng.integers(1, 5))):
+            place = rng.uniform((-0.4 * w, -0.4 * d, 0.5 * h), (0.4 * w, 0.4 * d, 0.95 * h))
+            at = Matrix.Translation(place)
+            kind = str(rng.choice(["POINT", "AREA", "SPOT"]))
+            if dark:  # light thrown at the ceiling from behind a shelf
+                parts.box(place - (0.3, 0.3, 0.06), place + (0.3, 0.3, -0.02), parts.material(rng, "rough"))
+                at, kind = at @ Matrix.Rotation(math.pi, 4, "X"), "AREA"
+            parts.lamp(kind, at, 2 ** rng.uniform(3, 7), rng.uniform(0.02, 0.5), tuple(white), rng.uniform(0.4, 1.5))
+
+
+def furnish(library: Library, w: float, d: float, rng: Rng) -> list[bpy.types.Object]:
+    """Boxes, bodies and loaded props on the floor and on each other."""
+    things = []
+    for _ in range(int(rng.integers(1, 4))):  # tables, chests
+        size = rng.uniform(0.3, 1.1, 3) * (1, 1, 0.8)
+        at = np.array([rng.uniform(-0.4, 0.4) * w, rng.uniform(-0.1, 0.42) * d, 0])
+        parts.box(at - (size[0] / 2, size[1] / 2, 0), at + (size[0] / 2, size[1] / 2, size[2]), parts.material(rng))
+        for _ in range(int(rng.integers(0, 4))):
+            top = at + (rng.uniform(-0.4, 0.4) * size[0], rng.uniform(-0.4, 0.4) * size[1], size[2])
+            things.append(parts.solid(rng, top, rng.uniform(0.1, 0.4), parts.material(rng)))
+    for _ in range(int(rng.integers(0, 4))):
+        at = (rng.uniform(-0.4, 0.4) * w, rng.uniform(-0.1, 0.4) * d, 0)
+        things.append(parts.solid(rng, at, rng.uniform(0.2, 0.8), parts.material(rng)))
+    things += props(library, rng, int(rng.integers(0, 4)), 0.4 * w, 0.35 * d, (0.3, 1.5))
+    return things
+
+
+def props(library: Library, rng: Rng, count: int, x: float, y: float,
+          sizes: tuple[float, float]) -> list[bpy.types.Object]:
+    """Things of the library, stood on the floor within x and y."""
+    things = []
+    for _ in range(count):
+        names = library.names("asset", "set", "character", "vehicle")
+        if not names:
+            break
+        name = str(names[rng.integers(len(names))])
+        roots, _, _ = library.load(name, rng, int(rng.integers(1, 4)) if library.about[name]["kind"] == "set" else None)
+        at = (rng.uniform(-x, x), rng.uniform(-0.2 * y, y), 0)
+        things.append(parts.stand(roots, at, rng.uniform(*sizes), rng.uniform(0, 6.3)))
+    return things
+
+
+def move_some(things: list[bpy.types.Object], frames: int, rng: Rng, chance: float) -> None:
+    for item in things:
+        if rng.random() < chance / max(len(things), 1) ** 0.5:
+            low, high = parts.bounds([item])
+            parts.move_thing(item, max(float((high - low).max()), 0.1), frames, rng)
+
+
+def middle_of(things: list[bpy.types.Object], rng: Rng) -> np.ndarray:
+    """The middle of one of some things."""
+    low, high = parts.bounds([things[rng.integers(len(things))]])
+    return (low + high) / 2
+
+
+def panorama(library: Library, rng: Rng) -> None:
+    """One of the library's panoramas as the world."""
+    path = library.panoramas[rng.integers(len(library.panoramas))]
+    parts.environment(path, rng.uniform(0.3, 2.5), rng.uniform(0, 6))
+
+
+def daylight(library: Library, rng: Rng) -> None:
+    """Sky, panorama or an overcast world."""
+    pick = rng.random()
+    if pick < 0.5:
+        parts.sky(rng.uniform(0.2, 1), rng.uniform(0.03, 1.4), rng.uniform(0, 6.3), rng.random() < 0.75)
+    elif pick < 0.85 and library.panoramas:
+        panorama(library, rng)
+    else:
+        parts.plain_world(tuple(rng.uniform(0.3, 1, 3)), rng.uniform(0.3, 2))
+
+
+def night(rng: Rng, spread: float) -> None:
+    """Stars and a few lamps."""
+    parts.starry_world(rng)
+    for _ in range(int(rng.integers(2, 9))):
+        at = (rng.uniform(-spread, spread), rng.uniform(-spread, spread), rng.uniform(0.3, 1) * spread * 0.4)
+        parts.lamp("POINT", Matrix.Translation(at), 2 ** rng.uniform(3, 7) * spread**2 / 9, 0.03 * spread,
+                   tuple(rng.uniform(0.4, 1, 3)))
+
+
+def outdoor(library: Library, frames: int, rng: Rng) -> Shot:
+    """A whole exterior or a ground with houses, vehicles and bodies on it."""
+    wholes = library.names("exterior")
+    if wholes and rng.random() < 0.45:
+        roots, _, _ = library.load(str(wholes[rng.integers(len(wholes))]), rng)
+        parts.stand(roots, (0, 0, 0), 20.0, rng.uniform(0, 6.3))
+        things, spread = [], 7.0
+        if rng.random() < 0.5:
+            parts.quad((0, 0, -0.02), (200, 0, 0), (0, 200, 0), parts.material(rng, "rough"))
+    else:
+        ground = parts.material(rng, "rough" if rng.random() < 0.7 else None)
+        if rng.random() < 0.5:
+            parts.quad((0, 0, 0), (300, 0, 0), (0, 300, 0), ground)
+        else:
+            parts.terrain(rng, 120, rng.uniform(0.2, 2), ground)
+        spread = 5.0
+        things = props(library, rng, int(rng.integers(1, 7)), spread, spread, (0.8, 6))
+        things += [parts.solid(rng, (*rng.uniform(-spread, spread, 2), 0), rng.uniform(0.5, 3), parts.material(rng))
+                   for _ in range(int(rng.integers(1, 6)))]
+        move_some(things, frames, rng, 0.8)
+    night(rng, spread) if rng.random() < 0.2 else daylight(library, rng)
+    angle = rng.uniform(0, 6.3)
+    away, height = rng.uniform(1.2, 2.5) * spread, rng.uniform(0.5, 0.8 * spread)
+    eye = np.array([away * math.cos(angle), away * math.sin(angle), height])
+    target = np.array([*rng.normal(0, 0.2 * spread, 2), rng.uniform(0.3, 0.3 * spread)])
+    if things and rng.random() < 0.8:
+        target = middle_of(things, rng)
+    parts.camera_at(eye, target, rng.uniform(25, 65))
+    return Shot(target, spread, {"setting": "outdoor"})
+
+
+def foliage(library: Library, frames: int, rng: Rng) -> Shot:
+    """Trees, bushes and grass under a sky."""
+    soil = parts.material(rng, "rough")
+    parts.terrain(rng, 60, rng.uniform(0.1, 1.2), soil)
+    for _ in range(int(rng.integers(1, 6))):
+        at = np.array([*rng.uniform(-6, 6, 2), 0])
+        parts.tree_crown(rng, at, rng.uniform(2, 7), parts.leaf_material(rng), parts.material(rng, "rough"))
+    for _ in range(int(rng.integers(1, 7))):
+        centre, size = np.array([*rng.uniform(-5, 5, 2), 0.4]), rng.uniform(0.3, 1.2)
+        count = int(rng.integers(800, 4000))
+        ball = rng.normal(size=(count, 3))
+        ball *= size * rng.random((count, 1)) ** 0.4 / np.linalg.norm(ball, axis=1, keepdims=True)
+        length = rng.uniform(0.03, 0.2)
+        parts.leaves(rng, centre + ball, length, length * rng.uniform(0.2, 0.7), parts.leaf_material(rng))
+    if rng.random() < 0.75:
+        blades = np.column_stack([rng.uniform(-7, 7, (int(rng.integers(8000, 40000)), 2)), ])
+        centres = np.column_stack([blades, np.zeros(len(blades))])
+        parts.leaves(rng, centres, rng.uniform(0.1, 0.5), rng.uniform(0.005, 0.03), parts.leaf_material(rng), 0.8)
+    things = props(library, rng, int(rng.integers(0, 3)), 3, 3, (0.5, 2))
+    move_some(things, frames, rng, 0.6)
+    daylight(library, rng)
+    angle = rng.uniform(0, 6.3)
+    eye = np.array([math.cos(angle), math.sin(angle), 0]) * rng.uniform(3, 11) + (0, 0, rng.uniform(0.6, 2.5))
+    target = np.array([*rng.normal(0, 1.5, 2), rng.uniform(0.4, 2.5)])
+    parts.camera_at(eye, target, rng.uniform(25, 70))
+    return Shot(target, 3.0, {"setting": "foliage"})
+
+
+def studio(library: Library, frames: int, rng: Rng, kind: str | None = None) -> Shot:
+    """Things on a bench or a sweep under soft boxes, a panorama or both."""
+    parts.quad((0, 0, 0), (8, 0, 0), (0, 8, 0), parts.material(rng, None if rng.random() < 0.5 else "rough"))
+    if rng.random() < 0.6:
+        parts.quad((0, 5, 4), (8, 0, 0), (0, 0, 4), parts.material(rng, "rough"))
+    things = []
+    for _ in range(int(rng.integers(1, 7))):
+        made = parts.material(rng, kind if kind and rng.random() < 0.7 else None)
+        things.append(parts.solid(rng, (*rng.normal(0, 0.5, 2), 0), rng.uniform(0.3, 1.2), made))
+    if rng.random() < 0.6:
+        things += props(library, rng, int(rng.integers(1, 4)), 1.0, 1.0, (0.4, 1.6))
+    move_some(things, frames, rng, 0.7)
+    if rng.random() < 0.6 and library.panoramas:
+        panorama(library, rng)
+    else:
+        parts.plain_world((1, 1, 1), rng.uniform(0, 0.3))
+    for _ in range(int(rng.integers(1, 4))):
+        at = Vector((*rng.normal(0, 3, 2), rng.uniform(2, 5)))
+        parts.lamp("AREA", parts.look(at, (0, 0, 0.4)), 2 ** rng.uniform(5, 9.5), rng.uniform(0.1, 2.5),
+                   tuple(rng.uniform(0.7, 1, 3)))
+    angle = rng.uniform(-2.6, -0.5)
+    eye = np.array([math.cos(angle), math.sin(angle), 0]) * rng.uniform(1.8, 4.5) + (0, 0, rng.uniform(0.3, 2.2))
+    target = middle_of(things, rng) if rng.random() < 0.8 else np.array([*rng.normal(0, 0.2, 2), rng.uniform(0.2, 0.6)])
+    parts.camera_at(eye, target, rng.uniform(20, 55))
+    return Shot(target, 0.8, {"setting": "studio"})
+
+
+def fur(library: Library, frames: int, rng: Rng) -> Shot:
+    """Hair and fur on bodies, rugs and grass-like carpets, in a studio or outdoors."""
+    shot = studio(library, frames, rng) if rng.random() < 0.7 else outdoor(library, frames, rng)
+    size = shot.size
+    for _ in range(int(rng.integers(1, 4))):
+        at = shot.target * (1, 1, 0) + (*rng.normal(0, 0.6 * size, 2), 0)
+        body = parts.solid(rng, at, size * rng.uniform(0.6, 1.4), parts.material(rng, "rough"))
+        parts.fur(rng, body, int(rng.integers(800, 4000)), size * 2 ** rng.uniform(-5, -1.5))
+    if rng.random() < 0.3:
+        rug = parts.quad((*shot.target[:2], 0.01), (1.5 * size, 0, 0), (0, 1.5 * size, 0), parts.material(rng, "rough"))
+        parts.fur(rng, rug, 4000, size * rng.uniform(0.03, 0.15))
+    return shot
+
+
+def fog(library: Library, frames: int, rng: Rng) -> Shot:
+    """Mist, smoke or lit dust all over a setting, or a cloud in it."""
+    setting = str(rng.choice(["room", "outdoor", "studio", "foliage", "dark"], p=[0.3, 0.3, 0.15, 0.1, 0.15]))
+    shot = {"room": room, "outdoor": outdoor, "studio": studio, "foliage": foliage,
+            "dark": lambda *a: room(*a, dark=True)}[setting](library, frames, rng)
+    reach = {"room": 5, "dark": 5, "studio": 4}.get(setting, 5 * shot.size)
+    density = 2 ** rng.uniform(-3.5, 1.5) / reach
+    whole = rng.random() < 0.7
+    wisps = rng.uniform(0.5, 6) / shot.size if rng.random() < (0.25 if whole else 0.9) else 0.0
+    made = parts.volume_material(rng, density if whole else density * 6, wisps)
+    if whole:
+        parts.box((-1.6 * reach, -1.6 * reach, -0.5 * reach), (1.6 * reach, 1.6 * reach, reach), made)
+    else:
+        half = shot.size * rng.uniform(0.5, 1.2)
+        parts.box(shot.target - half, shot.target + half, made)
+    for _ in range(int(rng.integers(0, 3))):  # beams
+        at = shot.target + (*rng.normal(0, 0.5 * reach, 2), rng.uniform(0.3, 0.8) * reach)
+        parts.lamp("SPOT", parts.look(at, shot.target + rng.normal(0, 0.3, 3)), 2 ** rng.uniform(5, 9) * reach**2 / 9,
+                   0.02 * reach, tuple(rng.uniform(0.5, 1, 3)), rng.uniform(0.2, 0.9))
+    if rng.random() < 0.3:
+        lit = parts.glow(tuple(rng.uniform(0.3, 1, 3)), 2 ** rng.uniform(2, 6))
+        ball = parts.solid(rng, shot.target, 0.2 * shot.size, lit)
+        parts.move_thing(ball, shot.size, frames, rng)
+    shot.facts |= {"setting": setting, "density": density}
+    return shot
+
+
+def indirect(library: Library, frames: int, rng: Rng) -> Shot:
+    return room(library, frames, rng, dark=True)
+
+
+def interior(library: Library, frames: int, rng: Rng) -> Shot:
+    """A whole interior of the library, from a place inside it, or a room."""
+    names = library.names("interior")
+    if not names or rng.random() < 0.5:
+        return room(library, frames, rng)
+    name = str(names[rng.integers(len(names))])
+    roots, low, high = library.load(name, rng)
+    span = high - low
+    parts.sky(rng.uniform(0.5, 1.5), rng.uniform(0.2, 1.2), rng.uniform(0, 6.3), True)
+    middle = (low + high) / 2
+    for _ in range(int(rng.integers(1, 5))):
+        at = low + span * rng.uniform(0.2, 0.8, 3)
+        power = 2 ** rng.uniform(0, 3) * float(span[:2].max()) ** 2
+        parts.lamp("POINT", Matrix.Translation(at), power, 0.02 * float(span.max()))
+    eye = low + span * (*rng.uniform(0.2, 0.8, 2), rng.uniform(0.35, 0.7))
+    target = middle + span * (*rng.uniform(-0.3, 0.3, 2), rng.uniform(-0.2, 0.1))
+    parts.camera_at(eye, target, rng.uniform(50, 85))
+    return Shot(target, float(span.max()) / 8, {"setting": name})
+
+
+def glass(library: Library, frames: int, rng: Rng) -> Shot:
+    return studio(library, frames, rng, str(rng.choice(["glass", "frosted", "metal"], p=[0.45, 0.3, 0.25])))
+
+
+def blurred(library: Library, frames: int, rng: Rng) -> Shot:
+    """Anything with faster things."""
+    shot = [studio, outdoor, room][rng.integers(3)](library, frames, rng)
+    for _ in range(int(rng.integers(1, 4))):
+        at = shot.target * (1, 1, 0.5) + rng.normal(0, 0.4 * shot.size, 3) * (1, 1, 0.3)
+        body = parts.solid(rng, at, shot.size * rng.uniform(0.2, 0.7), parts.material(rng))
+        parts.move_thing(body, shot.size * rng.uniform(1, 4), frames, rng)
+    return shot
+
+
+def out_of_focus(library: Library, frames: int, rng: Rng) -> Shot:
+    """Depth of field, often with small lamps behind."""
+    shot = [studio, outdoor, foliage, room][rng.choice(4, p=[0.4, 0.25, 0.15, 0.2])](library, frames, rng)
+    if rng.random() < 0.6:
+        eye = np.array(bpy.context.scene.camera.matrix_world.translation)
+        way = (shot.target - eye) / np.linalg.norm(shot.target - eye)
+        distance = float(np.linalg.norm(shot.target - eye))
+        for _ in range(int(rng.integers(3, 25))):
+            at = eye + way * distance * rng.uniform(1.2, 3) + rng.normal(0, 0.5 * distance, 3) * (1, 1, 0.5)
+            lit = parts.glow(tuple(rng.uniform(0.2, 1, 3)), 2 ** rng.uniform(4, 11))
+            at[2] = abs(at[2]) + 0.05
+            parts.solid(rng, at, distance * 2 ** rng.uniform(-8, -5), lit)
+    return shot
+
+
+def text(library: Library, frames: int, rng: Rng) -> Shot:
+    """Printed and glowing pages, labels and screens."""
+    shot = studio(library, frames, rng)
+    for _ in range(int(rng.integers(1, 5)) if library.pages else 0):
+        page = library.pages[rng.integers(len(library.pages))]
+        dark = rng.random() < 0.3
+        ink, paper = parts.colour_of(rng), tuple(rng.uniform(0.5, 0.9, 3))
+        made = parts.printed(page, paper if dark else ink, ink if dark else paper,
+                             2 ** rng.uniform(-1, 4) if rng.random() < 0.3 else 0.0)
+        at = shot.target + (*rng.normal(0, 0.7, 2), rng.uniform(0.1, 0.5))
+        half, turn, lean = rng.uniform(0.3, 0.9), rng.uniform(-0.5, 0.5), rng.uniform(-1.2, 0.3)
+        pose = Matrix.Translation(at) @ Matrix.Rotation(turn, 4, "Z") @ Matrix.Rotation(math.pi / 2 + lean, 4, "X")
+        item = parts.quad((0, 0, 0), (half, 0, 0), (0, half, 0), made)
+        item.matrix_world = pose
+    return shot
+
+
+SETTINGS = {
+    "fog": fog, "indirect": indirect, "foliage": foliage, "fur": fur, "glass": glass, "dof": out_of_focus,
+    "motion_blur": blurred, "interior": interior, "outdoor": outdoor, "product": studio, "text": text,
+}

@@ -1,0 +1,150 @@
+"""Renders clips inside Blender: reads one JSON request a line, answers one a line.
+
+Request: {"clip": n, "seed": s, "folder": where EXR files go, "library": folder or null, "kind": name or null, "frames",
+"width", "height": of the noisy frames, "scale", "spp": [of each noisy render], "half_spp": of each half of the
+reference}. Answer: {"clip": n, "facts": {...}} or {"clip": n, "error": text}.
+
+Files: noisy.<k>.<frame>.exr for each noisy render, half.0.<frame>.exr with all passes and half.1.<frame>.exr with the
+picture alone, both at output size; where motion is blurred also vectors.<frame>.exr, of the same frames without blur.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from pathlib import Path
+
+import bpy
+import numpy as np
+import OpenImageIO as oiio
+
+from . import kinds
+from .scene import Library
+
+THREADS = 2  # a process: many run side by side
+PATTERNS = ("AUTOMATIC", "TABULATED_SOBOL", "BLUE_NOISE")
+
+
+def use_device() -> str:
+    """CUDA where there is a card, else the CPU. A new scene forgets it: Blender resets its preferences, too."""
+    chosen = bpy.context.preferences.addons["cycles"].preferences
+    try:
+        chosen.compute_device_type = "CUDA"
+    except TypeError:
+        return "CPU"
+    chosen.get_devices()
+    cards = [device for device in chosen.devices if device.type == "CUDA"]
+    for device in chosen.devices:
+        device.use = device.type == "CUDA"
+    return "GPU" if cards else "CPU"
+
+
+def set_up(scene: bpy.types.Scene, device: str, rng: np.random.Generator) -> dict:
+    """What the renders of a clip have in common; returns the choices."""
+    cycles, render, layer = scene.cycles, scene.render, scene.view_layers[0]
+    cycles.device = device
+    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    cycles.sampling_pattern = str(rng.choice(PATTERNS))
+    cycles.sample_clamp_indirect = float(rng.choice([10.0, 0.0], p=[0.6, 0.4]))
+    cycles.max_bounces = int(rng.choice([12, 6, 24], p=[0.7, 0.2, 0.1]))
+    cycles.diffuse_bounces = cycles.glossy_bounces = int(rng.choice([4, 8]))
+    cycles.volume_bounces = int(rng.choice([0, 1, 2, 4], p=[0.4, 0.2, 0.2, 0.2]))
+    cycles.pixel_filter_type = str(rng.choice(["BLACKMAN_HARRIS", "BOX", "GAUSSIAN"], p=[0.8, 0.1, 0.1]))
+    cycles.filter_width = 1.5
+    render.use_persistent_data = True
+    render.threads_mode, render.threads = "FIXED", THREADS
+    render.film_transparent = bool(rng.random() < 0.1)
+    render.image_settings.media_type = "MULTI_LAYER_IMAGE"
+    render.image_settings.file_format = "OPEN_EXR_MULTILAYER"
+    render.image_settings.color_depth, render.image_settings.exr_codec = "16", "NONE"
+    render.use_compositing = render.use_sequencer = False
+    layer.use_pass_z = layer.use_pass_normal = True
+    layer.use_pass_diffuse_color = layer.use_pass_glossy_color = True
+    layer.cycles.denoising_store_passes = True
+    return {"filter": cycles.pixel_filter_type, "clamp": cycles.sample_clamp_indirect}
+
+
+def shoot(scene: bpy.types.Scene, path: Path, frame: int, size: tuple[int, int], spp: int, seed: int) -> None:
+    """Render one frame into an EXR file."""
+    scene.render.resolution_x, scene.render.resolution_y = size
+    scene.render.resolution_percentage = 100
+    scene.cycles.samples, scene.cycles.seed = spp, seed
+    scene.frame_set(frame)
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+
+
+def probe(scene: bpy.types.Scene, folder: Path, frame: int) -> tuple[float, float, float]:
+    """A coarse look at a frame: log-average luminance, share of black, and share of pixels at edges of the planes."""
+    path = folder / "probe.exr"
+    blur, scene.render.use_motion_blur = scene.render.use_motion_blur, False
+    shoot(scene, path, frame, (32, 32), 32, 7)
+    scene.render.use_motion_blur = blur
+    light = pixels_of(path, "Combined") @ np.array([0.2126, 0.7152, 0.0722])
+    level = float(np.exp(np.log(light + 1e-4 * light.mean() + 1e-9).mean()))
+    normal, albedo = pixels_of(path, "Normal"), pixels_of(path, "Denoising Albedo")
+    change = [np.abs(np.diff(plane, axis=axis)).max(-1)[:31, :31] for plane in (normal, albedo) for axis in (0, 1)]
+    return level, float((light < 1e-6).mean()), float((np.max(change, 0) > 0.15).mean())
+
+
+def pixels_of(path: Path, name: str) -> np.ndarray:
+    """Three channels (h, w, 3) of a pass of a file that Blender wrote, a part each."""
+    data, part = oiio.ImageInput.open(str(path)), 0
+    while data.seek_subimage(part, 0):
+        spec = data.spec()
+        if f".{name}." in spec.channelnames[0]:
+            return np.array(data.read_image(part, 0, 0, 3, "float")).reshape(spec.height, spec.width, 3)
+        part += 1
+    raise KeyError(f"{path}: no pass {name}")
+
+
+def make(request: dict, library: Library) -> dict:
+    """Build and render a clip; returns its facts."""
+    folder, rng = Path(request["folder"]), np.random.default_rng([request["seed"], request["clip"]])
+    names, weights = zip(*kinds.KINDS.items(), strict=True)
+    frames, (w, h) = request["frames"], (request["width"], request["height"])
+    for attempt in range(6):
+        kind = request["kind"] or str(rng.choice(names, p=np.array(weights) / sum(weights)))
+        shot = kinds.build(kind, library, frames, w, rng)
+        scene = bpy.context.scene
+        shot.facts |= set_up(scene, use_device(), rng) | {"attempt": attempt}
+        level, black, edges = probe(scene, folder, frames // 2)
+        if level > 1e-5 and black < 0.4 and edges > 0.06:
+            break
+    scene.cycles.film_exposure = 0.2 * 2 ** rng.normal(0, 0.5) / level
+    output = (round(w * request["scale"]), round(h * request["scale"]))
+    layer, blur = scene.view_layers[0], shot.facts["blur"]
+    seeds = iter(rng.integers(1, 1 << 30, 64 * frames).tolist())
+    for frame in range(frames):
+        layer.use_pass_vector = not blur
+        for k, spp in enumerate(request["spp"]):
+            shoot(scene, folder / f"noisy.{k}.{frame:02d}.exr", frame, (w, h), spp, next(seeds))
+        shoot(scene, folder / f"half.0.{frame:02d}.exr", frame, output, request["half_spp"], next(seeds))
+        shoot(scene, folder / f"half.1.{frame:02d}.exr", frame, output, request["half_spp"], next(seeds))
+        if blur:
+            scene.render.use_motion_blur, layer.use_pass_vector = False, True
+            shoot(scene, folder / f"vectors.{frame:02d}.exr", frame, (w, h), 1, next(seeds))
+            scene.render.use_motion_blur = True
+    return shot.facts | {"level": level}
+
+
+def main() -> None:
+    answers = os.fdopen(os.dup(1), "w")  # Blender writes its own lines to standard output
+    os.dup2(2, 1)
+    library = None
+    print(json.dumps({"ready": use_device()}), file=answers, flush=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        library = library or Library(request["library"] and Path(request["library"]))
+        try:
+            answer = {"facts": make(request, library)}
+        except Exception as fault:  # the next clip is another scene
+            traceback.print_exc()
+            answer = {"error": f"{type(fault).__name__}: {fault}"}
+        print(json.dumps({"clip": request["clip"], **answer}), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()
