@@ -1,0 +1,53 @@
+"""The networks by kinds of content, on a small set of Cycles clips that none was trained on."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from training.datagen.clip_file import load_clip
+from training.measure.kinds import halves, main, network_method, oidn_method, score_render, show, table
+
+CLIPS = Path(__file__).parent / "kinds"
+GAINS = {  # dB of m over Open Image Denoise and cubic interpolation at 2 samples a pixel, as measured, rounded down
+    "dof": 1.7, "fog": -0.9, "foliage": 2.1, "fur": 2.9, "glass": 2.2, "indirect": 3.0, "interior": 2.4,
+    "motion_blur": 0.1, "outdoor": 0.7, "product": 0.2, "text": 1.5,
+}
+SPREAD = 0.3  # dB: processors round integers differently
+
+
+@pytest.mark.parametrize("kind", sorted(GAINS))
+def test_a_network_keeps_its_lead_on_every_kind(kind):
+    pytest.importorskip("pyoidn")
+    clip = load_clip(CLIPS / f"{kind}.2.npz")
+    free = score_render(clip, 0, oidn_method(clip["reference"].shape[1:3]))
+    assert score_render(clip, 0, network_method("m", clip["scale"])) - free > GAINS[kind] - SPREAD
+
+
+def test_errors_are_measured_without_the_noise_of_the_reference():
+    """A method that gives what both halves scatter around has hardly an error, however noisy they are."""
+    clip = load_clip(CLIPS / "product.2.npz")
+    rng = np.random.default_rng(0)
+    true = np.full_like(clip["reference"].astype(np.float32), 0.2)
+    noise = rng.normal(0, 0.02, (2, *true.shape)).astype(np.float32)
+    clip |= {"reference": true + noise.mean(0), "half": true + noise[1]}
+    first, second = halves(clip, 0)
+    np.testing.assert_allclose(first, true + noise[0], atol=1e-3)
+    plain = np.mean((show(true, 1) - show(second, 1)) ** 2)
+    assert abs(np.mean((show(true, 1) - show(first, 1)) * (show(true, 1) - show(second, 1)))) < 0.02 * plain
+
+
+def test_the_command_prints_a_table_and_refuses_an_empty_folder(tmp_path, capsys):
+    rows = [{"kind": "fog", "oidn": 30.0, "m": 31.0}, {"kind": "fog", "oidn": 32.0, "m": 31.5}]
+    assert "| fog | 2 | 31.00 | +0.25 | -0.50 |" in table(rows, ["m"])
+    with pytest.raises(SystemExit):
+        main(["score", str(tmp_path)])
+    assert "holds no clips" in capsys.readouterr().err
+
+
+def test_a_packed_clip_keeps_its_middle_and_its_noisiest_render(tmp_path):
+    assert main(["pack", str(CLIPS), str(tmp_path)]) == 0
+    packed, whole = load_clip(tmp_path / "text.2.npz"), load_clip(CLIPS / "text.2.npz")
+    assert packed["variants"] == 1 and packed["v0_spp"] == whole["v0_spp"]
+    assert packed["reference"].shape == whole["reference"].shape  # it is as small already
+    np.testing.assert_array_equal(packed["v0_colour"], whole["v0_colour"])

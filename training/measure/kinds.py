@@ -1,0 +1,159 @@
+"""Networks and Open Image Denoise on kinds of content, by Cycles clips that nobody trained on.
+
+    python -m training.measure.kinds score CLIPS [--models m,s] [--json FILE]     a table by kind
+    python -m training.measure.kinds pack CLIPS FOLDER                            a small set of them, for tests
+
+CLIPS holds .npz files of `training.datagen.render --blender ...`, drawn with seeds from 9000 on. Pictures are compared
+after exposure, x/(1+x) and the sRGB curve, in the second half of the frames. The squared error is the mean of the
+product of the differences from two independent halves of the reference, so the reference's own noise does not count.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from postfx import DenoiseUpscale, Device, Frame, Pipeline
+from postfx.bench.baselines import HostKernels, Oidn
+from postfx.bench.metrics import grey_exposure
+from postfx.frame import Role
+from training.datagen.clip_file import load_clip
+
+PLANES = ("colour", "diffuse_albedo", "specular_albedo", "normal", "depth", "motion")
+PACKED_FRAMES, PACKED_SIDE = 4, 64  # of the small set: render pixels in the middle of a clip
+Method = Callable[[Frame], np.ndarray]
+
+
+def frames_of(clip: dict, variant: int, exposure: float) -> Iterator[Frame]:
+    """The frames of one noisy render. Where a clip has no motion, each frame begins anew."""
+    for t in range(len(clip["reference"])):
+        planes = {Role(name): clip[f"v{variant}_{name}"][t].astype(np.float32) for name in PLANES}
+        planes[Role.DEPTH] = planes[Role.DEPTH][..., None]
+        yield Frame(planes, number=t, exposure=exposure, reset=bool(clip["reset"][t]))
+
+
+def halves(clip: dict, variant: int) -> tuple[np.ndarray, np.ndarray]:
+    """Two independent references (T, H, W, 3); for a render made of the first one there is only the second."""
+    second = clip["half"].astype(np.float32)
+    first = second if clip[f"v{variant}_half"] else 2 * clip["reference"].astype(np.float32) - second
+    return first, second
+
+
+def show(colour: np.ndarray, exposure: float) -> np.ndarray:
+    """Display-encoded colour as pictures are compared."""
+    x = np.maximum(colour * exposure, 0)
+    x = x / (1 + x)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def oidn_method(size: tuple[int, int]) -> Method:
+    """Open Image Denoise, high quality with albedo and normal, enlarged by cubic interpolation."""
+    oidn, kernels = Oidn("high", "cpu", 2), HostKernels(Device())
+    return lambda frame: kernels.enlarge(oidn(frame), *size, (0.0, 0.0))
+
+
+def network_method(model: str, scale: float) -> Method:
+    passes = Pipeline([DenoiseUpscale(scale=scale, model=model)])
+    return lambda frame: passes(frame).planes[Role.COLOUR]
+
+
+def score_render(clip: dict, variant: int, method: Method) -> float:
+    """PSNR in dB of the second half of the frames."""
+    exposure = grey_exposure(clip["reference"][0].astype(np.float32).clip(0))
+    first, second = halves(clip, variant)
+    errors = []
+    for t, frame in enumerate(frames_of(clip, variant, exposure)):
+        found = show(method(frame), exposure)
+        errors.append(np.mean((found - show(first[t], exposure)) * (found - show(second[t], exposure))))
+    return float(-10 * np.log10(max(np.mean(errors[len(errors) // 2:]), 1e-9)))
+
+
+def score(paths: list[Path], models: list[str]) -> list[dict]:
+    """A row for each clip and noisy render: kind, scale, samples a pixel, and PSNR by method."""
+    rows = []
+    for path in paths:
+        clip = load_clip(path)
+        scale, size = round(clip["scale"], 3), clip["reference"].shape[1:3]
+        for variant in range(clip["variants"]):
+            row = {"clip": path.stem, "kind": clip["meta"]["kind"], "scale": scale, "spp": int(clip[f"v{variant}_spp"]),
+                   "oidn": score_render(clip, variant, oidn_method(size))}
+            rows.append(row | {m: score_render(clip, variant, network_method(m, scale)) for m in models})
+            print(json.dumps({k: round(v, 2) if isinstance(v, float) else v for k, v in rows[-1].items()}),
+                  file=sys.stderr, flush=True)
+    return rows
+
+
+def table(rows: list[dict], models: list[str]) -> str:
+    """Markdown: a row for each kind with the mean PSNR of OIDN and what each network gains, and the least of it."""
+    by_kind = defaultdict(list)
+    for row in rows:
+        by_kind[row["kind"]].append(row)
+    lines = ["| kind | renders | OIDN high, dB | " + " | ".join(f"{m}, dB more | least" for m in models) + " |",
+             "| --- | --- | --- |" + " --- | --- |" * len(models)]
+    for kind, found in sorted(by_kind.items()):
+        cells = [kind, str(len(found)), f"{np.mean([row['oidn'] for row in found]):.2f}"]
+        for model in models:
+            gains = [row[model] - row["oidn"] for row in found]
+            cells += [f"{np.mean(gains):+.2f}", f"{min(gains):+.2f}"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def pack(paths: list[Path], folder: Path) -> None:
+    """The middle of each clip, its noisiest render and both halves of its reference, compressed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in paths:
+        with np.load(path) as file:
+            clip = dict(file)
+        noisiest = min(range(sum(name.endswith("_spp") for name in clip)), key=lambda v: int(clip[f"v{v}_spp"]))
+        kept = {}
+        for name, values in clip.items():
+            if name.startswith("v"):
+                if not name.startswith(f"v{noisiest}_"):
+                    continue
+                name = f"v0_{name.split('_', 1)[1]}"
+            kept[name] = middle(values, float(clip["scale"]) if name in ("reference", "half") else 1.0)
+        np.savez_compressed(folder / path.name, **kept)
+
+
+def middle(values: np.ndarray, scale: float) -> np.ndarray:
+    """The first frames of a picture (T, h, w, ...), its middle; other arrays as they are."""
+    if values.ndim < 3:
+        return values[:PACKED_FRAMES] if values.ndim else values
+    side = min(round(PACKED_SIDE * scale), values.shape[1])
+    first = (values.shape[1] - side) // 2
+    return values[:PACKED_FRAMES, first:first + side, first:first + side]
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", choices=("score", "pack"))
+    parser.add_argument("clips", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?", help="pack: where the small set goes")
+    parser.add_argument("--models", default="m", help="tags of networks, with commas between")
+    parser.add_argument("--json", type=Path, help="write all rows there")
+    args = parser.parse_args(argv)
+    paths = sorted(args.clips.glob("*.npz"))
+    if not paths:
+        parser.error(f"{args.clips} holds no clips: name the folder of .npz files")
+    if args.command == "pack":
+        if args.folder is None:
+            parser.error("pack needs a folder to write to")
+        pack(paths, args.folder)
+        return 0
+    models = args.models.split(",")
+    rows = score(paths, models)
+    if args.json:
+        args.json.write_text(json.dumps(rows, indent=1))
+    print(table(rows, models))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
