@@ -7,11 +7,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from postfx.kernels import numeric
-from postfx.kernels.numeric import MAX_COLOUR
+from postfx.kernels.denoise import layout
+from postfx.kernels.denoise.layout import MAX_COLOUR
 
 TAPS = 5
-TINY = float(numeric.TINY)
+TINY = float(layout.TINY)
 MAX_SPAN = 4  # pixels that one pixel of a picture up to 3 times as small touches, along a line
 
 

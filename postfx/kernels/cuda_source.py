@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from postfx.kernels.denoise import layout
-from postfx.kernels.numeric import MAX_COLOUR, TINY
 
 SOURCES = Path(__file__).parent
 _KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\(\w+\) )?(\w+)\(')
@@ -17,10 +16,11 @@ _LAYOUT = (
     "HIDDEN", "KERNEL", "TAP_WEIGHTS", "BLEND", "SHARPEN", "MIX", "DISTRUST", "IMPORTANCE", "MEMORY", "FINE",
     "EXPOSURE", "JITTER_X", "JITTER_Y", "GAIN",
     "TOP", "LEFT", "HEIGHT", "WIDTH", "OUT_TOP", "OUT_LEFT", "OUT_HEIGHT", "OUT_WIDTH",
-    "TRUST_CELL", "DOUBT", "FAINT", "MAX_COUNT", "MAX_DEPTH", "MAX_FLOAT", "MOST_LOG", "MOST_STATE",
+    "TRUST_CELL", "DOUBT", "FAINT", "MAX_COLOUR", "TINY", "MAX_COUNT", "MAX_DEPTH", "MAX_FLOAT",
+    "MOST_LOG", "MOST_STATE",
 )
 CONSTANTS: dict[str, int | float | np.float32] = {
-    "MAX_COLOUR": MAX_COLOUR, "TINY": TINY, **{name: getattr(layout, name) for name in _LAYOUT}}
+    name: getattr(layout, name) for name in _LAYOUT}
 """Numbers that CUDA kernels take from Python, by name."""
 
 

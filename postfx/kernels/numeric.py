@@ -7,13 +7,10 @@ import numpy as np
 from numba import njit
 
 from postfx.kernels.compile_cache import KernelCache
+from postfx.kernels.denoise.layout import MAX_COLOUR
 
 Real: TypeAlias = Any
 """A number or truth value in a kernel: Numba compiles a function for the types that it is called with."""
-
-MAX_COLOUR = 1e4
-TINY = np.float32(1e-8)
-"""No sum of weights that counts is smaller."""
 
 
 def kernel_jit(**options: Any) -> Callable[[Callable[..., Any]], Any]:

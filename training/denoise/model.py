@@ -12,25 +12,29 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise.layout import DOUBT, FAINT, TRUST_CELL
+from postfx.kernels.denoise.layout import (
+    BLEND,
+    DISTRUST,
+    DOUBT,
+    FAINT,
+    FEATURES,
+    FINE,
+    GUIDES,
+    HIDDEN,
+    IMPORTANCE,
+    KERNEL,
+    MAX_COUNT,
+    MEMORY,
+    MIX,
+    SHARPEN,
+    TRUST_CELL,
+)
 from training import ops
 from training.ops import TINY, nearest_index, pick, shifted
 
 # The network --------------------------------------------------------------------------------------------------------
 # U-Net that looks at a frame's features and says how to filter it: the machine-learning part of the upscaler.
 
-HIDDEN = 8
-KERNEL = 25
-PHASES = 36
-# Channels of the fine head, in order: 5x5 kernel, 3x3 weights at four phases, history blend and sharpening at four
-# phases each, mix, distrust, importance, hidden state.
-BLEND = KERNEL + PHASES
-SHARPEN = BLEND + 4
-MIX, DISTRUST, IMPORTANCE = BLEND + 8, BLEND + 9, BLEND + 10
-MEMORY = BLEND + 11
-FINE = MEMORY + HIDDEN
-FEATURES = 27 + HIDDEN
-GUIDES = 4 * 11  # diffuse and specular albedo, normal, roughness, depth at each of the four phases
 NO_SHARPENING = -3.0  # where the head's biases start
 LEVELS = 4  # of the filter pyramid, below the render size
 
@@ -385,7 +389,6 @@ def reflectance(factor: Tensor, own: Tensor) -> Reflectance:
 
 # The recurrent step -------------------------------------------------------------------------------------------------
 
-MAX_COUNT = 32.0
 MEAN_CELL = 8  # render pixels
 MAX_DEPTH = 1e10
 MAX_FLOAT = 3e38

@@ -16,6 +16,7 @@ from postfx.kernels.denoise.layout import (
     JITTER_X,
     JITTER_Y,
     LEFT,
+    MAX_COLOUR,
     MAX_COUNT,
     MAX_DEPTH,
     MAX_FLOAT,
@@ -31,7 +32,6 @@ from postfx.kernels.denoise.layout import (
 )
 from postfx.kernels.denoise.reactive import kept_row
 from postfx.kernels.numeric import (
-    MAX_COLOUR,
     Real,
     clamp,
     compiled,

@@ -19,7 +19,8 @@ does not hold a pixel that lies in the frame. ``finer_rows`` and ``finer_columns
 level's cells begin, -1 before its first, ``coarse_rows`` and ``coarse_columns`` in which cells of the coarser one its
 pixels lie.
 
-Numbers are defined here once: `postfx.kernels.cuda_source` prints them for the CUDA kernels, and training imports them.
+Numbers are defined here once: `postfx.kernels.cuda_source` prints them for the CUDA kernels, and training imports them,
+also on machines without Numba.
 """
 
 from collections.abc import Callable
@@ -46,6 +47,8 @@ TRUST_CELL, DOUBT, FAINT = 8, np.float32(0.7), np.float32(1e-4)
 """Of guides: render pixels along a side of what is judged at once, how much what disagrees takes away, and the squared
 relative detail below which nothing is judged."""
 MAX_COUNT = 32.0
+MAX_COLOUR = 1e4
+TINY = np.float32(1e-8)  # no sum of weights that counts is smaller
 MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
 MOST_LOG, MOST_STATE = np.float32(20), np.float32(3e5)
 """Beyond what is ever kept from frame to frame, log-encoded light and all of a pixel's state: there the history is

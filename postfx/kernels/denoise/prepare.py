@@ -15,6 +15,7 @@ from postfx.kernels.denoise.layout import (
     HIDDEN,
     IMPORTANCE,
     LEFT,
+    MAX_COLOUR,
     MAX_COUNT,
     MAX_FLOAT,
     MEMORY,
@@ -23,7 +24,7 @@ from postfx.kernels.denoise.layout import (
     TOP,
     kernel,
 )
-from postfx.kernels.numeric import MAX_COLOUR, Real, clamp, compiled, demodulation, inline, summed
+from postfx.kernels.numeric import Real, clamp, compiled, demodulation, inline, summed
 
 ZERO, ONE = np.float32(0), np.float32(1)
 NEAREST, FARTHEST, MOST_MOTION = np.float32(1e-6), np.float32(1e9), np.float32(1e5)

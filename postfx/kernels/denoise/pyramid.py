@@ -6,8 +6,8 @@ those of the whole frame do, so a window's first row or column may be the second
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import BOTH, KERNEL, MIX, REFLECTANCE, kernel
-from postfx.kernels.numeric import TINY, add, add_product, compiled, demodulation, inline, vectorised
+from postfx.kernels.denoise.layout import BOTH, KERNEL, MIX, REFLECTANCE, TINY, kernel
+from postfx.kernels.numeric import add, add_product, compiled, demodulation, inline, vectorised
 
 ZERO = np.float32(0)
 

@@ -7,8 +7,8 @@ more than its own mask allows, nor than that of the place where it was in the fr
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import MAX_FLOAT, kernel
-from postfx.kernels.numeric import MAX_COLOUR, Real, clamp, compiled
+from postfx.kernels.denoise.layout import MAX_COLOUR, MAX_FLOAT, kernel
+from postfx.kernels.numeric import Real, clamp, compiled
 
 ZERO, ONE = np.float32(0), np.float32(1)
 SPREAD = 1  # render pixels

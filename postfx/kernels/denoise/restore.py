@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import EXPOSURE, MAX_FLOAT, PLANES, kernel
-from postfx.kernels.numeric import MAX_COLOUR, Real, add_product, clamp, compiled, inline, vectorised
+from postfx.kernels.denoise.layout import EXPOSURE, MAX_COLOUR, MAX_FLOAT, PLANES, kernel
+from postfx.kernels.numeric import Real, add_product, clamp, compiled, inline, vectorised
 
 TILE = 16
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (0, 4), (4, 0))

@@ -32,13 +32,13 @@ from postfx.kernels.denoise.layout import (
     OUT_WIDTH,
     SHARPEN,
     TAP_WEIGHTS,
+    TINY,
     TOP,
     WIDTH,
     kernel,
 )
 from postfx.kernels.denoise.reactive import kept_row
 from postfx.kernels.numeric import (
-    TINY,
     Real,
     add,
     add_product,
