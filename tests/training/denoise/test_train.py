@@ -226,7 +226,7 @@ def trainer(clips: Path, out: Path, minutes: float, start: Path | None = None,
     args = argparse.Namespace(
         clips=clips, out=out, minutes=minutes, batch=2, rate=1e-3, widths=list(SMALL.widths), depth=SMALL.depth,
         flicker=1.0, reset=0.1, start=start, resume=resume, steps=steps, wait=2, seed=0, crop=48, guides=False,
-        both_ways=both_ways, even=False, clean=0.0, stem=SMALL.stem, reach=SMALL.reach)
+        both_ways=both_ways, even=False, clean=0.0, stem=SMALL.stem, reach=SMALL.reach, trust=False)
     torch.manual_seed(0)
     return train.Trainer(args, 0, 1, torch.device("cpu"))
 
