@@ -16,6 +16,7 @@ from torch import nn
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.guides import GUIDE, TRUST
 from postfx.kernels.denoise.history import HISTORY
+from postfx.kernels.denoise.layout import FINE, GUIDES, HIDDEN, KERNEL, PHASES
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,
@@ -36,7 +37,7 @@ from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
 from postfx.passes.denoise.models import GUIDED, UNSCALED, parted
 from postfx.passes.denoise.network import FEATURE_PARTS, PHASED_FINE
-from training.denoise.model import FINE, GUIDES, HIDDEN, KERNEL, PHASES, Trunk, TrunkConfig, stem
+from training.denoise.model import Trunk, TrunkConfig, stem
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.kernels import denoise as kernels
 from training.kernels import extras
