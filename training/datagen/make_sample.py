@@ -42,7 +42,7 @@ def main() -> None:
     )
     from training.datagen.clip_file import exposure_of
     from training.datagen.scenes.build import BuiltScene
-    from training.datagen.scenes.sample_room import sample_camera, sample_room
+    from training.datagen.scenes.room import sample_camera, sample_room
     from training.datagen.to_exr import CHANNELS, frame_header, write_exr
     from training.datagen.tracing import Tracer
 

@@ -8,10 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from training.datagen.scenes.build import FOLLOW, ROW, BuiltScene, anchors
+from training.datagen.scenes.build import FOLLOW, ROW, BuiltScene, Motions, anchors
 from training.datagen.scenes.materials import palette
 from training.datagen.scenes.motion import Camera
-from training.datagen.scenes.moved import Motions
 
 # Paths of light -----------------------------------------------------------------------------------------------------
 # Primary surface replacement: through mirrors and glass to the surface that is seen in them.

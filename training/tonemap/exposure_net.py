@@ -14,8 +14,7 @@ import torch.nn.functional as F
 from torch import nn
 
 from postfx.colour.primaries import LUMA_REC2020
-from training.tonemap.local_laplacian import MID_GREY
-from training.tonemap.looks import BLACK
+from training.tonemap.looks import BLACK, MID_GREY
 from training.tonemap.model import SHAPER, SIDE, Shaper, look_up, lowres, shape
 
 SHARES = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)  # of the pixels, which are below a level

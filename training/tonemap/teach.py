@@ -14,8 +14,7 @@ import torch
 import torch.nn.functional as F
 
 from training.tonemap.exposure_net import Exposure, levels
-from training.tonemap.local_laplacian import LUMINANCE
-from training.tonemap.looks import Look, before_view, describe, key_stops, log_luminance
+from training.tonemap.looks import LUMINANCE, Look, before_view, describe, key_stops, log_luminance
 from training.tonemap.loop import (
     CONSISTENCY,
     SHIFT,

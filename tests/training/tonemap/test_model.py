@@ -20,8 +20,11 @@ from training.tonemap import model as network  # noqa: E402
 from training.tonemap import teach  # noqa: E402
 from training.tonemap.export import STEADY, STEADY_EXPOSURE, export_look  # noqa: E402
 from training.tonemap.exposure_net import FARTHEST, SHARES, Exposure, levels  # noqa: E402
-from training.tonemap.local_laplacian import compress, local_laplacian  # noqa: E402
-from training.tonemap.looks import LOOKS  # noqa: E402
+from training.tonemap.looks import (  # noqa: E402
+    LOOKS,  # noqa: E402
+    compress,
+    local_laplacian,
+)
 from training.tonemap.loop import Recipe, start_network, train, weights_of  # noqa: E402
 from training.tonemap.model import CUBE, SHAPER, default_shaper, lattice, look_up, shape  # noqa: E402
 from training.tonemap.pictures import LARGEST, Pictures  # noqa: E402

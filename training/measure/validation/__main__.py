@@ -57,7 +57,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.command == "render":
         return run(args, worker_command("training.measure.validation.worker", args, handed))
     if args.command == "sheet":
-        from training.measure.validation.sheet import draw
+        from training.measure.validation.clips import draw
 
         draw(clips(args.clips), args.target)
     if args.command == "expand":
