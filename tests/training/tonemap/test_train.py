@@ -64,10 +64,11 @@ def teach(*words: str) -> str:
 
 
 def teach_here(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
-    """The same without a start of Python and its libraries."""
+    """The same without a start of Python and its libraries; a network is trained for a step or two only."""
     from training.tonemap import train
 
-    monkeypatch.setattr(sys, "argv", ["train_tonemap", *words])
+    short = ["--minutes", "0.01", "--batch", "1", "--scale", "0.1"]
+    monkeypatch.setattr(sys, "argv", ["train_tonemap", *words, *short])
     train.main()
 
 
@@ -155,8 +156,7 @@ def test_a_local_look_is_trained_and_exported(tmp_path: Path, monkeypatch: pytes
     for i in range(2):
         write(tmp_path / "hdr" / f"{i}.exr", picture(i))
     words = ["--target", "local", "--pictures", str(tmp_path / "hdr/*.exr"), "--hold-out", "1", "--start", "none"]
-    words += ["--minutes", "0.02", "--batch", "1", "--scale", "0.1", "-o", str(tmp_path / "run")]
-    teach_here(monkeypatch, "small", *words)
+    teach_here(monkeypatch, "small", *words, "-o", str(tmp_path / "run"))
     card = json.loads((tmp_path / "run" / "tonemap.small.json").read_text())
     assert card["parameters"] == 488_352 and card["training"]["runs"][0]["steps"] > 0
     assert (tmp_path / "run" / "log.jsonl").read_text().count("\n") >= 1
