@@ -22,6 +22,7 @@ import numpy as np
 from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.bench.baselines import HostKernels, Oidn
 from postfx.bench.metrics import grey_exposure
+from postfx.exposure.views import shown
 from postfx.frame import Role
 from training.datagen.clip_file import load_clip
 
@@ -45,13 +46,6 @@ def halves(clip: dict, variant: int) -> tuple[np.ndarray, np.ndarray]:
     return first, second
 
 
-def show(colour: np.ndarray, exposure: float) -> np.ndarray:
-    """Display-encoded colour as pictures are compared."""
-    x = np.maximum(colour * exposure, 0)
-    x = x / (1 + x)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
-
-
 def oidn_method(size: tuple[int, int]) -> Method:
     """Open Image Denoise, high quality with albedo and normal, enlarged by cubic interpolation."""
     oidn, kernels = Oidn("high", "cpu", 2), HostKernels(Device())
@@ -69,8 +63,8 @@ def score_render(clip: dict, variant: int, method: Method) -> float:
     first, second = halves(clip, variant)
     errors = []
     for t, frame in enumerate(frames_of(clip, variant, exposure)):
-        found = show(method(frame), exposure)
-        errors.append(np.mean((found - show(first[t], exposure)) * (found - show(second[t], exposure))))
+        found = shown(method(frame), exposure)
+        errors.append(np.mean((found - shown(first[t], exposure)) * (found - shown(second[t], exposure))))
     return float(-10 * np.log10(max(np.mean(errors[len(errors) // 2:]), 1e-9)))
 
 

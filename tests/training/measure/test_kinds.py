@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.exposure.views import shown
 from training.datagen.clip_file import load_clip
-from training.measure.kinds import halves, main, network_method, oidn_method, score_render, show, table
+from training.measure.kinds import halves, main, network_method, oidn_method, score_render, table
 
 CLIPS = Path(__file__).parent / "kinds"
 GAINS = {  # dB of m over Open Image Denoise and cubic interpolation at 2 samples a pixel, as measured, rounded down
@@ -33,8 +34,8 @@ def test_errors_are_measured_without_the_noise_of_the_reference():
     clip |= {"reference": true + noise.mean(0), "half": true + noise[1]}
     first, second = halves(clip, 0)
     np.testing.assert_allclose(first, true + noise[0], atol=1e-3)
-    plain = np.mean((show(true, 1) - show(second, 1)) ** 2)
-    assert abs(np.mean((show(true, 1) - show(first, 1)) * (show(true, 1) - show(second, 1)))) < 0.02 * plain
+    plain = np.mean((shown(true, 1) - shown(second, 1)) ** 2)
+    assert abs(np.mean((shown(true, 1) - shown(first, 1)) * (shown(true, 1) - shown(second, 1)))) < 0.02 * plain
 
 
 def test_the_command_prints_a_table_and_refuses_an_empty_folder(tmp_path, capsys):

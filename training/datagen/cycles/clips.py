@@ -19,6 +19,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 import postfx
+from training.datagen.clip_file import first_only
 
 ROOT = Path(__file__).parents[3]
 START = "import sys; sys.path.insert(0, sys.argv[1]); from training.datagen.cycles.blender.worker import main; main()"
@@ -90,7 +91,7 @@ def make_clip(blender: Blender, options: CyclesOptions, seed: int, index: int) -
         shutil.rmtree(folder)
     style = {"jitter": np.zeros((options.frames, 2), np.float32),
              "style": "box" if facts["filter"] == "BOX" else "blackman-harris"}
-    reset = np.ones(options.frames, np.uint8) if still else np.eye(1, options.frames, dtype=np.uint8)[0]
+    reset = np.ones(options.frames, np.uint8) if still else first_only(options.frames)
     colour = [half["colour"] for half in halves]
     meta = {**facts, "renderer": "cycles", "reference_spp": 2 * half_spp, "planes": "denoising" if plain else "light"}
     return ((colour[0] + colour[1]) / 2, [variant | style for variant in variants],
