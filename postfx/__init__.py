@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from postfx.frame import ROLES, Frame, FrameSpec, Role
     from postfx.io.sequence import Sequence, read_sequence
     from postfx.io.writer import write_frame
-    from postfx.passes.both_ways import BothWays
+    from postfx.passes.composite import BothWays, Overlay
     from postfx.passes.denoise import DenoiseUpscale
-    from postfx.passes.overlay import Overlay
     from postfx.passes.tonemap import ToneMap
     from postfx.pipeline import Pipeline
     from postfx.runtime import Device, Library
@@ -31,13 +30,13 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Backwards": "postfx.temporal.bidirectional",
-    "BothWays": "postfx.passes.both_ways",
+    "BothWays": "postfx.passes.composite",
     "DenoiseUpscale": "postfx.passes.denoise",
     "Device": "postfx.runtime",
     "Frame": "postfx.frame",
     "FrameSpec": "postfx.frame",
     "Library": "postfx.runtime",
-    "Overlay": "postfx.passes.overlay",
+    "Overlay": "postfx.passes.composite",
     "Pipeline": "postfx.pipeline",
     "PostfxError": "postfx.errors",
     "ROLES": "postfx.frame",

@@ -18,7 +18,7 @@ from postfx.colour.displays import parse_display
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
 from postfx.passes.base import Pass
-from postfx.passes.view import View
+from postfx.passes.display import View
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 

@@ -14,8 +14,8 @@ from postfx.colour.views import find_view
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
 from postfx.look_table import SHARE, LookTable, expose_colour
+from postfx.passes.display import View
 from postfx.passes.tonemap import ToneMap
-from postfx.passes.view import View
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 

@@ -9,9 +9,9 @@ from postfx.errors import FrameError, MissingPlaneError, PassContractError
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes.base import Pass, Reflection
+from postfx.passes.composite import Overlay
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.display import Display
-from postfx.passes.overlay import Overlay
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import BindingError, CommandError, Device, HazardError, Library

@@ -12,7 +12,7 @@ from postfx.bench.baselines import Accumulator, HostKernels, Oidn
 from postfx.errors import BenchError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
-from postfx.passes.both_ways import BothWays
+from postfx.passes.composite import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.models import PASS, UNSCALED, exact
 from postfx.pipeline import Pipeline

@@ -239,8 +239,8 @@ def display_passes(
     """
     from postfx.colour.displays import parse_display
     from postfx.colour.views import is_view
+    from postfx.passes.display import View
     from postfx.passes.registry import create
-    from postfx.passes.view import View
     from postfx.plan import Skipped
 
     if not is_picture and display is None and tonemap is None:

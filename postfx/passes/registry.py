@@ -15,11 +15,11 @@ from postfx.passes.base import Pass
 GROUP = "postfx.passes"
 BUILT_IN = {
     "denoise_upscale": "postfx.passes.denoise:DenoiseUpscale",
-    "both_ways": "postfx.passes.both_ways:BothWays",
-    "overlay": "postfx.passes.overlay:Overlay",
+    "both_ways": "postfx.passes.composite:BothWays",
+    "overlay": "postfx.passes.composite:Overlay",
     "tonemap": "postfx.passes.tonemap:ToneMap",
     "display": "postfx.passes.display:Display",
-    "view": "postfx.passes.view:View",
+    "view": "postfx.passes.display:View",
     "exposure_tool": "postfx.passes.exposure_tool:ExposureTool",
 }
 """Entry points of the passes that come with postfx, as in pyproject.toml."""
@@ -32,7 +32,7 @@ def names() -> tuple[str, ...]:
 
 def load(name: str) -> type[Pass]:
     """The class of a pass. Raises RegistryError when the name is unknown or what it points to is no pass."""
-    point = _installed().get(name) or _built_in(name)
+    point = _built_in(name) or _installed().get(name)
     if point is None:
         raise RegistryError(f"no pass '{name}': there are {', '.join(names())}")
     try:

@@ -17,7 +17,7 @@ import atheris
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 WATCHED = ["postfx.io", "postfx.masks", "postfx.cli.run_options", "postfx.system", "postfx.files", "postfx.runs",
-           "postfx.passes._tonemap_look", "postfx.runtime.models",
+           "postfx.passes.tonemap", "postfx.runtime.models",
            "postfx.runtime.model_file"]
 
 KERNELS = Path(__file__).resolve().parents[2] / "postfx/kernels"

@@ -21,7 +21,7 @@ from postfx.io.profile import BUILTIN, load_profile
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
 from postfx.masks import parse_leave
-from postfx.passes._tonemap_look import check_constants, find_model, shaper
+from postfx.passes.tonemap import check_constants, find_model, shaper
 from postfx.runs.checkpoint import About, load_checkpoint, read_about, save_checkpoint
 from postfx.runs.locks import Process, is_alive
 from postfx.runs.manifest import NAME, Manifest, Output, verify

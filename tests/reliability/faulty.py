@@ -17,8 +17,8 @@ import time
 
 import postfx.cli.job  # noqa: F401 - what a run would import first
 import postfx.colour.views  # noqa: F401
+import postfx.passes.composite  # noqa: F401
 import postfx.passes.denoise  # noqa: F401
-import postfx.passes.overlay  # noqa: F401
 import postfx.passes.tonemap  # noqa: F401
 from postfx.cli.main import main
 from postfx.errors import ReadError

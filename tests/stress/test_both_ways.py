@@ -9,7 +9,7 @@ import pytest
 
 from postfx.bench.stress import BRIGHTEST, HARD
 from postfx.frame import Frame, Role
-from postfx.passes.both_ways import BothWays
+from postfx.passes.composite import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

@@ -11,10 +11,9 @@ from postfx.bench.stress import BRIGHTEST, HARD, LIGHTS, Outcome, as_dict, as_te
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.passes.base import Pass
-from postfx.passes.display import Display
-from postfx.passes.overlay import Overlay
+from postfx.passes.composite import Overlay
+from postfx.passes.display import Display, View
 from postfx.passes.tonemap import ToneMap
-from postfx.passes.view import View
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
 from tests.passes.denoise_frames import noisy

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from postfx.frame import Frame, Role
 from postfx.kernels.image import positions, resampled
-from postfx.passes.display import Display
-from postfx.passes.overlay import Overlay
+from postfx.passes.composite import Overlay
+from postfx.passes.display import Display, View
 from postfx.passes.tonemap import ToneMap
-from postfx.passes.view import View
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import noisy

@@ -10,7 +10,7 @@ import pytest
 
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
-from postfx.passes.both_ways import BothWays
+from postfx.passes.composite import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

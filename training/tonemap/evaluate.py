@@ -27,8 +27,7 @@ from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.kernels.colour import APPLY_CUBE
 from postfx.kernels.tonemap import SLICE_APPLY
-from postfx.passes._tonemap_look import find_model, shaper
-from postfx.passes.tonemap import ToneMap
+from postfx.passes.tonemap import ToneMap, find_model, shaper
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from training.measure.quality_report.document import Block, compose, number, parse, table

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from postfx.frame import Frame, Role
+from postfx.passes.composite import Overlay
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.display import Display
 from postfx.passes.exposure_tool import ExposureTool
-from postfx.passes.overlay import Overlay
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.overlay_reference import disc, gathered, gaussian, image, over, particles, reference

@@ -1,4 +1,7 @@
-"""Transparency overlay: what covers the picture, composited after denoising and before tone mapping."""
+"""Passes that mix a plane with alpha into the colour, in scene-linear light, after denoising and before tone mapping.
+
+`Overlay` puts a transparency overlay over the picture; `BothWays` mixes in the result of the later frames.
+"""
 
 from __future__ import annotations
 
@@ -76,3 +79,39 @@ class Overlay(Pass):
     def _table(self, device: Device, spec: FrameSpec, role: Role) -> ArgumentTable:
         output = device.heap.transient(f"{role} under the overlay", (spec.height, spec.width, spec.channels(role)))
         return ArgumentTable(device.compute_state(OVER if role is Role.COLOUR else OVER_ALPHA), {"output": output})
+
+
+class BothWays(Pass):
+    """Mixes the plane `later` into the colour: later + (1 - weight) * colour, in scene-linear light.
+
+    `postfx.Backwards` makes the plane, of the upscaler's output size. Its weight is how well a pixel is known from the
+    frames after it, compared with those before: half of it in the middle of a shot, all of it where only they show
+    the pixel well. The plane is gone then. It has no options.
+    """
+
+    name: ClassVar[str] = "both_ways"
+
+    def __init__(self, **unknown: Never) -> None:
+        super().__init__(**unknown)
+
+    def reflect(self, spec: FrameSpec) -> Reflection:
+        kept = tuple(plane for plane in spec.planes if plane[0] is not Role.LATER)
+        return Reflection(reads=(Role.COLOUR, Role.LATER), writes=(Role.COLOUR,), output=replace(spec, planes=kept))
+
+    def skip(self, spec: FrameSpec) -> str | None:
+        if spec.encoding != "scene-linear":
+            return f"colour is {spec.encoding}, and both directions are mixed in scene-linear light"
+        return None if spec.has(Role.LATER) else "the frames after it were not looked at"
+
+    def compile(self, device: Device, spec: FrameSpec) -> None:
+        output = device.heap.transient("colour of both directions", (spec.height, spec.width, 3))
+        self._table = ArgumentTable(device.compute_state(OVER), {"output": output})
+        super().compile(device, spec)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        super().encode(commands, frame)
+        self._table["overlay"], self._table["colour"] = frame[Role.LATER], frame[Role.COLOUR]
+        with commands.compute_encoder("mix") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            encoder.dispatch(self._table.state, self._table)
+        frame.set(Role.COLOUR, self._table["output"])

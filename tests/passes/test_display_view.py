@@ -11,7 +11,7 @@ from postfx.colour.displays import parse_display
 from postfx.colour.views import bake, find_view, is_view
 from postfx.errors import ColourError
 from postfx.frame import Frame, Role
-from postfx.passes.view import View
+from postfx.passes.display import View
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 

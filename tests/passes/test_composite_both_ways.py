@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import Frame, Role
-from postfx.passes.both_ways import BothWays
+from postfx.passes.composite import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.plan import make_plan
