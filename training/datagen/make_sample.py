@@ -40,10 +40,10 @@ def main() -> None:
         noisy_frame,  # these import Mitsuba types, so only after the variant is set
         radical_inverse,
     )
+    from training.datagen.clip_export import CHANNELS, frame_header, write_exr
     from training.datagen.clip_file import exposure_of
     from training.datagen.scenes.build import BuiltScene
     from training.datagen.scenes.room import sample_camera, sample_room
-    from training.datagen.to_exr import CHANNELS, frame_header, write_exr
     from training.datagen.tracing import Tracer
 
     tracer, built, rng = Tracer(), BuiltScene(sample_room()), np.random.default_rng(1)

@@ -59,11 +59,11 @@ def add_farm(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", type=float, default=10, help="seconds between two lines of progress")
 
 
-def worker_command(module: str, args: argparse.Namespace, handed: list[str]) -> list[str]:
-    """How to start a worker with the options that are handed on by name."""
+def worker_command(module: str, args: argparse.Namespace, handed: list[str], *words: str) -> list[str]:
+    """How to start a worker: a module, words such as its command, and the options that are handed on by name."""
     values = {name: getattr(args, name) for name in handed}
     options = [f"--{name.replace('_', '-')}={value}" for name, value in values.items() if value is not None]
-    return [sys.executable, "-m", module, "--listen", f"--out={args.out}", f"--clips={args.clips}", *options]
+    return [sys.executable, "-m", module, *words, "--listen", f"--out={args.out}", f"--clips={args.clips}", *options]
 
 
 class Farm:

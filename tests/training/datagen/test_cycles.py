@@ -5,10 +5,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from training.datagen.clip_file import load_clip, save_clip
 from training.datagen.cycles.clips import Blender, CyclesOptions, make_clip, shrink
+from training.datagen.cycles.exchange import clip_generator, read_pass, scene_generator
 
 
 def render(scale: int) -> dict[str, np.ndarray]:
@@ -26,6 +28,38 @@ def test_a_shrunk_render_keeps_light_and_takes_depth_of_one_sample(scale):
     np.testing.assert_allclose(small["colour"].mean(), fine["colour"].mean(), rtol=1e-6)
     assert np.isin(small["depth"], fine["depth"]).all()  # no mean of two surfaces
     np.testing.assert_allclose(small["motion"], 6.0 / scale)  # in pixels of the smaller picture
+
+
+def test_kinds_and_attempts_get_bodies_of_their_own():
+    """Kinds that are built on the same studio must not show the same bodies, yet a clip is the same every time."""
+    def first(*name: object) -> float:
+        return float(scene_generator(*name).random())
+
+    kinds = ("product", "glass", "text", "fur", "dof", "motion_blur")
+    drawn = [first(7, 3, kind) for kind in kinds] + [first(7, 3, "product", 1), first(7, 4, "product"),
+                                                     first(8, 3, "product"), float(clip_generator(7, 3).random())]
+    assert len(set(drawn)) == len(drawn)
+    assert first(7, 3, "glass", 2) == first(7, 3, "glass", 2)
+    assert drawn[0] == pytest.approx(0.53761, abs=1e-5)  # the same in Blender's Python: no hash that varies
+
+
+def test_a_pass_is_found_by_name_in_a_file_of_many_parts(tmp_path):
+    names = ("Combined", "Denoising Albedo")
+    specs = []
+    for name in names:
+        spec = oiio.ImageSpec(3, 2, 4, oiio.FLOAT)
+        spec.channelnames = [f"ViewLayer.{name}.{c}" for c in "RGBA"]
+        spec.attribute("oiio:subimagename", f"ViewLayer.{name}")
+        specs.append(spec)
+    path, pixels = tmp_path / "a.exr", np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    file = oiio.ImageOutput.create(str(path))
+    assert file.open(str(path), specs) and file.write_image(pixels)
+    assert file.open(str(path), specs[1], "AppendSubimage") and file.write_image(-pixels)
+    file.close()
+    np.testing.assert_array_equal(read_pass(path, "Combined"), pixels)
+    np.testing.assert_array_equal(read_pass(path, "Denoising Albedo", 3), -pixels[..., :3])
+    with pytest.raises(KeyError, match="no pass Normal"):
+        read_pass(path, "Normal")
 
 
 def test_a_clip_keeps_the_other_half_of_its_reference(tmp_path):

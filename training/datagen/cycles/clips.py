@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 
 import postfx
 from training.datagen.clip_file import first_only
+from training.datagen.cycles.exchange import half_file, noisy_file, read_pass, vectors_file
 
 ROOT = Path(__file__).parents[3]
 START = "import sys; sys.path.insert(0, sys.argv[1]); from training.datagen.cycles.blender.worker import main; main()"
@@ -81,9 +81,11 @@ def make_clip(blender: Blender, options: CyclesOptions, seed: int, index: int) -
                                width=options.width, height=options.height, scale=scale, spp=spp, half_spp=half_spp)
         # Files often hold the albedo for Cycles' denoiser alone, and with motion blur they have no vectors.
         plain, still = rng.random() < 0.3, facts["blur"] and rng.random() < 0.5
-        variants = [read_render(folder, f"noisy.{k}", options.frames, plain, facts["blur"] and not still) | {"spp": n}
-                    for k, n in enumerate(spp)]
-        halves = [read_render(folder, f"half.{k}", options.frames, plain, False) for k in range(2)]
+        numbers = range(options.frames)
+        vectors = [vectors_file(folder, n) for n in numbers] if facts["blur"] and not still else None
+        variants = [read_render([noisy_file(folder, k, n) for n in numbers], plain, vectors) | {"spp": count}
+                    for k, count in enumerate(spp)]
+        halves = [read_render([half_file(folder, k, n) for n in numbers], plain) for k in range(2)]
         if scale == int(scale):
             fine = halves[0] | {"motion": read_motion(folder, facts, options.frames, halves[0], still, scale)}
             variants.append(shrink(fine, int(scale)) | {"spp": int(half_spp * scale**2), "half": True})
@@ -99,17 +101,19 @@ def make_clip(blender: Blender, options: CyclesOptions, seed: int, index: int) -
              "half": colour[1]})
 
 
-def read_render(folder: Path, name: str, frames: int, plain: bool, vectors: bool) -> dict[str, np.ndarray]:
-    """Planes (T, h, w, C) of a render; depth and roughness (T, h, w)."""
+def read_render(paths: list[Path], plain: bool, vectors: list[Path] | None = None) -> dict[str, np.ndarray]:
+    """Planes (T, h, w, C) of a render, a file a frame; depth and roughness (T, h, w).
+
+    ``plain``: the albedo is the one for Cycles' denoiser. ``vectors``: files that motion is read from instead.
+    """
     found: dict[str, list[np.ndarray]] = {key: [] for key in NAMES}
-    for number in range(frames):
-        path = folder / f"{name}.{number:02d}.exr"
+    for number, path in enumerate(paths):
         planes = read_planes(path)
         if plain:
             planes |= {"diffuse_albedo": np.clip(read_pass(path, "Denoising Albedo"), 0, 1),
                        "specular_albedo": np.zeros_like(planes["colour"])}
         if vectors:
-            planes["motion"] = read_planes(folder / f"vectors.{number:02d}.exr")["motion"]
+            planes["motion"] = read_planes(vectors[number])["motion"]
         for key, values in found.items():
             values.append(planes[key] if key in planes else np.zeros((*planes["colour"].shape[:2], 2), np.float32))
     stacked = {key: np.stack(values) for key, values in found.items()}
@@ -121,7 +125,7 @@ def read_motion(folder: Path, facts: dict, frames: int, render: dict, still: boo
     """Motion (T, H, W, 2) at output size, in its pixels."""
     if not facts["blur"] or still:
         return render["motion"]
-    small = np.stack([read_planes(folder / f"vectors.{n:02d}.exr")["motion"] for n in range(frames)])
+    small = np.stack([read_planes(vectors_file(folder, n))["motion"] for n in range(frames)])
     return scale * small.repeat(int(scale), 1).repeat(int(scale), 2)
 
 
@@ -129,17 +133,6 @@ def read_planes(path: Path) -> dict[str, np.ndarray]:
     """Planes (h, w, C) by name as the project's reader finds them."""
     frame, = postfx.read_sequence(str(path))
     return {role.value: np.asarray(values, np.float32) for role, values in frame.planes.items()}
-
-
-def read_pass(path: Path, name: str) -> np.ndarray:
-    """A pass (h, w, C) by Blender's name."""
-    file, part = oiio.ImageInput.open(str(path)), 0
-    while file.seek_subimage(part, 0):
-        spec = file.spec()
-        if f".{name}." in spec.channelnames[0]:
-            return np.asarray(file.read_image(part, 0, 0, spec.nchannels, "float")).reshape(spec.height, spec.width, -1)
-        part += 1
-    raise KeyError(f"{path}: no pass {name}")
 
 
 def shrink(render: dict[str, np.ndarray], scale: int) -> dict[str, np.ndarray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from training.datagen.scenes import cloth, meshes, profiles, solids
+from training.datagen.scenes import cloth, meshes, solids
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.meshes import Mesh, rotation, translation
 
@@ -192,7 +192,7 @@ def arrange(rng: np.random.Generator, x0: float, x1: float, z0: float, z1: float
 
 def framed(rng: np.random.Generator, width: float, height: float, slot: str) -> Thing:
     """A picture in a moulded frame about the origin, on the plane z = 0; `slot` is the picture's, over its whole."""
-    rim = profiles.frame(rng, rng.uniform(0.02, 0.08), rng.uniform(0.015, 0.05))
+    rim = solids.frame_profile(rng, rng.uniform(0.02, 0.08), rng.uniform(0.015, 0.05))
     corners = solids.rectangle(-width / 2, -height / 2, width / 2, height / 2)
     inner = width / 2 - 0.005, height / 2 - 0.005
     art = solids.face(-inner[0], -inner[1], inner[0], inner[1], 0.006)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from training.datagen.scenes import fixtures, houseplants, lights, meshes, solids
+from training.datagen.scenes import fixtures, foliage, lights, meshes, solids
 from training.datagen.scenes.furniture import Y
 from training.datagen.scenes.lights import Environments
 from training.datagen.scenes.meshes import Mesh, rotation, translation
@@ -82,7 +82,7 @@ def _before_windows(house: House, side: Side, gap: float) -> None:
             bars = fixtures.rail_between(rng, *ends, meshes.cylinder(0.008, high, 8), high, 0.11)
             house.put([(meshes.merge(bars), "metal")], side.matrix)
         elif gap > 0.4:
-            plant = houseplants.bushy(rng)
+            plant = foliage.bushy(rng)
             spot = translation(rng.uniform(hole.x0, hole.x1), hole.y0 - 0.5, z - 0.3)
             house.put(plant, side.matrix @ spot @ rotation(Y, rng.uniform(0, 6.3)))
 

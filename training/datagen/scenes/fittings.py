@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from training.datagen.scenes import cloth, clutter, foliage, meshes, profiles, solids
+from training.datagen.scenes import cloth, clutter, foliage, meshes, solids
 from training.datagen.scenes.clutter import arrange, book_row, moved
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.joinery import panel_grid
@@ -42,7 +42,7 @@ def cabinet(rng: np.random.Generator, width: float | None = None, height: float 
     slot, columns = slot or str(rng.choice(["trim", "lacquer", "wood"])), max(1, round(2 * w / rng.uniform(0.4, 0.65)))
     drawers = int(rng.integers(2, 5)) if h < 1.2 else 1
     rows = [drawers if rng.random() < 0.45 else 1 for _ in range(columns)]
-    profile = profiles.frame(rng, rng.uniform(0.02, 0.05), rng.uniform(0.004, 0.014))
+    profile = solids.frame_profile(rng, rng.uniform(0.02, 0.05), rng.uniform(0.004, 0.014))
     plain, knob = rng.random() < 0.35, rng.random() < 0.5
     parts, handles = [solids.boxes([[-w, plinth, 0], [-w + 0.03, 0, 0]], [[w, h, d], [w - 0.03, plinth, d - 0.05]])], []
     for k, count in enumerate(rows):
@@ -78,7 +78,7 @@ def sideboard(rng: np.random.Generator) -> Thing:
 
 def wardrobe(rng: np.random.Generator) -> Thing:
     w, h, d = rng.uniform(0.8, 2.0), rng.uniform(1.8, 2.2), rng.uniform(0.5, 0.62)
-    crown = profiles.cornice(rng, 0.06, 0.08)[:, ::-1]
+    crown = solids.cornice_profile(rng, 0.06, 0.08)[:, ::-1]
     made = cabinet(rng, w, h, d)
     rim = solids.moulding([[-w / 2, h - 0.05], [w / 2, h - 0.05]], crown[::-1]).transformed(translation(0, 0, d))
     return [*made, (rim, made[0][1])]

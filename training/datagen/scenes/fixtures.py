@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from training.datagen.scenes import clutter, foliage, meshes, profiles, solids
+from training.datagen.scenes import clutter, foliage, meshes, solids
 from training.datagen.scenes.clutter import arrange, moved, turned
 from training.datagen.scenes.fittings import cabinet
 from training.datagen.scenes.furniture import Thing, Y
@@ -22,10 +22,10 @@ def fireplace(rng: np.random.Generator) -> Thing:
     a, b = w * rng.uniform(0.5, 0.65), h * rng.uniform(0.6, 0.75)
     body = solids.boxes([[-w, 0, 0], [a, 0, 0], [-a, b, 0]], [[-a, h, d], [w, h, d], [a, h, d]])
     surround = solids.moulding([[-a, 0], [-a, b], [a, b], [a, 0]],
-                               profiles.frame(rng, 0.6 * (w - a), rng.uniform(0.02, 0.05)))
+                               solids.frame_profile(rng, 0.6 * (w - a), rng.uniform(0.02, 0.05)))
     pilasters = [solids.moulding(solids.rectangle(x - 0.3 * (w - a), 0.12, x + 0.02, b - 0.02),
-                                 profiles.frame(rng, 0.02, 0.012), closed=True) for x in (-a - 0.12, w - 0.05)]
-    crown = solids.moulding([[-w, h - 0.14], [w, h - 0.14]], profiles.cornice(rng, 0.12, 0.1)[::-1, ::-1])
+                                 solids.frame_profile(rng, 0.02, 0.012), closed=True) for x in (-a - 0.12, w - 0.05)]
+    crown = solids.moulding([[-w, h - 0.14], [w, h - 0.14]], solids.cornice_profile(rng, 0.12, 0.1)[::-1, ::-1])
     front = meshes.merge([surround, *pilasters, crown]).transformed(translation(0, 0, d))
     shelf = solids.rounded([-w - 0.08, h, 0], [w + 0.08, h + 0.045, d + 0.14], 0.012)
     made: Thing = [(meshes.merge([body, front, shelf]), str(rng.choice(["trim", "panel", "counter"])))]

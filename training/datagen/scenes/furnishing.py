@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from training.datagen.scenes import clutter, fittings, fixtures, houseplants, meshes, solids, tables, textures
+from training.datagen.scenes import clutter, fittings, fixtures, foliage, meshes, solids, tables, textures
 from training.datagen.scenes.draft import draft_thing, moving_thing
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.joinery import Opening, between
@@ -105,7 +105,7 @@ def furnish(house: House, kind: Kind) -> None:
 
 def _sill(house: House, hole: Opening) -> Thing:
     """Plants and small things on a window sill, where it is deep enough."""
-    kinds = (houseplants.trailing, houseplants.trailing, clutter.vase, clutter.bottle, clutter.jar, clutter.tumbler)
+    kinds = (foliage.trailing, foliage.trailing, clutter.vase, clutter.bottle, clutter.jar, clutter.tumbler)
     back, count = -house.style.thick + 0.07, int(house.rng.integers(1, 6))
     return clutter.arrange(house.rng, hole.x0 + 0.03, hole.x1 - 0.03, back, 0.02, hole.y0 + 0.004, count, kinds, 0.5)
 

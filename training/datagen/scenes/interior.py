@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from training.datagen.scenes import daylight, fittings, fixtures, furnishing, houseplants, shell, tables, upholstery
+from training.datagen.scenes import daylight, fittings, fixtures, foliage, furnishing, shell, tables, upholstery
 from training.datagen.scenes.build import Description
 from training.datagen.scenes.draft import Draft, View
 from training.datagen.scenes.furnishing import Kind
@@ -15,7 +15,7 @@ from training.datagen.scenes.lights import Environments
 from training.datagen.scenes.roles import Roles
 from training.datagen.scenes.shell import House, Side
 
-PLANT = houseplants.PLANTS
+PLANT = foliage.PLANTS
 KINDS = {
     "living": Kind((upholstery.sofa, upholstery.sofa, fittings.bookcase, fittings.sideboard, fixtures.fireplace,
                     *PLANT),
@@ -23,15 +23,15 @@ KINDS = {
     "bedroom": Kind((upholstery.bed, upholstery.bed, fittings.wardrobe, fittings.sideboard, upholstery.armchair,
                      *PLANT),
                     (upholstery.rug, upholstery.bed, upholstery.stool, upholstery.armchair)),
-    "kitchen": Kind((fittings.kitchen, fittings.kitchen, fittings.sideboard, fixtures.rack, houseplants.broad),
+    "kitchen": Kind((fittings.kitchen, fittings.kitchen, fittings.sideboard, fixtures.rack, foliage.broad),
                     (tables.dining, tables.dining, upholstery.stool, upholstery.rug)),
     "bathroom": Kind((fixtures.bath, fixtures.basin, fixtures.toilet, fittings.towel_rail, fittings.towel_rail, *PLANT),
-                     (upholstery.stool, upholstery.rug, houseplants.rosette), (2.2, 2.8), 0.85),
+                     (upholstery.stool, upholstery.rug, foliage.rosette), (2.2, 2.8), 0.85),
     "office": Kind((fittings.desk, fittings.desk, fittings.bookcase, fittings.bookcase, fittings.cabinet, *PLANT),
                    (fittings.desk, tables.dining, tables.chair, *PLANT), (2.4, 3.4)),
     "hall": Kind((fittings.sideboard, upholstery.stool, fixtures.radiator, fittings.wardrobe, *PLANT),
-                 (upholstery.rug, tables.coffee, houseplants.bushy), (2.6, 4.2)),
-    "shop": Kind((*5 * (fixtures.rack,), fittings.cabinet, houseplants.broad),
+                 (upholstery.rug, tables.coffee, foliage.bushy), (2.6, 4.2)),
+    "shop": Kind((*5 * (fixtures.rack,), fittings.cabinet, foliage.broad),
                  (fixtures.rack, fixtures.rack, tables.dining, *PLANT), (2.7, 4.0)),
     "dining": Kind((fittings.sideboard, fixtures.fireplace, fittings.bookcase, *PLANT),
                    (tables.dining, tables.dining, upholstery.rug), (2.4, 3.4)),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from training.datagen.scenes import meshes, profiles, solids
+from training.datagen.scenes import meshes, solids
 from training.datagen.scenes.meshes import Mesh, rotation, translation
 
 X, Y = np.array([1.0, 0, 0]), np.array([0.0, 1, 0])
@@ -57,10 +57,10 @@ class Joinery:
         plain = rng.random() < 0.3
         columns, rows = (int(rng.integers(1, 3)), 1) if plain else (int(rng.integers(1, 5)), int(rng.integers(1, 6)))
         return cls(
-            profiles.edge(rng, rng.uniform(0.06, 0.22), rng.uniform(0.01, 0.03)),
-            profiles.frame(rng, rng.uniform(0.05, 0.14), rng.uniform(0.012, 0.035)),
-            None if rng.random() < 0.25 else profiles.cornice(rng, *rng.uniform(0.05, 0.22, 2)),
-            profiles.frame(rng, rng.uniform(0.02, 0.06), rng.uniform(0.008, 0.025)),
+            solids.edge_profile(rng, rng.uniform(0.06, 0.22), rng.uniform(0.01, 0.03)),
+            solids.frame_profile(rng, rng.uniform(0.05, 0.14), rng.uniform(0.012, 0.035)),
+            None if rng.random() < 0.25 else solids.cornice_profile(rng, *rng.uniform(0.05, 0.22, 2)),
+            solids.frame_profile(rng, rng.uniform(0.02, 0.06), rng.uniform(0.008, 0.025)),
             rng.uniform(0.1, 0.45), columns, rows, rng.uniform(0.008, 0.022), rng.uniform(0.025, 0.05),
             rng.uniform(0.75, 1.25), str(rng.choice(["none", "wainscot", "tall", "both", "boards"],
                                                     p=[0.3, 0.2, 0.15, 0.2, 0.15])))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from training.datagen.scenes import cloth, joinery, meshes, profiles, solids
+from training.datagen.scenes import cloth, joinery, meshes, solids
 from training.datagen.scenes.bending import hanging
 from training.datagen.scenes.build import Description
 from training.datagen.scenes.furniture import Thing, Y
@@ -99,7 +99,7 @@ def build(house: House) -> None:
 def _coffers(house: House) -> None:
     """Mouldings in fields on the ceiling."""
     rng, (w, h, depth) = house.rng, house.size
-    pitch, rim = rng.uniform(0.6, 1.6), profiles.frame(rng, rng.uniform(0.03, 0.1), rng.uniform(0.01, 0.06))
+    pitch, rim = rng.uniform(0.6, 1.6), solids.frame_profile(rng, rng.uniform(0.03, 0.1), rng.uniform(0.01, 0.06))
     columns, rows = (max(1, round((size - 0.5) / pitch)) for size in (w, depth))
     fields = joinery.panel_grid(0.3 - w / 2, 0.3 - depth / 2, w / 2 - 0.3, depth / 2 - 0.3, columns, rows, 0.12)
     made = [solids.moulding(corners, rim, closed=True) for corners in fields]

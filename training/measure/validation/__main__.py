@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from training.datagen.render import add_farm, run, worker_command
-from training.measure.validation.worker import add_options
+from training.datagen.render_worker import add_share, clip_path, work
+from training.measure.validation.clips import save
 
 
 def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
@@ -28,6 +30,9 @@ def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[s
     add_farm(render)
     render.set_defaults(processes_per_gpu=2)
     handed = add_options(render)
+    one = commands.add_parser("work", help="one process of 'render', which starts it")
+    add_share(one)
+    add_options(one)
     for name, target in (("sheet", "picture to write"), ("expand", "folder to write"), ("compare", None)):
         command = commands.add_parser(name)
         command.add_argument("clips", type=Path, help="folder that 'render' filled")
@@ -44,6 +49,46 @@ def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[s
     return parser.parse_args(argv), handed
 
 
+def add_options(parser: argparse.ArgumentParser) -> list[str]:
+    """How clips are rendered; the names of the options, for those who hand them on."""
+    before = {action.dest for action in parser._actions}
+    parser.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
+    parser.add_argument("--width", type=_side, default=384, help="of the output, a multiple of 6")
+    parser.add_argument("--height", type=_side, default=216)
+    parser.add_argument("--frames", type=int, default=8)
+    parser.add_argument("--reference-error", type=float, default=0.004, help="of references after x/(1+x)")
+    parser.add_argument("--most-spp", type=int, default=8192, help="views that need more for it are passed over")
+    return [action.dest for action in parser._actions if action.dest not in before]
+
+
+def _side(text: str) -> int:
+    """A number of pixels that all scales divide."""
+    if not text.isdigit() or int(text) % 6 or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a multiple of 6, which 1.5x, 2x and 3x need")
+    return int(text)
+
+
+def maker(args: argparse.Namespace) -> Callable[[int], tuple[str, int]]:
+    """A function that renders and writes a clip, as `training.datagen.render_worker.work` takes it."""
+    import mitsuba as mi
+
+    mi.set_variant(args.variant)
+    from training.datagen.tracing import Tracer  # these import Mitsuba types, so only after the variant is set
+    from training.measure.validation.render import Options, light_paths, render_clip
+
+    batch = 1 << (25 if args.variant.startswith("cuda") else 21)
+    options = Options((args.width, args.height), args.frames, args.reference_error, args.most_spp, batch)
+    tracer = Tracer()
+
+    def make(index: int) -> tuple[str, int]:
+        reference, renders, facts = render_clip(
+            tracer, index, options, lambda text: print(f"clip.{index:05d} {text}", file=sys.stderr, flush=True))
+        save(clip_path(args.out, index), reference, renders, facts)
+        return f"{facts['scene']} ({facts['trait']})", light_paths(facts, args.frames)
+
+    return make
+
+
 def clips(folder: Path) -> list[Path]:
     """Clips of a folder; ends the program where there are none."""
     found = sorted(folder.glob("clip.*.npz"))
@@ -55,7 +100,9 @@ def clips(folder: Path) -> list[Path]:
 def main(argv: list[str] | None = None) -> int:
     args, handed = arguments(argv)
     if args.command == "render":
-        return run(args, worker_command("training.measure.validation.worker", args, handed))
+        return run(args, worker_command("training.measure.validation", args, handed, "work"))
+    if args.command == "work":
+        return work(args, maker(args))
     if args.command == "sheet":
         from training.measure.validation.clips import draw
 

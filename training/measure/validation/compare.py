@@ -17,8 +17,8 @@ import numpy as np
 
 from postfx.bench.job import Bench, Wish
 from postfx.bench.material import Sources
+from training.datagen.clip_export import frame_header, write_exr
 from training.datagen.clip_file import GUIDES
-from training.datagen.to_exr import frame_header, write_exr
 from training.measure.validation.clips import FULL, HALF, load
 
 # Measurements ---------------------------------------------------------------------------------------------------------

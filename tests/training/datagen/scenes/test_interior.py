@@ -17,7 +17,7 @@ if "DRJIT_LIBLLVM_PATH" not in os.environ:
     pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb", allow_module_level=True)
 mi.set_variant("llvm_ad_rgb")
 
-from training.datagen.scenes import clutter, fittings, fixtures, furnishing, houseplants, solids, tables, upholstery  # noqa: E402
+from training.datagen.scenes import clutter, fittings, fixtures, foliage, furnishing, solids, tables, upholstery  # noqa: E402
 from training.datagen.scenes.bending import hanging  # noqa: E402
 from training.datagen.scenes.build import BuiltScene, Description  # noqa: E402
 from training.datagen.scenes.daylight import outside_only  # noqa: E402
@@ -35,7 +35,7 @@ MAKERS = {
         upholstery.sofa, upholstery.bed, upholstery.stool, upholstery.rug, fittings.bookcase, fittings.sideboard,
         fittings.wardrobe, fittings.kitchen, fittings.desk, fittings.towel_rail, fixtures.fireplace, fixtures.radiator,
         fixtures.bath, fixtures.basin, fixtures.toilet, fixtures.rack, fixtures.boxes_pile, tables.coffee,
-        tables.dining, tables.pendant, *houseplants.PLANTS, houseplants.trailing, *clutter.SMALL, clutter.screen)}
+        tables.dining, tables.pendant, *foliage.PLANTS, foliage.trailing, *clutter.SMALL, clutter.screen)}
 
 
 def drafted(seed: int) -> Draft:

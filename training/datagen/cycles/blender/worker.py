@@ -4,8 +4,7 @@ Request: {"clip": n, "seed": s, "folder": where EXR files go, "library": folder 
 "width", "height": of the noisy frames, "scale", "spp": [of each noisy render], "half_spp": of each half of the
 reference}. Answer: {"clip": n, "facts": {...}} or {"clip": n, "error": text}.
 
-Files: noisy.<k>.<frame>.exr for each noisy render, half.0.<frame>.exr with all passes and half.1.<frame>.exr with the
-picture alone, both at output size; where motion is blurred also vectors.<frame>.exr, of the same frames without blur.
+`exchange.py` names the EXR files that a clip leaves in its folder, and draws its seeds.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-import OpenImageIO as oiio
 
+from ..exchange import clip_generator, half_file, noisy_file, read_pass, scene_generator, vectors_file
 from . import kinds
 from .scene import Library
 
@@ -82,31 +81,22 @@ def probe(scene: bpy.types.Scene, folder: Path, frame: int) -> tuple[float, floa
     blur, scene.render.use_motion_blur = scene.render.use_motion_blur, False
     shoot(scene, path, frame, (32, 32), 32, 7)
     scene.render.use_motion_blur = blur
-    light = pixels_of(path, "Combined") @ np.array([0.2126, 0.7152, 0.0722])
+    light = read_pass(path, "Combined", 3) @ np.array([0.2126, 0.7152, 0.0722])
     level = float(np.exp(np.log(light + 1e-4 * light.mean() + 1e-9).mean()))
-    normal, albedo = pixels_of(path, "Normal"), pixels_of(path, "Denoising Albedo")
+    normal, albedo = read_pass(path, "Normal", 3), read_pass(path, "Denoising Albedo", 3)
     change = [np.abs(np.diff(plane, axis=axis)).max(-1)[:31, :31] for plane in (normal, albedo) for axis in (0, 1)]
     return level, float((light < 1e-6).mean()), float((np.max(change, 0) > 0.15).mean())
 
 
-def pixels_of(path: Path, name: str) -> np.ndarray:
-    """Three channels (h, w, 3) of a pass of a file that Blender wrote, a part each."""
-    data, part = oiio.ImageInput.open(str(path)), 0
-    while data.seek_subimage(part, 0):
-        spec = data.spec()
-        if f".{name}." in spec.channelnames[0]:
-            return np.array(data.read_image(part, 0, 0, 3, "float")).reshape(spec.height, spec.width, 3)
-        part += 1
-    raise KeyError(f"{path}: no pass {name}")
-
-
 def make(request: dict, library: Library) -> dict:
     """Build and render a clip; returns its facts."""
-    folder, rng = Path(request["folder"]), np.random.default_rng([request["seed"], request["clip"]])
+    folder, seed, clip = Path(request["folder"]), request["seed"], request["clip"]
+    chooser = clip_generator(seed, clip)
     names, weights = zip(*kinds.KINDS.items(), strict=True)
     frames, (w, h) = request["frames"], (request["width"], request["height"])
     for attempt in range(6):
-        kind = request["kind"] or str(rng.choice(names, p=np.array(weights) / sum(weights)))
+        kind = request["kind"] or str(chooser.choice(names, p=np.array(weights) / sum(weights)))
+        rng = scene_generator(seed, clip, kind, attempt)
         shot = kinds.build(kind, library, frames, w, rng)
         scene = bpy.context.scene
         shot.facts |= set_up(scene, use_device(), rng) | {"attempt": attempt}
@@ -120,12 +110,12 @@ def make(request: dict, library: Library) -> dict:
     for frame in range(frames):
         layer.use_pass_vector = not blur
         for k, spp in enumerate(request["spp"]):
-            shoot(scene, folder / f"noisy.{k}.{frame:02d}.exr", frame, (w, h), spp, next(seeds))
-        shoot(scene, folder / f"half.0.{frame:02d}.exr", frame, output, request["half_spp"], next(seeds))
-        shoot(scene, folder / f"half.1.{frame:02d}.exr", frame, output, request["half_spp"], next(seeds))
+            shoot(scene, noisy_file(folder, k, frame), frame, (w, h), spp, next(seeds))
+        shoot(scene, half_file(folder, 0, frame), frame, output, request["half_spp"], next(seeds))
+        shoot(scene, half_file(folder, 1, frame), frame, output, request["half_spp"], next(seeds))
         if blur:
             scene.render.use_motion_blur, layer.use_pass_vector = False, True
-            shoot(scene, folder / f"vectors.{frame:02d}.exr", frame, (w, h), 1, next(seeds))
+            shoot(scene, vectors_file(folder, frame), frame, (w, h), 1, next(seeds))
             scene.render.use_motion_blur = True
     return shot.facts | {"level": level}
 

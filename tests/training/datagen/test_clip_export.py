@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 import postfx
 from postfx.frame import Role
-from training.datagen.clip_file import GUIDES, exposure_of, half_depth
-from training.datagen.to_exr import CHANNELS, frame_header, guide_planes, write_exr
+from training.datagen.clip_export import CHANNELS, frame_header, guide_planes, main, write_exr
+from training.datagen.clip_file import GUIDES, exposure_of, half_depth, save_clip
 
 
 def planes(rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -55,3 +56,16 @@ def test_guides_of_a_clip_are_written_at_output_size(tmp_path: Path) -> None:
 
 def test_exposure_brings_the_geometric_mean_to_the_key() -> None:
     assert exposure_of(np.full((2, 8, 8, 3), 0.36)) == pytest.approx(0.5, rel=1e-3)
+
+
+def test_a_sheet_shows_one_row_a_clip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    frames = [planes(rng), planes(rng)]
+    variant = {name: np.stack([frame[name] for frame in frames]) for name in CHANNELS}
+    variant |= {"jitter": np.zeros((2, 2)), "spp": 1, "style": "box"}
+    facts = {"scale": 1.0, "seed": 0, "scene": "test", "meta": {}}
+    for number in range(3):
+        save_clip(tmp_path / f"clip.{number:05d}.npz", variant["colour"], [variant], facts)
+    monkeypatch.setattr("sys.argv", ["clip_export", "sheet", str(tmp_path), str(tmp_path / "a.png"), "--size", "16"])
+    main()
+    assert oiio.ImageBuf(str(tmp_path / "a.png")).spec().height == 3 * 16

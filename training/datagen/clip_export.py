@@ -1,7 +1,11 @@
-"""Write a clip's noisy variant as an EXR sequence with the generic plane names, half float, ZIP.
+"""Look at clips: many of them in one picture, or one of them as an EXR sequence.
 
-python -m training.datagen.to_exr CLIP.npz OUT_FOLDER [--variant 0]
-    ->  noisy.0001.exr ..., reference.0001.exr ... and, of clips that have them, guides.0001.exr ... at output size
+    python -m training.datagen.clip_export sheet FOLDER OUT.png [--rows 12] [--frame 4] [--skip 0]
+    python -m training.datagen.clip_export exr CLIP.npz OUT_FOLDER [--variant 0]
+
+sheet: one row a clip: noisy | diffuse albedo | specular albedo | normal | motion | reference.
+exr: noisy.0001.exr ..., reference.0001.exr ... and, of clips that have them, guides.0001.exr ... at output size; with
+the generic plane names, half float, ZIP.
 """
 
 from __future__ import annotations
@@ -11,8 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
+from PIL import Image
 
+from postfx.exposure.views import shown
 from training.datagen.clip_file import GUIDES, exposure_of, guide_depth, load_clip, to_half
+
+# An EXR sequence ----------------------------------------------------------------------------------------------------
 
 CHANNELS = {
     "colour": ("R", "G", "B"),
@@ -68,12 +76,8 @@ def guide_planes(clip: dict, frame: int) -> dict[str, np.ndarray]:
     return planes | {"depth": guide_depth(clip["guide_depth"][frame])}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clip", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--variant", type=int, default=0)
-    args = parser.parse_args()
+def export_exr(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+    """Write one noisy render of a clip, its references and its guides."""
     clip, v = load_clip(args.clip), f"v{args.variant}_"
     if f"{v}colour" not in clip:
         count = sum(name.endswith("_colour") for name in clip)
@@ -91,6 +95,54 @@ def main() -> None:
         if "guide_jitter" in clip:
             header = {"postfx:jitter": clip["guide_jitter"][t].astype(float)}
             write_exr(args.out / f"guides.{t + 1:04d}.exr", guide_planes(clip, t), header)
+
+
+# A picture of many clips --------------------------------------------------------------------------------------------
+
+def row(clip: dict, frame: int, size: int) -> np.ndarray:
+    """One clip's frame, or its last one, as (size, 6 size, 3) uint8."""
+    frame = min(frame, len(clip["reference"]) - 1)
+    panels = [shown(clip["v0_colour"][frame].astype(np.float32), 1.0)]
+    for name in ("diffuse_albedo", "specular_albedo"):
+        panels.append(clip[f"v0_{name}"][frame].astype(np.float32) ** (1 / 2.2))
+    panels.append(clip["v0_normal"][frame].astype(np.float32) * 0.5 + 0.5)
+    motion = clip["v0_motion"][frame] / 20 + 0.5
+    panels.append(np.concatenate([motion, np.full_like(motion[..., :1], 0.5)], -1))
+    panels.append(shown(clip["reference"][frame].astype(np.float32), 1.0))
+    images = [Image.fromarray((np.clip(p, 0, 1) * 255).astype(np.uint8)).resize((size, size), 0) for p in panels]
+    return np.concatenate([np.asarray(i) for i in images], 1)
+
+
+def draw_sheet(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+    """Write the picture; more than twelve clips go into two columns."""
+    paths = sorted(args.folder.glob("clip.*.npz"))[args.skip : args.skip + args.rows]
+    if not paths:
+        parser.error(f"{args.folder} holds no clip.*.npz")
+    rows = [row(load_clip(path), args.frame, args.size) for path in paths]
+    half = (len(rows) + 1) // 2 if len(rows) > 12 else len(rows)
+    rows += [np.zeros_like(rows[0])] * (-len(rows) % half)
+    columns = [np.concatenate(rows[k : k + half]) for k in range(0, len(rows), half)]
+    Image.fromarray(np.concatenate(columns, 1)).save(args.out)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    sheet = commands.add_parser("sheet", help="a picture of many clips")
+    sheet.add_argument("folder", type=Path)
+    sheet.add_argument("out", type=Path, help="picture to write")
+    sheet.add_argument("--rows", type=int, default=12, help="clips to show (default: %(default)s)")
+    sheet.add_argument("--frame", type=int, default=4, help="which frame of each (default: %(default)s)")
+    sheet.add_argument("--skip", type=int, default=0, help="clips to leave out first")
+    sheet.add_argument("--size", type=int, default=128, help="pixels of a panel (default: %(default)s)")
+    sheet.set_defaults(act=draw_sheet)
+    exr = commands.add_parser("exr", help="a clip as an EXR sequence")
+    exr.add_argument("clip", type=Path)
+    exr.add_argument("out", type=Path, help="folder to write to")
+    exr.add_argument("--variant", type=int, default=0, help="which noisy render (default: %(default)s)")
+    exr.set_defaults(act=export_exr)
+    args = parser.parse_args()
+    args.act(args, commands.choices[args.command])
 
 
 if __name__ == "__main__":
