@@ -9,11 +9,10 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from postfx.doctor.examine import examine
+from postfx.doctor import examine
 from postfx.doctor.findings import Finding, exit_code
+from postfx.doctor.material import Reading, explain_roles, read_material
 from postfx.doctor.pictures import write_pictures
-from postfx.doctor.reading import Reading, read_material
-from postfx.doctor.roles import explain_roles
 from postfx.doctor.statistics import Values, count_values, noise_level
 from postfx.frame import DEPTH_MISS, ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match

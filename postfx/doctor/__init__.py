@@ -1,1 +1,28 @@
-"""The doctor: finds what is wrong with a sequence's planes, and says why and how to mend it."""
+"""The doctor: finds what is wrong with the planes of a sequence, and says why and how to fix it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from postfx.doctor.checks import CHECKS, PLANE_CHECKS
+from postfx.doctor.findings import Finding, Level, most_important_first
+from postfx.doctor.material import Material
+from postfx.frame import Frame
+
+
+def examine(material: Material) -> list[Finding]:
+    """Findings of all checks, the most important first; those of guides say so in their evidence."""
+    found = [finding for check in CHECKS for finding in check(material)]
+    return most_important_first([*found, *_findings_of_guides(material.middle)])
+
+
+def _findings_of_guides(frame: Frame) -> Iterator[Finding]:
+    if not frame.guides:
+        return
+    guides = Frame(dict(frame.guides), frame.number, frame.guide_jitter, world_to_camera=frame.world_to_camera,
+                   fov_x=frame.fov_x, source=frame.guide_source)
+    for check in PLANE_CHECKS:
+        for finding in check(Material([guides])):
+            if finding.level is not Level.INFO:
+                yield replace(finding, evidence=f"guides: {finding.evidence}")

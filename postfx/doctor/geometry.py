@@ -1,11 +1,14 @@
-"""What depth says of the surfaces: normals in camera space, view angles, the camera's turn and its motion.
+"""What depth says of the surfaces, and what the other planes must be to agree with it.
 
-Camera space here is that of the picture: x right, y down, z along the view axis.
+Depth gives normals in camera space, view angles, and with two cameras motion. Stored depth, normals and roughness could
+each be meant in several ways; the right one is the one that fits. Camera space here is that of the picture: x right,
+y down, z along the view axis.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +18,7 @@ from postfx.doctor.statistics import finite
 from postfx.errors import IntegrationError
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.integrate.camera import perspective
+from postfx.integrate.materials import split_sum
 from postfx.integrate.motion import motion_from_depth
 
 CAMERA_AXES = tuple(map(np.diag, ((-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))))
@@ -188,3 +192,199 @@ def _procrustes(seen: np.ndarray, stored: np.ndarray, fov_x: float) -> Fit:
         worst = np.quantile(cosines, 1 - AGREEING)
         keep = cosines >= worst
     return Fit(u @ v, float(np.degrees(np.arccos(np.clip(worst, -1, 1)))), fov_x)
+
+
+@dataclass(frozen=True)
+class DepthKind:
+    """A reading of stored depth: how depth along the view axis follows from it.
+
+    `planar` takes stored values (height, width) and the cosine between ray and axis, and gives depth; `in_unit` says
+    that it makes sense for values within 0..1 only.
+    """
+
+    code: str
+    name: str
+    cause: str
+    mend: str
+    planar: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    in_unit: bool = False
+
+
+DEPTH_KINDS = (
+    DepthKind("", "depth along the view axis", "", "", lambda d, cosine: d),
+    DepthKind("depth-ray", "distance from the eye", "ray distance was written instead of depth along the view axis",
+              "multiply by the cosine between ray and axis, or give --depth ray,fov=DEGREES (in a profile "
+              "kind = \"ray\" and fov_x)", lambda d, cosine: d * cosine),
+    DepthKind("depth-reversed", "1 / depth (near large, far 0)", "reversed depth buffer or disparity",
+              "write linear depth: near / value of a reversed buffer, or give --depth reversed,near=DISTANCE",
+              lambda d, cosine: 1 / d),
+    DepthKind("depth-hyperbolic", "a depth buffer 0..1", "the depth buffer was written as it is",
+              "write linear depth: near far / (far - value (far - near)), or give --depth device,near=...,far=...",
+              lambda d, cosine: 1 / (1 - d), True),
+    DepthKind("depth-reversed", "1 - depth / far (near 1, far 0)", "depth scaled to 0..1 with near white",
+              "write depth in scene units: (1 - value) far, or give --depth normalised-reversed,near=0,far=...",
+              lambda d, cosine: 1 - d, True),
+)
+
+
+def fit_depth_kinds(frame: Frame) -> dict[DepthKind, Fit]:
+    """How well normals agree under each reading that can be tried; empty without normals or enough surfaces."""
+    if Role.DEPTH not in frame or Role.NORMAL not in frame:
+        return {}
+    kinds = [kind for kind in DEPTH_KINDS if not kind.in_unit or _within_one(frame)]
+    fits = {kind: _fit_depth_kind(frame, kind) for kind in kinds}
+    return {kind: fit for kind, fit in fits.items() if fit}
+
+
+def _within_one(frame: Frame) -> bool:
+    hit = is_hit(frame[Role.DEPTH])
+    return bool(hit.any()) and float(frame[Role.DEPTH][hit].max()) <= 1
+
+
+def _fit_depth_kind(frame: Frame, kind: DepthKind) -> Fit | None:
+    if not kind.code:
+        return fit_rotation(frame)
+    views = (frame.fov_x,) if frame.fov_x else LIKELY_FOV if kind.code == "depth-ray" else (None,)
+    fits = [fit_rotation(_reread(frame, kind, view)) for view in views]
+    return min(filter(None, fits), key=lambda fit: fit.angle, default=None)
+
+
+def _reread(frame: Frame, kind: DepthKind, fov_x: float | None) -> Frame:
+    depth = frame[Role.DEPTH]
+    hit = is_hit(depth)
+    cosine = np.ones(())
+    if fov_x is not None:
+        cosine = 1 / np.linalg.norm(rays(frame, fov_x, *np.indices(hit.shape)), axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        planar = kind.planar(np.where(hit, depth[..., 0], 0.5).astype(np.float64), cosine)
+    planar = np.where(hit & np.isfinite(planar) & (planar > 0), planar, DEPTH_MISS)
+    return replace(frame, planes={Role.DEPTH: planar[..., None].astype(np.float32), Role.NORMAL: frame[Role.NORMAL]},
+                   fov_x=fov_x, guides={}, guide_size=None)
+
+
+Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+LEAST_F0, MOST_F0 = 0.015, 1.0
+LEAST_PIXELS = 150
+LEAST_ERROR = 2e-4
+FOLLOWS_ANGLE = 0.5
+
+
+@dataclass(frozen=True)
+class RoughnessKind:
+    """A reading of the stored values: how linear roughness follows from them."""
+
+    code: str
+    name: str
+    cause: str
+    mend: str
+    linear: Callable[[np.ndarray], np.ndarray]
+
+
+ROUGHNESS_KINDS = (
+    RoughnessKind("", "linear roughness", "", "", lambda stored: stored),
+    RoughnessKind("roughness-squared", "squared roughness (alpha)", "alpha of the microfacet model was written",
+                  "write the square root of alpha", np.sqrt),
+    RoughnessKind("roughness-root", "the square root of roughness",
+                  "linear roughness was taken for alpha, or display-encoded",
+                  "write it without the square root or transfer curve", np.square),
+    RoughnessKind("roughness-smoothness", "smoothness", "smoothness or glossiness was written",
+                  "write 1 - smoothness, or in a profile scale = [-1], offset = [-1]", lambda stored: 1 - stored),
+    RoughnessKind("roughness-smoothness", "smoothness of squared roughness", "smoothness was written as 1 - alpha",
+                  "write the square root of 1 - smoothness", lambda stored: np.sqrt(1 - stored)),
+)
+
+
+@dataclass(frozen=True)
+class RoughnessFit:
+    """How well each reading of roughness explains specular albedo.
+
+    Split-sum directional albedo (Karis 2014, "Physically based shading on mobile"): specular = F0 scale + bias, where
+    scale and bias follow from roughness and the cosine of the view angle. On surfaces of one material F0 is constant,
+    so under the right reading one F0 explains all angles; and F0 is no less than that of water.
+
+    Attributes:
+        errors: reading -> median error of specular albedo.
+        without_angle: the same if specular albedo did not depend on the view angle.
+        pixels: count of pixels used.
+    """
+
+    errors: dict[RoughnessKind, float]
+    without_angle: float
+    pixels: int
+
+    @property
+    def as_it_is(self) -> float:
+        """Error of the plane as linear roughness."""
+        return self.errors[ROUGHNESS_KINDS[0]]
+
+    @property
+    def best(self) -> RoughnessKind:
+        """The reading with the least error."""
+        return min(self.errors, key=lambda kind: self.errors[kind])
+
+    @property
+    def is_telling(self) -> bool:
+        """Whether specular albedo follows the view angle as the model says; that of some renderers does not."""
+        return max(self.errors[self.best], LEAST_ERROR) < FOLLOWS_ANGLE * self.without_angle
+
+    @property
+    def certainty(self) -> float:
+        """0 when the best reading is no better than the plane as it is, 1 when it leaves no error."""
+        best = max(self.errors[self.best], LEAST_ERROR)
+        return max(0.0, 1 - best / max(self.as_it_is, LEAST_ERROR))
+
+
+def environment_brdf(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scale and bias of F0 in the directional albedo (Karis 2014); all arrays of one shape, 0..1."""
+    x, y = 1 - roughness, 0.0425 - 0.0275 * roughness
+    z, w = 1.04 - 0.572 * roughness, -0.04 + 0.022 * roughness
+    a = np.minimum(x * x, np.exp2(-9.28 * cosine)) * x + y
+    return z - 1.04 * a, w + 1.04 * a
+
+
+def fit_roughness(frame: Frame) -> RoughnessFit | None:
+    """Errors of all readings; None without the planes, a field of view or enough smooth surfaces."""
+    needed = (Role.SPECULAR_ALBEDO, Role.DEPTH)
+    if frame.fov_x is None or any(role not in frame for role in needed):
+        return None
+    points = smooth_points(frame[Role.DEPTH])
+    _, cosine = normals_of_depth(frame, frame.fov_x, points)
+    stored = finite(frame[Role.ROUGHNESS])[points.rows, points.columns, 0].astype(np.float64)
+    specular = finite(frame[Role.SPECULAR_ALBEDO]).min(2)[points.rows, points.columns].astype(np.float64)
+    known = (specular > 0.005) & (stored >= 0) & (stored <= 1) & (cosine > 0.05)
+    groups = _groups(stored[known])
+    if not groups:
+        return None
+    values = stored[known], specular[known], cosine[known]
+    errors = {kind: _error(kind, groups, *values) for kind in ROUGHNESS_KINDS}
+    without = [np.median(np.abs(values[1][group] - np.median(values[1][group]))) for group in groups]
+    sizes = [group.size for group in groups]
+    return RoughnessFit(errors, float(np.average(without, weights=sizes)), sum(sizes))
+
+
+def _groups(stored: np.ndarray) -> list[np.ndarray]:
+    """Indices of pixels whose roughness is the same to 1/256, of groups large enough."""
+    steps = np.rint(stored * 256).astype(int)
+    counts = np.bincount(steps, minlength=257)
+    return [np.nonzero(steps == step)[0] for step in np.nonzero(counts >= LEAST_PIXELS)[0]]
+
+
+MODELS = (environment_brdf, split_sum)
+"""Renderers use either, and they differ by more than small errors of a reading."""
+
+
+def _error(kind: RoughnessKind, groups: list[np.ndarray], *planes: np.ndarray) -> float:
+    """By the model that fits better."""
+    return min(_error_by(model, kind, groups, *planes) for model in MODELS)
+
+
+def _error_by(model: Model, kind: RoughnessKind, groups: list[np.ndarray], stored: np.ndarray, specular: np.ndarray,
+              cosine: np.ndarray) -> float:
+    """Mean over the groups of the median error of specular albedo, with the F0 that suits most pixels."""
+    errors = []
+    for group in groups:
+        scale, bias = model(kind.linear(stored[group]), cosine[group])
+        f0 = np.clip(np.median((specular[group] - bias) / scale), LEAST_F0, MOST_F0)
+        errors.append(np.median(np.abs(f0 * scale + bias - specular[group])))
+    return float(np.average(errors, weights=[group.size for group in groups]))

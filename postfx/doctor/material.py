@@ -1,15 +1,22 @@
-"""What the checks look at: a few consecutive frames, and what is computed from them once for all checks."""
+"""What the checks look at: a few frames read without any repair, what is computed from them once, and why each plane
+has its role.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from postfx.doctor.geometry import Fit, fit_rotation
 from postfx.doctor.motion_variants import Warped, warp_pair
 from postfx.doctor.statistics import Values, count_values
+from postfx.errors import PostfxError
 from postfx.frame import Frame, Role
+from postfx.io.frame_reader import FrameFiles, GuideLayout
+from postfx.io.layout import Layout, Match
+from postfx.io.profile import PlaneRule
+from postfx.io.sequence import Sequence
 
 MOST_PAIRS = 7
 
@@ -25,7 +32,7 @@ class Material:
         unreadable: why reading stopped early, '' when it did not.
     """
 
-    frames: Sequence[Frame]
+    frames: list[Frame]
     stored: dict[Role, Values] = field(default_factory=dict)
     enable: dict[Role, str] = field(default_factory=dict)
     unreadable: str = ""
@@ -66,3 +73,133 @@ class Material:
         if Role.DEPTH not in self.middle or Role.NORMAL not in self.middle:
             return None
         return fit_rotation(self.middle)
+
+
+MOST_FRAMES, MOST_PIXELS = 8, 8_000_000
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The material, and how the first frame's files were understood."""
+
+    material: Material
+    layout: Layout
+    guides: GuideLayout | None
+
+
+def read_material(sequence: Sequence) -> Reading:
+    """The first frames without a hole: up to 8, of large pictures fewer (8 million pixels, at least two frames).
+
+    Raises what reading the first frame raises; a later frame that cannot be read ends the reading.
+    """
+    first = sequence.numbers[0]
+    with sequence.open(first) as files:
+        stored = {role: count_values(plane) for role, plane in _read_stored(files, first).planes.items()}
+        frames = [_read_unclamped(files, first)]
+        layout, guides = files.layout, files.guides
+    material = Material(frames, stored, {role: hint for role in Role if (hint := _hint(layout, role))})
+    spec = frames[0].spec
+    most = max(2, min(MOST_FRAMES, MOST_PIXELS // (spec.width * spec.height)))
+    for before, number in zip(sequence.numbers, sequence.numbers[1:most], strict=False):
+        if number not in sequence.present() or sequence.before(number, 1) != [before]:
+            break
+        try:
+            with sequence.open(number) as files:
+                frames.append(_read_unclamped(files, number))
+        except PostfxError as error:
+            material.unreadable = str(error)
+            break
+    return Reading(material, layout, guides)
+
+
+def _read_unclamped(files: FrameFiles, number: int) -> Frame:
+    _change_rules(files, clamp=None)
+    return files.read(number)
+
+
+def _read_stored(files: FrameFiles, number: int) -> Frame:
+    """The numbers as they are in the file, under the role that they have."""
+    kept = dict(files.layout.planes)
+    guides, files.guides = files.guides, None
+    _change_rules(files, clamp=None, role=Role.COLOUR, scale=(1.0,), offset=(0.0,))
+    frame = files.read(number)
+    files.layout.planes, files.guides = kept, guides
+    return frame
+
+
+def _change_rules(files: FrameFiles, **changes: Any) -> None:
+    layouts: list[Layout | GuideLayout] = [files.layout, *([files.guides] if files.guides else [])]
+    for layout in layouts:
+        layout.planes = {role: _changed(match, changes) for role, match in layout.planes.items()}
+
+
+def _changed(match: Match, changes: dict[str, Any]) -> Match:
+    return match._replace(rule=replace(match.rule, **changes))
+
+
+def _hint(layout: Layout, role: Role) -> str:
+    return next((rule.enable for rule in layout.profile.rules(role) if rule.enable), "")
+
+
+SHOWN = 3
+
+
+def explain_roles(reading: Reading) -> dict[str, dict[str, Any]]:
+    """Role -> names of the file's channels ('planes', empty when there are none) and the reason ('why')."""
+    return {str(role): _explain(reading, role) for role in Role}
+
+
+def _explain(reading: Reading, role: Role) -> dict[str, Any]:
+    layout, guides = reading.layout, reading.guides
+    match = layout.planes.get(role)
+    guide = guides.planes.get(role) if guides else None
+    used = match or guide
+    if used is None:
+        return {"planes": [], "why": _why_not(layout, role)}
+    found = {"planes": _names(used), "why": _why(layout, used, _prefix(match, role))}
+    return {**found, "guides": _names(guide)} if match and guide else found
+
+
+def _prefix(match: Match | None, role: Role) -> str:
+    if match is None:
+        return "guide: "
+    return "colour before transparents, as there is an overlay to composite; " if match.rule.role is not role else ""
+
+
+def _names(match: Match) -> list[str]:
+    return [channel.name for channel in match.channels]
+
+
+def _why(layout: Layout, match: Match, prefix: str) -> str:
+    rule, role = match.rule, match.rule.role
+    known = [name for other in layout.profile.rules(role) for name in other.names]
+    preferred = f"profile {layout.profile.name} knows {_listed(known, layout.layer)} for {role}, best first"
+    steps = [f"(stored + {list(rule.offset)}) x {list(rule.scale)}"] if any(rule.offset) else []
+    steps += [f"times {list(rule.scale)}"] if not any(rule.offset) and set(rule.scale) != {1} else []
+    steps += [f"unit {rule.unit}"] if role is Role.MOTION else []
+    steps += [f"{rule.space} space"] if role is Role.NORMAL else []
+    steps += _depth_steps(rule) if role is Role.DEPTH else []
+    return prefix + preferred + (f"; read as: {', '.join(steps)}" if steps else "")
+
+
+def _depth_steps(rule: PlaneRule) -> list[str]:
+    known = {"planar": "along the view axis", "ray": "ray distance", "device": "a depth buffer"}
+    near = ["1 at the near plane"] if rule.reversed else []
+    miss = [] if rule.miss is None else [f"{rule.miss:g} where nothing was hit"]
+    return [known.get(rule.kind, rule.kind), *near, *miss]
+
+
+def _why_not(layout: Layout, role: Role) -> str:
+    rules = layout.profile.rules(role)
+    colour = layout.planes.get(Role.COLOUR)
+    if colour and colour.rule.role is role:
+        return "it is the frame's colour, as there is an overlay to composite"
+    if not rules:
+        return f"profile {layout.profile.name} has no name for it"
+    names = [",".join(names) for rule in rules for names in rule.candidates(layout.layer)]
+    return f"none of {_listed(names, layout.layer)} is there (profile {layout.profile.name})"
+
+
+def _listed(names: list[str], layer: str) -> str:
+    shown = [f"'{name.replace('{layer}', layer)}'" for name in dict.fromkeys(names)]
+    return ", ".join(shown[:SHOWN]) + (f" and {len(shown) - SHOWN} more" if len(shown) > SHOWN else "")

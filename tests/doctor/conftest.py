@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from postfx.doctor.examine import examine
+from postfx.doctor import examine
 from postfx.doctor.findings import Finding
 from postfx.doctor.material import Material
 from postfx.frame import Frame

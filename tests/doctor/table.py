@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from postfx.doctor.examine import examine
+from postfx.doctor import examine
 from postfx.doctor.findings import Finding
 from postfx.doctor.material import Material
 from postfx.doctor.pictures import picture

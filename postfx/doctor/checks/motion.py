@@ -1,4 +1,4 @@
-"""Motion: sign, axes, scale and jitter, found by warping the previous frame onto this one with every variant."""
+"""What shows over frames: motion, tried in every variant by warping; cuts, jitter and noise that repeats."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from itertools import product
 
 import numpy as np
 
-from postfx.doctor.findings import Finding, error, info
+from postfx.colour.primaries import luminance
+from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.geometry import motion_of_camera
 from postfx.doctor.material import Material
 from postfx.doctor.motion_variants import RELATED, VARIANTS, Variant, Warped, score_offset
-from postfx.doctor.statistics import correlation
-from postfx.frame import Role
+from postfx.doctor.statistics import correlation, finite, noise_level
+from postfx.frame import Frame, Role
+from postfx.sampling import local_mean
 
 BETTER, BETTER_BY_JITTER, BETTER_THAN_NONE = 0.85, 0.95, 0.65
 """Parts of the score as it is that another variant must stay below."""
@@ -115,3 +117,135 @@ def _untested(material: Material) -> Iterator[Finding]:
     if Role.MOTION in material.middle and material.pairs and not any(w.moved == 0 for w in material.warped):
         yield info(Role.MOTION, "motion-untested", "sign, axes and scale of the motion cannot be told",
                    "no pair of frames that belong together and show contrast", "give more frames of one shot")
+
+
+LEAST_MOVE = 1.0  # pixels: below, a texture that stays looks like noise that stays
+REPEATED = 0.15
+ONE_SEED = ("the same random seed in every frame",
+            "change the seed with the frame number (Blender: Noise > Seed, clock icon; Mitsuba: seed of render)")
+STEPS = (0.25, 0.125)
+LEAST_JITTER = 0.12  # pixels, root mean square
+FITS_BETTER = 0.82
+JITTER_PAIRS = 5
+
+
+def one_frame(material: Material) -> Iterator[Finding]:
+    """Too few frames for what shows over frames only."""
+    if not material.pairs:
+        count = len(material.frames)
+        yield info("sequence", "one-frame", f"{count} frame{'s' * (count > 1)} to look at",
+                   "motion, jitter, cuts and repeated noise need two consecutive frames of one size", "give a sequence")
+
+
+def sizes_change(material: Material) -> Iterator[Finding]:
+    """Frames of more than one size: with a scale, the output has as many, and the history ends at each change."""
+    sizes = list(dict.fromkeys(f"{frame.spec.width}x{frame.spec.height}" for frame in material.frames))
+    if len(sizes) > 1:
+        yield info("sequence", "sizes-change", f"frames are {', '.join(sizes)}", "dynamic resolution",
+                   "give the output a size (--size): it stays, and the history goes on")
+
+
+def cut_unmarked(material: Material) -> Iterator[Finding]:
+    """Motion leads to a picture that has nothing in common with this one."""
+    new = [w for w in material.warped if not w.now.reset and not w.is_related]
+    if not new:
+        return
+    scores = ", ".join(f"frame {w.now.number}: {min(w.scores.values()) / w.unrelated:.2f}" for w in new[:4])
+    evidence = f"the frame before, warped by any variant of the motion, fits hardly better than by chance (1): {scores}"
+    if len(new) == len(material.warped) and len(new) > 1:
+        yield error(Role.MOTION, "motion-no-fit", evidence, "motion that is none, or frames of different shots",
+                    "look at the picture of the motion (--pictures), write the renderer's motion vectors")
+    else:
+        yield warning("sequence", "cut-unmarked", evidence, "first frame of a cut, with motion vectors as if it were "
+                      "none", "write postfx:reset = 1 to that frame, or process the shots one by one")
+
+
+def reset_always(material: Material) -> Iterator[Finding]:
+    """Every frame says that it begins a shot, though it continues the one before."""
+    marked = [w for w in material.warped if w.now.reset and w.is_related]
+    if marked:
+        numbers = ", ".join(str(w.now.number) for w in marked[:8])
+        evidence = f"frames {numbers} say postfx:reset, but fit the frame before ({marked[0].as_it_is:.2f} of " \
+                   f"{marked[0].unrelated:.2f})"
+        yield warning("sequence", "reset-needless", evidence, "the header was copied from the first frame",
+                      "write postfx:reset at cuts only: the history is dropped there")
+
+
+def jitter_missing(material: Material) -> Iterator[Finding]:
+    """Pictures that shift against each other by parts of a pixel, without a jitter header."""
+    if any(any(frame.jitter) for frame in material.frames) or len(material.shots) < 3:
+        return
+    shots = material.shots[:JITTER_PAIRS]
+    found, scores = np.split(np.array([_shift(warped) for warped in shots]), [2], axis=1)
+    erratic = float(np.sqrt(((found - found.mean(0)) ** 2).sum(1).mean()))
+    if erratic > LEAST_JITTER and scores.sum() < FITS_BETTER * sum(warped.as_it_is for warped in shots):
+        shifts = ", ".join(f"({x:.2f}, {y:.2f})" for x, y in found[:4])
+        evidence = f"frames are shifted by {shifts} ... pixels against the motion, {erratic:.2f} px around their mean"
+        yield warning("sequence", "jitter-missing", evidence, "all samples of a frame are jittered alike and the "
+                      "header does not say how", "write postfx:jitter: sample position minus 0.5 in pixels, x right, "
+                      "y down")
+
+
+def samples_repeat(material: Material) -> Iterator[Finding]:
+    """Noise that stays in its place while the picture moves, or does not change at all."""
+    pairs = [(a, b) for a, b in material.pairs if Role.COLOUR in a and Role.COLOUR in b]
+    if pairs and all(_identical(*pair) for pair in pairs):
+        noise = noise_level(pairs[0][0][Role.COLOUR])
+        yield error(Role.COLOUR, "samples-correlated", f"noise of {noise:.3g}, the same to the bit in {len(pairs) + 1} "
+                    "frames", *ONE_SEED)
+        return
+    found = [value for pair in pairs if not pair[1].reset and (value := _repeated(*pair)) is not None]
+    if not found:
+        if pairs:
+            yield info(Role.COLOUR, "samples-untested", "whether noise repeats over the frames cannot be told",
+                       "it needs motion of more than a pixel", "give frames where the camera moves")
+        return
+    same, elsewhere = np.mean([value[0] for value in found]), np.mean([value[1] for value in found])
+    if same - elsewhere > REPEATED:
+        evidence = (f"noise of consecutive frames is {same:.2f} correlated in the same pixel where the picture moves, "
+                    f"{elsewhere:.2f} in pixels next to it")
+        yield error(Role.COLOUR, "samples-correlated", evidence, *ONE_SEED)
+
+
+def _identical(before: Frame, now: Frame) -> bool:
+    """Whether colour that holds noise is the same to the bit."""
+    colour, level = now[Role.COLOUR], noise_level(now[Role.COLOUR])
+    if level is None or level < 0.01 * float(np.abs(finite(colour)).mean()):
+        return False
+    return np.array_equal(before[Role.COLOUR], colour, equal_nan=True)
+
+
+def _repeated(before: Frame, now: Frame) -> tuple[float, float] | None:
+    """Correlation of the noise at the same pixel and a few pixels off, where the surface moves on."""
+    if min(now[Role.COLOUR].shape[:2]) < 32 or Role.MOTION not in now:
+        return None
+    moves = np.linalg.norm(finite(now[Role.MOTION]), axis=-1) > LEAST_MOVE
+    one, other = _noise(before), _noise(now)
+    used = moves & (one != 0) & (other != 0)
+    used[:, :8] = used[:, -8:] = False
+    if used.sum() < 500:
+        return None
+    shifted = [correlation(np.roll(one, step, axis=1)[used], other[used]) for step in (-7, -4, 4, 7)]
+    return correlation(one[used], other[used]), float(np.mean(shifted))
+
+
+def _noise(frame: Frame) -> np.ndarray:
+    """(height, width): by how many of its local deviations a pixel is off its neighbourhood, -3..3."""
+    whole = local_mean(np.isfinite(frame[Role.COLOUR]).all(2, keepdims=True).astype(np.float32), 3)[..., 0] > 0.999
+    light = np.log1p(np.maximum(luminance(finite(frame[Role.COLOUR])), 0) * 4)
+    if Role.DIFFUSE_ALBEDO in frame:
+        light = light / (luminance(finite(frame[Role.DIFFUSE_ALBEDO])) + np.float32(0.1))
+    off = (light[..., None] - local_mean(light[..., None], 2))[..., 0]
+    size = np.sqrt(local_mean(off[..., None] ** 2, 3))[..., 0]
+    result: np.ndarray = np.clip(off / np.maximum(size, 1e-6), -3, 3) * whole
+    return result
+
+
+def _shift(warped: Warped) -> tuple[float, float, float]:
+    """Offset (x, y) in pixels that fits best, searched from coarse to fine, and its score."""
+    best = np.zeros(2)
+    for step, reach in zip(STEPS, (3, 1), strict=True):
+        steps = np.arange(-reach, reach + 1) * step
+        offsets = [best + (x, y) for x in steps for y in steps]
+        best = min(offsets, key=lambda offset: score_offset(warped.features, offset))
+    return float(best[0]), float(best[1]), score_offset(warped.features, best)

@@ -1,13 +1,20 @@
-"""Planes that are missing, and what that costs."""
+"""Planes one by one: missing ones, broken values, overlays, the reactive mask, exposure."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import numpy as np
+
+from postfx.colour.primaries import luminance
 from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.material import Material
+from postfx.doctor.statistics import correlation, finite, percent
+from postfx.exposure import measure
 from postfx.frame import Role
+from postfx.sampling import local_mean
 
 
 class Cost(NamedTuple):
@@ -59,3 +66,204 @@ def missing(material: Material) -> Iterator[Finding]:
         alone = role is Role.MOTION and not material.pairs
         level = warning if (cost.least + cost.most) / 2 >= MATTERS_DB and not alone else info
         yield level(role, f"missing-{role.replace('_', '-')}", evidence, "not rendered, or named otherwise", mend)
+
+
+MANY = 50.0  # percent
+NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS,
+                  Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR)
+IN_UNIT_RANGE = (Role.ALPHA, Role.STRENGTH, Role.REACTIVE)
+
+
+def not_finite(material: Material) -> Iterator[Finding]:
+    """NaN and infinities; an infinite depth is a miss."""
+    for role, values in material.stored.items():
+        infinite = 0 if role is Role.DEPTH else values.infinite
+        share = 100 * (values.nan + infinite) / values.total
+        if share == 0:
+            continue
+        evidence = f"{values.nan} NaN, {infinite} infinite of {values.total} values ({share:.3g} %)"
+        cause = "division by zero in a shader or light, or a plane that was never written"
+        mend = "find the material with a picture of the plane (--pictures); values that are not finite count as 0"
+        yield (error if share > MANY else warning)(role, "not-finite", evidence, cause, mend)
+
+
+def negative(material: Material) -> Iterator[Finding]:
+    """Negative values where none can be."""
+    for role in NEVER_NEGATIVE:
+        values = material.stored.get(role)
+        if values is None or values.negative == 0:
+            continue
+        share = 100 * values.negative / values.total
+        lowest = float(np.nanmin(material.first[role]))
+        evidence = f"{values.negative} of {values.total} values below 0 ({share:.3g} %), least {lowest:.3g}"
+        cause = "a filter with negative lobes, a conversion of primaries, or a plane of another meaning"
+        level = error if share > MANY else warning if share > 0.1 else info
+        yield level(role, "negative", evidence, cause, "render with a positive pixel filter, and linear Rec.709")
+
+
+def out_of_unit_range(material: Material) -> Iterator[Finding]:
+    """Masks above 1."""
+    for role in IN_UNIT_RANGE:
+        if role in material.first and (share := percent(material.first[role] > 1.001)) > 0:
+            evidence = f"{share:.3g} % of the pixels above 1, largest {np.nanmax(material.first[role]):.3g}"
+            yield warning(role, "above-one", evidence, "stored in percent or 0..255", "store 0..1, or scale it in a "
+                          "profile")
+
+
+def colour_clipped(material: Material) -> Iterator[Finding]:
+    """Colour that ends at exactly 1: made for a display."""
+    if Role.COLOUR not in material.first:
+        return
+    colour = material.first[Role.COLOUR]
+    share = percent(colour == 1.0)
+    if float(np.nanmax(colour, initial=0.0)) == 1.0 and 0.5 < share < 90:
+        evidence = f"the largest value is exactly 1, at {share:.3g} % of the values"
+        yield warning(Role.COLOUR, "colour-clipped", evidence, "tone-mapped, clamped or converted for a display",
+                      "write scene-linear light without a view transform or clamp")
+
+
+def unreadable(material: Material) -> Iterator[Finding]:
+    """A later frame that cannot be read."""
+    if material.unreadable:
+        yield error("sequence", "unreadable", material.unreadable, "the file is broken or lacks planes of the others",
+                    "render or copy this frame again")
+
+
+LEAST_COVERAGE, LEAST_CHANGE, FEW = 0.02, 0.02, 200
+STRAIGHT = 0.3
+NARROW, WIDE, TWICE = 2, 16, 0.4
+
+
+def overlay_alpha(material: Material) -> Iterator[Finding]:
+    """Coverage that is none, or that hides everything."""
+    if Role.OVERLAY not in material.middle:
+        return
+    alpha = finite(material.middle[Role.OVERLAY])[..., 3]
+    if (share := percent((alpha < -0.001) | (alpha > 1.001))) > 0:
+        evidence = f"{share:.3g} % of the pixels outside of 0..1, from {alpha.min():.3g} to {alpha.max():.3g}"
+        yield warning(Role.OVERLAY, "overlay-alpha", evidence, "stored in percent or 0..255, or layers that were added",
+                      "write coverage 0..1, layers composited over each other; other values are cut off")
+    if (share := percent(alpha > 0.999)) > 99:
+        yield warning(Role.OVERLAY, "overlay-opaque", f"alpha is 1 at {share:.4g} % of the pixels", "rendered with its "
+                      "background", "render the transparents alone, on a transparent background")
+
+
+def overlay_straight(material: Material) -> Iterator[Finding]:
+    """Colour that does not fall with its coverage."""
+    if Role.OVERLAY not in material.middle:
+        return
+    slope, pairs = _slope(finite(material.middle[Role.OVERLAY]))
+    if pairs >= FEW and slope < STRAIGHT:
+        evidence = (f"where coverage doubles, colour becomes {2**slope:.2f} times as bright, not 2 times ({pairs} "
+                    "pairs of neighbours)")
+        yield warning(Role.OVERLAY, "overlay-straight", evidence, "colour that is not multiplied by alpha",
+                      "write premultiplied colour, or multiply it by alpha; else edges are too bright")
+
+
+def overlay_twice(material: Material) -> Iterator[Finding]:
+    """Colour that holds the overlay already."""
+    frame = material.middle
+    if not all(role in frame for role in (Role.COLOUR, Role.OVERLAY)):
+        return
+    overlay, light = finite(frame[Role.OVERLAY]), luminance(finite(frame[Role.COLOUR]))
+    change = _detail(luminance(overlay[..., :3]) - overlay[..., 3] * np.median(light))
+    used = np.abs(change) > np.percentile(np.abs(change), 80)
+    shared = correlation(_detail(np.minimum(light, np.percentile(light, 90)))[used], change[used])
+    if used.sum() >= FEW and shared > TWICE:
+        yield warning(Role.OVERLAY, "overlay-twice", f"detail of the colour is {shared:.2f} correlated with what the "
+                      "overlay changes", "the colour holds the overlay already: it would be there twice",
+                      "write the colour before transparents, as colour or beside it as 'opaque', or give --overlay "
+                      "ignore")
+
+
+def overlay_missing(material: Material) -> Iterator[Finding]:
+    """Two colours, with and without transparents, and no overlay."""
+    frame = material.middle
+    colours = (Role.COLOUR, Role.OPAQUE_COLOUR)
+    if all(role in frame for role in colours) and Role.OVERLAY not in (*frame.planes, *frame.guides):
+        share = percent((frame[Role.COLOUR] != frame[Role.OPAQUE_COLOUR]).any(2))
+        evidence = (f"colours with and without transparents differ at {share:.3g} % of the pixels, but there is no "
+                    "overlay: the one with them is denoised")
+        yield info(Role.OVERLAY, "overlay-missing", evidence, "three differences a pixel do not tell the four channels "
+                   "of an overlay", "write the transparents as 'overlay', premultiplied RGBA")
+
+
+def _slope(overlay: np.ndarray) -> tuple[float, int]:
+    """How the logarithm of the light grows with that of the coverage from pixel to pixel, and the pairs that tell: 1 of
+    premultiplied colour, 0 of straight one."""
+    light, alpha = luminance(np.maximum(overlay[..., :3], 0)), overlay[..., 3]
+    used = (alpha > LEAST_COVERAGE) & (light > 1e-4)
+    logs = [np.log2(np.where(used, plane, 1)) for plane in (light, alpha)]
+    lit, covered = (np.concatenate([np.diff(log, axis=axis).ravel() for axis in (0, 1)]) for log in logs)
+    both = np.concatenate([(used[1:] & used[:-1]).ravel(), (used[:, 1:] & used[:, :-1]).ravel()])
+    both &= np.abs(covered) > LEAST_CHANGE
+    lit, covered = lit[both], covered[both]
+    return float(np.median(lit / covered)) if both.any() else 1.0, int(both.sum())
+
+
+def _detail(plane: np.ndarray) -> np.ndarray:
+    """Without what is finer or coarser, of which noise and shading make most."""
+    result: np.ndarray = local_mean(plane[..., None], NARROW) - local_mean(plane[..., None], WIDE)
+    return result
+
+
+MOST_REACTIVE = 90.0  # percent of pixels that ignore more than half of their history
+DIFFERENT, ALIKE_NEIGHBOURS = 25.0, 65.0  # percent: of pixels, and of neighbours that are both brighter or both darker
+
+
+def reactive_everywhere(material: Material) -> Iterator[Finding]:
+    """A mask that makes nearly every pixel a first frame's."""
+    frame = material.middle
+    if Role.REACTIVE in frame and (share := percent(frame[Role.REACTIVE] > 0.5)) > MOST_REACTIVE:
+        evidence = f"{share:.3g} % of the pixels ignore more than half of their history"
+        yield warning(Role.REACTIVE, "reactive-everywhere", evidence, "stored the other way round, 1 where the history "
+                      "is used", "store 0 where it is used and 1 where it is ignored")
+
+
+def opaque_samples(material: Material) -> Iterator[Finding]:
+    """Colour before transparency whose noise is another than that of the colour: it is brighter here and darker next
+    to it, where something in front makes neighbours alike."""
+    frame = material.middle
+    if Role.COLOUR not in frame or Role.OPAQUE_COLOUR not in frame:
+        return
+    before = frame[Role.OPAQUE_COLOUR].sum(axis=2)
+    change = frame[Role.COLOUR].sum(axis=2) - before
+    sign = np.where(np.abs(change) > 0.1 * np.abs(before), np.sign(change), 0)
+    both = (sign[:, 1:] != 0) & (sign[:, :-1] != 0)
+    share, alike = percent(sign != 0), percent((sign[:, 1:] == sign[:, :-1])[both]) if both.any() else 100.0
+    if share > DIFFERENT and alike < ALIKE_NEIGHBOURS:
+        evidence = (f"{share:.3g} % of the pixels differ from the colour by more than a tenth, and {alike:.3g} % of "
+                    "neighbours in the same direction")
+        yield warning(Role.OPAQUE_COLOUR, "opaque-samples", evidence, "rendered with other samples than the colour, so "
+                      "that the reactive mask is made of noise", "write both colours of the same samples, or a plane "
+                      "'reactive'; --reactive none leaves it out")
+
+
+MISMATCH_EV = 2.0
+UNUSUAL_EV = 8.0
+
+
+def exposure_mismatch(material: Material) -> Iterator[Finding]:
+    """Exposure header against what metering brings to mid grey, which the tone mapper expects."""
+    frames = [frame for frame in material.frames if Role.COLOUR in frame]
+    metered = {frame.number: ev for frame in frames if (ev := measure(frame[Role.COLOUR])) is not None}
+    if frames and not metered:
+        yield warning(Role.COLOUR, "colour-black", "every frame looked at is black", "lights off, or another layer's "
+                      "colour", "check that the colour plane is the beauty pass")
+    headers = {frame.number: frame.exposure for frame in frames if frame.exposure is not None}
+    if any(not 0 < value < math.inf for value in headers.values()):
+        yield error("sequence", "exposure-invalid", f"exposure in the header: {next(iter(headers.values()))}",
+                    "an EV was written instead of a multiplier", "write a positive multiplier: 2 ** EV")
+        return
+    offs = [math.log2(headers[number]) - metered[number] for number in metered if number in headers]
+    if offs and abs(off := float(np.median(offs))) > MISMATCH_EV:
+        number = next(number for number in metered if number in headers)
+        evidence = (f"the header's exposure is {headers[number]:.3g} ({math.log2(headers[number]):+.2f} EV), metering "
+                    f"wants {2 ** metered[number]:.3g} ({metered[number]:+.2f} EV): {off:+.2f} EV")
+        result = "bright" if off > 0 else "dark"
+        yield warning("sequence", "exposure-mismatch", evidence, f"pictures would be too {result}: colour was scaled "
+                      "after the exposure was set, or it is that of another camera", "write the multiplier that brings "
+                      "mid grey to 0.18, or use --exposure auto")
+    elif not headers and metered and abs(ev := float(np.median(list(metered.values())))) > UNUSUAL_EV:
+        yield info("sequence", "exposure-unusual", f"metering wants {ev:+.2f} EV", "physical light units without a "
+                   "camera's exposure", "nothing to do with --exposure auto; else write postfx:exposure")

@@ -1,0 +1,288 @@
+"""Depth, normals, albedos and roughness: what each plane holds, by how the planes agree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+
+from postfx.colour.primaries import luminance
+from postfx.doctor.findings import Finding, error, info, warning
+from postfx.doctor.geometry import (
+    CAMERA_AXES,
+    DEPTH_KINDS,
+    DepthKind,
+    Fit,
+    angle_by,
+    are_unit,
+    fit_depth_kinds,
+    fit_rotation,
+    fit_roughness,
+    is_hit,
+    is_unsigned,
+    lengths_of,
+    normals_of_depth,
+    smooth_points,
+    surface_normals,
+    unit_normals,
+)
+from postfx.doctor.material import Material
+from postfx.doctor.statistics import correlation, finite, noise_level, percent
+from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.sampling import local_mean
+
+CLEARLY_OFF, WELL = 1.5, 5.0  # degrees between the normals of depth and the stored ones
+MUCH_BETTER = 0.4
+FAR_AWAY = 50.0
+ANY_FOV = tuple(range(20, 122, 2))
+
+
+def depth_misses(material: Material) -> Iterator[Finding]:
+    """Misses marked with something else than 1e10, and negative depth."""
+    if Role.DEPTH not in material.middle:
+        return
+    depth = np.nan_to_num(material.middle[Role.DEPTH][..., 0], nan=DEPTH_MISS)
+    below = depth < 0
+    if percent(below) > 0.1:
+        evidence = f"{percent(below):.3g} % of the pixels negative, least {depth.min():.4g}"
+        yield error(Role.DEPTH, "depth-negative", evidence, "camera space that looks along -z, or -1 for misses",
+                    "negate it; misses are 1e10 (in a profile scale = [-1], miss = VALUE)")
+    share = percent(depth == 0)
+    if share > 0.1:
+        yield warning(Role.DEPTH, "depth-miss-zero", f"{share:.3g} % of the pixels exactly 0", "misses stored as 0",
+                    "store 1e10 where nothing was hit, or give --depth planar,miss=0 (in a profile miss = 0.0)")
+    hit = depth[is_hit(depth[..., None])]
+    if hit.size < 100:
+        return
+    largest = float(hit.max())
+    same = hit == largest
+    others = hit[~same]
+    if others.size and percent(same) > 0.5 and largest > FAR_AWAY * np.percentile(others, 95):
+        evidence = f"{percent(same):.3g} % of the hits are exactly {largest:.6g}, the others below {others.max():.4g}"
+        yield warning(Role.DEPTH, "depth-miss-far", evidence, "misses stored as the far plane or the largest half "
+                      "float", f"store 1e10 where nothing was hit, or in a profile miss = {largest:.6g}")
+
+
+def depth_kind(material: Material) -> Iterator[Finding]:
+    """Ray distance, reversed or buffer depth, and a wrong field of view, by the normals that follow from depth."""
+    frame = material.middle
+    if Role.DEPTH not in frame or is_unsigned(frame):
+        return
+    fits = fit_depth_kinds(frame)
+    if DEPTH_KINDS[0] not in fits:
+        yield info(Role.DEPTH, "depth-untested", "whether depth is planar, ray distance or reversed cannot be told",
+                   "it needs normals and some hundred pixels of smooth surfaces", "look at its picture (--pictures)")
+        return
+    stored = fits[DEPTH_KINDS[0]].angle
+    kind = min(fits, key=lambda kind: fits[kind].angle)
+    other = fit_rotation(frame, ANY_FOV) if frame.fov_x and stored >= CLEARLY_OFF else None
+    best = min(filter(None, (fits[kind], other)), key=lambda fit: fit.angle)
+    if stored < CLEARLY_OFF or best.angle >= min(MUCH_BETTER * stored, WELL):
+        return
+    if best is other:
+        yield warning("sequence", "fov-mismatch", _facing(best, stored) + f"; the header says {frame.fov_x:.4g}",
+                      "vertical field of view, or another camera's", "write the horizontal field of view in degrees to "
+                      "postfx:fovX")
+    else:
+        yield error(Role.DEPTH, kind.code, _facing(best, stored, kind), kind.cause, kind.mend)
+
+
+def _facing(fit: Fit, stored: float, kind: DepthKind = DEPTH_KINDS[0]) -> str:
+    return (f"surfaces face within {fit.angle:.2g} degrees of their normals if depth is {kind.name} and the field of "
+            f"view {fit.fov_x:.4g} degrees; {stored:.3g} degrees as it is")
+
+
+SAME_AXES = 3.0  # degrees
+DEPTH_EXPLAINS = 4.0
+_FLIPS = [np.diag(signs) for signs in product((-1.0, 1.0), repeat=3)]
+
+
+def normal_encoding(material: Material) -> Iterator[Finding]:
+    """Normals stored as 0..1."""
+    if Role.NORMAL not in material.middle:
+        return
+    normal = surface_normals(material.middle)
+    if len(normal) < 16:
+        return
+    if is_unsigned(material.middle):
+        decoded = np.median(lengths_of(2 * normal - 1))
+        evidence = f"no value below {normal.min():.2g}, and 2 n - 1 has length {decoded:.3f} in the median"
+        yield error(Role.NORMAL, "normal-unsigned", evidence, "normals stored as colours, (n + 1) / 2",
+                    "store signed values, or in a profile offset = [-0.5, -0.5, -0.5], scale = [2, 2, 2]")
+    elif not are_unit(normal):
+        lengths = np.percentile(lengths_of(normal), (5, 50, 95))
+        evidence = f"lengths {lengths[0]:.3g} / {lengths[1]:.3g} / {lengths[2]:.3g} (5th, 50th, 95th percentile)"
+        yield error(Role.NORMAL, "normal-length", evidence, "scaled, filtered, or not a normal", "write unit normals; "
+                    "where samples are averaged, of each sample before averaging")
+
+
+def normal_space(material: Material) -> Iterator[Finding]:
+    """Camera space, inverted normals, or a matrix that does not fit, by the normals that follow from depth."""
+    frame, fit = material.middle, material.fit
+    if Role.NORMAL not in frame or is_unsigned(frame):
+        return
+    if fit is None or fit.angle > DEPTH_EXPLAINS:
+        yield info(Role.NORMAL, "normal-space-untested", "the space of the normals cannot be told",
+                   "it needs depth along the view axis and smooth surfaces", "look at its picture (--pictures): world "
+                   "normals keep their colours when the camera turns")
+        return
+    camera = min(_turn(fit.matrix, flip) for flip in _FLIPS)
+    if frame.world_to_camera is None:
+        yield from _without_matrix(camera)
+        return
+    if _explained(frame, fit) is not None:
+        return
+    world = min(_worlds(frame), key=lambda matrix: _turn(fit.matrix, matrix))
+    off = _turn(fit.matrix, world)
+    evidence = (f"normals are turned by {off:.3g} degrees from the world as worldToCamera has it, "
+                f"by {camera:.2g} degrees from the camera's axes")
+    if camera < SAME_AXES:
+        yield error(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space",
+                    "write world normals, or in a profile space = \"camera\"")
+    elif (inverted := min(_turn(fit.matrix, -matrix) for matrix in _worlds(frame))) < SAME_AXES:
+        evidence = f"negated, they are within {inverted:.2g} degrees of what depth and camera say"
+        yield error(Role.NORMAL, "normal-inverted", evidence, "normals point away from the viewer",
+                    "negate them, in a profile scale = [-1, -1, -1]")
+    elif min(_turn(fit.matrix, axes @ frame.world_to_camera[:3, :3]) for axes in CAMERA_AXES) < SAME_AXES:
+        yield error("sequence", "matrix-transposed", evidence, "worldToCamera stored for column vectors, or inverted",
+                    "store it for row vectors (p_camera = p_world M)")
+    else:
+        yield warning("sequence", "matrix-mismatch", evidence, "worldToCamera of another frame or with other axes",
+                      "give the matrix of this frame, for row vectors (p_camera = p_world M)")
+
+
+def normal_facing(material: Material) -> Iterator[Finding]:
+    """Normals of some surfaces that point away from the viewer."""
+    frame, fit = material.middle, material.fit
+    if fit is None or fit.angle > DEPTH_EXPLAINS or is_unsigned(frame):
+        return
+    points = smooth_points(frame[Role.DEPTH])
+    seen, _ = normals_of_depth(frame, fit.fov_x, points)
+    explained = _explained(frame, fit)
+    cosines = ((seen @ (fit.matrix if explained is None else explained)) * unit_normals(frame, points)).sum(-1)
+    if (share := percent(cosines < -0.7)) > 1:
+        yield warning(Role.NORMAL, "normal-facing", f"{share:.3g} % of the pixels point away from the viewer",
+                      "normals of the geometry, not turned towards the viewer", "negate those with normal . view > 0")
+
+
+def _without_matrix(camera: float) -> Iterator[Finding]:
+    if camera < SAME_AXES:
+        evidence = f"normals are within {camera:.2g} degrees of the camera's axes; certain only with worldToCamera"
+        yield warning(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space, or the camera looks "
+                      "along an axis of the world and stands still", "write world normals and a worldToCamera header")
+
+
+def _explained(frame: Frame, fit: Fit) -> np.ndarray | None:
+    """The header's matrix, if it takes the normals of depth to the stored ones hardly worse than what fits best: where
+    one plane fills the picture that may be turned about its normal."""
+    if frame.world_to_camera is None:
+        return None
+    found = {angle_by(frame, fit.fov_x, matrix): matrix for matrix in _worlds(frame)}
+    return found[min(found)] if min(found) < fit.angle + SAME_AXES else None
+
+
+def _worlds(frame: Frame) -> list[np.ndarray]:
+    """Matrices from the picture's axes to the world's, by the axes that a camera may have."""
+    assert frame.world_to_camera is not None  # without it nobody asks
+    rotation = frame.world_to_camera[:3, :3]
+    rotation = rotation / np.maximum(np.linalg.norm(rotation, axis=0, keepdims=True), 1e-12)
+    return [(rotation @ axes).T for axes in CAMERA_AXES]
+
+
+def _turn(one: np.ndarray, other: np.ndarray) -> float:
+    """Degrees between two orthogonal matrices; 180 where one mirrors and the other does not."""
+    sine = np.linalg.norm(one - other) / (2 * np.sqrt(2))
+    return 2 * float(np.degrees(np.arcsin(min(sine, 1.0))))
+
+
+ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+NOISY_ALBEDO = 0.012
+MOST_ABOVE = 5.0  # percent of the pixels
+BRIGHT = 0.5
+SAME_NOISE = 0.5
+
+
+def albedo_above_one(material: Material) -> Iterator[Finding]:
+    """Reflectance above 1: more light than came in."""
+    for role in ALBEDOS:
+        if role not in material.middle:
+            continue
+        plane = finite(material.middle[role]).max(2)
+        share = percent(plane > 1.001)
+        if share > 0:
+            evidence = f"{share:.3g} % of the pixels above 1, largest {plane.max():.3g}"
+            cause = "a light or a reflection seen in the plane, lit colour instead of reflectance, or a scale"
+            mend = "write reflectance without light; values above 1 are cut off"
+            level = error if share > MOST_ABOVE else warning if share > 0.1 else info
+            yield level(role, "albedo-above-one", evidence, cause, mend)
+
+
+def albedo_noisy(material: Material) -> Iterator[Finding]:
+    """Noise in flat areas of an albedo."""
+    for role in ALBEDOS:
+        if role not in material.middle:
+            continue
+        plane = np.clip(finite(material.middle[role]), 0, 4)
+        level = noise_level(plane)
+        used = plane.max(2) > 0
+        if level is None or level < NOISY_ALBEDO or level < 0.02 * float(plane[used].mean()):
+            continue
+        shared = _shared_noise(material.middle, plane)
+        evidence = f"noise of {level:.3g} in the flattest quarter of the picture, mean {plane[used].mean():.3g}; "
+        evidence += f"{shared:.2f} correlated with the colour's noise"
+        lit = shared > SAME_NOISE
+        cause = "the plane holds lit colour" if lit else "depth of field, motion blur or rough layers in the plane"
+        mend = "write reflectance without light" if lit else "write it at the first hit, or with more samples"
+        yield warning(role, "albedo-is-lit" if lit else "albedo-noisy", evidence, cause, mend)
+
+
+def _shared_noise(frame: Frame, albedo: np.ndarray) -> float:
+    if Role.COLOUR not in frame:
+        return 0.0
+    light, reflected = (np.log(luminance(np.maximum(finite(plane), 0)) + 1e-2)[..., None]
+                        for plane in (frame[Role.COLOUR], albedo))
+    return correlation(light - local_mean(light, 2), reflected - local_mean(reflected, 2))
+
+
+def bright_metal(material: Material) -> Iterator[Finding]:
+    """Diffuse and specular albedo bright in the same pixels: together they would reflect more than they get."""
+    if not all(role in material.middle for role in ALBEDOS):
+        return
+    diffuse, specular = (finite(material.middle[role]) for role in ALBEDOS)
+    metal = specular.max(2) > BRIGHT
+    bright = metal & ((diffuse + specular).max(2) > 1.05)
+    share, of_metal = percent(bright), 100 * bright.sum() / max(metal.sum(), 1)
+    if share > 0.05 and of_metal > 30:
+        evidence = (f"{share:.3g} % of the pixels ({of_metal:.0f} % of those with specular albedo above {BRIGHT}) "
+                    f"reflect more than 1.05 in sum, {(diffuse + specular).max(2)[bright].mean():.3g} in the mean")
+        yield warning(Role.DIFFUSE_ALBEDO, "metal-diffuse-bright", evidence, "base colour written as diffuse albedo of "
+                      "metals too", "diffuse albedo = base colour x (1 - metallic); metals' colour is specular albedo")
+
+
+def roughness_range(material: Material) -> Iterator[Finding]:
+    """Roughness above 1."""
+    if Role.ROUGHNESS in material.middle:
+        plane = finite(material.middle[Role.ROUGHNESS])
+        if (share := percent(plane > 1.001)) > 0.1:
+            yield error(Role.ROUGHNESS, "roughness-range", f"{share:.3g} % above 1, largest {plane.max():.3g}",
+                        "a gloss exponent or 0..255", "write linear roughness 0..1, or scale it in a profile")
+
+
+def roughness_kind(material: Material) -> Iterator[Finding]:
+    """Squared roughness, its root, or smoothness, by what specular albedo says."""
+    frame = material.middle
+    if Role.ROUGHNESS not in frame:
+        return
+    fit = fit_roughness(frame)
+    if fit is None or not fit.is_telling:
+        yield info(Role.ROUGHNESS, "roughness-untested", "whether roughness is linear, squared or smoothness cannot be "
+                   "told", "it needs specular albedo that depends on roughness and view angle, depth and fov_x, and "
+                   "smooth surfaces", "look at its picture (--pictures): mirrors are black, plaster is white")
+        return
+    kind, certain = fit.best, fit.certainty
+    if kind.code and certain > 0:
+        evidence = (f"specular albedo is explained with an error of {fit.errors[kind]:.3g} if the plane is "
+                    f"{kind.name}, of {fit.as_it_is:.3g} as linear roughness ({fit.pixels} pixels); "
+                    f"certainty {certain:.0%}")
+        yield (error if certain >= 0.5 else warning)(Role.ROUGHNESS, kind.code, evidence, kind.cause, kind.mend)
