@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.frame import DEPTH_MISS, Frame, Role
-from postfx.kernels.image import box_means, moments
-from postfx.kernels.metering import half_means
+from postfx.kernels.image import box_means, half_means, moments
 from postfx.sampling import bilinear, is_inside
 
 RELATED = 0.65

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from postfx.colour import ocio
-from postfx.colour.difference import delta_e_itp, measure_difference, to_itp
 from postfx.colour.displays import parse_display
 from postfx.colour.views import find_view
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
-from postfx.look_table import SHARE, LookTable, expose_colour
+from postfx.look_table import SHARE, LookTable, delta_e_itp, expose_colour, measure_difference, to_itp
 from postfx.passes.display import View
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from postfx.errors import CommandError, SequenceError
-from postfx.io.output import check_folder
+from postfx.io.writer import check_folder
 from postfx.report.page import write_capture
 from postfx.runtime import Capture, Device
 

@@ -18,8 +18,7 @@ from postfx.io.sequence import Sequence
 from postfx.passes.base import Pass
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
-from postfx.report.charts import draw_exposure
-from postfx.report.drawing import save_png, with_key
+from postfx.report.charts import draw_exposure, save_png, with_key
 from postfx.runtime import Device
 
 SIGNALS = ("log_c", "display")

@@ -25,10 +25,9 @@ from postfx.cli.summary import Explanation, FrameProgress, Processed, Report, gu
 from postfx.errors import PostfxError, WriteError
 from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
 from postfx.frame import Frame
-from postfx.io.output import Existing, OutputFiles
 from postfx.io.prefetch import WriteBehind, read_ahead, read_patiently
 from postfx.io.sequence import Sequence
-from postfx.io.writer import write_frame
+from postfx.io.writer import Existing, OutputFiles, write_frame
 from postfx.kernels.compile_cache import is_first_run
 from postfx.passes.base import Pass
 from postfx.passes.registry import create

@@ -15,7 +15,7 @@ from postfx.colour.curves import srgb_decode
 from postfx.errors import ReportError
 from postfx.exposure import ExposureMeter, measure
 from postfx.frame import Frame, Role
-from postfx.io.output import check_folder
+from postfx.io.writer import check_folder
 from postfx.kernels.image import resampled
 from postfx.pipeline import Pipeline
 from postfx.report.frame_log import Comparison, FrameLog, Look, References, measure_errors

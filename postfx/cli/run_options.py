@@ -29,8 +29,8 @@ from postfx.cli.options import (
 if TYPE_CHECKING:
     from postfx.frame import Role
     from postfx.io.frame_reader import FrameFiles
-    from postfx.io.output import OutputFiles
     from postfx.io.sequence import Sequence
+    from postfx.io.writer import OutputFiles
     from postfx.passes.base import Pass
     from postfx.plan import Skipped
     from postfx.temporal.run_up import RunUp

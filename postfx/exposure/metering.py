@@ -17,7 +17,7 @@ import numpy as np
 from postfx.errors import ExposureError, PostfxError
 from postfx.frame import Frame, Role
 from postfx.io.prefetch import read_ahead
-from postfx.kernels.metering import block_means
+from postfx.kernels.image import block_means
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence as FrameSequence

@@ -1,18 +1,12 @@
-"""Pictures: another size, a transparency overlay, a checkerboard, and which cells of a mask are active.
+"""Kernels of whole pictures: resampling, transparency overlays, a checkerboard, and statistics of their cells.
 
-Cubic resampling of any plane to another size.
-
-Kernels of transparency overlays, premultiplied RGBA: cubic enlarging without halos, and compositing.
-
-A checkerboard of two greys.
-
-Bindings (float32): rows (height,) and columns (width,), 0 or 1 by turns from cell to cell; greys (2,), of cells where
-both are the same and of the others; output (height, width, 3). The torch definition is
-`training.kernels.tonemap.Checkerboard`.
-
-What a coarse grid's cells hold: means and moments, by which cuts are found, and whether anything is positive.
-
-Runs on the host, before a frame is uploaded.
+- Cubic resampling of any plane to another size.
+- Overlays of premultiplied RGBA: cubic enlarging without halos, and compositing.
+- A checkerboard of two greys (float32): rows (height,) and columns (width,) alternate between 0 and 1 from cell to
+  cell; greys (2,) are of cells where both are equal and of the others; output (height, width, 3). The torch definition
+  is `training.kernels.tonemap.Checkerboard`.
+- On the host, before a frame is uploaded: means and moments of a coarse grid's cells, by which cuts are found; whether
+  a cell holds anything positive; block averages of luminance, on which exposure is metered.
 """
 
 from __future__ import annotations
@@ -388,3 +382,52 @@ def mark_positive(plane: np.ndarray, side: int, cells: np.ndarray) -> None:
         for x in range(plane.shape[1]):
             if plane[y, x, 0] > 0:
                 cells[y // side, x // side] = True
+
+
+@inline
+def luminance(colour: np.ndarray, y: int, x: int) -> Real:
+    """Luminance of a pixel of Rec.709."""
+    return 0.2126 * colour[y, x, 0] + 0.7152 * colour[y, x, 1] + 0.0722 * colour[y, x, 2]
+
+
+@compiled
+def block_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
+    """Mean luminance of each block x block pixels without the brightest; colour (h, w, 3) -> means (rows, columns).
+
+    Non-finite pixels are left out, negative ones count as 0. Averaging keeps the noise of one sample a pixel out of
+    the logarithm that follows, which would read it as darkness; without the brightest pixel a firefly is no light.
+    """
+    for j in range(means.shape[0]):
+        for i in range(means.shape[1]):
+            total, brightest, count = 0.0, 0.0, 0
+            for y in range(j * block, min((j + 1) * block, colour.shape[0])):
+                for x in range(i * block, min((i + 1) * block, colour.shape[1])):
+                    value = luminance(colour, y, x)
+                    if abs(value) < np.inf:  # false for NaN too
+                        value = max(value, 0.0)
+                        total += value
+                        brightest = max(brightest, value)
+                        count += 1
+            means[j, i] = (total - brightest) / (count - 1) if count > 1 else total
+
+
+@compiled
+def half_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
+    """Mean luminance of the two halves of each whole block; colour (h, w, 3) -> means (2, rows, columns).
+
+    The halves are the even and the odd rows, so they show the same with other noise. The brightest pixel of each is
+    left out, as by `block_means`; pixels that are not finite and negative ones count as 0.
+    """
+    for half in range(2):
+        for j in range(means.shape[1]):
+            for i in range(means.shape[2]):
+                total, brightest, count = 0.0, 0.0, 0
+                for y in range(j * block + half, (j + 1) * block, 2):
+                    for x in range(i * block, (i + 1) * block):
+                        value = luminance(colour, y, x)
+                        if abs(value) < np.inf:  # false for NaN too
+                            value = max(value, 0.0)
+                            total += value
+                            brightest = max(brightest, value)
+                    count += block
+                means[half, j, i] = (total - brightest) / (count - 1)

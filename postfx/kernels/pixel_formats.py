@@ -55,7 +55,7 @@ def look_up(codes: np.ndarray, table: np.ndarray, output: np.ndarray) -> bool:
 
 
 @compiled
-def part(plain: np.ndarray, differences: np.ndarray) -> None:
+def predict_bytes(plain: np.ndarray, differences: np.ndarray) -> None:
     """differences (n,) uint8 = bytes of `plain` (n,) uint8, n even, as OpenEXR compresses them (ImfZip.cpp): those in
     even places before those in odd ones, each less the one before it, plus 128."""
     half = plain.size // 2

@@ -15,9 +15,8 @@ import numpy as np
 from postfx.errors import Interrupted, ReadError, WriteError
 from postfx.files import hash_file
 from postfx.frame import Frame
-from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import Sequence
-from postfx.io.writer import is_complete
+from postfx.io.writer import Existing, OutputFiles, is_complete
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan, Skipped
 from postfx.runs.checkpoint import load_checkpoint

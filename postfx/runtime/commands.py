@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from typing import Protocol, Self, TypeVar
 
 from postfx.errors import BindingError, CommandError, CommandTimeout, EncodingError
-from postfx.runtime.arena import Placement
 from postfx.runtime.capture import CapturableDevice, Recorder
 from postfx.runtime.execution import Execution
 from postfx.runtime.hazards import Footprint, Hazards, RecordedCommands, check_dispatch
+from postfx.runtime.heap import Placement
 from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.states import ArgumentTable, State
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice

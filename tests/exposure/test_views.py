@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.exposure.views import BANDS, false_colour, log_c, zebra
-from postfx.report.drawing import with_key
+from postfx.report.charts import with_key
 
 COLOURS = {band.meaning: band.colour for band in BANDS}
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from postfx.errors import ReadError, SequenceError, WriteError
-from postfx.io.output import Existing, OutputFiles
 from postfx.io.pattern import parse_frames, parse_pattern
 from postfx.io.sequence import Sequence, read_sequence
+from postfx.io.writer import Existing, OutputFiles
 from tests.files.conftest import names
 from tests.files.exr_files import channel_hashes, write_mixed
 

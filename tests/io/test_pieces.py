@@ -15,7 +15,7 @@ from postfx.io import encode as encoders
 from postfx.io import frame_reader as planes_of_files
 from postfx.io import writer
 from postfx.io.convert import Camera, convert
-from postfx.io.exr import zip as exr_zip
+from postfx.io.exr import container
 from postfx.io.profile import load_profile
 from postfx.io.sequence import Sequence
 from postfx.system import Scratch
@@ -102,7 +102,7 @@ def test_files_written_in_pieces_are_the_same_bytes(
     whole = writer.write_frame(tmp_path / "whole" / name, frame)
     calls = []
     monkeypatch.setattr(encoders, "_PIECE", 1)
-    monkeypatch.setattr(exr_zip, "_PIECE", 1)
+    monkeypatch.setattr(container, "_PIECE", 1)
     pieces = writer.write_frame(tmp_path / "pieces" / name, frame, relax=lambda: calls.append(1))
     one, other = (oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT) for path in (whole, pieces))
     np.testing.assert_array_equal(one, other)

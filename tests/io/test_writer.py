@@ -12,9 +12,8 @@ from postfx.colour.displays import parse_display
 from postfx.colour.primaries import REC709
 from postfx.errors import OutputExistsError, WriteError
 from postfx.frame import Frame, Role
-from postfx.io.output import Existing, OutputFiles
 from postfx.io.sequence import read_sequence
-from postfx.io.writer import is_complete, write_frame
+from postfx.io.writer import Existing, OutputFiles, is_complete, write_frame
 
 
 @pytest.fixture

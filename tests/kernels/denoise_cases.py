@@ -9,7 +9,6 @@ import numpy as np
 
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.guides import GUIDE, TRUST
-from postfx.kernels.denoise.history import HISTORY
 from postfx.kernels.denoise.layout import BLEND, FINE, GUIDE_PLANES, MEMORY
 from postfx.kernels.denoise.network_io import (
     OPEN,
@@ -22,7 +21,7 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
 )
 from postfx.kernels.denoise.output import ASSEMBLE, STRENGTH
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, RESIZE, SCALE
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, RESIZE, SCALE
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_GUIDED
 from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
 from postfx.kernels.denoise.reflections import REFLECTIONS

@@ -8,8 +8,7 @@ import pytest
 
 from postfx.errors import WriteError
 from postfx.exposure.debugger import Reading, Report, Shot
-from postfx.report.charts import LEFT, NEEDED, RIGHT_EDGE, STRIP, USED, draw_exposure
-from postfx.report.drawing import Canvas
+from postfx.report.charts import LEFT, NEEDED, RIGHT_EDGE, STRIP, USED, Canvas, draw_exposure
 
 
 def report(used: list[float], needed: list[float], cuts: tuple[int, ...] = ()) -> Report:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from postfx.runtime import ArgumentTable, BindingError, HazardError, arena
-from postfx.runtime.arena import Plan
+from postfx.runtime import ArgumentTable, BindingError, HazardError, heap
+from postfx.runtime.heap import Plan
 from tests import toys
 from tests.runtime.chain import Chain, shared, spans
 
@@ -63,7 +63,7 @@ def test_sharing_without_a_barrier_is_found_and_named(chain, monkeypatch):
     def all_at_the_start(sizes, *rest):
         return Plan((0,) * len(sizes), max(sizes), max(sizes), sum(sizes), (None,) * len(sizes))
 
-    monkeypatch.setattr(arena, "make_plan", all_at_the_start)
+    monkeypatch.setattr(heap, "make_plan", all_at_the_start)
     with pytest.raises(HazardError, match=r"'two' \(network 'double'\) writes 'second', which 'one'") as caught:
         chain.record(barrier=False).commit()
     assert caught.value.kind in ("write after write", "write after read")

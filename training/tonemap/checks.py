@@ -13,11 +13,11 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from postfx.bench.metrics import FOLLOWED, LUMINANCE, moved
-from postfx.colour.difference import to_itp
 from postfx.colour.displays import parse_display
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
+from postfx.look_table import to_itp
 from postfx.sampling import motion_at
 from training.tonemap.pictures import MID_GREY, hue_chart, ramp
 from training.tonemap.views import View, exact_view

@@ -22,11 +22,11 @@ import OpenImageIO as oiio
 import torch
 
 from postfx.bench.metrics import flip, psnr, ssim
-from postfx.colour.difference import delta_e_itp
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.kernels.colour import APPLY_CUBE
 from postfx.kernels.tonemap import SLICE_APPLY
+from postfx.look_table import delta_e_itp
 from postfx.passes.tonemap import ToneMap, find_model, shaper
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

@@ -10,7 +10,6 @@ import numpy as np
 
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.guides import GUIDE, TRUST
-from postfx.kernels.denoise.history import HISTORY
 from postfx.kernels.denoise.layout import FEATURES, FINE, GUIDES, TRUST_CELL
 from postfx.kernels.denoise.network_io import (
     OPEN,
@@ -23,7 +22,7 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
     opened_shape,
 )
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_GUIDED
 from postfx.kernels.denoise.reactive import KEEP
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED

@@ -7,8 +7,8 @@ import random
 
 import pytest
 
-from postfx.runtime.arena import Present, make_plan
 from postfx.runtime.hazards import predecessors
+from postfx.runtime.heap import Present, make_plan
 from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
 
 SERIAL = 8
