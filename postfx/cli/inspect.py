@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from postfx.cli.run_options import DEPTH
+from postfx.cli.run_options import COLOURSPACE, DEPTH
 
 HELP = "find what is wrong with a sequence's planes"
 DESCRIPTION = """\
@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", metavar="RANGE", help="frames of interest, e.g. 12 or 1-100")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
     DEPTH.add_to(parser)
+    COLOURSPACE.add_to(parser)
     parser.add_argument("--pictures", metavar="DIR", help="write a picture of every plane of the first frame there")
     parser.add_argument(
         "--report", metavar="HTML", help="write a page that opens from the disk and needs no network: frames with an "
@@ -51,7 +52,8 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.cli.inspection import Inspection, print_text  # loads NumPy and OpenImageIO: --help must not wait
     from postfx.cli.report import write_inspection
 
-    inspection = Inspection(arguments.input, arguments.frames, arguments.profile, arguments.guides, arguments.depth)
+    inspection = Inspection(arguments.input, arguments.frames, arguments.profile, arguments.guides, arguments.depth,
+                            arguments.colourspace)
     if arguments.pictures:
         inspection.write_pictures(arguments.pictures)
     if arguments.report:

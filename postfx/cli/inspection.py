@@ -26,7 +26,8 @@ INDENT = " " * 9
 class Inspection:
     """A sequence looked at: facts about its first frame, and findings of a few frames.
 
-    Raises SequenceError, MissingFrameError, MissingPlaneError, GuideError, ReadError or ProfileError.
+    Raises SequenceError, MissingFrameError, MissingPlaneError, GuideError, ReadError, ColourError
+    or ProfileError.
 
     Attributes:
         sequence: what was looked at.
@@ -37,9 +38,9 @@ class Inspection:
 
     def __init__(
         self, source: str, frames: str | Iterable[int] | None, profile: str | None, guides: str | None = None,
-        depth: str | None = None,
+        depth: str | None = None, colourspace: str | None = None,
     ) -> None:
-        self.sequence = Sequence(source, frames, profile, guides=guides, depth=depth)
+        self.sequence = Sequence(source, frames, profile, guides=guides, depth=depth, colourspace=colourspace)
         self._reading: Reading = read_material(self.sequence)
         self.findings: list[Finding] = examine(self._reading.material)
         self.exit_code = exit_code(self.findings)

@@ -287,6 +287,12 @@ DEPTH = Option(
     "fov, miss, scale; e.g. reversed,near=0.1 (default: by the profile)",
 )
 
+COLOURSPACE = Option(
+    flag="--colourspace", metavar="NAME", sets="sequence.colourspace",
+    help="linear primaries of the colours: rec709, p3, rec2020, acescg or aces2065-1 (default: by the headers "
+    "colorInteropID or chromaticities, else rec709)",
+)
+
 
 def parse_cuts(text: str) -> tuple[int, ...] | None:
     """Frames at which shots begin, as --cuts says: 'auto' gives None, 'none' none, else '1,48' or '1-100x10'.
@@ -308,9 +314,7 @@ READING = Section("reading and running", (
     Option(flag="--profile", metavar="NAME|FILE", sets="sequence.profile", is_file=True,
            help="how the renderer names its planes (default: found from the file)"),
     DEPTH,
-    Option(flag="--colourspace", metavar="NAME", sets="sequence.colourspace",
-           help="linear primaries of the colours: rec709, p3, rec2020, acescg or aces2065-1 (default: by the headers "
-           "chromaticities or colorInteropID, else rec709)"),
+    COLOURSPACE,
     Option(flag="--cuts", metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts", convert=parse_cuts,
            help="where shots begin, so that the history is dropped: by headers and pictures, nowhere, or at these "
            "frames, e.g. 1,48,90 (default: auto)"),

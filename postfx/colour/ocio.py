@@ -114,6 +114,17 @@ def convert(light: np.ndarray, source: str, target: str) -> np.ndarray:
     return _apply(apply, light, f"{source} to {target}")
 
 
+def name_of_id(identifier: str) -> str | None:
+    """Colour space of the built-in config with this identifier of the Color Interop Forum, None where it has none."""
+    config = _config(BUILT_IN)
+    return next((name for name in config.getColorSpaceNames() if config.get_color_interop_id(name) == identifier), None)
+
+
+def is_linear(name: str) -> bool:
+    """Whether a colour space of the built-in config is linear."""
+    return bool(_config(BUILT_IN).isColorSpaceLinear(name))
+
+
 def is_lut(text: str) -> bool:
     """Whether a look's name is that of a file with a look-up table."""
     return Path(text.partition(",")[0]).suffix.lower() in LUTS

@@ -8,6 +8,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from postfx.errors import ColourError
+
 Chromaticities = tuple[float, ...]
 """x and y of red, green, blue and white."""
 
@@ -25,6 +27,9 @@ ACESCG: Chromaticities = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.3
 ACES2065_1: Chromaticities = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.0770, 0.32168, 0.33767)
 """AP0, SMPTE ST 2065-1."""
 
+ADOBE_RGB: Chromaticities = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, *D65)
+"""Adobe RGB (1998)."""
+
 LINEAR_SPACES: Mapping[str, Chromaticities] = MappingProxyType(
     {"rec709": REC709, "p3": P3_D65, "rec2020": REC2020, "acescg": ACESCG, "aces2065-1": ACES2065_1}
 )
@@ -36,25 +41,46 @@ LUMA_REC2020 = (0.2627, 0.6780, 0.0593)
 """Weights of luminance, ITU-R BT.2100-2, table 5."""
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 """XYZ to sharpened cone responses; Lam 1985, as in ICC.1:2022, annex E."""
-_SAME = 2e-3
+_ROUNDED, _ALIKE = 2.1e-5, 2e-3  # five digits in a header move a colour by less than 1e-4
+_FLAT = 1e-6
 
 
-def are_same(a: Chromaticities, b: Chromaticities) -> bool:
-    """Whether chromaticities differ by no more than headers round off."""
-    return len(a) == len(b) and bool(np.allclose(a, b, atol=_SAME))
+def round_to_known(primaries: Chromaticities) -> Chromaticities:
+    """The space of `LINEAR_SPACES` that a header's rounded numbers stand for, else the numbers as they are."""
+    return next((own for own in LINEAR_SPACES.values() if np.allclose(own, primaries, 0, _ROUNDED)), primaries)
 
 
 def name_of(primaries: Chromaticities) -> str | None:
-    """Name in `LINEAR_SPACES`, None for other primaries."""
-    return next((name for name, known in LINEAR_SPACES.items() if are_same(known, primaries)), None)
+    """Name of the space in `LINEAR_SPACES` that these primaries are, or nearly are; None for others."""
+    return next((name for name, own in LINEAR_SPACES.items() if np.allclose(own, primaries, 0, _ALIKE)), None)
+
+
+def is_degenerate(primaries: Chromaticities) -> bool:
+    """Whether primaries and white span no colours: three on a line, no white, or numbers that are none."""
+    columns = _columns(primaries)
+    if not np.isfinite(columns).all() or abs(columns[1, 3]) < _FLAT or abs(np.linalg.det(columns[:, :3])) < _FLAT:
+        return True
+    return bool(np.abs(np.linalg.solve(columns[:, :3], columns[:, 3])).min() < _FLAT)
+
+
+def _columns(primaries: Chromaticities) -> np.ndarray:
+    """x, y and z of red, green, blue and white, (3, 4)."""
+    x, y = np.reshape(np.asarray(primaries, np.float64), (4, 2)).T
+    return np.stack([x, y, 1 - x - y])
 
 
 @cache
 def to_xyz(primaries: Chromaticities) -> np.ndarray:
-    """3x3 matrix, linear RGB -> CIE XYZ with white at Y = 1, by SMPTE RP 177; column vectors."""
-    x, y = np.reshape(primaries, (4, 2)).T
-    columns = np.stack([x / y, np.ones(4), (1 - x - y) / y])
-    scale = np.linalg.solve(columns[:, :3], columns[:, 3])
+    """3x3 matrix, linear RGB -> CIE XYZ with white at Y = 1, by SMPTE RP 177; column vectors.
+
+    Primaries may have y = 0, as those of CIE XYZ itself do. Raises ColourError where they span no colours.
+    """
+    if is_degenerate(primaries):
+        shown = ", ".join(f"{number:g}" for number in primaries)
+        raise ColourError(f"chromaticities ({shown}) span no colours: say what the colours are with --colourspace "
+                          f"({', '.join(LINEAR_SPACES)}), or correct the header")
+    columns = _columns(primaries)
+    scale = np.linalg.solve(columns[:, :3], columns[:, 3] / columns[1, 3])
     matrix: np.ndarray = columns[:, :3] * scale
     return matrix
 

@@ -14,6 +14,7 @@ import OpenImageIO as oiio
 
 from postfx.errors import GuideError, MissingPlaneError, ReadError
 from postfx.frame import OUTPUT_SIZE_ROLES, ROLES, ColourSource, Frame, FrameSpec, GuideSpec, Role
+from postfx.io.colours import INTEROP, gather_attributes
 from postfx.io.convert import Camera, DepthOption, convert, fill_value
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Channel, ChannelIndex, Header, Layout, Match, make_layout, read_channels
@@ -236,6 +237,7 @@ class FrameFiles:
             self.area = area_of(self.layout, area)
             if self.area and self.area.is_wider:
                 index, self.layout = self._look_wider(profile, depth, self.area)
+            self.layout.attributes = self._attributes_of_colour()
             drop_smaller_planes(self.layout)
             self.guides = larger_planes(self.layout)
             if guides:
@@ -251,6 +253,10 @@ class FrameFiles:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the files."""
         self._stack.close()
 
     @property
@@ -346,6 +352,16 @@ class FrameFiles:
         for part in sorted(parts, key=lambda part: part.display.width * part.display.height):
             merged = {**part.attributes, **merged}
         return merged
+
+    def _attributes_of_colour(self) -> dict[str, Any]:
+        """Header attributes, of which those on colours are the colour's own."""
+        colour = self.layout.planes.get(Role.COLOUR)
+        if colour is None:
+            return dict(self.layout.attributes)
+        channel = colour.channels[0]
+        others = (part.attributes for part in channel.file.parts)
+        found = gather_attributes(channel.part.attributes, others)
+        return {name: value for name, value in self.layout.attributes.items() if name != INTEROP} | found
 
     def _own_guides(
         self, paths: Mapping[str, Path], profile: str | None, depth: DepthOption | None

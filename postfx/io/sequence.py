@@ -9,9 +9,10 @@ from operator import index
 from os import PathLike
 from pathlib import Path
 
-from postfx.errors import MissingFrameError, SequenceError
+from postfx.errors import ColourError, MissingFrameError, SequenceError
 from postfx.frame import Frame, Role
-from postfx.io.convert import parse_colourspace, parse_depth
+from postfx.io.colours import parse_colourspace
+from postfx.io.convert import parse_depth
 from postfx.io.frame_reader import Area, FrameFiles
 from postfx.io.pattern import locate, parse_frames
 from postfx.io.windows import scaled_windows
@@ -151,7 +152,11 @@ class Sequence:
                            self._area)
         self._area = self._area or files.area
         self._named = True  # a thing that was found need not be in every frame
-        found = files.layout.warnings + self.colours.warnings(files.layout.attributes)
+        try:
+            found = files.layout.warnings + self.colours.warnings(files.layout.attributes)
+        except ColourError as error:
+            files.close()
+            raise ColourError(f"{files.path}: {error}") from None
         self.warnings += [warning for warning in found if warning not in self.warnings]
         return files
 

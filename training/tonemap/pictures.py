@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 
 from postfx.colour.primaries import LINEAR_SPACES, REC709, matrix_between
-from postfx.io.convert import InputColours
+from postfx.io.colours import InputColours
 from training.tonemap.looks import Look, describe, exact_target, look_from
 from training.tonemap.views import bake
 
@@ -105,8 +105,9 @@ def read(path: str, space: str | None = None) -> np.ndarray:
     light = np.maximum(np.nan_to_num(pixels[..., :3], nan=0.0, posinf=LARGEST, neginf=0.0), 0.0)
     names = ("chromaticities", "colorInteropID")
     header = {name: image.spec().getattribute(name) for name in names}
-    primaries = InputColours(LINEAR_SPACES[space] if space else None).primaries(header)
-    return (light @ matrix_between(primaries, REC709).T).astype(np.float32)
+    own = InputColours(LINEAR_SPACES[space] if space else None).space(header)
+    light = own.decode(light) if own.decode else light
+    return (light @ own.matrix.T).astype(np.float32)
 
 
 def expose(rgb: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from postfx.colour.primaries import ACESCG, REC709
+from postfx.colour.primaries import ACES2065_1, ACESCG, REC709
 from postfx.errors import ColourError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
@@ -68,7 +68,64 @@ def test_chromaticities_say_it(write, stored) -> None:
 def test_the_color_interop_id_says_it(write, stored) -> None:
     frame = next(iter(read_sequence(write(colorInteropID="lin_ap1_scene"))))
     assert_turned(frame, stored)
-    assert "colorInteropID" not in frame.metadata
+    assert frame.metadata["colorInteropID"] == "lin_rec709_scene"
+
+
+def test_encoded_colours_are_made_linear(write, stored, tmp_path) -> None:
+    """Also where they stay in their own primaries."""
+    light = colour.models.eotf_sRGB(stored[1:, :, :3])
+    for identifier, own in (("srgb_rec709_scene", light), ("srgb_ap1_scene", in_rec709(light))):
+        sequence = read_sequence(write(colorInteropID=identifier))
+        np.testing.assert_allclose(next(iter(sequence))[Role.COLOUR][1:], own, rtol=2e-3, atol=3e-2)
+        assert sequence.warnings == [f"colours are {identifier}: turned to linear Rec.709"]
+    sequence = read_sequence(write(colorInteropID="srgb_ap1_scene"), colourspace="native")
+    (frame,) = sequence
+    np.testing.assert_allclose(frame[Role.COLOUR][1:], light, rtol=1e-4)
+    assert sequence.warnings == ["colours are srgb_ap1_scene: made linear"]
+    header = oiio.ImageBuf(str(write_frame(tmp_path / "b.exr", frame, keep=True))).spec()
+    assert header.getattribute("colorInteropID") == "lin_ap1_scene"
+    np.testing.assert_allclose(header.getattribute("chromaticities"), ACESCG, atol=1e-6)
+
+
+def test_the_identifier_counts_more_than_chromaticities(write, stored) -> None:
+    frame = next(iter(read_sequence(write(chromaticities=REC709, colorInteropID="lin_ap1_scene"))))
+    assert_turned(frame, stored)
+    silent = next(iter(read_sequence(write(chromaticities=ACESCG, colorInteropID="unknown"))))
+    assert_turned(silent, stored)
+
+
+def test_aces_files_say_it_by_their_flag(write_parts, ramp, tmp_path) -> None:
+    """The flag is for uncompressed halves only, so what is written names the primaries instead."""
+    path = write_parts("a.exr", {"rgb": ramp("R", "G", "B")}, acesImageContainerFlag=1)
+    (frame,), (native,) = read_sequence(path), read_sequence(path, colourspace="native")
+    matrix = colour.matrix_RGB_to_RGB("ACES2065-1", "sRGB", "Bradford")
+    np.testing.assert_allclose(frame[Role.COLOUR], native[Role.COLOUR] @ matrix.T, atol=2e-3)
+    header = oiio.ImageBuf(str(write_frame(tmp_path / "b.exr", native, keep=True))).spec()
+    np.testing.assert_allclose(header.getattribute("chromaticities"), ACES2065_1, atol=1e-6)
+    assert header.getattribute("acesImageContainerFlag") is None
+
+
+def test_the_colours_part_says_it(write_parts, ramp) -> None:
+    """A part of data beside it says nothing about colours; a part without an identifier has the others'."""
+    channels = {"CryptoObject00": ramp("R", "G", "B", "A"), "beauty": ramp("R", "G", "B")}
+    path = write_parts("a.exr", channels, colorInteropID="data")
+    with read_sequence(path).open(1) as files:
+        assert "colorInteropID" not in files.layout.attributes
+    path = write_parts("b.exr", dict(reversed(channels.items())), colorInteropID="lin_ap1_scene")
+    sequence = read_sequence(path)
+    next(iter(sequence))
+    assert sequence.warnings == ["colours are acescg: turned to linear Rec.709"]
+
+
+@pytest.mark.parametrize("header", [
+    {"chromaticities": (0.0,) * 8}, {"chromaticities": (0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.3127, 0.329)},
+    {"colorInteropID": "lin_foo_scene"}, {"colorInteropID": "srgb_rec709_display"},
+])
+def test_colours_that_cannot_be_known_are_refused_by_name_and_may_be_declared(write, header) -> None:
+    path = write(**header)
+    with pytest.raises(ColourError, match=r"a\.exr: (chromaticities|colorInteropID) .*--colourspace"):
+        next(iter(read_sequence(path)))
+    next(iter(read_sequence(path, colourspace="acescg")))
 
 
 def test_the_user_says_it(write, stored) -> None:

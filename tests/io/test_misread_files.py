@@ -1,0 +1,54 @@
+"""Kinds of files that are easily misread: each as one of the collection in `shared/failing`, and as one made here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.cli.main import main
+from postfx.colour.primaries import REC709
+from postfx.errors import ColourError
+from postfx.frame import Frame, Role
+from postfx.io.sequence import read_sequence
+
+COLUMNS, ROWS = np.meshgrid(np.linspace(0, 1, 64, dtype=np.float32), np.linspace(0, 1, 40, dtype=np.float32))
+PICTURE = np.stack([COLUMNS, ROWS, 1 - COLUMNS], axis=-1)
+"""Stored colour of the collection's own files."""
+
+
+@pytest.fixture
+def collection(shared_dir: Path) -> Path:
+    folder = shared_dir / "failing"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there")
+    return folder
+
+
+def read(path: Path, **options) -> Frame:
+    (frame,) = read_sequence(path, **options)
+    return frame
+
+
+def test_chromaticities_of_cie_xyz(collection: Path) -> None:
+    colour = pytest.importorskip("colour")
+    own = colour.RGB_Colourspace("XYZ", np.eye(3)[:, :2], np.full(2, 1 / 3))
+    target = colour.RGB_Colourspace("own", np.reshape(REC709[:6], (3, 2)), REC709[6:])
+    light = PICTURE @ colour.matrix_RGB_to_RGB(own, target, "Bradford").T
+    np.testing.assert_allclose(read(collection / "chromaticities_xyz.exr")[Role.COLOUR], light, atol=1e-4)
+
+
+def test_chromaticities_on_a_line(collection: Path, capsys) -> None:
+    path = collection / "chromaticities_collinear.exr"
+    with pytest.raises(ColourError, match=r"collinear\.exr: chromaticities \(0\.1, 0\.1, .*\) span no colours: say"):
+        read(path)
+    assert main(["inspect", str(path)]) == 2
+    shown = capsys.readouterr()
+    assert shown.out == "" and shown.err.count("\n") == 1 and "span no colours" in shown.err
+    assert main(["inspect", str(path), "--colourspace", "rec709"]) < 2
+
+
+def test_encoded_colours(collection: Path) -> None:
+    light = np.where(PICTURE <= 0.04045, PICTURE / 12.92, ((PICTURE + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(read(collection / "interop_srgb.exr")[Role.COLOUR], light, atol=1e-4)
