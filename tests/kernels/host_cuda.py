@@ -6,6 +6,9 @@ What a GPU does with them (memory, synchronisation between threads) is not seen 
 from __future__ import annotations
 
 import ctypes
+import hashlib
+import os
+import re
 import shutil
 import subprocess
 from collections.abc import Mapping
@@ -17,8 +20,11 @@ import numpy as np
 
 from postfx.kernels.cuda_source import family_of, read_source
 from postfx.kernels.kernel import Kernel
+from postfx.system import private_folder
 
 COMPILER = shutil.which("g++")
+OPTIONS = ("-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas")
+KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\(\w+\) )?(\w+)\(([^)]*)\)')
 SHIM = """
 #include <algorithm>
 #include <cmath>
@@ -58,23 +64,32 @@ def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
     name, axis = kernel.row_axis
     shape = arrays[name].shape
     rows, columns = shape[axis], shape[axis + 1] if axis + 1 < len(shape) else 1
-    _compiled(kernel.name, len(kernel.reads + kernel.writes))(
-        columns, rows, *(view(arrays[binding]) for binding in kernel.reads + kernel.writes))
+    function = getattr(_library(family_of(kernel.name)), f"run_{kernel.name}")
+    function.argtypes = [ctypes.c_int, ctypes.c_int, *[View] * len(kernel.reads + kernel.writes)]
+    function(columns, rows, *(view(arrays[binding]) for binding in kernel.reads + kernel.writes))
 
 
 @cache
-def _compiled(name: str, count: int) -> ctypes._CFuncPtr:
-    """A function (columns, rows, views ...) that calls the kernel for every pixel."""
+def _library(family: Path) -> ctypes.CDLL:
+    """For each kernel of a family, a function (columns, rows, views ...) that calls it for every pixel.
+
+    Compiled once for all processes: what is compiled lies beside the compiled kernels, by a digest of its source.
+    """
+    source = SHIM + read_source(family)
+    source += "".join(_loop(name, views.count("View")) for name, views in KERNEL.findall(source))
+    digest = hashlib.sha256(" ".join((source, COMPILER, *OPTIONS)).encode()).hexdigest()[:32]
+    with TemporaryDirectory(dir=private_folder("tests")) as folder:
+        library, made = Path(folder).parent / f"{family.stem}-{digest}.so", Path(folder) / "made.so"
+        if not library.exists():
+            (Path(folder) / "source.cpp").write_text(source)
+            subprocess.run([COMPILER, *OPTIONS, Path(folder) / "source.cpp", "-o", made], check=True)
+            os.replace(made, library)
+        return ctypes.CDLL(str(library))
+
+
+def _loop(name: str, count: int) -> str:
     views = [f"v{i}" for i in range(count)]
-    loop = (f'extern "C" void run(int columns, int rows, {", ".join(f"View {view}" for view in views)}) {{\n'
+    return (f'extern "C" void run_{name}(int columns, int rows, {", ".join(f"View {view}" for view in views)}) {{\n'
             "    gridDim = {columns, rows, 1};\n"
             "    for (blockIdx.y = 0; blockIdx.y < rows; blockIdx.y++)\n"
             f"        for (blockIdx.x = 0; blockIdx.x < columns; blockIdx.x++) {name}({', '.join(views)});\n}}\n")
-    with TemporaryDirectory() as folder:
-        source, library = Path(folder) / f"{name}.cpp", Path(folder) / f"{name}.so"
-        source.write_text(SHIM + read_source(family_of(name)) + loop)
-        options = ("-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas")
-        subprocess.run([COMPILER, *options, source, "-o", library], check=True)
-        function = ctypes.CDLL(str(library)).run
-    function.argtypes = [ctypes.c_int, ctypes.c_int, *[View] * count]
-    return function
