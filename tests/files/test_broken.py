@@ -6,6 +6,7 @@ import os
 import resource
 import struct
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -169,16 +170,18 @@ def test_deep_files_are_refused_where_nothing_else_is_there(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("attribute", ["pixelAspectRatio", "worldToCamera", "postfx:exposure", "postfx:jitter",
                                        "postfx:spp", "postfx:near", "chromaticities", "framesPerSecond", "timeCode"])
-@pytest.mark.parametrize("value", [b"", b"\xff" * 4, b"\0" * 4, b"nonsense", b"\xff\xff\xff\x7f" * 16])
-@pytest.mark.parametrize("kind", ["float", "string", "m44f", "rational", "studioType"])
-def test_attributes_of_any_bytes_do_no_harm(source: Path, attribute: str, kind: str, value: bytes) -> None:
+def test_attributes_of_any_bytes_do_no_harm(source: Path, attribute: str) -> None:
     """The frame is read, or refused in one line."""
-    claim(attribute, kind, value)(source)
-    try:
-        (frame,) = read_sequence(source)
-        assert frame.spec.height == 41
-    except ReadError as error:
-        assert str(source) in str(error)
+    whole = source.read_bytes()
+    for kind, value in product(("float", "string", "m44f", "rational", "studioType"),
+                               (b"", b"\xff" * 4, b"\0" * 4, b"nonsense", b"\xff\xff\xff\x7f" * 16)):
+        source.write_bytes(whole)
+        claim(attribute, kind, value)(source)
+        try:
+            (frame,) = read_sequence(source)
+            assert frame.spec.height == 41, (kind, value)
+        except ReadError as error:
+            assert str(source) in str(error), (kind, value)
 
 
 def test_special_files_and_loops_of_links_are_no_frames(tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 import random
 from pathlib import Path
 
-import pytest
-
 from postfx.runs.run import Known, Work, schedule
 
 
@@ -39,9 +37,13 @@ def test_history_ends_at_a_hole():
     assert plan(range(1, 9), [6], missing=[3]) == [Work(4, False), Work(5, False), Work(6, True)]
 
 
-@pytest.mark.parametrize("seed", range(300))
-def test_every_written_frame_has_its_whole_history(seed):
+def test_every_written_frame_has_its_whole_history():
     """Follows the works as the passes would: a state is the set of frames that it remembers since its shot began."""
+    for seed in range(300):
+        follow(seed)
+
+
+def follow(seed):
     chance = random.Random(seed)
     numbers = list(range(10, 10 + chance.randint(1, 12)))
     some = lambda share: {number for number in numbers if chance.random() < share}  # noqa: E731
@@ -60,7 +62,7 @@ def test_every_written_frame_has_its_whole_history(seed):
         jumps = bool(state) and state[-1] != work.number - 1
         state = [work.number] if work.number in starts or jumps else [*state, work.number]
         if work.write:
-            assert state == remembered(work.number)
-    assert [work.number for work in works if work.write] == sorted(wanted)
+            assert state == remembered(work.number), seed
+    assert [work.number for work in works if work.write] == sorted(wanted), seed
     shown = [work.number for work in works]
-    assert shown == sorted(set(shown))
+    assert shown == sorted(set(shown)), seed
