@@ -1,9 +1,11 @@
 """Training clips resident on the GPU, and the batches drawn from them.
 
-A clip (``training/datagen/clip_file.py``) is a reference and several independent noisy renders of it. Everything is
-kept as float16 on the device, so that a batch costs no transfer; depth is kept as its logarithm to fit the range.
+A clip (``training/datagen/clip_file.py``) is a reference and several independent noisy renders of it. Everything stays
+on the device as float16, so that a batch costs no transfer; depth is stored as its logarithm, which fits the range.
 """
 
+import json
+import math
 import random
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -29,12 +31,13 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 @dataclass
 class Clip:
-    """``planes`` (V, T, 16, h, w) float16, ``jitter`` (V, T, 2), ``reference`` (T, 3, H, W) float16.
+    """``planes`` (V, T, C, h, w) float16, ``jitter`` (V, T, 2), ``reference`` (T, 3, H, W) float16.
 
-    Two more channels are the motion to the next frame, if it was asked for (0 in the last frame).
-    ``spread`` (V,) tells which renders spread their samples over the pixel; ``keep`` (T,) is 0 at cuts and at the
-    first frame; ``guides`` (T, 11, H, W) float16 are the planes at output size, if they were asked for. Renders that
-    are made of half of the reference's samples are compared with the other ``half`` (T, 3, H, W): ``halved`` (V,).
+    ``planes`` has the 16 channels of ``PLANES``, then two channels for each of ``pairs``, further kinds of motion (see
+    ``PAIRS``). ``spread`` (V,) tells which renders spread their samples over the pixel, ``samples`` (V,) how many
+    there are; ``keep`` (T,) is 0 at cuts and at the first frame; ``guides`` (T, 11, H, W) float16 are the planes at
+    output size, if asked for. Renders made from half of the reference's samples are compared with the other ``half``
+    (T, 3, H, W): ``halved`` (V,).
     """
 
     name: str
@@ -47,20 +50,25 @@ class Clip:
     exposure: float
     half: Tensor | None
     halved: list[bool]
+    samples: list[int]
+    pairs: tuple[str, ...] = ()
 
 
 @dataclass
 class Batch:
     """``frames`` are T inputs of one draw, ``references`` (T, N, 3, H, W) exposed linear colour.
 
-    ``keep`` (T, N, 1, 1, 1) is 0 where history does not continue. ``inverse`` are T motions to the next frame
-    (N, 2, h, w) for clips that are run backwards, too.
+    ``keep`` (T, N, 1, 1, 1) is 0 where history does not continue. Lists of T motions (N, 2, h, w): ``inverse``, to the
+    next frame, for clips that also run backwards; ``static``, as if nothing but the camera moved; ``true_motion``,
+    where that of the frames may be false.
     """
 
     frames: list[Inputs]
     references: Tensor
     keep: Tensor
     inverse: list[Tensor] | None = None
+    static: list[Tensor] | None = None
+    true_motion: list[Tensor] | None = None
 
 
 @dataclass
@@ -74,6 +82,7 @@ class Stack:
     reference: Tensor
     guides: Tensor | None
     exposure: Tensor
+    pairs: tuple[str, ...] = ()
 
 
 def grey_exposure(colour: np.ndarray) -> float:
@@ -82,8 +91,8 @@ def grey_exposure(colour: np.ndarray) -> float:
     return float(0.18 / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean() + 1e-9))))
 
 
-def load(path: Path, device: torch.device, guides: bool = False, inverse: bool = False) -> Clip:
-    """Read one clip file and move it to ``device``, with its guides and its inverse motion or without."""
+def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[str, ...] = ()) -> Clip:
+    """Read one clip file and move it to ``device``, with its guides and further kinds of motion, if asked for."""
     data = np.load(path)
     variants = sorted({k.split("_", 1)[0] for k in data.files if k.startswith("v") and k[1].isdigit()})
 
@@ -96,7 +105,8 @@ def load(path: Path, device: torch.device, guides: bool = False, inverse: bool =
 
     def render(variant: str) -> Tensor:
         planes = [plane(f"{variant}_{name}") for name, _ in PLANES]
-        return torch.cat([*planes, turned(data, variant, device)] if inverse else planes, 1)
+        motions = [torch.from_numpy(PAIRS[name](data, variant)).movedim(-1, 1).to(device).half() for name in pairs]
+        return torch.cat([*planes, *motions], 1)
 
     reference = data["reference"]
     keep = 1 - data["reset"].astype(np.float32) if "reset" in data.files else np.ones(len(reference), np.float32)
@@ -111,37 +121,68 @@ def load(path: Path, device: torch.device, guides: bool = False, inverse: bool =
         grey_exposure(reference[0]),
         plane("half") if "half" in data.files else None,
         [f"{v}_half" in data.files and bool(data[f"{v}_half"]) for v in variants],
+        [int(data[f"{v}_spp"]) for v in variants],
+        pairs,
     )
 
 
-def turned(data: Mapping[str, np.ndarray], variant: str, device: torch.device) -> Tensor:
-    """Motion to the next frame (T, 2, h, w) float16 of one noisy render, of whole frames; 0 in the last."""
-    from postfx.temporal.reverse_motion import invert_motion  # its package needs what reads pictures
+def inverse_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
+    """Motion (T, h, w, 2) from each pixel to where it is in the next frame; 0 in the last frame."""
+    from postfx.temporal.reverse_motion import invert_motion
 
     motion, depth = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"][..., None].astype(np.float32)
-    pairs = pairwise(zip(motion, depth, strict=True))
-    motion = [*(invert_motion(*after, shown) for (_, shown), after in pairs), np.zeros_like(motion[-1])]
-    return torch.from_numpy(np.stack(motion)).movedim(-1, 1).to(device).half()
+    frames = pairwise(zip(motion, depth, strict=True))
+    return np.stack([*(invert_motion(*after, shown) for (_, shown), after in frames), np.zeros_like(motion[-1])])
+
+
+def static_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
+    """Motion (T, h, w, 2) as if nothing but the camera moved: moving things get the vectors of a world at rest.
+
+    It follows from depth and the camera's poses (x left, y up, z forward), which only the Mitsuba clips hold. At the
+    first frame, at cuts and in clips without poses it is the motion of the file.
+    """
+    motion, depth = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"].astype(np.float64)
+    meta = json.loads(str(data["meta"])) if "meta" in data else {}
+    if "to_world" not in meta:
+        return motion
+    poses, fov = np.array(meta["to_world"]), np.broadcast_to(meta["fov"], len(motion))
+    frames, h, w = depth.shape
+    cuts = data["reset"] if "reset" in data else np.zeros(frames)
+    y, x = np.meshgrid(np.arange(h) + 0.5, np.arange(w) + 0.5, indexing="ij")
+    for t in range(1, frames):
+        if cuts[t]:
+            continue
+        now, before = (w / (2 * math.tan(math.radians(fov[k]) / 2)) for k in (t, t - 1))  # focal lengths in pixels
+        local = np.stack([(w / 2 - x) / now, (h / 2 - y) / now, np.ones((h, w))], -1) * depth[t][..., None]
+        world = local @ poses[t, :3, :3].T + poses[t, :3, 3]
+        seen = (world - poses[t - 1, :3, 3]) @ poses[t - 1, :3, :3]
+        far = np.maximum(seen[..., 2], 1e-6)
+        there = np.stack([w / 2 - before * seen[..., 0] / far, h / 2 - before * seen[..., 1] / far], -1)
+        motion[t] = np.where(seen[..., 2:] > 1e-6, there - np.stack([x, y], -1), motion[t])
+    return motion
+
+
+PAIRS = {"inverse": inverse_motion, "static": static_motion}
 
 
 class ClipPool:
     """All clips of a folder; grows while the data factory is still writing."""
 
     def __init__(self, folder: Path, device: torch.device, guides: bool = False, share: int = 0, shares: int = 1,
-                 held_out: int = 20, inverse: bool = False):
-        self.folder, self.device, self.guides, self.inverse = folder, device, guides, inverse
+                 held_out: int = 20, pairs: tuple[str, ...] = ()):
+        self.folder, self.device, self.guides, self.pairs = folder, device, guides, pairs
         self.share, self.shares, self.held_out = share, shares, held_out
         self.seen: set[Path] = set()
         self.training: dict[tuple[int, ...], list[Clip]] = {}
         self.validation: list[Clip] = []
 
     def refresh(self) -> int:
-        """Load files that are new; one in ``held_out`` scenes is kept for validation."""
+        """Load new files; one clip in ``held_out`` is for validation. Returns how many clips there are to train on."""
         fresh = [p for p in sorted(self.folder.glob("[!.]*.npz")) if p not in self.seen]
         mine = [p for p in fresh if self._number(p) % self.shares == self.share]
         self.seen.update(mine)
         with ThreadPoolExecutor(8) as threads:
-            clips = list(threads.map(lambda path: load(path, self.device, self.guides, self.inverse), mine))
+            clips = list(threads.map(lambda path: load(path, self.device, self.guides, self.pairs), mine))
         for path, clip in zip(mine, clips, strict=True):
             if (self._number(path) // self.shares) % self.held_out == 0:
                 self.validation.append(clip)
@@ -156,28 +197,49 @@ class ClipPool:
     def __len__(self) -> int:
         return sum(map(len, self.training.values()))
 
-    def draw(self, size: int, crop: int, seed: int) -> Stack:
-        """Windows of clips of one output size; ``seed`` picks the size, so that all GPUs work on the same one."""
+    def draw(self, size: int, crop: int, seed: int, sparse: float = 0.0) -> Stack:
+        """Windows of clips of one output size; ``seed`` picks the size, so that all GPUs work on the same one.
+
+        ``sparse`` is the share of clips whose albedo, normal and roughness are those of a render with fewer samples.
+        """
         shapes = sorted(self.training)
         shape = random.Random(seed).choices(shapes, [len(self.training[s]) for s in shapes])[0]
         clips = random.choices(self.training[shape], k=size)
-        return collate(clips, [random.randrange(len(c.planes)) for c in clips], crop)
+        variants = [random.randrange(len(c.planes)) for c in clips]
+        surfaces = [sparser(c, v) if sparse and random.random() < sparse else v
+                    for c, v in zip(clips, variants, strict=True)]
+        return collate(clips, variants, crop, surfaces)
 
 
-def collate(clips: list[Clip], variants: list[int], crop: int | None = None) -> Stack:
-    """Stack one noisy render of each clip, whole or in windows of ``crop`` render pixels."""
+def sparser(clip: Clip, variant: int) -> int:
+    """Another render of the same frames with fewer samples, spread over the pixel; the same one if there is none."""
+    fewer = [v for v in range(len(clip.planes)) if clip.samples[v] < clip.samples[variant] and clip.spread[v]]
+    return random.choice(fewer) if fewer and clip.spread[variant] else variant
+
+
+def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
+            surfaces: list[int] | None = None) -> Stack:
+    """Stack one noisy render of each clip, whole or in windows of ``crop`` render pixels.
+
+    ``surfaces`` are the renders that albedo, normal and roughness come from; by default the same ones.
+    """
     windows = [_window(clip, crop) for clip in clips]
     chosen = list(zip(clips, variants, windows, strict=True))
     guided = clips[0].guides is not None
     device = clips[0].planes.device
+    planes = torch.stack([c.planes[v, ..., w[0], w[1]] for c, v, w in chosen]).float()
+    for entry, (other, (clip, variant, window)) in enumerate(zip(surfaces or variants, chosen, strict=True)):
+        if other != variant:
+            planes[entry, :, SURFACE] = clip.planes[other, :, SURFACE, window[0], window[1]].float()
     return Stack(
-        torch.stack([c.planes[v, ..., w[0], w[1]] for c, v, w in chosen]).float(),
+        planes,
         torch.stack([c.jitter[v] for c, v, _ in chosen]),
         torch.tensor([c.spread[v] for c, v, _ in chosen], device=device),
         torch.stack([c.keep for c in clips]),
         torch.stack([target(c, v)[..., w[2], w[3]] for c, v, w in chosen]).float(),
         torch.stack([c.guides[..., w[2], w[3]] for c, _, w in chosen]).float() if guided else None,
         torch.tensor([c.exposure for c in clips], device=device, dtype=torch.float32)[:, None, None, None],
+        clips[0].pairs,
     )
 
 
@@ -199,12 +261,12 @@ def _window(clip: Clip, crop: int | None) -> tuple[slice, slice, slice, slice]:
 
 def to_batch(stack: Stack) -> Batch:
     guides = [None] * stack.planes.shape[1] if stack.guides is None else stack.guides.unbind(1)
-    planes, inverse = stack.planes[:, :, :CHANNELS], stack.planes[:, :, CHANNELS:]
+    planes, *motions = stack.planes.split([CHANNELS, *[2] * len(stack.pairs)], 2)
     frames = [_inputs(p, j, g, stack.exposure)
               for p, j, g in zip(planes.unbind(1), stack.jitter.unbind(1), guides, strict=True)]
     references = (stack.reference * stack.exposure[:, None]).clamp(0, 1e4).transpose(0, 1)
-    return Batch(frames, references, stack.keep.T[..., None, None, None],
-                 list(inverse.unbind(1)) if inverse.shape[2] else None)
+    pairs = {name: list(motion.unbind(1)) for name, motion in zip(stack.pairs, motions, strict=True)}
+    return Batch(frames, references, stack.keep.T[..., None, None, None], **pairs)
 
 
 def _inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None, exposure: Tensor) -> Inputs:
@@ -220,11 +282,12 @@ def _split(stacked: Tensor, planes: tuple[tuple[str, int], ...]) -> dict[str, Te
 
 
 # Augmentation -------------------------------------------------------------------------------------------------------
-# Random views of the same clips: mirrored, turned, recoloured, exposed otherwise, nearly free of noise, or with
-# planes missing.
+# Random views of the same clips: mirrored, transposed, recoloured, exposed differently, nearly free of noise, with
+# false motion or missing planes.
 
-NORMAL, MOTION = 9, 14  # first channels of these planes in a stack; inverse motion, if it is there, follows motion
-# What stands in for a plane that a file lacks; postfx/passes/denoise/inputs.py fills the same values.
+NORMAL, MOTION = 9, 14  # first channels of these planes in a stack; further kinds of motion follow motion
+SURFACE = slice(3, 13)  # albedos, normal and roughness: means over a pixel's samples, where those are spread
+# Values for a plane that a file lacks; postfx/passes/denoise/inputs.py fills in the same ones.
 ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0, "motion": 0.0}
 # Planes that are missing together, and how often: renderers seldom write roughness.
 LOSSES = (
@@ -242,20 +305,23 @@ LOSSES = (
 
 @dataclass
 class Augment:
-    """Every choice is drawn once a batch entry or, mirroring and turning, once a batch.
+    """Every choice is drawn once a batch entry; mirroring and transposing once a batch.
 
     stops: exposure varies by as much either way. drop: factor on the chances that planes are missing. clean: chance of
-    colour of far more samples, up to all, which teaches the network to leave good pixels alone.
+    colour of far more samples, up to all, which teaches the network to leave good pixels alone. false_motion: chance
+    that motion vectors are wrong, so that history must be doubted by depth, albedo and normal.
     """
 
     stops: float = 1.5
     drop: float = 1.0
     clean: float = 0.25
+    false_motion: float = 0.0
 
     def __call__(self, stack: Stack) -> Batch:
         stack = _permute_channels(_flip(self._converge(stack)))
         stops = (torch.rand_like(stack.exposure) * 2 - 1) * self.stops
-        return self._drop_planes(to_batch(replace(stack, exposure=stack.exposure * torch.exp2(stops))))
+        batch = to_batch(replace(stack, exposure=stack.exposure * torch.exp2(stops)))
+        return self._drop_planes(falsify_motion(batch, self.false_motion) if self.false_motion else batch)
 
     def _converge(self, stack: Stack) -> Stack:
         """Move some colours towards the reference, where samples are spread over the pixel as the reference's are."""
@@ -276,6 +342,37 @@ class Augment:
         inverse = batch.inverse and [torch.where(lost["motion"], ABSENT["motion"], motion) for motion in batch.inverse]
         return replace(batch, frames=[_without(frame, lost) for frame in batch.frames],
                        keep=batch.keep * ~lost["motion"], inverse=inverse)
+
+
+def falsify_motion(batch: Batch, chance: float) -> Batch:
+    """Give some entries of a batch wrong motion for the whole clip; ``true_motion`` keeps the right one for the loss.
+
+    Drawn for each entry: moving things have the motion of a world at rest (where the batch has ``static``), an ellipse
+    of the picture has the mean motion around it, it has none, or the whole picture has none.
+    """
+    true = [frame.motion for frame in batch.frames]
+    device, (n, _, h, w) = true[0].device, true[0].shape
+    kind = torch.randint(0, 4, (n, 1, 1, 1), device=device)
+    chosen = torch.rand(n, 1, 1, 1, device=device) < chance
+    centre, radius = torch.rand(n, 2, device=device), 0.1 + 0.3 * torch.rand(n, 2, device=device)
+    region = ellipse(centre, radius, h, w)
+    ring = ellipse(centre, 1.4 * radius, h, w) & ~region
+    frames = []
+    for t, (frame, motion) in enumerate(zip(batch.frames, true, strict=True)):
+        around = (motion * ring).sum((2, 3), keepdim=True) / ring.sum((2, 3), keepdim=True).clamp(min=1)
+        static = batch.static[t] if batch.static else torch.where(region, around, motion)
+        false = torch.where(kind == 0, static, torch.where(kind == 1, torch.where(region, around, motion),
+                            torch.where(region | (kind == 3), torch.zeros_like(motion), motion)))
+        frames.append(replace(frame, motion=torch.where(chosen, false, motion)))
+    return replace(batch, frames=frames, static=None, true_motion=true)
+
+
+def ellipse(centre: Tensor, radius: Tensor, h: int, w: int) -> Tensor:
+    """True inside an ellipse of the picture, (N, 1, h, w); centre and radius (N, 2) in shares of width and height."""
+    x = (torch.arange(w, device=centre.device) + 0.5) / w
+    y = (torch.arange(h, device=centre.device) + 0.5) / h
+    across, down = ((x - centre[:, :1]) / radius[:, :1]) ** 2, ((y - centre[:, 1:]) / radius[:, 1:]) ** 2
+    return (across[:, None, None] + down[:, None, :, None]) < 1
 
 
 def _without(planes: Inputs | Guides, lost: dict[str, Tensor]) -> Inputs | Guides:

@@ -161,7 +161,7 @@ class Truth:
         ones = torch.ones_like(batch.keep[0])
         self.scale = [even_scale(ops.display(inputs.colour), shown) if even else ones
                       for inputs, shown in zip(batch.frames, self.shown, strict=True)]
-        self.motion = [inputs.motion for inputs in batch.frames]
+        self.motion = batch.true_motion or [inputs.motion for inputs in batch.frames]
         self.moved = [reproject_reference(before, motion)
                       for before, motion in zip(self.shown[:-1], self.motion[1:], strict=True)]
         self.explained = [explained_by_motion(now, moved) * keep

@@ -25,10 +25,10 @@ import torch
 from torch import Tensor, nn
 
 from postfx.passes.denoise.models import GUIDED, UNSCALED, parted
+from training.denoise.checkpoint import PREFIX, weights_of
 from training.denoise.dataset import Batch, collate, load, to_batch
 from training.denoise.export import card, export_trunk, load_trunk
 from training.denoise.model import LEVELS, DenoiseUpscale, Trunk, TrunkConfig, empty_state, logits_of
-from training.denoise.restore import PREFIX, weights_of
 from training.export import MODELS, write_card
 
 # Channels -------------------------------------------------------------------------------------------------------------

@@ -1,11 +1,13 @@
 """Networks and Open Image Denoise on kinds of content, by Cycles clips that nobody trained on.
 
     python -m training.measure.kinds score CLIPS [--models m,s] [--json FILE]     a table by kind
+    python -m training.measure.kinds score CLIPS --log training/runs.jsonl --run NAME [--models m]
     python -m training.measure.kinds pack CLIPS FOLDER                            a small set of them, for tests
 
 CLIPS holds .npz files of `training.datagen.render --blender ...`, drawn with seeds from 9000 on. Pictures are compared
 after exposure, x/(1+x) and the sRGB curve, in the second half of the frames. The squared error is the mean of the
 product of the differences from two independent halves of the reference, so the reference's own noise does not count.
+--log notes the mean gains by kind with a training run (`training.measure.runs`).
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from postfx.bench.metrics import grey_exposure
 from postfx.exposure.views import shown
 from postfx.frame import Role
 from training.datagen.clip_file import load_clip
+from training.measure.runs import record_kinds
 
 PLANES = ("colour", "diffuse_albedo", "specular_albedo", "normal", "depth", "motion")
 PACKED_FRAMES, PACKED_SIDE = 4, 64  # of the small set: render pixels in the middle of a clip
@@ -83,14 +86,25 @@ def score(paths: list[Path], models: list[str]) -> list[dict]:
     return rows
 
 
-def table(rows: list[dict], models: list[str]) -> str:
-    """Markdown: a row for each kind with the mean PSNR of OIDN and what each network gains, and the least of it."""
+def group(rows: list[dict]) -> dict[str, list[dict]]:
+    """Rows by kind."""
     by_kind = defaultdict(list)
     for row in rows:
         by_kind[row["kind"]].append(row)
+    return by_kind
+
+
+def mean_gains(rows: list[dict], models: list[str]) -> dict[str, dict[str, float]]:
+    """Kind -> network -> mean gain over Open Image Denoise in dB."""
+    return {kind: {model: round(float(np.mean([row[model] - row["oidn"] for row in found])), 2) for model in models}
+            for kind, found in group(rows).items()}
+
+
+def table(rows: list[dict], models: list[str]) -> str:
+    """Markdown: a row for each kind with the mean PSNR of OIDN, each network's mean gain over it and its least one."""
     lines = ["| kind | renders | OIDN high, dB | " + " | ".join(f"{m}, dB more | least" for m in models) + " |",
              "| --- | --- | --- |" + " --- | --- |" * len(models)]
-    for kind, found in sorted(by_kind.items()):
+    for kind, found in sorted(group(rows).items()):
         cells = [kind, str(len(found)), f"{np.mean([row['oidn'] for row in found]):.2f}"]
         for model in models:
             gains = [row[model] - row["oidn"] for row in found]
@@ -132,7 +146,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, nargs="?", help="pack: where the small set goes")
     parser.add_argument("--models", default="m", help="tags of networks, with commas between")
     parser.add_argument("--json", type=Path, help="write all rows there")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="table of training runs to note the mean gains in")
+    parser.add_argument("--run", metavar="NAME", help="the run of --log that made these networks")
     args = parser.parse_args(argv)
+    if bool(args.log) != bool(args.run):
+        parser.error("--log and --run go together: the table of runs, and the run's name in it")
     paths = sorted(args.clips.glob("*.npz"))
     if not paths:
         parser.error(f"{args.clips} holds no clips: name the folder of .npz files")
@@ -146,6 +164,11 @@ def main(argv: list[str] | None = None) -> int:
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1))
     print(table(rows, models))
+    if args.log:
+        try:
+            record_kinds(args.log, args.run, mean_gains(rows, models))
+        except (OSError, ValueError) as fault:
+            parser.error(str(fault))
     return 0
 
 

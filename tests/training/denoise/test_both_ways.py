@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 
 from postfx.frame import Frame, Role  # noqa: E402
 from postfx.temporal.reverse_motion import LOST, motion_to_next  # noqa: E402
-from tests.training.denoise.test_train import inner, moving_clip, steps_lower_the_loss, trainer, write_clips  # noqa: E402
+from tests.training.denoise.test_train import inner, moving_clip, settings, steps_lower_the_loss, write_clips  # noqa: E402
 from tests.training.small_denoiser import small_model  # noqa: E402
 from training import ops  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
@@ -23,12 +23,12 @@ from training.denoise.dataset import (  # noqa: E402
     Batch,
     Stack,
     collate,
+    inverse_motion,
     load,
     to_batch,
-    turned,
 )
+from training.denoise.gradient import copy_batch, tensors  # noqa: E402
 from training.denoise.loss import ClipLoss  # noqa: E402
-from training.denoise.train import copy_batch, tensors  # noqa: E402
 
 
 def turned_clip() -> Stack:
@@ -36,8 +36,8 @@ def turned_clip() -> Stack:
     clip = moving_clip(2)
     motion = clip.planes[0, :, 14:16].movedim(1, -1).numpy()
     planes = {"v0_motion": motion, "v0_depth": np.ones(motion.shape[:3], np.float32)}
-    inverse = turned(planes, "v0", torch.device("cpu")).to(clip.planes.dtype)
-    return replace(clip, planes=torch.cat((clip.planes, inverse[None]), 2))
+    inverse = torch.from_numpy(inverse_motion(planes, "v0")).movedim(-1, 1).half().to(clip.planes.dtype)
+    return replace(clip, planes=torch.cat((clip.planes, inverse[None]), 2), pairs=("inverse",))
 
 
 def test_what_points_out_of_the_picture_has_no_history() -> None:
@@ -63,7 +63,7 @@ def test_without_motion_there_is_none_either_way() -> None:
 
 def test_inverse_motion_is_made_when_a_clip_is_loaded(tmp_path: Path) -> None:
     write_clips(tmp_path, 1)
-    clip = load(tmp_path / "clip0000.npz", torch.device("cpu"), inverse=True)
+    clip = load(tmp_path / "clip0000.npz", torch.device("cpu"), pairs=("inverse",))
     assert clip.planes.shape == (1, 2, 18, 48, 60)
     with np.load(tmp_path / "clip0000.npz") as file:
         frames = [Frame({Role.MOTION: motion, Role.DEPTH: depth[..., None]})
@@ -88,7 +88,8 @@ def told_clip(cuts: list[int]) -> Batch:
     planes[:, :, 14:16], planes[:, :, 16:] = 1, 2
     repeated = {name: getattr(clip, name)[:, :1].repeat(1, len(cuts), *[1] * (getattr(clip, name).ndim - 2))
                 for name in ("jitter", "reference", "guides")}
-    return to_batch(replace(clip, planes=planes, keep=1 - torch.tensor([cuts], dtype=torch.float32), **repeated))
+    keep = 1 - torch.tensor([cuts], dtype=torch.float32)
+    return to_batch(replace(clip, planes=planes, pairs=("inverse",), keep=keep, **repeated))
 
 
 def test_a_frame_is_blended_by_what_each_direction_has_seen_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,7 +124,7 @@ def test_copying_a_batch_copies_its_inverse_motion() -> None:
 
 @pytest.mark.parametrize(("share", "count"), [(0.0, 0), (0.25, 25), (0.5, 50), (1.0, 100)])
 def test_steps_both_ways_are_spread_evenly(share: float, count: int) -> None:
-    chosen = [train.turns(step, share) for step in range(100)]
+    chosen = [train.runs_both_ways(step, share) for step in range(100)]
     assert sum(chosen) == count
     assert abs(sum(chosen[:10]) - 10 * share) < 1
 
@@ -131,8 +132,7 @@ def test_steps_both_ways_are_spread_evenly(share: float, count: int) -> None:
 @pytest.mark.parametrize("share", [0.5, 1.0])
 def test_a_run_both_ways_validates_the_blend(share: float, tmp_path: Path) -> None:
     write_clips(tmp_path, 3)
-    run = trainer(tmp_path, tmp_path, minutes=2 / 60, both_ways=share)
-    run.run()
+    train.train(settings(tmp_path, tmp_path, "--minutes", 2 / 60, "--both-ways", share))
     notes = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["notes"]
     assert notes["steps"] > 1 and notes["both_ways"] == share
     assert np.isfinite(notes["both_psnr"]) and notes["both_psnr"] != notes["validation_psnr"]

@@ -22,8 +22,8 @@ import onnx  # noqa: E402
 import onnxruntime  # noqa: E402
 
 from training.denoise import export as denoise_export  # noqa: E402
+from training.denoise.checkpoint import weights_of  # noqa: E402
 from training.denoise.model import FEATURES, FINE, GUIDES, DenoiseUpscale, TrunkConfig  # noqa: E402
-from training.denoise.restore import weights_of  # noqa: E402
 from training.export import PARITY, ParityError, parity, relative_error  # noqa: E402
 
 EXACT = sorted(path for path in models_dir().glob("denoise_upscale.*.onnx")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import random
 import subprocess
 import sys
@@ -19,8 +20,8 @@ from training.datagen.clip_file import save_clip  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise import train  # noqa: E402
 from training.denoise.dataset import Augment, Batch, ClipPool, Stack, load, to_batch  # noqa: E402
+from training.denoise.gradient import FlatGradient, GradientStep, copy_batch  # noqa: E402
 from training.denoise.model import TrunkConfig  # noqa: E402
-from training.denoise.train import FlatGradient, GradientStep, copy_batch  # noqa: E402
 
 MOVE, TURN = torch.tensor([2.3, -1.1]), 0.03  # render pixels and radians a frame
 H, W = 48, 60
@@ -221,14 +222,13 @@ def write_clips(folder: Path, count: int) -> None:
                   [{**variant, "jitter": jitter, "spp": 1, "style": "realtime"}], facts)
 
 
-def trainer(clips: Path, out: Path, minutes: float, start: Path | None = None,
-            both_ways: float = 0.0, resume: Path | None = None, steps: int | None = None) -> train.Trainer:
-    args = argparse.Namespace(
-        clips=clips, out=out, minutes=minutes, batch=2, rate=1e-3, widths=list(SMALL.widths), depth=SMALL.depth,
-        flicker=1.0, reset=0.1, start=start, resume=resume, steps=steps, wait=2, seed=0, crop=48, guides=False,
-        both_ways=both_ways, even=False, clean=0.0, stem=SMALL.stem, reach=SMALL.reach, trust=False)
+def settings(clips: Path, out: Path, *words: object) -> argparse.Namespace:
+    """Arguments of a small training; words that follow change them."""
+    small = ["--clips", clips, "--out", out, "--batch", 2, "--rate", 1e-3, "--widths", *SMALL.widths, "--depth",
+             SMALL.depth, "--flicker", 1, "--reset", 0.1, "--wait", 2, "--crop", 48, "--clean", 0, *words]
+    out.mkdir(exist_ok=True)
     torch.manual_seed(0)
-    return train.Trainer(args, 0, 1, torch.device("cpu"))
+    return train.parse([str(word) for word in small])
 
 
 def test_a_clip_that_is_still_being_written_waits(tmp_path: Path) -> None:
@@ -242,33 +242,32 @@ def test_a_clip_that_is_still_being_written_waits(tmp_path: Path) -> None:
 
 def test_a_checkpoint_holds_the_averaged_weights_and_can_be_started_from(tmp_path: Path) -> None:
     write_clips(tmp_path, 3)
-    first = trainer(tmp_path, tmp_path, minutes=2 / 60)
-    start = {key: value.clone() for key, value in first.model.state_dict().items()}
-    first.run()
-    checkpoint = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
-    assert checkpoint["notes"]["steps"] == first.step > 0
+    begun = train.train(settings(tmp_path, tmp_path / "begun", "--steps", 0)).state_dict()
+    train.train(settings(tmp_path, tmp_path / "run", "--minutes", 2 / 60, "--log", tmp_path / "runs.jsonl"))
+    checkpoint = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
+    assert checkpoint["notes"]["steps"] == checkpoint["step"] > 0
     assert np.isfinite(checkpoint["notes"]["validation_psnr"])
     assert TrunkConfig.from_dict(checkpoint["config"]) == SMALL
-    assert any(not torch.equal(checkpoint["weights"][key], start[key]) for key in start)
-    again = trainer(tmp_path, tmp_path, minutes=0, start=tmp_path / "checkpoint.pt")
-    for key, value in again.model.state_dict().items():
+    assert any(not torch.equal(checkpoint["weights"][key], begun[key]) for key in begun)
+    again = train.train(settings(tmp_path, tmp_path / "again", "--steps", 0, "--start",
+                                 tmp_path / "run" / "checkpoint.pt"))
+    for key, value in again.state_dict().items():
         torch.testing.assert_close(value, checkpoint["weights"][key])
+    row, = map(json.loads, (tmp_path / "runs.jsonl").read_text().splitlines())
+    assert row["run"] == "run" and row["steps"] == checkpoint["step"] and row["options"]["batch"] == 2
+    assert row["validation_psnr"] == checkpoint["notes"]["validation_psnr"] and "seed" not in row["options"]
 
 
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
     write_clips(tmp_path, 3)
     whole, half = tmp_path / "whole", tmp_path / "half"
-    for folder in (whole, half):
-        folder.mkdir()
     random.seed(0)
-    trainer(tmp_path, whole, 0, steps=4).run()
+    train.train(settings(tmp_path, whole, "--steps", 4))
     random.seed(0)
-    first = trainer(tmp_path, half, 0, steps=4)
-    for _ in range(2):
-        first.advance(first.progress())
-    first.keep()
+    train.train(settings(tmp_path, half, "--steps", 4, "--log", tmp_path / "runs.jsonl"), pause=2)
+    assert not (tmp_path / "runs.jsonl").exists()  # it is not over
     random.seed(7)
-    trainer(tmp_path, half, 0, steps=4, resume=half / "checkpoint.pt").run()
+    train.train(train.parse(["--clips", str(tmp_path), "--out", str(half), "--resume", str(half / "checkpoint.pt")]))
     one, other = (torch.load(folder / "checkpoint.pt", weights_only=True) for folder in (whole, half))
     assert one["step"] == other["step"] == 4 and one["rate"] == other["rate"]
     assert one["seed"] == 0 and one["commit"] and one["arguments"]["batch"] == 2

@@ -9,7 +9,7 @@ RESULTS holds what our own commands write:
     RESULTS/validation/            python -m training.measure.validation compare CLIPS -o RESULTS/validation
     RESULTS/equivalent/            python -m training.measure.equivalent_samples measure VIEW -o RESULTS/equivalent
     RESULTS/convergence/           python -m training.measure.convergence VIEW -o RESULTS/convergence
-    RESULTS/curves.png             python -m training.measure.plot_curves RUN -o RESULTS/curves.png
+    RESULTS/curves.png             python -m training.measure.runs curves RUN -o RESULTS/curves.png
 
 What stands between a line `<!-- table: NAME ARGUMENTS -->` and a line `<!-- end -->` is replaced; everything else is
 written by hand. Arguments are folders of RESULTS, so the document says which sequences it tells of, and in which order:

@@ -1,0 +1,141 @@
+"""What is drawn from clips beside plain windows: false motion, motion of a world at rest, planes of fewer samples."""
+
+from __future__ import annotations
+
+import json
+import random
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from tests.training.denoise.test_train import moving_clip, write_clips  # noqa: E402
+from training.datagen.scenes.motion import Camera, look_at  # noqa: E402
+from training.denoise import loss as losses  # noqa: E402
+from training.denoise.dataset import (  # noqa: E402
+    SURFACE,
+    Augment,
+    Batch,
+    ClipPool,
+    Stack,
+    collate,
+    ellipse,
+    falsify_motion,
+    load,
+    sparser,
+    static_motion,
+    to_batch,
+)
+
+SIZE = 40, 30
+"""Width and height."""
+
+
+def entries(count: int) -> Stack:
+    """Clips of one motion everywhere, (1, -2), and another one for a world at rest, (5, 7)."""
+    clip = moving_clip(1)
+    planes = torch.cat((clip.planes, clip.planes[:, :, :2]), 2).repeat(count, 1, 1, 1, 1)
+    for channel, value in zip(range(14, 18), (1.0, -2.0, 5.0, 7.0), strict=True):
+        planes[:, :, channel] = value
+    repeated = {name: getattr(clip, name).repeat(count, *[1] * (getattr(clip, name).ndim - 1))
+                for name in ("jitter", "spread", "keep", "reference", "exposure")}
+    return replace(clip, planes=planes, guides=None, pairs=("static",), **repeated)
+
+
+def test_false_motion_is_one_of_four_kinds_and_the_loss_keeps_the_true_one() -> None:
+    torch.manual_seed(0)
+    batch = falsify_motion(to_batch(entries(200)), 0.75)
+    motion = batch.frames[1].motion
+    assert torch.equal(batch.frames[0].motion, motion)  # the same mistake all along the clip
+    assert all((true[:, 0] == 1).all() and (true[:, 1] == -2).all() for true in batch.true_motion)
+    untouched = ((motion[:, 0] == 1) & (motion[:, 1] == -2)).flatten(1)
+    static = ((motion[:, 0] == 5) & (motion[:, 1] == 7)).flatten(1).all(1)
+    still = (motion == 0).flatten(1).all(1)
+    region = ((motion == 0).all(1).flatten(1) | untouched).all(1) & ~still & ~untouched.all(1)
+    shares = [float(kind.float().mean()) for kind in (static, still, region)]
+    assert shares == pytest.approx([0.75 / 4] * 3, abs=0.07)
+    # What is left has its motion or, as motion is one everywhere, the equal mean around an ellipse.
+    assert torch.equal(static | still | region, ~untouched.all(1))
+    truth = losses.Truth(batch)
+    assert truth.motion is batch.true_motion
+
+
+def test_an_ellipse_takes_the_mean_motion_around_it() -> None:
+    clip = entries(64)
+    clip.planes[:, :, 14] = torch.where(torch.arange(60) < 30, 0.0, 4.0)  # left half, right half
+    torch.manual_seed(1)
+    motion = falsify_motion(to_batch(replace(clip, planes=clip.planes[:, :, :16], pairs=())), 1.0).frames[1].motion
+    between = ((motion[:, 0] > 0.01) & (motion[:, 0] < 3.99)).flatten(1).any(1)
+    assert between.any()
+    for x in motion[between, 0]:
+        assert len(set(x.flatten().tolist())) <= 3  # one value in all of the ellipse
+    inside = ellipse(torch.tensor([[0.5, 0.25]]), torch.tensor([[0.1, 0.25]]), 40, 100)[0, 0]
+    assert inside[10, 50] and inside[1, 50] and not inside[21, 50] and not inside[10, 61]
+
+
+def test_without_the_option_nothing_is_drawn() -> None:
+    def drawn(**options: float) -> tuple[Batch, float]:
+        random.seed(0)
+        torch.manual_seed(0)
+        return Augment(**options)(moving_clip(2)), float(torch.rand(()))
+
+    (plain, after), (again, after_again) = drawn(), drawn(false_motion=0.0)
+    assert after == after_again and plain.true_motion is None
+    assert torch.equal(plain.frames[1].motion, again.frames[1].motion)
+
+
+def camera_clip() -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """A clip file's arrays: a wall seen by a camera that moves and turns, and the wall's motion (T, h, w, 2)."""
+    w, h = SIZE
+    cameras = [Camera(look_at(np.array([0.3 * t, 0.1 * t, -4.0]), np.array([0.2 * t, 0.0, 0.0]), 0.05 * t), 50 + 2 * t)
+               for t in range(3)]
+    depth, motion = np.zeros((3, h, w), np.float32), np.zeros((3, h, w, 2), np.float32)
+    y, x = np.meshgrid(np.arange(h) + 0.5, np.arange(w) + 0.5, indexing="ij")
+    for t, camera in enumerate(cameras):
+        focal = w / (2 * np.tan(np.radians(camera.fov) / 2))
+        rays = np.stack([(w / 2 - x) / focal, (h / 2 - y) / focal, np.ones((h, w))], -1) @ camera.to_world[:3, :3].T
+        depth[t] = (1.0 - camera.to_world[2, 3]) / rays[..., 2]  # the wall is at z = 1
+        points = camera.to_world[:3, 3] + depth[t][..., None] * rays
+        if t:
+            motion[t] = cameras[t - 1].project(points.reshape(-1, 3), w, h).reshape(h, w, 2) - np.stack([x, y], -1)
+    meta = {"to_world": [camera.to_world.tolist() for camera in cameras], "fov": [camera.fov for camera in cameras]}
+    return {"v0_depth": depth, "v0_motion": motion, "meta": np.str_(json.dumps(meta)),
+            "reset": np.array([1, 0, 0], np.uint8)}, motion.copy()
+
+
+def test_a_world_at_rest_moves_as_the_camera_makes_it() -> None:
+    data, wall = camera_clip()
+    data["v0_motion"][:, 10:20, 10:20] += (6.0, -3.0)  # a thing on the wall that moves
+    found = static_motion(data, "v0")
+    np.testing.assert_allclose(found[1:], wall[1:], atol=1e-3)
+    assert np.abs(wall[1:]).max() > 1
+    np.testing.assert_array_equal(found[0], data["v0_motion"][0])
+    cut = data | {"reset": np.array([1, 0, 1], np.uint8)}
+    np.testing.assert_array_equal(static_motion(cut, "v0")[2], data["v0_motion"][2])
+    without = data | {"meta": np.str_("{}")}
+    np.testing.assert_array_equal(static_motion(without, "v0"), data["v0_motion"])
+
+
+def test_planes_come_from_the_sparser_render_and_light_from_the_denser(tmp_path: Path) -> None:
+    write_clips(tmp_path, 1)
+    path = tmp_path / "clip0000.npz"
+    with np.load(path) as file:
+        whole = dict(file)
+    denser = {name.replace("v0_", "v1_"): values for name, values in whole.items() if name.startswith("v0_")}
+    denser |= {f"v1_{name}": denser[f"v1_{name}"] + np.float16(0.25) for name in ("colour", "normal", "roughness")}
+    offline = {"v0_style": np.str_("box"), "v1_style": np.str_("box"), "v1_spp": np.int32(32)}
+    np.savez(path, **{**whole, **denser, **offline})
+    clip = load(path, torch.device("cpu"))
+    assert clip.samples == [1, 32] and sparser(clip, 1) == 0 and sparser(clip, 0) == 0
+    assert sparser(replace(clip, spread=[False, True]), 1) == 1  # samples at one place fit no other render
+    dense, mixed = collate([clip], [1]).planes, collate([clip], [1], None, [0]).planes
+    assert torch.equal(mixed[:, :, SURFACE], collate([clip], [0]).planes[:, :, SURFACE])
+    assert torch.equal(mixed[:, :, :3], dense[:, :, :3]) and torch.equal(mixed[:, :, 13:], dense[:, :, 13:])
+    pool = ClipPool(tmp_path, torch.device("cpu"), held_out=10**6)
+    pool.seen.clear()
+    pool.training = {tuple(clip.reference.shape): [clip]}
+    drawn = pool.draw(16, 16, 0, sparse=1.0)
+    assert drawn.planes.shape == (16, 2, 16, 16, 16)

@@ -1,0 +1,133 @@
+"""Checkpoints of the denoised upscaler: what they hold, weights from them or from exported networks, and mixtures.
+
+    python -m training.denoise.checkpoint mix a/checkpoint.pt:0.6 b/checkpoint.pt:0.4 -o mixed.pt
+
+A checkpoint of a run holds all that training needs to go on. What is made for export or --start holds `config`,
+`weights` and `notes` only. `mix` averages the weights of networks of the same layout: often the mean of two trainings
+is better on scenes of other renderers than either.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+PREFIX, HALF = "trunk.", "_half"
+
+
+def save(checkpoint: dict[str, Any], path: Path) -> None:
+    """Write a checkpoint; a file that is there is replaced at the end, in one step."""
+    partial = path.with_suffix(".tmp")
+    torch.save(checkpoint, partial)
+    os.replace(partial, path)
+
+
+def read(path: Path) -> dict[str, Any]:
+    """A checkpoint, on the CPU."""
+    return torch.load(path, map_location="cpu", weights_only=True)
+
+
+def load_weights(path: Path) -> dict[str, Tensor]:
+    """Averaged weights of a checkpoint, or the weights of an exported network."""
+    return weights_of(path) if path.suffix == ".onnx" else read(path)["weights"]
+
+
+def weights_of(path: Path) -> dict[str, Tensor]:
+    """Name -> float32 weights as a checkpoint holds them, from ``denoise_upscale.<tag>[.guides|.1x].onnx``.
+
+    They are rounded to half precision, as the file stores them. Raises ValueError for variants of other precision.
+    """
+    import onnx  # only those who start from an exported network need it
+    from onnx import numpy_helper
+
+    from training.denoise.model import logits_of
+
+    found = {t.name.removesuffix(HALF): torch.from_numpy(numpy_helper.to_array(t).astype("float32"))
+             for t in onnx.load(path).graph.initializer}
+    stored = {name: values for name, values in found.items() if "." in name or name == "rest"}
+    if "fine.weight" not in stored:
+        raise ValueError(f"{path}: no weights of the fine head: take the float32 model, as denoise_upscale.m.onnx")
+    alike = (found[level] for level in sorted(found) if level.startswith("level"))
+    stored |= {f"alike.{i}": logits_of(level).half().float() for i, level in enumerate(alike)}
+    stored["stem.bias"] = stored.pop("stems.0.bias")
+    stored["stem.weight"] = torch.cat([stored.pop(f"stems.{i}.weight") for i in range(2)], 1)
+    return {PREFIX + name: values.contiguous() for name, values in stored.items()}
+
+
+# What a run goes on with --------------------------------------------------------------------------------------------
+
+def git_commit() -> str:
+    """The commit of this code, marked where files differ from it; 'unknown' outside a checkout."""
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+        return done.stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def random_state(device: torch.device) -> dict[str, Any]:
+    """States of all generators that training draws from."""
+    cuda = torch.cuda.get_rng_state(device) if device.type == "cuda" else None
+    return {"python": random.getstate(), "torch": torch.get_rng_state(), "cuda": cuda}
+
+
+def set_random_state(state: dict[str, Any], device: torch.device) -> None:
+    """Set them to what ``random_state`` returned."""
+    random.setstate(state["python"])
+    torch.set_rng_state(state["torch"])
+    if state["cuda"] is not None and device.type == "cuda":
+        torch.cuda.set_rng_state(state["cuda"], device)
+
+
+# Mixtures -----------------------------------------------------------------------------------------------------------
+
+def mix(parts: Sequence[tuple[Path, float]]) -> dict[str, Any]:
+    """A checkpoint with the weighted mean of the weights of several; its notes are those of the first, and what it is.
+
+    Raises ValueError where shares do not add up to 1 or networks have different layouts.
+    """
+    if abs(sum(share for _, share in parts) - 1) > 1e-6:
+        raise ValueError(f"shares add up to {sum(share for _, share in parts):g}, not to 1")
+    found = [(read(path), share) for path, share in parts]
+    first = found[0][0]
+    for (path, _), (one, _) in zip(parts, found, strict=True):
+        if one["config"] != first["config"]:
+            raise ValueError(f"{path}: another layout than {parts[0][0]}: {one['config']}, not {first['config']}")
+    weights = {name: sum(share * one["weights"][name] for one, share in found) for name in first["weights"]}
+    told = " + ".join(f"{share:g} {path}" for path, share in parts)
+    return {"config": first["config"], "weights": weights, "notes": {**first["notes"], "weights": told}}
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    mixing = commands.add_parser("mix", help="average the weights of networks of the same layout")
+    mixing.add_argument("parts", nargs="+", type=part, metavar="CHECKPOINT:SHARE", help="shares add up to 1")
+    mixing.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
+    args = parser.parse_args(argv)
+    try:
+        save(mix(args.parts), args.output)
+    except (OSError, ValueError) as fault:
+        parser.error(str(fault))
+
+
+def part(word: str) -> tuple[Path, float]:
+    """'a.pt:0.6' as a file and its share."""
+    path, _, share = word.rpartition(":")
+    try:
+        return Path(path), float(share)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{word}' is not FILE:SHARE, as a/checkpoint.pt:0.6") from None
+
+
+if __name__ == "__main__":
+    main()
