@@ -22,7 +22,8 @@ from postfx.colour.icc import make_profile
 from postfx.colour.primaries import Chromaticities
 from postfx.errors import ReadError
 from postfx.frame import Frame
-from postfx.io.exr.container import ExrContainer, Header, read_headers, write_container, zip_part
+from postfx.io.exr.container import ExrContainer, write_container, zip_part
+from postfx.io.exr.header import Header, read_headers
 from postfx.io.exr.passthrough import merge_source
 from postfx.io.windows import Pixels
 from postfx.kernels.pixel_formats import halve, look_up, paeth

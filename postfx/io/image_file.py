@@ -9,7 +9,6 @@ for what a header says before they see how little follows.
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,43 +18,44 @@ import OpenImageIO as oiio
 
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
-from postfx.io.exr.container import MAX_SIDE, ExrContainer
+from postfx.io.exr.chunks import MAX_SIDE
+from postfx.io.exr.container import ExrContainer
+from postfx.io.radiance import MAX_HEADER, STARTS, RadianceHeader, parse_header
 from postfx.io.windows import Part, Window, own_windows, part_of, some_rows, to_area
 
 READABLE = (".exr", ".hdr")
 _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
-_HDR_STARTS = (b"#?RADIANCE", b"#?RGBE")
-_HDR_HEADER = 64 << 10  # bytes within which the size has to stand
-_HDR_SIZE = re.compile(rb"\n[-+][XY] +(\d{1,9}) +[-+][XY] +(\d{1,9})\n")
+_STORAGE = ("Orientation", "hdr:exposure", "oiio:Gamma")
+"""OpenImageIO's attributes of a Radiance file that are no longer true of pixels as they are read here."""
 _HDR_GROWS = 64  # runs of 127 bytes lie in 2
 
 
-def check_claims(path: Path) -> None:
-    """ReadError for a file that cannot be read, is neither OpenEXR nor Radiance HDR, or claims more pixels than its
-    bytes can hold. By its first bytes, whatever its name."""
+def check_claims(path: Path) -> RadianceHeader | None:
+    """Header of a Radiance HDR file, None of an OpenEXR file, by its first bytes, whatever its name.
+
+    ReadError for a file that cannot be read, is neither, or claims more pixels than its bytes can hold.
+    """
     try:
         with path.open("rb") as file:
-            start = file.read(_HDR_HEADER)
+            start = file.read(MAX_HEADER)
             size = file.seek(0, 2)
         if not start:
             raise ReadError(f"{path}: is empty: render or copy this frame again")
-        if start.startswith(_HDR_STARTS):
-            _check_hdr(path, start, size)
-        else:
-            with ExrContainer(path):
-                pass
+        if start.startswith(STARTS):
+            return _check_hdr(path, start, size)
+        with ExrContainer(path):
+            return None
     except OSError as error:
         raise ReadError(f"{path}: cannot be read: {error.strerror or error}; check the file's rights") from error
 
 
-def _check_hdr(path: Path, start: bytes, size: int) -> None:
-    found = _HDR_SIZE.search(start)
-    if found is None:
-        raise ReadError(f"{path}: broken file: its header has no size; render or copy this frame again")
-    sides = int(found[1]), int(found[2])
-    if max(sides) > MAX_SIDE or 4 * sides[0] * sides[1] > _HDR_GROWS * size:
-        raise ReadError(f"{path}: broken file: its header claims {sides[1]}x{sides[0]} pixels in {size} bytes; "
+def _check_hdr(path: Path, start: bytes, size: int) -> RadianceHeader:
+    header = parse_header(start, path)
+    width, height = header.size
+    if max(width, height) > MAX_SIDE or 4 * width * height > _HDR_GROWS * size:
+        raise ReadError(f"{path}: broken file: its header claims {width}x{height} pixels in {size} bytes; "
                         "render or copy this frame again")
+    return header
 
 
 class ImageFile:
@@ -73,13 +73,15 @@ class ImageFile:
             raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with --frames")
         if not is_utf8(str(path)):
             raise ReadError(f"{make_printable(str(path))}: its name is not UTF-8: rename it")
-        if not checked:
-            check_claims(self.path)
+        self._radiance = None if checked else check_claims(self.path)
+        self._upright: np.ndarray | None = None  # pixels of a Radiance file that does not store them as they are
         opened = oiio.ImageInput.open(str(self.path))
         if opened is None:
             raise ReadError(f"{path}: cannot be opened: {reason_of(oiio.geterror)}; write the file again")
         self._input = opened
         self.parts = self._scan()
+        if self._radiance:
+            self.parts = (_radiance_part(self.parts[0], self._radiance),)
 
     def __enter__(self) -> ImageFile:
         return self
@@ -98,10 +100,10 @@ class ImageFile:
         """
         indices = [part.channels.index(name) for name in channels]
         first, last = min(indices), max(indices)
-        if rows is None:
+        if rows is None and self._is_as_stored():
             pixels = self._input.read_image(part.index, 0, first, last + 1, oiio.FLOAT)
         else:
-            part = some_rows(part, *rows)
+            part = part if rows is None else some_rows(part, *rows)
             pixels = self._read_rows(part, first, last + 1)
         pixels = self._decoded(pixels).reshape(part.data.height, part.data.width, last + 1 - first)
         fills = channels.values()
@@ -147,6 +149,8 @@ class ImageFile:
         data = part.data
         if data.height <= 0:
             return np.empty((0, data.width, last - first), np.float32)
+        if self._radiance and not self._radiance.is_plain:
+            return self._turn_upright(self._radiance)[data.y0 : data.y1 + 1, :, first:last]
         self._input.seek_subimage(part.index, 0)
         spec = self._input.spec()
         if not spec.tile_height:
@@ -160,6 +164,16 @@ class ImageFile:
         pixels = pixels.reshape(bottom - top, data.width, last - first)
         return np.ascontiguousarray(pixels[data.y0 - top:data.y1 + 1 - top])
 
+    def _is_as_stored(self) -> bool:
+        return self._radiance is None or self._radiance.is_plain
+
+    def _turn_upright(self, header: RadianceHeader) -> np.ndarray:
+        """The whole picture, (height, width, 3), which is read once."""
+        if self._upright is None:
+            stored = self._decoded(self._input.read_image(0, 0, 0, 3, oiio.FLOAT))
+            self._upright = header.upright(stored.reshape(header.rows, header.columns, 3))
+        return self._upright
+
     def _scan(self) -> tuple[Part, ...]:
         parts: list[Part] = []
         deep: list[Part] = []
@@ -170,6 +184,14 @@ class ImageFile:
             reason = "deep data is not supported: flatten it first, e.g. with oiiotool --flatten"
             raise ReadError(f"{self.path}: {reason if deep else 'holds no image'}")
         return own_windows(parts)
+
+
+def _radiance_part(part: Part, header: RadianceHeader) -> Part:
+    """The part of a Radiance file with the picture's size and what the header says of its colours."""
+    window = Window(0, 0, header.size[0] - 1, header.size[1] - 1)
+    attributes = {name: value for name, value in part.attributes.items() if name not in _STORAGE}
+    attributes |= {"chromaticities": header.primaries} if header.primaries else {}
+    return replace(part, data=window, display=window, area=window, attributes=attributes)
 
 
 def _runs(part: Part, names: Sequence[str]) -> Iterator[tuple[int, int]]:

@@ -14,7 +14,8 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MissingFrameError, ReadError, SequenceError
-from postfx.io.exr.container import ExrContainer, Header, NewPart, write_container
+from postfx.io.exr.container import ExrContainer, NewPart, write_container
+from postfx.io.exr.header import Header
 from postfx.io.sequence import read_sequence
 from tests.files.exr_files import write_deep, write_mixed, write_studio
 
@@ -71,8 +72,9 @@ def patched_after(mark: bytes, value: bytes) -> Callable[[Path], None]:
 def lose_chunk(path: Path) -> None:
     """As of a render that was ended before its last lines: their place in the table is 0."""
     with ExrContainer(path) as file:
-        first = file.chunks(0)[0].at
-    patched(first - 8, bytes(8))(path)
+        chunks = file.chunks(0)
+    patched(chunks[0].at - 8, bytes(8))(path)
+    path.write_bytes(path.read_bytes()[: chunks[-1].at])
 
 
 def as_picture(suffix: str) -> Callable[[Path], None]:

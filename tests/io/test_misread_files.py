@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from postfx.cli.main import main
@@ -12,6 +13,7 @@ from postfx.colour.primaries import REC709
 from postfx.errors import ColourError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
+from postfx.io.writer import is_complete, write_frame
 
 COLUMNS, ROWS = np.meshgrid(np.linspace(0, 1, 64, dtype=np.float32), np.linspace(0, 1, 40, dtype=np.float32))
 PICTURE = np.stack([COLUMNS, ROWS, 1 - COLUMNS], axis=-1)
@@ -52,3 +54,27 @@ def test_chromaticities_on_a_line(collection: Path, capsys) -> None:
 def test_encoded_colours(collection: Path) -> None:
     light = np.where(PICTURE <= 0.04045, PICTURE / 12.92, ((PICTURE + 0.055) / 1.055) ** 2.4)
     np.testing.assert_allclose(read(collection / "interop_srgb.exr")[Role.COLOUR], light, atol=1e-4)
+
+
+def test_a_table_of_zeros(collection: Path, tmp_path: Path) -> None:
+    path = collection / "zero_offset_table.exr"
+    frame = read(path)
+    np.testing.assert_array_equal(frame[Role.COLOUR], oiio.ImageBuf(str(path)).get_pixels("float"))
+    out = write_frame(tmp_path / "out.exr", frame, half=False, keep=True)
+    np.testing.assert_array_equal(oiio.ImageBuf(str(out)).get_pixels("float"), frame[Role.COLOUR])
+
+
+def test_a_tiled_file_that_says_it_is_of_lines(collection: Path, tmp_path: Path) -> None:
+    path = collection / "tiled_flag_type_scanlineimage.exr"
+    frame = read(path)
+    shown = oiio.ImageBuf(str(path)).get_pixels("float")
+    np.testing.assert_array_equal(np.dstack([frame[Role.COLOUR], frame[Role.ALPHA]]), shown)
+    out = write_frame(tmp_path / "out.exr", frame, keep=True)
+    assert is_complete(out, frame.spec.width, frame.spec.height)
+    np.testing.assert_array_equal(oiio.ImageBuf(str(out)).get_pixels("float"), shown)
+
+
+def test_a_radiance_picture_from_the_bottom(collection: Path) -> None:
+    path = collection / "flip.hdr"
+    stored = oiio.ImageInput.open(str(path)).read_image("float")
+    np.testing.assert_array_equal(read(path)[Role.COLOUR], stored[::-1])

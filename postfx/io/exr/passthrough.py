@@ -23,7 +23,8 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.frame import ColourSource, Frame
-from postfx.io.exr.container import SCANLINES, TILES, ZIP, ExrContainer, Header, NewPart, Rows, pack_channels, zip_part
+from postfx.io.exr.container import ZIP, ExrContainer, NewPart, Rows, zip_part
+from postfx.io.exr.header import SCANLINES, TILES, Header, pack_channels
 from postfx.io.image_file import ImageFile
 from postfx.io.windows import AREA, EXR_NAMES, PICTURE
 
