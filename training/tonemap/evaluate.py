@@ -2,18 +2,22 @@
 
     python -m training.tonemap.evaluate aces2 local -o looks.json --photos 'hdr/*.exr' 'shot/reference.0001.exr'
         [--panoramas 'env/*.hdr'] [--sequences DIR...] [--report]
+    python -m training.tonemap.evaluate local auto --following --side 320 --photos 'hdr/*.exr' 'shot/reference.0001.exr'
 
 A look is a tag, or the file of a model. Each picture is exposed by the run-time's meter and shrunk to at most --side
 pixels. Per picture: PSNR, SSIM and FLIP of sRGB code values, mean Delta E ITP (ITU-R BT.2124, white at 100 cd/m2).
 Then the charts of `training.tonemap.checks`, and how steady sequences are. --report writes all of it into
 docs/tonemap.md and makes its pictures, of the looks measured now and of those that -o held before.
+
+--following measures how fast looks with a network follow light that changes, at once (steps) or evenly (ramps of a
+stop); printed are the least and the most over the pictures.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +35,7 @@ from postfx.passes.tonemap import ToneMap, find_model, shaper
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from training.measure.quality_report.document import Block, compose, number, parse, table
-from training.tonemap.checks import SRGB, Render, exposed, flicker, greys, halo, nearest_exposure, sweep
+from training.tonemap.checks import SRGB, STEPS, Render, exposed, flicker, greys, halo, nearest_exposure, sweep
 from training.tonemap.looks import Look, exact_target, look_from
 from training.tonemap.model import default_shaper, look_up, shape
 from training.tonemap.pairs import fit_cube
@@ -242,23 +246,83 @@ def examine(mapper: Mapper, look: Look, pictures: dict[str, np.ndarray], args: a
     return {"pictures": rows, "checks": checks, "flicker": steady}
 
 
+# Following the light -------------------------------------------------------------------------------------------------
+
+STEPPED = (0.5, 1.0, 3.0)  # stops, up and down
+RAMPS = (24, 96)  # frames that a stop takes
+LONGEST = 200  # frames that a step is waited for
+LEFT = 0.1  # of the way
+
+
+def frames_of_step(mapper: Mapper, picture: np.ndarray, stops: float) -> int:
+    """Frames until a tenth of the way is left, in code values, from what the look would make of the changed light with
+    its last grid or exposure to what it makes of it without a past. At most LONGEST."""
+    stepped = picture * np.float32(2.0**stops)
+    wanted, last = mapper(stepped), mapper.kept(_frame(picture, 0))
+    way = np.abs(mapper.held(last)(stepped) - wanted).mean()
+    for count in range(1, LONGEST):
+        if np.abs(mapper.follow(_frame(stepped, count)) - wanted).mean() <= LEFT * way:
+            return count
+    return LONGEST
+
+
+def behind(mapper: Mapper, alone: Mapper, picture: np.ndarray, frames: int) -> float:
+    """Most that a look is behind itself without a past (`alone`) in a ramp of a stop: mean steps of 8 bits."""
+    return STEPS * max(float(np.abs(mapper.follow(_frame(light, k)) - alone(light)).mean())
+                       for k, light in enumerate(_ramp(picture, frames)))
+
+
+def _ramp(picture: np.ndarray, frames: int) -> Iterator[np.ndarray]:
+    return (picture * np.float32(2.0 ** (number / frames)) for number in range(frames + 1))
+
+
+def _frame(light: np.ndarray, number: int) -> Frame:
+    return Frame({Role.COLOUR: light}, number=number, reset=not number)
+
+
+def span(values: Iterable[float]) -> str:
+    """Least to most."""
+    found = sorted(values)
+    return f"{found[0]:.3g} to {found[-1]:.3g}"
+
+
+def print_following(tag: str, pictures: dict[str, np.ndarray]) -> None:
+    """How fast a look follows steps and ramps."""
+    mapper, alone, lights = Mapper(tag), Mapper(tag), [np.ascontiguousarray(rgb) for rgb in pictures.values()]
+    for stops in STEPPED:
+        frames = span(frames_of_step(mapper, rgb, way * stops) for rgb in lights for way in (-1, 1))
+        print(f"{tag}: a step of {stops:g} stops is followed in {frames} frames", flush=True)
+    for frames in RAMPS:
+        print(f"{tag}: {span(behind(mapper, alone, rgb, frames) for rgb in lights)} code values behind in a ramp of a "
+              f"stop in {frames} frames", flush=True)
+
+
+# The command --------------------------------------------------------------------------------------------------------
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("looks", nargs="*", help="tags, or files of models; none: only write the report")
-    parser.add_argument("-o", "--output", type=Path, required=True, help="JSON file; looks that it holds stay in it")
+    parser.add_argument("-o", "--output", type=Path, help="JSON file; looks that it holds stay in it")
     parser.add_argument("--photos", nargs="*", default=[], help="HDR pictures (patterns)")
     parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
     parser.add_argument("--sequences", nargs="*", default=[], help="folders of reference.####.exr and noisy.####.exr")
     parser.add_argument("--side", type=int, default=640)
+    parser.add_argument("--following", action="store_true", help="only print how fast looks follow light that changes")
     parser.add_argument("--report", action="store_true", help="write docs/tonemap.md and its pictures")
     parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/tonemap.md")
     parser.add_argument("--images", type=Path, default=REPOSITORY / "docs/images/tonemap")
     args = parser.parse_args()
-    found = json.loads(args.output.read_text()) if args.output.exists() else {}
+    if not args.output and not args.following:
+        parser.error("name the JSON file to write with -o, or give --following")
     pictures = find_pictures(args.photos, args.panoramas, args.side)
     if args.looks and not pictures:
         parser.error("no pictures to compare looks on: give --photos or --panoramas")
     pictures = {name: rgb * np.float32(2.0 ** (measure(rgb) or 0.0)) for name, rgb in pictures.items()}
+    if args.following:
+        for tag in args.looks:
+            print_following(tag, pictures)
+        return
+    found = json.loads(args.output.read_text()) if args.output.exists() else {}
     for tag in args.looks:
         mapper = Mapper(tag)
         if "view" not in mapper.card["look"]:

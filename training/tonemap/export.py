@@ -27,8 +27,7 @@ from training.kernels.tonemap import (
     SliceApply,
     Smooth,
 )
-from training.tonemap.exposure_net import Exposure
-from training.tonemap.model import CUBE, SHAPER, SIDE, TO_WORKING, TOE, WHITE, HDRNet, default_shaper
+from training.tonemap.model import CUBE, SHAPER, SIDE, TO_WORKING, TOE, WHITE, Exposure, HDRNet, default_shaper
 
 IMAGE = {0: torch.export.Dim("height", min=1), 1: torch.export.Dim("width", min=1)}
 STEADY = {"keep": 0.6, "follow": 0.6}  # see `postfx.kernels.tonemap`

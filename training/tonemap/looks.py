@@ -21,7 +21,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from training.tonemap.model import default_shaper, look_up, shape
+from training.tonemap.model import BLACK, MID_GREY, default_shaper, look_up, shape
 from training.tonemap.views import ACES2, AGX, NEUTRAL, Lut, Ocio, View, exact_view
 
 # The local operator -------------------------------------------------------------------------------------------------
@@ -31,7 +31,6 @@ from training.tonemap.views import ACES2, AGX, NEUTRAL, Lut, Ocio, View, exact_v
 # Edges above `sigma` stops are compressed by `beta`, smaller detail is kept or changed by `alpha`; no halos by design.
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
-MID_GREY = 0.18
 FLOOR = 2.0**-8  # added to luminance before the logarithm, so that noise in black is not stretched
 
 
@@ -100,7 +99,6 @@ def compress(rgb: torch.Tensor, sigma: float, alpha: float, beta: float) -> torc
 
 # Looks --------------------------------------------------------------------------------------------------------------
 
-BLACK = 2.0**-16  # added to luminance before its logarithm
 ENDS = (0.01, 0.99)  # quantiles that count as a scene's darkest and brightest
 
 

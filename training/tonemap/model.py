@@ -1,4 +1,5 @@
-"""HDRNet (Gharbi et al. 2017, "Deep Bilateral Learning for Real-Time Image Enhancement") between a shaper and a cube.
+"""The tone mapper's networks: HDRNet (Gharbi et al. 2017, "Deep Bilateral Learning for Real-Time Image Enhancement")
+between a shaper and a cube, and a learnt exposure before a cube.
 
 The grid of colour matrices does what depends on place and picture, the cube what depends on the colour alone. The
 network also sees the picture's histogram: exposure is a function of it, and convolutions are slow to learn that. Colour
@@ -16,15 +17,16 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from postfx.colour.primaries import REC709, REC2020, matrix_between
-from postfx.kernels.tonemap import BROKEN, JUMP, LAG, MOST, RELEASE
-from postfx.kernels.tonemap import MOST_STOPS as FARTHEST
+from postfx.colour.primaries import LUMA_REC2020, REC709, REC2020, matrix_between
+from postfx.kernels.tonemap import BROKEN, JUMP, LAG, MOST, MOST_STOPS, RELEASE
 
 # Cubes --------------------------------------------------------------------------------------------------------------
 # The shaper and the colour cube of the tone mapper, in torch: (N,3,H,W) colour, cubes (size,size,size,3) red first.
 #
 # `shape` and `look_up` are the definitions of `postfx.kernels.colour` and `postfx.kernels.colour`.
 
+MID_GREY = 0.18
+BLACK = 2.0**-16  # added to luminance before its logarithm
 CUBE = 33  # corners along an axis
 TOE, WHITE = 2.0**-8, 2.0**8
 SHAPER = (TOE, 1.0 / math.log2(1.0 + WHITE / TOE))  # scene-linear values; 1.0 is reached at WHITE
@@ -349,6 +351,60 @@ def expose(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor, pa
     """(3,), (1,1), (1,4) and (3,) -> (3,), as `postfx.kernels.tonemap` says."""
     stops, kept = current.double()[0, 0], keep.double()[0, 0]
     change = torch.log2(previous.double()[0]) - stops
-    stops = stops + torch.where((kept > 0) & (change.abs() <= FARTHEST), kept * change, 0)
+    stops = stops + torch.where((kept > 0) & (change.abs() <= MOST_STOPS), kept * change, 0)
     exposure, toe, scale = params.unbind()
     return torch.stack([torch.exp2(stops).to(params.dtype), toe / exposure, scale])
+
+
+# A learnt exposure --------------------------------------------------------------------------------------------------
+# How many stops to add before a cube, from how a picture's light is spread.
+#
+# The network learns how far from mid grey a scene belongs: a function of the levels that shares of the pixels are
+# below, counted from the geometric mean, which goes to mid grey first. So an exposure that is off is put right by
+# construction, and one number exposes the whole picture.
+
+SHARES = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)  # of the pixels, which are below a level
+WIDTH = 64
+TYPICAL = 4.0  # stops: levels are given to the network in units of it
+FARTHEST = 8.0  # stops that are added or taken; what is black stays black
+
+
+def levels(low: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Of shaped colour (N,3,256,256), its every second row and column: the mean of the log2 of the luminance (N,1), and
+    the levels of SHARES (N,7) in stops from it."""
+    toe, scale = SHAPER
+    light = (torch.exp2(low[..., ::2, ::2] / scale) - 1) * toe
+    luminance = (light * low.new_tensor(LUMA_REC2020).view(1, 3, 1, 1)).sum(1)
+    log = torch.log2(luminance.clamp_min(0) + BLACK)
+    mean, pixels = log.mean(2).mean(1, keepdim=True), (SIDE // 2) ** 2  # row by row: less is lost of a float32
+    ranks = torch.tensor([round(share * (pixels - 1)) for share in SHARES], device=low.device)
+    return mean, log.flatten(1).sort(1).values.index_select(1, ranks) - mean  # Gather: GatherND does not replay on GPUs
+
+
+class Exposure(nn.Module):
+    """4,737 parameters and a cube (size,size,size,3). `forward` is what is exported: lowres -> (stops (N,1), cube)."""
+
+    def __init__(self, cube: torch.Tensor) -> None:
+        super().__init__()
+        sizes = (len(SHARES), WIDTH, WIDTH, 1)
+        self.dense = nn.ModuleList([nn.Linear(*pair) for pair in zip(sizes, sizes[1:], strict=False)])
+        self.cube = nn.Parameter(cube, requires_grad=False)
+
+    def key(self, levels: torch.Tensor) -> torch.Tensor:
+        """Stops (...,1) from mid grey at which the mean of (...,7) levels belongs."""
+        x = levels / TYPICAL
+        for layer in self.dense[:-1]:
+            x = F.relu(layer(x))
+        return self.dense[-1](x)
+
+    def stops(self, mean: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
+        """Stops (...,1) to add where the luminance has this mean (...,1) and these levels (...,7)."""
+        return math.log2(MID_GREY) - mean + self.key(levels)
+
+    def forward(self, low: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return self.stops(*levels(low)).clamp(-FARTHEST, FARTHEST), self.cube
+
+    def render(self, colour: torch.Tensor, shaper: Shaper) -> torch.Tensor:
+        """Scene-linear (N,3,H,W) -> display (N,3,H,W) in [0,1], as the run-time does it."""
+        stops, cube = self(lowres(colour, shaper))
+        return look_up(shape(colour * torch.exp2(stops)[..., None, None], *shaper), cube)

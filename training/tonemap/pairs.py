@@ -1,8 +1,7 @@
-"""Pairs of a user's own pictures: linear HDR, and what they made of it."""
+"""Pairs of a user's own pictures: linear HDR and its grading, and the colour cube that fits them best."""
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,19 +11,18 @@ import torch.nn.functional as F
 from scipy import sparse
 from scipy.sparse.linalg import cg
 
-from training.tonemap.loop import SHIFT, Recipe, shipped_cubes, start_network, validate
+from training.tonemap.examples import SHAPES, SHIFT
 from training.tonemap.model import HDRNet, default_shaper, look_up, lowres, shape, slice_grid
 from training.tonemap.pictures import held_among, read, shrink
-from training.tonemap.teach import Checkpoint, Watch, cube_psnr, run
 
 # The nearest cube ---------------------------------------------------------------------------------------------------
 # Fit a colour cube to pairs of shaped and wanted colours by least squares.
 #
-# What no pair speaks of follows its neighbours: second differences of the change from a starting cube are kept small,
-# so the change goes on evenly where the data ends, and the starting cube's own shape stays.
+# Colours that no pair shows follow their neighbours: second differences of the change from a starting cube are kept
+# small, so the change continues evenly where the data ends, and the starting cube's own shape stays.
 
 SMOOTH, NEAR = 1e-2, 1e-7  # weights of second differences and of the change itself, against 1 for the data of a cell
-TOLERANCE, ITERATIONS = 1e-7, 6000  # what has no data comes last: stopping early would leave it at the start
+TOLERANCE, ITERATIONS = 1e-7, 6000  # corners without data converge last: stopping early leaves them at the start
 
 
 def fit_cube(shaped: np.ndarray, wanted: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -67,9 +65,7 @@ def second_differences(size: int) -> sparse.csr_matrix:
 
 # Pairs of pictures --------------------------------------------------------------------------------------------------
 
-SHAPES = ((320, 512), (384, 384), (512, 320), (288, 512))
-EVERY = 5  # that one is held out
-ENOUGH = 40.0  # dB on the pairs that were trained on: colour alone explains them
+EVERY = 5  # one in so many is held out
 SAMPLES = 200_000  # colours that a cube is fitted to
 
 
@@ -119,14 +115,6 @@ def fit(net: HDRNet | None, pairs: Pairs, start: torch.Tensor) -> tuple[torch.Te
     return cube, float(-10 * np.log10(np.mean(errors) + 1e-12))
 
 
-def nearest_cube(pairs: Pairs) -> torch.Tensor:
-    """The shipped look that comes nearest to the pairs: what they do not show is taken from it."""
-    def psnr(cube: torch.Tensor) -> float:
-        return sum(cube_psnr(cube, *({name: pair[i] for name, pair in pairs.train.items()} for i in (0, 1))).values())
-
-    return max(shipped_cubes().values(), key=psnr)
-
-
 @torch.no_grad()
 def before_cube(net: HDRNet | None, hdr: np.ndarray) -> torch.Tensor:
     """Shaped colour (1,3,H,W) as it meets the cube, in [0, 1]."""
@@ -136,32 +124,6 @@ def before_cube(net: HDRNet | None, hdr: np.ndarray) -> torch.Tensor:
         return shaped
     grid, guide, _ = net(lowres(colour, shaper))
     return slice_grid(shaped, guide, grid).clamp(0, 1)
-
-
-def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device, watch: Watch) -> Checkpoint:
-    """Learn a look from examples: a cube where that explains them, else a network before one, if it does better.
-
-    The network that training starts from has a cube fitted to the pairs, too: few pictures may teach it no more.
-    """
-    held = {name: hdr for name, (hdr, _) in pairs.held.items()}
-    wanted = {name: sdr for name, (_, sdr) in pairs.held.items()}
-    common = {"look": {"pairs": sorted(pairs.train)}, "pictures": list(pairs.train)}
-    cube, explained = fit(None, pairs, nearest_cube(pairs))
-    print(f"colour alone explains the pairs to {explained:.1f} dB", flush=True)
-    alone = {**common, "cube": cube, "weights": None, "history": [], "psnr": cube_psnr(cube, held, wanted)}
-    if explained >= ENOUGH:
-        return alone
-    net = start_network(start, cube)
-    if start != "none":
-        net.cube.data = fit(net, pairs, cube)[0]
-    weights = copy.deepcopy(net.state_dict())
-    begun = {"weights": weights, "history": [], "psnr": validate(net, held, wanted)}
-    learnt = run(net.to(device), PairViews(pairs, device, recipe.seed), recipe, held, wanted, watch)
-    net.load_state_dict(learnt["weights"])
-    net.to("cpu").cube.data = fit(net, pairs, learnt["weights"]["cube"].cpu())[0]
-    again = {**learnt, "weights": net.state_dict(), "psnr": validate(net, held, wanted)}
-    found = [alone, *({**common, **one, "cube": one["weights"]["cube"]} for one in (begun, learnt, again))]
-    return max(found, key=lambda one: np.mean(list(one["psnr"].values())))
 
 
 class PairViews:

@@ -1,7 +1,15 @@
-"""Pictures for the tone mapper: read, declared, exposed, held out; kept in one .npz together with baked looks."""
+"""Pictures for the tone mapper: read, exposed, held out; packed in one .npz together with baked looks.
+
+    python -m training.tonemap.pictures -o set.npz --looks local auto --photos 'hdr/*.exr' --panoramas 'env/*.hdr'
+
+packs what `training.tonemap.train --set` takes, for a machine without OpenColorIO. Pictures named by --hold-out are
+never trained on: they are measured with, against the colour pipeline itself and not its baked cube. --clips takes a
+folder of .npz files with a `reference` (T, H, W, 3).
+"""
 
 from __future__ import annotations
 
+import argparse
 import glob
 import json
 import math
@@ -15,13 +23,13 @@ import torch.nn.functional as F
 
 from postfx.colour.primaries import LINEAR_SPACES, REC709, matrix_between
 from postfx.io.colours import InputColours
-from training.tonemap.looks import Look, describe, exact_target, look_from
+from training.tonemap.looks import Look, describe, exact_target, find_look, look_from
+from training.tonemap.model import MID_GREY
 from training.tonemap.views import bake
 
 # Charts -------------------------------------------------------------------------------------------------------------
 # Charts of light that photographs seldom hold, exposed scene-linear Rec.709 (H,W,3) float32.
 
-MID_GREY = 0.18
 RAMP_EV = (-8.0, 6.0)
 
 
@@ -234,3 +242,26 @@ def load(path: str, name: str) -> tuple[Pictures, Lesson]:
         look = look_from(json.loads(str(packed[f"look/{name}"])))
         wanted = {of: x.astype(np.float32) / 65535 for of, x in part[f"wanted/{name}/"].items()}
         return pictures, Lesson(look, torch.from_numpy(packed[f"cube/{name}"].astype(np.float32)), wanted)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", required=True)
+    parser.add_argument("--looks", nargs="+", default=["local", "auto"], help="built-in looks, or .toml files")
+    parser.add_argument("--photos", nargs="*", default=[], help="HDR photographs (patterns)")
+    parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
+    parser.add_argument("--clips", help="folder of rendered clips (.npz with `reference`)")
+    parser.add_argument("--clip-limit", type=int, default=12)
+    parser.add_argument("--hold-out", nargs="*", default=[], help="file stems kept for validation")
+    parser.add_argument("--side", type=int, default=768, help="longest side of a photograph")
+    parser.add_argument("--space", choices=LINEAR_SPACES, help="primaries of the files, linear; default: by header")
+    args = parser.parse_args()
+    pictures = collect(args.photos, args.panoramas, args.clips, args.clip_limit, args.hold_out, args.side, args.space)
+    lessons = {Path(name).stem: lesson(find_look(name), pictures) for name in args.looks}
+    save(args.output, pictures, lessons)
+    size = Path(args.output).stat().st_size / 2**20
+    print(f"{args.output}: {len(pictures.train)} pictures, {len(pictures.held)} held out, {size:.1f} MiB")
+
+
+if __name__ == "__main__":
+    main()

@@ -7,33 +7,94 @@
 
 The first word is the tag: `postfx run shot.####.exr -o out.####.png --tonemap OUT/tonemap.TAG.onnx` uses the result.
 Pairs are files of the same name, linear HDR and sRGB-encoded SDR, exposed as they are. A look that depends on colour
-alone becomes a cube. Of one that only exposes before its view (key) the exposure is learnt, in minutes, from nothing;
-others are learnt by fine-tuning the network of --start. Held-out pictures are never trained on.
+alone becomes a cube. Of a look that only exposes before its view (key) the exposure is learnt, in minutes, from
+nothing; others are learnt by fine-tuning the network of --start. Held-out pictures are never trained on.
+
+This file reads from top to bottom: settings, where training starts, the losses, the two loops (`train_grid`,
+`train_exposure`), then which of them a look needs. The networks are in model.py, looks in looks.py, pictures in
+pictures.py, and the views that are trained on in examples.py.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
 import json
-from dataclasses import asdict
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
+import torch.nn.functional as F
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from postfx.colour.primaries import LINEAR_SPACES
-from training.tonemap.looks import Look, find_look
-from training.tonemap.loop import Recipe, Report
-from training.tonemap.pictures import collect, lesson, load
-from training.tonemap.teach import Checkpoint, teach_look
+from postfx.system import models_dir
+from training.denoise.loss import psnr
+from training.tonemap.examples import SHIFT, Source, Views
+from training.tonemap.looks import Look, describe, find_look, key_stops
+from training.tonemap.model import (
+    GUIDE_PARTS,
+    Exposure,
+    HDRNet,
+    Shaper,
+    default_shaper,
+    levels,
+    look_up,
+    lowres,
+    shape,
+    slice_grid_dense,
+)
+from training.tonemap.pictures import Lesson, Pictures, collect, lesson, load
 from training.tonemap.views import Lut, Ocio
+
+if TYPE_CHECKING:
+    from training.tonemap.pairs import Pairs  # needs SciPy
+
+# Settings -----------------------------------------------------------------------------------------------------------
 
 GPU_MINUTES, CPU_MINUTES = 8.0, 45.0
 RATE, FINE_RATE = 1.5e-3, 2e-4  # the second where a CPU has few steps for a network that is near already
 SIDE = 768  # longest side of a picture
+WARM_UP = 100  # steps over which the learning rate rises
+CONSISTENCY, GRADIENT, CHROMA, SQUARED, SHAPED = 0.5, 0.5, 0.5, 4.0, 1.0  # weights in the loss
+ENOUGH = 40.0  # dB on the pairs that were trained on: colour alone explains them
+VIEWS = 8000  # that an exposure is learnt from, in as many steps
+EXPOSURE_BATCH, EXPOSURE_RATE, DECAY = 256, 3e-3, 1e-3
+ROUND = 0.05  # stops: smaller errors of an exposure count squared
 
 
-def parse() -> argparse.Namespace:
+@dataclass(frozen=True)
+class Recipe:
+    """How to train: seconds of wall clock, which the learning rate follows; `scale` shrinks the pictures; `only` names
+    the parts of the network that change, none means all; `views` are those that an exposure is learnt from."""
+
+    seconds: float
+    batch: int = 16
+    rate: float = RATE
+    scale: float = 1.0
+    seed: int = 1
+    every: float = 30.0
+    only: tuple[str, ...] = ()
+    views: int = VIEWS
+
+
+@dataclass(frozen=True)
+class Report:
+    """Where a training stands: mean losses since the last report, and the PSNR of each held-out picture in dB."""
+
+    step: int
+    seconds: float
+    picture: float
+    consistency: float
+    psnr: dict[str, float]
+
+
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tag", help="name of the look")
     source = parser.add_mutually_exclusive_group(required=True)
@@ -41,7 +102,7 @@ def parse() -> argparse.Namespace:
     source.add_argument("--ocio", metavar="CONFIG", help="OpenColorIO config: a file, or the name of a built-in one")
     source.add_argument("--lut", metavar="FILE", help="look-up table, as --tonemap takes it: FILE,input=SPACE")
     source.add_argument("--target", metavar="LOOK", help="a built-in look, or a .toml file that describes one")
-    source.add_argument("--set", metavar="NPZ", help="packed by training.tonemap.make_set; its look of this tag")
+    source.add_argument("--set", metavar="NPZ", help="packed by training.tonemap.pictures; its look of this tag")
     parser.add_argument("--display", help="of --ocio")
     parser.add_argument("--view", help="of --ocio")
     parser.add_argument("--look", default="", help="of --ocio, instead of the view's own looks")
@@ -51,16 +112,22 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--space", choices=LINEAR_SPACES, help="primaries of all HDR files, linear; default: by header")
     parser.add_argument("--hold-out", nargs="*", help="stems of pictures to measure with; default: every fifth")
     parser.add_argument("--start", default="local", help="tag or file of the model to fine-tune, or 'none'")
-    parser.add_argument("--only", nargs="+", default=[], metavar="PART", help="what changes of the network, as head")
+    parser.add_argument("--only", nargs="+", default=[], metavar="PART", help="parts of the network to train, as head")
     parser.add_argument("--minutes", type=float, help=f"default: {GPU_MINUTES:g} on a GPU, {CPU_MINUTES:g} on a CPU")
-    parser.add_argument("--batch", type=int)
+    parser.add_argument("--batch", type=int, help="views a step; default: 16 on a GPU, 4 on a CPU")
     parser.add_argument("--rate", type=float, help=f"default: {RATE:g}, or {FINE_RATE:g} to fine-tune on a CPU")
     parser.add_argument("--scale", type=float, help="of the training pictures; default 1 on a GPU, 0.5 on a CPU")
+    parser.add_argument("--views", type=int, default=VIEWS, help="that an exposure is learnt from, in as many steps")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--every", type=float, default=30.0, help="seconds between measurements")
     parser.add_argument("-o", "--out", type=Path, help="folder for all results; default: runs/TAG")
     parser.add_argument("--no-export", action="store_true", help="leave a checkpoint for training.tonemap.export")
-    args = parser.parse_args()
+    return parser
+
+
+def parse(words: list[str] | None = None) -> argparse.Namespace:
+    parser = options()
+    args = parser.parse_args(words)
     if args.ocio and not (args.display and args.view):
         parser.error("--ocio needs --display and --view")
     args.out = args.out or Path("runs") / args.tag
@@ -77,8 +144,311 @@ def recipe_of(args: argparse.Namespace, on_gpu: bool) -> Recipe:
         seed=args.seed,
         every=args.every,
         only=tuple(args.only),
+        views=args.views,
     )
 
+
+# Where training starts ----------------------------------------------------------------------------------------------
+
+STATE = dict[str, torch.Tensor]
+
+
+def start_network(start: str, cube: torch.Tensor) -> HDRNet:
+    """A network with the weights of a model, by tag or file, and with another cube; a fresh one for 'none'."""
+    net = HDRNet(cube)
+    if start != "none":
+        net.load_state_dict(weights_of(find_model(start), net.state_dict()) | {"cube": cube})
+    return net
+
+
+def find_model(start: str) -> Path:
+    """A model file by its own name, or by the tag of a shipped look."""
+    path = Path(start) if start.endswith(".onnx") else models_dir() / f"tonemap.{start}.onnx"
+    if not path.is_file():
+        raise SystemExit(f"{path}: no such model to start from: name another with --start, or 'none'")
+    return path
+
+
+def shipped_cubes() -> dict[str, torch.Tensor]:
+    """Cubes of all shipped looks, by tag."""
+    found = {path.name.split(".")[1]: _initializers(path) for path in sorted(models_dir().glob("tonemap.*.onnx"))}
+    return {tag: torch.from_numpy(values["cube"].copy()) for tag, values in found.items()}
+
+
+def weights_of(path: Path, like: STATE) -> STATE:
+    """Weights of an exported network; what the exporter left out because it is zero stays as in `like`."""
+    found = _initializers(path)
+    if "guide" not in found:
+        raise SystemExit(f"{path}: not a look with a grid: start from another, or from 'none'")
+    parts = np.split(found["guide"], np.cumsum(list(GUIDE_PARTS.values()))[:-1])
+    found |= {f"guide.{name}": part for name, part in zip(GUIDE_PARTS, parts, strict=True)}
+    return {name: torch.from_numpy(found[name].copy()).reshape(value.shape) if name in found else value
+            for name, value in like.items()}
+
+
+def _initializers(path: Path) -> dict[str, np.ndarray]:
+    """All constants of a model, float32."""
+    import onnx  # a machine that starts from nothing may lack it
+
+    return {item.name.removesuffix("_half"): onnx.numpy_helper.to_array(item).astype(np.float32)
+            for item in onnx.load(path).graph.initializer}
+
+
+def freeze(net: HDRNet, only: tuple[str, ...]) -> None:
+    """Train only parts with a name of `only` in their own; all where there are no names."""
+    names = [name for name, p in net.named_parameters() if p.requires_grad]
+    for part in only:
+        if not any(part in name.split(".") for name in names):
+            raise SystemExit(f"the network has no part '{part}': it has {', '.join(sorted(set(names)))}")
+    for name, p in net.named_parameters():
+        p.requires_grad_(p.requires_grad and (not only or not set(only).isdisjoint(name.split("."))))
+
+
+# Losses and scores --------------------------------------------------------------------------------------------------
+
+HeldOut = dict[str, np.ndarray]
+
+
+def picture_loss(out: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+    """L1 + squared error in sRGB values, their gradients, and two opponent channels."""
+    d = out - wanted
+    gradient = (d[..., 1:] - d[..., :-1]).abs().mean() + (d[..., 1:, :] - d[..., :-1, :]).abs().mean()
+    opponent = (d[:, 0] - d[:, 1]).abs().mean() + (d[:, 2] - 0.5 * (d[:, 0] + d[:, 1])).abs().mean()
+    return d.abs().mean() + SQUARED * d.square().mean() + GRADIENT * gradient + CHROMA * opponent
+
+
+def render(
+    net: HDRNet, colour: torch.Tensor, shaper: Shaper, noise: float = 0.0
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Display colour, and shaped colour before the cube; `noise` disturbs what the coefficient network sees."""
+    low = lowres(colour, shaper)
+    grid, guide, cube = net(low + noise * torch.randn_like(low))
+    shaped = slice_grid_dense(shape(colour, *shaper), guide, grid)
+    return look_up(shaped, cube), shaped
+
+
+def windows(x: torch.Tensor, dy: int, dx: int) -> torch.Tensor:
+    """The view of a padded batch that is shifted by (dy, dx) pixels."""
+    return x[..., dy : x.shape[-2] - SHIFT + dy, dx : x.shape[-1] - SHIFT + dx]
+
+
+def losses(
+    net: HDRNet,
+    batch: tuple[torch.Tensor, torch.Tensor, torch.Tensor | None],
+    shaper: Shaper,
+    shift: tuple[int, int],
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Loss of two shifted views, and how much more they differ where they overlap than their targets do.
+
+    Where the colour that meets the view is known, the difference from it counts too: the view is flat in highlights, so
+    an error there would have no gradient.
+    """
+    colour, wanted, before = batch
+    h, w = colour.shape[-2] - SHIFT, colour.shape[-1] - SHIFT
+    total, found = 0.0, []
+    for (dy, dx), noise in (((0, 0), 0.0), (shift, 0.01)):
+        out, shaped = render(net, windows(colour, dy, dx), shaper, noise)
+        total = total + 0.5 * picture_loss(out, windows(wanted, dy, dx))
+        if before is not None:
+            total = total + 0.5 * SHAPED * (shaped - windows(before, dy, dx)).abs().mean()
+        found.append(out)
+    dy, dx = shift
+    return total, (found[0][..., dy:, dx:] - found[1][..., : h - dy, : w - dx]).abs().mean()
+
+
+@torch.no_grad()
+def validate(net: HDRNet | Exposure, held: HeldOut, wanted: HeldOut) -> dict[str, float]:
+    """PSNR in sRGB values of each held-out picture."""
+    device, scores = net.cube.device, {}
+    for name, colour in held.items():
+        x = torch.from_numpy(colour.astype(np.float32)).permute(2, 0, 1)[None].to(device)
+        scores[name] = score(net.render(x, default_shaper(device)).cpu(), wanted[name])
+    return scores
+
+
+def cube_psnr(cube: torch.Tensor, held: HeldOut, wanted: HeldOut) -> dict[str, float]:
+    """The same of a cube alone."""
+    scores = {}
+    for name, rgb in held.items():
+        x = torch.from_numpy(rgb.astype(np.float32)).permute(2, 0, 1)[None]
+        scores[name] = score(look_up(shape(x, *default_shaper()), cube), wanted[name])
+    return scores
+
+
+def score(out: torch.Tensor, wanted: np.ndarray) -> float:
+    """PSNR of (1,3,H,W) against (H,W,3), in dB."""
+    return round(float(psnr(out, torch.from_numpy(wanted).permute(2, 0, 1)[None])), 3)
+
+
+# The loop of a network with a grid ----------------------------------------------------------------------------------
+
+Watch = Callable[[Report], None]
+Checkpoint = dict[str, Any]
+"""cube; weights, None where the cube is all; look; pictures trained on; psnr of those held out; history of runs."""
+
+
+def train_grid(net: HDRNet, source: Source, recipe: Recipe, held: HeldOut, wanted: HeldOut, watch: Watch,
+               clock: Callable[[], float] = time.monotonic) -> Checkpoint:
+    """Train for `recipe.seconds`; returns the training's part of a checkpoint, with the averaged weights.
+
+    `watch` gets a report every `recipe.every` seconds and at the end.
+    """
+    freeze(net, recipe.only)
+    shaper, average = default_shaper(net.cube.device), copy.deepcopy(net).requires_grad_(False)
+    trained = [p for p in net.parameters() if p.requires_grad]
+    averaged = [a for a, p in zip(average.parameters(), net.parameters(), strict=True) if p.requires_grad]
+    optimizer = torch.optim.AdamW(trained, lr=recipe.rate, weight_decay=1e-4)
+    start, last, step, since, sums = clock(), 0.0, 0, 0, torch.zeros(2, device=net.cube.device)
+    while True:
+        elapsed = clock() - start
+        progress = min(1.0, elapsed / recipe.seconds)
+        if elapsed - last >= recipe.every or progress >= 1:
+            picture, consistency = (sums / max(1, since)).tolist()
+            report = Report(step, round(elapsed, 1), picture, consistency, validate(average, held, wanted))
+            watch(report)
+            last, since = elapsed, 0
+            sums.zero_()
+        if progress >= 1:
+            break
+        for group in optimizer.param_groups:
+            warm = min(1.0, (step + 1) / WARM_UP)
+            group["lr"] = recipe.rate * warm * (0.5 + 0.5 * math.cos(math.pi * progress)) + 1e-6
+        with torch.no_grad():
+            batch = source.batch(recipe.batch, recipe.scale)
+        shift = tuple(int(v) for v in source.random.integers(0, SHIFT + 1, 2))
+        picture, consistency = losses(net, batch, shaper, shift)
+        optimizer.zero_grad(set_to_none=True)
+        (picture + CONSISTENCY * consistency).backward()
+        torch.nn.utils.clip_grad_norm_(trained, 1.0)
+        optimizer.step()
+        with torch.no_grad():
+            torch._foreach_lerp_(averaged, trained, 1 - min(0.999, (step + 1) / (step + 10)))
+        sums += torch.stack([picture.detach(), consistency.detach()])
+        step, since = step + 1, since + 1
+    weights = copy.deepcopy(average).cpu().state_dict()
+    return {"weights": weights, "psnr": report.psnr, "history": [history_of(recipe, report, net.cube.device)]}
+
+
+def history_of(recipe: Recipe, report: Report, device: torch.device) -> dict[str, object]:
+    """What a card says about one training."""
+    name = torch.cuda.get_device_name() if device.type == "cuda" else "CPU"
+    told = {"steps": report.step, "device": name, "torch": str(torch.__version__), **asdict(recipe)}
+    return {key: value for key, value in told.items() if key != "views"} | {"seconds": report.seconds}
+
+
+# The loop of an exposure --------------------------------------------------------------------------------------------
+# A look that is one exposure before its view: a regression on the stops of many views.
+
+@dataclass(frozen=True)
+class Levels:
+    """Of N views, each seen twice, shifted as two frames are: the means (N,2,1) and levels (N,2,7) of their luminance,
+    and the stops (N,2,1) that the look adds."""
+
+    means: torch.Tensor
+    levels: torch.Tensor
+    stops: torch.Tensor
+
+
+def train_exposure(source: Views, recipe: Recipe, held: HeldOut, wanted: HeldOut, watch: Watch) -> Checkpoint:
+    """The training's part of a checkpoint. Of the recipe only views and seed count."""
+    start = time.monotonic()
+    found = levels_of_views(source, recipe.views)
+    net = Exposure(source.cube)
+    wrong, apart = fit_exposure(net, found, recipe.seed, recipe.views)
+    report = Report(recipe.views, round(time.monotonic() - start, 1), wrong, apart, validate(net, held, wanted))
+    watch(report)
+    run = history_of(recipe, report, source.device)
+    facts = {name: run[name] for name in ("steps", "device", "torch", "seconds", "seed")}
+    history = {**facts, "views": recipe.views, "batch": EXPOSURE_BATCH, "rate": EXPOSURE_RATE}
+    return {"weights": net.cpu().state_dict(), "psnr": report.psnr, "history": [history]}
+
+
+@torch.no_grad()
+def levels_of_views(source: Views, count: int) -> Levels:
+    """Of `count` views, as a source makes them."""
+    found, shaper = [], default_shaper(source.device)
+    for _ in range(count):
+        view = source.views(1)
+        pair = torch.cat([windows(view, 0, 0), windows(view, *source.random.integers(0, SHIFT + 1, 2))])
+        found.append((*levels(lowres(pair, shaper)), key_stops(pair)[:, None] + source.look.gain))
+    return Levels(*(torch.stack(each) for each in zip(*found, strict=True)))
+
+
+def fit_exposure(net: Exposure, found: Levels, seed: int, steps: int) -> tuple[float, float]:
+    """Fit the dense layers; what is left, in stops: the mean error, and by how much two views' differ."""
+    net.to(found.stops.device)
+    random = torch.Generator().manual_seed(seed)
+    optimizer = torch.optim.AdamW(net.dense.parameters(), lr=EXPOSURE_RATE, weight_decay=DECAY)
+    for step in range(steps):
+        for group in optimizer.param_groups:
+            group["lr"] = EXPOSURE_RATE * (0.5 + 0.5 * math.cos(math.pi * step / steps))
+        some = torch.randint(len(found.stops), (EXPOSURE_BATCH,), generator=random).to(found.stops.device)
+        error = net.stops(found.means[some], found.levels[some]) - found.stops[some]
+        wrong = F.smooth_l1_loss(error, torch.zeros_like(error), beta=ROUND)
+        optimizer.zero_grad(set_to_none=True)
+        (wrong + CONSISTENCY * difference_of_views(error)).backward()
+        optimizer.step()
+    with torch.no_grad():
+        error = net.stops(found.means, found.levels) - found.stops
+        return float(error.abs().mean()), float(difference_of_views(error))
+
+
+def difference_of_views(error: torch.Tensor) -> torch.Tensor:
+    """The mean difference of the errors (N,2,1) of both views: flicker that the light of two frames does not have."""
+    return (error[:, 0] - error[:, 1]).abs().mean()
+
+
+# Which loop a look needs --------------------------------------------------------------------------------------------
+
+def teach_look(
+    task: Lesson, pictures: Pictures, start: str, recipe: Recipe, device: torch.device, watch: Watch
+) -> Checkpoint:
+    """Learn a look whose pipeline is known; one that depends on colour alone needs no training."""
+    common = {"look": describe(task.look), "cube": task.cube, "pictures": list(pictures.train)}
+    if task.look.is_global:
+        return {**common, "weights": None, "history": [], "psnr": cube_psnr(task.cube, pictures.held, task.wanted)}
+    source = Views(pictures, task.look, task.cube, device, recipe.seed)
+    if task.look.is_exposure:
+        return {**common, **train_exposure(source, recipe, pictures.held, task.wanted, watch)}
+    net = start_network(start, task.cube).to(device)
+    return {**common, **train_grid(net, source, recipe, pictures.held, task.wanted, watch)}
+
+
+def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device, watch: Watch) -> Checkpoint:
+    """Learn a look from examples: a cube where that explains them, else a network before one, if it does better.
+
+    The network that training starts from has a cube fitted to the pairs, too: few pictures may teach it no more.
+    """
+    from training.tonemap.pairs import PairViews, fit
+
+    held = {name: hdr for name, (hdr, _) in pairs.held.items()}
+    wanted = {name: sdr for name, (_, sdr) in pairs.held.items()}
+    common = {"look": {"pairs": sorted(pairs.train)}, "pictures": list(pairs.train)}
+    cube, explained = fit(None, pairs, nearest_cube(pairs))
+    print(f"colour alone explains the pairs to {explained:.1f} dB", flush=True)
+    alone = {**common, "cube": cube, "weights": None, "history": [], "psnr": cube_psnr(cube, held, wanted)}
+    if explained >= ENOUGH:
+        return alone
+    net = start_network(start, cube)
+    if start != "none":
+        net.cube.data = fit(net, pairs, cube)[0]
+    weights = copy.deepcopy(net.state_dict())
+    begun = {"weights": weights, "history": [], "psnr": validate(net, held, wanted)}
+    learnt = train_grid(net.to(device), PairViews(pairs, device, recipe.seed), recipe, held, wanted, watch)
+    net.load_state_dict(learnt["weights"])
+    net.to("cpu").cube.data = fit(net, pairs, learnt["weights"]["cube"].cpu())[0]
+    again = {**learnt, "weights": net.state_dict(), "psnr": validate(net, held, wanted)}
+    found = [alone, *({**common, **one, "cube": one["weights"]["cube"]} for one in (begun, learnt, again))]
+    return max(found, key=lambda one: np.mean(list(one["psnr"].values())))
+
+
+def nearest_cube(pairs: Pairs) -> torch.Tensor:
+    """The shipped look that is nearest to the pairs: it stands in for colours that they do not show."""
+    light, graded = ({name: pair[i] for name, pair in pairs.train.items()} for i in (0, 1))
+    return max(shipped_cubes().values(), key=lambda cube: sum(cube_psnr(cube, light, graded).values()))
+
+
+# The command --------------------------------------------------------------------------------------------------------
 
 def look_of(args: argparse.Namespace) -> Look:
     """The look that the options describe."""
@@ -88,6 +458,7 @@ def look_of(args: argparse.Namespace) -> Look:
 
 
 def teach(args: argparse.Namespace, device: torch.device, log: Path) -> Checkpoint:
+    """Learn what the options ask for, with a progress bar and a report a line in `log`."""
     recipe = recipe_of(args, device.type == "cuda")
     columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
     with Progress(*columns) as progress, open(log, "w", encoding="utf-8") as lines:
@@ -101,7 +472,7 @@ def teach(args: argparse.Namespace, device: torch.device, log: Path) -> Checkpoi
             progress.update(bar, completed=report.seconds, description=text)
 
         if args.pairs:
-            from training.tonemap.pairs import read_pairs, teach_pairs  # needs SciPy
+            from training.tonemap.pairs import read_pairs
 
             pairs = read_pairs(*args.pairs, args.space, SIDE, args.hold_out)
             return teach_pairs(pairs, args.start, recipe, device, watch)
@@ -121,8 +492,8 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     checkpoint = teach(args, device, args.out / "log.jsonl")
     torch.save(checkpoint, args.out / "checkpoint.pt")
-    for name, score in checkpoint["psnr"].items():
-        print(f"{name}: {score:.2f} dB")
+    for name, value in checkpoint["psnr"].items():
+        print(f"{name}: {value:.2f} dB")
     if not args.no_export:
         from training.tonemap.export import export_look  # needs packages that a training machine may lack
 

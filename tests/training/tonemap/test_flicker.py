@@ -13,8 +13,14 @@ pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 
 from postfx.frame import Frame, Role  # noqa: E402
 from training.tonemap.checks import contrast, exposed, flicker, nearest_exposure  # noqa: E402
-from training.tonemap.evaluate import Mapper, flicker_table, steadiness  # noqa: E402
-from training.tonemap.following import LONGEST, behind, frames_of_step  # noqa: E402
+from training.tonemap.evaluate import (  # noqa: E402
+    LONGEST,
+    Mapper,
+    behind,
+    flicker_table,
+    frames_of_step,
+    steadiness,
+)
 from training.tonemap.looks import LOOKS  # noqa: E402
 from training.tonemap.views import ACES2, exact_view  # noqa: E402
 

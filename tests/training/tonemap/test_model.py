@@ -16,19 +16,30 @@ from postfx.system import models_dir
 torch = pytest.importorskip("torch")
 
 from training.export import export  # noqa: E402
+from training.tonemap import examples as examples_module  # noqa: E402
 from training.tonemap import model as network  # noqa: E402
-from training.tonemap import teach  # noqa: E402
+from training.tonemap import train  # noqa: E402
+from training.tonemap.examples import Views  # noqa: E402
 from training.tonemap.export import STEADY, STEADY_EXPOSURE, export_look  # noqa: E402
-from training.tonemap.exposure_net import FARTHEST, SHARES, Exposure, levels  # noqa: E402
 from training.tonemap.looks import (  # noqa: E402
     LOOKS,  # noqa: E402
     compress,
     local_laplacian,
 )
-from training.tonemap.loop import Recipe, start_network, train, weights_of  # noqa: E402
-from training.tonemap.model import CUBE, SHAPER, default_shaper, lattice, look_up, shape  # noqa: E402
+from training.tonemap.model import (  # noqa: E402
+    CUBE,
+    FARTHEST,
+    SHAPER,
+    SHARES,
+    Exposure,
+    default_shaper,
+    lattice,
+    levels,
+    look_up,
+    shape,
+)
 from training.tonemap.pictures import LARGEST, Pictures  # noqa: E402
-from training.tonemap.teach import Views, examples, fit  # noqa: E402
+from training.tonemap.train import Recipe, start_network, weights_of  # noqa: E402
 
 AXES = [torch.linspace(0, 1, CUBE)] * 3
 RAMP = torch.stack(torch.meshgrid(*AXES, indexing="ij"), -1)  # the cube that changes nothing
@@ -178,8 +189,10 @@ def test_training_comes_nearer_to_the_look() -> None:
     light = torch.from_numpy(held["flat"] * 2).permute(2, 0, 1)[None]
     wanted = {"flat": shape(light, *default_shaper())[0].permute(1, 2, 0).numpy()}
     recipe, steps = Recipe(seconds=60, batch=2, rate=3e-3, every=20), itertools.count()
-    trained = train(network.HDRNet(RAMP.clone()), Brighter(), recipe, held, wanted, clock=lambda: float(next(steps)))
-    psnr = [report.psnr["flat"] for _, report in trained]
+    reports = []
+    train.train_grid(network.HDRNet(RAMP.clone()), Brighter(), recipe, held, wanted, reports.append,
+                     clock=lambda: float(next(steps)))
+    psnr = [report.psnr["flat"] for report in reports]
     assert psnr[-1] > psnr[0] + 3
 
 
@@ -189,15 +202,16 @@ def test_only_the_parts_that_are_named_change() -> None:
     before = copy.deepcopy(net.state_dict())
     source = Views(Pictures(), LOOKS["local"], RAMP, torch.device("cpu"))
     recipe = Recipe(seconds=3, batch=1, scale=0.1, only=("head", "histogram_dense"))
-    *_, (after, _) = train(net, source, recipe, {}, {}, clock=lambda: float(next(steps)))
-    changed = {name for name, value in after.state_dict().items() if not torch.equal(value, before[name])}
+    after = train.train_grid(net, source, recipe, {}, {}, print, clock=lambda: float(next(steps)))
+    changed = {name for name, value in after["weights"].items() if not torch.equal(value, before[name])}
     assert changed and all("head" in name or "histogram_dense" in name for name in changed)
 
 
 def test_a_part_that_is_not_there_is_named() -> None:
     recipe = Recipe(seconds=1, only=("tail",))
     with pytest.raises(SystemExit, match="no part 'tail'"):
-        next(train(network.HDRNet(RAMP), Views(Pictures(), LOOKS["local"], RAMP, torch.device("cpu")), recipe, {}, {}))
+        train.train_grid(network.HDRNet(RAMP), Views(Pictures(), LOOKS["local"], RAMP, torch.device("cpu")), recipe, {},
+                         {}, print)
 
 
 def test_guide_by_two_convolutions_is_the_guide() -> None:
@@ -242,16 +256,15 @@ def test_an_exposure_that_is_off_is_put_right() -> None:
 def test_the_key_of_charts_is_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without any picture: a hundred small views explain most of the difference between scenes, and the consistency
     term holds down the difference between two views of a scene."""
-    monkeypatch.setattr(teach, "SHAPES", tuple((h // 4, w // 4) for h, w in teach.SHAPES))
-    monkeypatch.setattr(teach, "STEPS", 300)
-    monkeypatch.setattr(teach, "BATCH", 64)
+    monkeypatch.setattr(examples_module, "SHAPES", tuple((h // 4, w // 4) for h, w in examples_module.SHAPES))
+    monkeypatch.setattr(train, "EXPOSURE_BATCH", 64)
     torch.manual_seed(6)
-    found = examples(Views(Pictures(), LOOKS["auto"], RAMP, torch.device("cpu")), 100)
+    found = train.levels_of_views(Views(Pictures(), LOOKS["auto"], RAMP, torch.device("cpu")), 100)
     keys = found.stops + found.means
     left = {}
-    for weight in (0.0, teach.CONSISTENCY):
+    for weight in (0.0, train.CONSISTENCY):
         torch.manual_seed(6)
-        monkeypatch.setattr(teach, "CONSISTENCY", weight)
-        left[weight] = wrong, between = fit(Exposure(RAMP.clone()), found, seed=1)
+        monkeypatch.setattr(train, "CONSISTENCY", weight)
+        left[weight] = wrong, between = train.fit_exposure(Exposure(RAMP.clone()), found, seed=1, steps=300)
         assert wrong < 0.2 * float((keys - keys.mean()).abs().mean())
     assert between < 0.9 * left[0][1]

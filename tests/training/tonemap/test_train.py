@@ -19,11 +19,10 @@ from postfx.passes.tonemap import ToneMap  # noqa: E402
 from postfx.pipeline import Pipeline  # noqa: E402
 from postfx.runtime import Device  # noqa: E402
 from training.tonemap.looks import Local, Look, exact_target  # noqa: E402
-from training.tonemap.loop import Recipe  # noqa: E402
 from training.tonemap.model import CUBE, HDRNet, default_shaper, look_up, shape  # noqa: E402
 from training.tonemap.pairs import fit_cube, interpolation  # noqa: E402
 from training.tonemap.pictures import expose, find_pictures  # noqa: E402
-from training.tonemap.train import parse, recipe_of  # noqa: E402
+from training.tonemap.train import Recipe, parse, recipe_of  # noqa: E402
 from training.tonemap.views import ACES2, exact_view  # noqa: E402
 
 LEAST = 35.0  # dB that a look of a table must be learnt to from 8 pairs
@@ -127,28 +126,28 @@ def test_a_look_of_a_config_is_baked_and_measured_on_charts(tmp_path: Path) -> N
 def test_training_that_spoils_the_start_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the cube cannot be fitted better, and training ends with a grid of nothing."""
     from training.tonemap import pairs as module
+    from training.tonemap import train
 
     def spoil(net: HDRNet, *rest: object) -> dict[str, object]:
         weights = {name: value * 0 for name, value in net.state_dict().items()}
         return {"weights": weights, "psnr": {"1": 5.0}, "history": ["spoilt"]}
 
     monkeypatch.setattr(module, "fit", lambda net, pairs, start: (start, 30.0))
-    monkeypatch.setattr(module, "run", spoil)
-    monkeypatch.setattr(module, "nearest_cube", lambda pairs: module.shipped_cubes()["local"])
+    monkeypatch.setattr(train, "train_grid", spoil)
+    monkeypatch.setattr(train, "nearest_cube", lambda pairs: train.shipped_cubes()["local"])
     look = Look(ACES2, gain=0.75, local=Local(1.0, 0.95, 0.7))
     made = [(picture(i), exact_target(picture(i), look)) for i in range(2)]
     pairs = module.Pairs({"0": made[0]}, {"1": made[1]})
-    found = module.teach_pairs(pairs, "local", Recipe(1.0), torch.device("cpu"), print)
+    found = train.teach_pairs(pairs, "local", Recipe(1.0), torch.device("cpu"), print)
     assert found["history"] == [] and found["weights"]["guide.matrix"].any()
 
 
 @pytest.mark.parametrize(("words", "on_gpu", "rate"), [
     ([], False, 2e-4), ([], True, 1.5e-3), (["--start", "none"], False, 1.5e-3), (["--rate", "0.01"], False, 0.01)])
 def test_fine_tuning_on_a_cpu_takes_small_steps(
-    words: list[str], on_gpu: bool, rate: float, monkeypatch: pytest.MonkeyPatch
+    words: list[str], on_gpu: bool, rate: float
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["train_tonemap", "mine", "--target", "local", *words])
-    assert recipe_of(parse(), on_gpu).rate == rate
+    assert recipe_of(parse(["mine", "--target", "local", *words]), on_gpu).rate == rate
 
 
 @pytest.mark.slow
@@ -164,13 +163,13 @@ def test_a_local_look_is_trained_and_exported(tmp_path: Path, monkeypatch: pytes
 
 def test_an_exposure_is_learnt_and_exported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From one picture; light that is four times as bright comes out the same."""
-    from training.tonemap import teach
+    from training.tonemap import examples
 
     write(tmp_path / "hdr" / "0.exr", picture(0))
-    for name, value in {"VIEWS": 40, "STEPS": 100, "BATCH": 32, "SHAPES": ((96, 144),)}.items():
-        monkeypatch.setattr(teach, name, value)
+    monkeypatch.setattr(examples, "SHAPES", ((96, 144),))
     pictures = str(tmp_path / "hdr/*.exr")
-    teach_here(monkeypatch, "mine", "--target", "auto", "--pictures", pictures, "-o", str(tmp_path / "run"))
+    words = ["--target", "auto", "--pictures", pictures, "--views", "60", "-o", str(tmp_path / "run")]
+    teach_here(monkeypatch, "mine", *words)
     model, light = tmp_path / "run" / "tonemap.mine.onnx", picture(1)
     card = json.loads(model.with_suffix(".json").read_text())
     assert card["outputs"]["stops"]["shape"] == [1, 1] and card["keep"] == 0.98
@@ -191,7 +190,8 @@ def test_pairs_that_do_not_fit_are_refused(tmp_path: Path, monkeypatch: pytest.M
 def test_eight_pairs_of_photographs_are_enough(shared_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On pictures that were not among the eight; the solver stops early here, too."""
     from training.tonemap import pairs as module
-    from training.tonemap.pairs import Pairs, fit, nearest_cube
+    from training.tonemap.pairs import Pairs, fit
+    from training.tonemap.train import nearest_cube
 
     monkeypatch.setattr(module, "TOLERANCE", 1e-4)
 

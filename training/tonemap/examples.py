@@ -1,47 +1,36 @@
-"""Teaching the tone mapper a look whose pipeline is known; the result is a checkpoint to export."""
+"""Examples for the tone mapper: random views of pictures, made on the device that trains.
+
+All colour is scene-linear Rec.709. Few pictures become many by what light does to them: crops, views of panoramas, a
+smooth light field with hard edges (windows, shadows), lamps, another white balance and saturation, sometimes a wide
+gamut or noise. The result is exposed again as the run-time's meter would, plus a random error of some stops. Charts
+made from nothing are always among them, so pictures may be missing.
+"""
 
 from __future__ import annotations
 
-import copy
 import math
-import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 
-from training.tonemap.exposure_net import Exposure, levels
-from training.tonemap.looks import LUMINANCE, Look, before_view, describe, key_stops, log_luminance
-from training.tonemap.loop import (
-    CONSISTENCY,
-    SHIFT,
-    Recipe,
-    Report,
-    Source,
-    run_of,
-    score,
-    start_network,
-    train,
-    validate,
-    windows,
-)
-from training.tonemap.model import HDRNet, default_shaper, look_up, lowres, shape
-from training.tonemap.pictures import LARGEST, WIDE, Lesson, Pictures, perspective
-
-# Examples -----------------------------------------------------------------------------------------------------------
-# Random views for the tone mapper, made on the device that trains: crops, panoramas, light fields, lamps, exposure.
-#
-# All colour is scene-linear Rec.709. Few pictures become many by what light does to them: a smooth light field with
-# hard edges multiplies the picture (windows, shadows), lamps are added, white balance and saturation move, some are
-# taken for wide-gamut ones, some get noise, and the result is exposed again as the run-time's meter would, plus a
-# random error of some stops. Charts made from nothing are always among them, so pictures may be missing.
+from training.tonemap.looks import LUMINANCE, Look, before_view, log_luminance
+from training.tonemap.model import default_shaper, look_up, shape
+from training.tonemap.pictures import LARGEST, WIDE, Pictures, perspective
 
 SHAPES = ((320, 512), (384, 384), (512, 320), (288, 512))
-
+SHIFT = 8  # largest shift, in pixels, between the two views of a consistency pair: views are larger by it
 CHARTS = 0.12  # share of views that are made from nothing
+
+
+class Source(Protocol):
+    """What can be trained on."""
+
+    random: np.random.Generator
+
+    def batch(self, size: int, scale: float = 1.0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """Exposed colour (N,3,H+8,W+8), the look of it, and its shaped colour before the look's cube where known."""
 
 
 class Views:
@@ -182,112 +171,3 @@ class Views:
         log = log_luminance(x[None])
         error = self.uniform(-3, 3) if self.chance(0.25) else float(self.random.normal(0.0, 0.8))
         return (x * torch.exp2(math.log2(0.18) - log.mean() + error)).clamp(-LARGEST, LARGEST)
-
-
-# The exposure network -----------------------------------------------------------------------------------------------
-# Teaching a look whose all is one exposure before its view: a regression on the stops of many views.
-
-VIEWS, STEPS, BATCH, RATE, DECAY = 8000, 8000, 256, 3e-3, 1e-3
-ROUND = 0.05  # stops: below, errors count squared
-
-
-def teach_exposure(
-    source: Views, recipe: Recipe, held: dict[str, np.ndarray], wanted: dict[str, np.ndarray],
-    watch: Callable[[Report], None],
-) -> dict[str, Any]:
-    """The part of a checkpoint that comes of it; of a recipe only the seed counts, as this takes but some minutes."""
-    start = time.monotonic()
-    found = examples(source, VIEWS)
-    net = Exposure(source.cube)
-    wrong, apart = fit(net, found, recipe.seed)
-    scores = validate(net, held, wanted)
-    report = Report(STEPS, round(time.monotonic() - start, 1), wrong, apart, scores)
-    watch(report)
-    run = run_of(recipe, report, source.device)
-    facts = {name: run[name] for name in ("steps", "device", "torch", "seconds", "seed")}
-    history = {**facts, "views": VIEWS, "batch": BATCH, "rate": RATE}
-    return {"weights": net.cpu().state_dict(), "psnr": scores, "history": [history]}
-
-
-@dataclass(frozen=True)
-class Examples:
-    """Of N views, each seen twice, shifted as two frames are: the means (N,2,1) and levels (N,2,7) of their luminance,
-    and the stops (N,2,1) that the look adds."""
-
-    means: torch.Tensor
-    levels: torch.Tensor
-    stops: torch.Tensor
-
-
-@torch.no_grad()
-def examples(source: Views, count: int) -> Examples:
-    """Of `count` views, as a source makes them."""
-    found, shaper = [], default_shaper(source.device)
-    for _ in range(count):
-        view = source.views(1)
-        pair = torch.cat([windows(view, 0, 0), windows(view, *source.random.integers(0, SHIFT + 1, 2))])
-        found.append((*levels(lowres(pair, shaper)), key_stops(pair)[:, None] + source.look.gain))
-    return Examples(*(torch.stack(each) for each in zip(*found, strict=True)))
-
-
-def fit(net: Exposure, found: Examples, seed: int) -> tuple[float, float]:
-    """Fit the dense layers to examples; what is left, in stops: the mean error, and by how much two views' differ."""
-    net.to(found.stops.device)
-    random = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.AdamW(net.dense.parameters(), lr=RATE, weight_decay=DECAY)
-    for step in range(STEPS):
-        for group in optimizer.param_groups:
-            group["lr"] = RATE * (0.5 + 0.5 * math.cos(math.pi * step / STEPS))
-        some = torch.randint(len(found.stops), (BATCH,), generator=random).to(found.stops.device)
-        error = net.stops(found.means[some], found.levels[some]) - found.stops[some]
-        wrong = F.smooth_l1_loss(error, torch.zeros_like(error), beta=ROUND)
-        optimizer.zero_grad(set_to_none=True)
-        (wrong + CONSISTENCY * apart(error)).backward()
-        optimizer.step()
-    with torch.no_grad():
-        error = net.stops(found.means, found.levels) - found.stops
-        return float(error.abs().mean()), float(apart(error))
-
-
-def apart(error: torch.Tensor) -> torch.Tensor:
-    """The mean difference of the errors (N,2,1) of both views: what two frames flicker by that their light does not."""
-    return (error[:, 0] - error[:, 1]).abs().mean()
-
-
-# The look -----------------------------------------------------------------------------------------------------------
-
-Checkpoint = dict[str, Any]
-"""cube; weights, None where the cube is all; look; pictures trained on; psnr of those held out; history of runs."""
-Watch = Callable[[Report], None]
-HeldOut = dict[str, np.ndarray]
-
-
-def teach_look(
-    task: Lesson, pictures: Pictures, start: str, recipe: Recipe, device: torch.device, watch: Watch
-) -> Checkpoint:
-    """Learn a look whose pipeline is known; what depends on colour alone needs no training."""
-    common = {"look": describe(task.look), "cube": task.cube, "pictures": list(pictures.train)}
-    if task.look.is_global:
-        return {**common, "weights": None, "history": [], "psnr": cube_psnr(task.cube, pictures.held, task.wanted)}
-    source = Views(pictures, task.look, task.cube, device, recipe.seed)
-    if task.look.is_exposure:
-        return {**common, **teach_exposure(source, recipe, pictures.held, task.wanted, watch)}
-    net = start_network(start, task.cube).to(device)
-    return {**common, **run(net, source, recipe, pictures.held, task.wanted, watch)}
-
-
-def run(net: HDRNet, source: Source, recipe: Recipe, held: HeldOut, wanted: HeldOut, watch: Watch) -> Checkpoint:
-    """Train; the part of a checkpoint that comes of it."""
-    for average, report in train(net, source, recipe, held, wanted):  # noqa: B007
-        watch(report)
-    weights = copy.deepcopy(average).cpu().state_dict()
-    return {"weights": weights, "psnr": report.psnr, "history": [run_of(recipe, report, net.cube.device)]}
-
-
-def cube_psnr(cube: torch.Tensor, held: HeldOut, wanted: HeldOut) -> dict[str, float]:
-    """PSNR in sRGB values of each held-out picture by a cube alone."""
-    scores = {}
-    for name, rgb in held.items():
-        x = torch.from_numpy(rgb.astype(np.float32)).permute(2, 0, 1)[None]
-        scores[name] = score(look_up(shape(x, *default_shaper()), cube), wanted[name])
-    return scores
