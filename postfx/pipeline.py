@@ -131,6 +131,13 @@ class Pipeline:
         self._begins, self.timings = False, self._flow.timings
         return result
 
+    def compile(self, spec: FrameSpec) -> Plan:
+        """Make the passes ready for frames of a spec, so that the first one does not wait for it; the plan.
+
+        Networks are loaded and kernels compiled. Raises ModelError and the like, as the first frame would.
+        """
+        return self._planned(spec)
+
     def explain(self, spec: FrameSpec | None = None) -> Plan:
         """The plan for a spec, by default the last frame's, with what frames were spared so far. `print` it, or take
         `as_dict()` or `to_json()`."""

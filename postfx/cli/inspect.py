@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from postfx.cli.run_options import COLOURSPACE, DEPTH
+from postfx.cli.run_options import COLOURSPACE, DEPTH, INPUT
 
 HELP = "find what is wrong with a sequence's planes"
 DESCRIPTION = """\
@@ -33,7 +33,7 @@ standard output, when the arguments are wrong or the first frame cannot be read;
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
-    parser.add_argument("input", metavar="INPUT", help="pattern, folder or file, as for 'postfx run'")
+    INPUT.add_to(parser)
     parser.add_argument("--guides", metavar="GUIDES", help="files of planes at output size, as for 'postfx run'")
     parser.add_argument("--frames", metavar="RANGE", help="frames of interest, e.g. 12 or 1-100")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")

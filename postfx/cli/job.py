@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import tempfile
 import time
 from collections import Counter
 from functools import partial
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from postfx.cli.capture import FrameCapture
 from postfx.cli.inspection import Inspection
@@ -21,14 +25,26 @@ from postfx.cli.run_options import (
     make_run_up,
     refuse_layer,
 )
-from postfx.cli.summary import Explanation, FrameProgress, Processed, Report, guides_in
+from postfx.cli.summary import (
+    Explanation,
+    FrameProgress,
+    Prepared,
+    Processed,
+    Report,
+    describe_frames,
+    describe_sizes,
+    guides_in,
+    missed_budget,
+)
+from postfx.cuts import CutDetector
 from postfx.errors import PostfxError, WriteError
-from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of
-from postfx.frame import Frame
+from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of, measure
+from postfx.frame import Frame, Role
+from postfx.io.pattern import format_frames
 from postfx.io.prefetch import WriteBehind, read_ahead, read_patiently
 from postfx.io.sequence import Sequence
 from postfx.io.writer import Existing, OutputFiles, write_frame
-from postfx.kernels.compile_cache import is_first_run
+from postfx.kernels.compile_cache import CompileWatch
 from postfx.passes.base import Pass
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
@@ -64,6 +80,8 @@ class Job:
         self.left_out: list[Skipped] = []
         self._smooth = arguments.exposure == SMOOTH
         policy = OnError(arguments.on_error)
+        if policy is OnError.STOP and not (arguments.explain or arguments.skip_existing):
+            self.sequence.refuse_holes(self.sequence.numbers)
         exposure = SmoothExposure(colours_of(self.sequence, policy is not OnError.STOP)) if self._smooth \
             else ExposureMeter(arguments.exposure)
         cuts = "auto" if arguments.cuts == "auto" else "none"
@@ -75,7 +93,7 @@ class Job:
         passes, left_out = self._passes(denoising, self._backwards is not None)
         self.left_out += left_out
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up)
-        self.first = first_readable(self.sequence, policy)
+        self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
         with self.sequence.open(self.first) as files:
             self.left_out += explain_overlay(arguments, files)
             spec = files.spec()
@@ -91,7 +109,7 @@ class Job:
         self._capture = FrameCapture(device, check=not arguments.explain, **self._values("capture"))
         self._page = RunReport(self.sequence, self.pipeline, self.plan, self._inspect, check=not arguments.explain,
                                **self._values("page"))
-        self._seconds = 0.0
+        self._seconds, self._prepared = 0.0, Prepared()
         self._frame_ms: list[float] = []
         self._ahead_ms: list[float] = []
         self._pass_ms: dict[str, list[float]] = {}
@@ -107,19 +125,30 @@ class Job:
         """What would run."""
         return Explanation(self.plan, self.sequence, self.first, self.left_out, self._run_up)
 
+    def headline(self) -> str:
+        """What comes of what, in a line."""
+        to = f" to {self.outputs.path(self.first).with_name(self.outputs.pattern)}" if self.outputs else ""
+        sizes = describe_sizes(self.plan, self.sequence)
+        return f"{self.sequence.pattern}{to}: {describe_frames(self.sequence)}, {sizes}"
+
     def run(self) -> None:
         """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
-        begin = time.perf_counter()
+        begin = None
+        progress = FrameProgress(len(self.sequence))
+        self._watch = CompileWatch(progress.compiling)
         try:
-            with FrameProgress(len(self.sequence)) as progress, Stop(progress.note) as stop, self._books() as run:
+            with progress, self._watch, Stop(progress.note) as stop, self._books() as run:
                 self._warnings = run.warnings
                 self.left_out += run.left_out
-                for _ in run.left_out:
-                    progress.skip()
-                self._announce(progress)
+                self._announce(run, progress)
+                if run.works:
+                    self._prepare()
+                begin = progress.start(len(run.left_out))
                 self._process_all(run, stop, progress)
         finally:
-            self._seconds = time.perf_counter() - begin
+            later = self._watch.seconds - self._prepared.compiling
+            self._seconds = time.perf_counter() - begin - later if begin else 0.0
+            self._prepared = Prepared(self._prepared.seconds + later, self._watch.seconds, self._watch.count)
 
     def report(self, failure: BaseException | None = None) -> Report:
         """What happened so far."""
@@ -127,15 +156,16 @@ class Job:
             frames=len(self._written),
             wanted=len(self.sequence),
             seconds=self._seconds,
+            prepared=self._prepared,
             frame_ms=self._frame_ms,
             pass_ms=self._pass_ms,
             ahead_ms=self._ahead_ms,
             skipped=[*self.plan.skipped, *self.left_out, *self.pipeline.left_out()],
-            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings,
-                      *self._capture.warnings],
+            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *self._capture.warnings,
+                      *missed_budget(self._arguments.budget, self._pass_ms, self._chosen)],
             chosen={name: dict(counts) for name, counts in self._chosen.items()},
             outputs=self._written,
-            guides=guides_in(self.plan, bool(self._arguments.scale or self._arguments.size)),
+            guides=guides_in(self.plan, {"scale", "size"} & {*self._values("denoiser")} != set()),
             cuts=self._cuts,
             left_alone=self.sequence.left_alone,
             broken=self._broken,
@@ -150,8 +180,11 @@ class Job:
 
     def _books(self) -> Run:
         frames = sorted(self.sequence.numbers) if self._smooth else None  # that exposure looks ahead
+        settings = RUN.settings(self._arguments)
+        if not isinstance(self._arguments.input, str):  # files one by one
+            settings["input"] = str(self.sequence.pattern)
         provenance = provenance_of(
-            RUN.settings(self._arguments), self.plan, self.pipeline.device,
+            settings, self.plan, self.pipeline.device,
             [frames, *RUN.settings(self._arguments, "rounding").values()], [one.name for one in RUN if one.is_file])
         return Run(self._files(), self.sequence, self.pipeline, self.plan, provenance, Options(**self._values("run")))
 
@@ -160,12 +193,40 @@ class Job:
             raise WriteError(NOWHERE)
         return self.outputs
 
-    def _announce(self, progress: FrameProgress) -> None:
-        """Say what takes its time before the first frame."""
-        if self.plan.steps and is_first_run():
-            progress.note("compiling kernels for this processor: some ten seconds, on the first run only")
+    def _announce(self, run: Run, progress: FrameProgress) -> None:
+        """Say what will be made, which frames are missing, and what takes its time before the first frame.
+
+        MissingFrameError where missing frames stop the run: before the first one, not hours later.
+        """
+        progress.note(self.headline())
+        wanted = [work.number for work in run.works if work.write]
+        if self._arguments.on_error == OnError.STOP:
+            self.sequence.refuse_holes(wanted)
+        elif missing := [number for number in wanted if not self.sequence.holds(number)]:
+            progress.note(f"{len(missing)} of {len(wanted)} frames are missing, --on-error {self._arguments.on_error} "
+                          f"goes on without: {format_frames(missing)}")
         if self._smooth:
             progress.note("metering all frames first, for --exposure smooth")
+
+    def _prepare(self) -> None:
+        """Load networks and compile kernels before the clock starts. It stands still for those few that only a frame
+        can tell of."""
+        begin = time.perf_counter()
+        if self.plan.steps:
+            self.pipeline.compile(self.plan.input)
+        if self._watch.count:
+            self._warm_up()
+        self._prepared = Prepared(time.perf_counter() - begin, self._watch.seconds, self._watch.count)
+
+    def _warm_up(self) -> None:
+        """Compile what no pass compiles ahead: metering, the search for cuts, the files' encoding."""
+        frame = Frame({Role.COLOUR: np.ones((32, 32, 3), np.float32), Role.MOTION: np.zeros((32, 32, 2), np.float32)})
+        measure(frame[Role.COLOUR])
+        detector = CutDetector()
+        for _ in range(2):
+            detector(frame)
+        with tempfile.TemporaryDirectory(prefix="postfx-") as folder:
+            write_frame(Path(folder) / f"any{self._files().path(self.first).suffix}", frame, **self._values("writer"))
 
     def _process_all(self, run: Run, stop: Stop, progress: FrameProgress) -> None:
         if self._run_up:
@@ -214,14 +275,14 @@ class Job:
 
     def _process(self, work: Work, frame: Frame) -> Processed | None:
         """A frame after the passes; None if they failed and the run goes on."""
-        begin, passes = time.perf_counter(), self.pipeline
+        begin, passes, compiling = time.perf_counter(), self.pipeline, self._watch.seconds
         result = self._faults.attempt(work.number, work.write, partial(passes, frame))
         if result is None:
             return None
         self._ahead_ms += passes.ahead
         if passes.cut:
             self._cuts.append(work.number)
-        milliseconds = (time.perf_counter() - begin) * 1000
+        milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
         done = Processed(frame, result, passes.exposure, passes.cut, milliseconds, passes.timings, passes.broken)

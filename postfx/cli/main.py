@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 
 from postfx.cli import bench, capture_compare, exposure, inspect, lut, models, run, verify
+from postfx.cli.options import Parser
 from postfx.errors import PostfxError
 from postfx.version import __version__
 
@@ -56,7 +57,7 @@ def _read_and_write_by(threads: int | None) -> None:
 
 def make_parser() -> argparse.ArgumentParser:
     """Parser of all verbs."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="postfx",
         description="Post-processing of rendered image sequences: denoise, upscale, tone-map.",
         epilog="'postfx VERB --help' explains a verb and gives examples.",
@@ -73,7 +74,7 @@ def make_parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         verb.add_arguments(added)
-        added.set_defaults(execute=verb.execute)
+        added.set_defaults(execute=verb.execute, parser=added)
     return parser
 
 

@@ -8,11 +8,13 @@ list.
 from __future__ import annotations
 
 import argparse
+import os
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
-from postfx.errors import OptionError
+from postfx.errors import OptionError, suggest
 
 Changes = Literal["pixels", "rounding", "nothing"]
 
@@ -37,6 +39,8 @@ class Option:
             if they are the same. A run goes on from another one only if all options of the first two kinds agree;
             files record those of the first kind.
         is_file: whether it names files, of which images record the name without the folder.
+        several: whether it may be given more than one value, as when a shell replaces wildcards: the value is then a
+            list.
     """
 
     flag: str
@@ -55,6 +59,7 @@ class Option:
     needs: Mapping[str, str] = field(default_factory=dict)
     changes: Changes = "pixels"
     is_file: bool = False
+    several: bool = False
 
     @property
     def name(self) -> str:
@@ -76,9 +81,18 @@ class Option:
         if self.metavar is None and not self.choices:
             group.add_argument(*names, action="store_true", help=self.help)
             return
-        bare = {} if self.bare is None else {"nargs": "?", "const": self.bare}
+        extra: dict[str, Any] = {} if self.bare is None else {"nargs": "?", "const": self.bare}
+        extra |= {"nargs": "+", "action": _StoreOneOrMore} if self.several else {}
         group.add_argument(*names, metavar=self.metavar, type=self.type or str, choices=self.choices or None,
-                           default=self.default, help=self.help, **bare)
+                           default=self.default, help=self.help, **extra)
+
+
+class _StoreOneOrMore(argparse.Action):
+    """Stores a single value as it is, and more of them as a list."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any,
+                 option_string: str | None = None) -> None:
+        setattr(namespace, self.dest, values[0] if len(values) == 1 else values)
 
 
 @dataclass(frozen=True)
@@ -117,7 +131,7 @@ class Options:
         for option in self:
             owner, _, parameter = option.sets.partition(".")
             value = option.value(arguments) if owner == part else None
-            if owner == part and not (value is None and option.default is None):
+            if owner == part and value is not False and not (value is None and option.default is None):
                 found[parameter] = option.convert(value) if option.convert else value
         return found
 
@@ -143,6 +157,33 @@ class Options:
         flag, _, value = key.partition("=")
         option = self[flag]
         return option.value(arguments) == value if value else option.is_given(arguments)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that knows which option or verb was meant."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """The arguments; ends the process with a message for those that it does not know."""
+        found, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            used = getattr(found, "parser", self)
+            flags = [flag for action in used._actions for flag in action.option_strings]
+            used.error(f"unrecognized arguments: {' '.join(unknown)}{suggest(unknown[0].partition('=')[0], flags)}")
+        return found
+
+    def error(self, message: str) -> NoReturn:
+        """Print a message, below it what a mistyped verb may have meant, and end the process with 2."""
+        choice = re.search(r"argument VERB: invalid choice: '([^']*)'", message)
+        verbs = [name for action in self._actions if isinstance(action, argparse._SubParsersAction)
+                 for name in action.choices] if choice else []
+        meant = suggest(choice[1], verbs) if choice else ""
+        super().error(message + (f": did you mean postfx run {choice[1]}?" if choice and re.search(r"[./]", choice[1])
+                                 else meant))
+
+
+def parse_path(text: str) -> str:
+    """A path in which a leading ~ is the home folder, as argparse's `type`: shells leave it where it is quoted."""
+    return os.path.expanduser(text)
 
 
 def parse_from_zero(text: str) -> float:

@@ -15,8 +15,9 @@ Denoise, upscale and tone-map a rendered sequence.
 
 EXR output stays scene-linear unless --tonemap or --display is given. PNG, JPEG and TIFF output is tone-mapped and
 encoded for a display, sRGB if not told otherwise.
-INPUT is a file name with ####, %04d, @@@@ or $F4 for the frame number, a folder that holds one sequence, or a single
-file. Where every plane has a file of its own, put {plane} where their names differ: shot_{plane}.####.exr
+INPUT is a file name with ####, %04d, @@@@ or $F4 for the frame number, a name with wildcards (quoted or not), a folder
+that holds one sequence, or files of one sequence. Where every plane has a file of its own, put {plane} where their
+names differ: shot_{plane}.####.exr
 
 Albedo, normal, roughness and depth may come at output size as guides, which make edges exact: in files of their own
 (--guides), or as planes larger than the colour in INPUT. The output then has their size.
@@ -26,6 +27,7 @@ examples:
   postfx run shot/noisy.####.exr -o out/clean.####.exr
   postfx run shot/noisy.%04d.exr -o out/picture.%04d.png --frames 1-100x2
   postfx run shot/ -o out/ --skip-existing --scale 1.5
+  postfx run '~/shot/noisy.*.exr' -o '~/out/' --denoise-only
   postfx run shot/dynamic.####.exr -o out/clean.####.exr --size 1920x1080
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.####.exr -o out/clean.####.exr --both-ways

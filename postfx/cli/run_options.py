@@ -22,6 +22,7 @@ from postfx.cli.options import (
     Section,
     parse_count,
     parse_from_zero,
+    parse_path,
     parse_positive,
     parse_size,
 )
@@ -43,8 +44,11 @@ _FOR_DENOISER = {"--no-denoise": "{flag} is for the denoiser, which --no-denoise
 
 # Frames
 
+INPUT = Option(flag="input", metavar="INPUT", is_file=True, several=True,
+               help="frames to read: a pattern, a folder, wildcards or files")
+
 FRAMES = Section("", (
-    Option(flag="input", metavar="INPUT", is_file=True, help="frames to read"),
+    INPUT,
     Option(flag="--output", short="-o", metavar="OUTPUT", changes="nothing",
            help="files to write: a pattern, a folder or one file"),
     Option(flag="--guides", metavar="GUIDES", sets="sequence.guides", is_file=True,
@@ -102,7 +106,7 @@ def _parse_rerun(text: str) -> str | int:
 
 
 LOGS = Section("logs and resuming", (
-    Option(flag="--log", metavar="FILE", sets="run.log", changes="nothing",
+    Option(flag="--log", metavar="FILE", type=parse_path, sets="run.log", changes="nothing",
            help="append one JSON object a line for each frame and event (docs/reliability.md)"),
     Option(flag="--checkpoint", metavar="SECONDS", type=_parse_seconds, default=30.0, sets="run.checkpoint",
            changes="nothing",
@@ -118,7 +122,7 @@ LOGS = Section("logs and resuming", (
 # Passes
 
 TONEMAP = Option(
-    flag="--tonemap", metavar="LOOK", bare="", either="look", sets="look.tonemap",
+    flag="--tonemap", metavar="LOOK", type=parse_path, bare="", either="look", sets="look.tonemap",
     excludes={"--overlay=separate":
               "--overlay separate keeps scene-linear light, --tonemap does not: give one of them"},
     help="tone-map, with the default network, another one ('postfx models' lists them), reinhard, neutral (Khronos "
@@ -152,6 +156,8 @@ PASSES = Section("passes", (
            excludes=_FOR_DENOISER,
            help="size of the output with all overscan, e.g. 1920x1080: frames may change their size between it and a "
            "third of it"),
+    Option(flag="--denoise-only", either="size", sets="denoiser.scale", convert=lambda _: 1.0, excludes=_FOR_DENOISER,
+           help="denoise at the render's own size, do not enlarge; the same as --scale 1"),
     Option(flag="--no-denoise", help="leave denoising and upscaling out"),
     Option(flag="--model", metavar="TAG", sets="denoiser.model", excludes=_FOR_DENOISER,
            help="denoiser: s, m (default) or l in the device's fast precision, or with one, e.g. m.fp32; 'postfx "
@@ -311,7 +317,7 @@ def parse_cuts(text: str) -> tuple[int, ...] | None:
 
 
 READING = Section("reading and running", (
-    Option(flag="--profile", metavar="NAME|FILE", sets="sequence.profile", is_file=True,
+    Option(flag="--profile", metavar="NAME|FILE", type=parse_path, sets="sequence.profile", is_file=True,
            help="how the renderer names its planes (default: found from the file)"),
     DEPTH,
     COLOURSPACE,
@@ -332,7 +338,7 @@ READING = Section("reading and running", (
 REPORTS = Section("reports", (
     Option(flag="--explain", changes="nothing", help="show what would run and what is skipped, then stop"),
     Option(flag="--json", changes="nothing", help="print one JSON object on standard output at the end"),
-    Option(flag="--report", metavar="HTML", sets="page.path", changes="nothing",
+    Option(flag="--report", metavar="HTML", type=parse_path, sets="page.path", changes="nothing",
            excludes={"--memory": "--report keeps whole frames in memory: leave --memory out"},
            help="write a page that opens from the disk and needs no network: before and after with an exposure slider, "
            "curves over the frames, times, what was skipped, findings and a picture of every plane"),
@@ -346,7 +352,7 @@ _NEEDS_CAPTURE = {"--capture": "--capture-frame, --capture-tensors and --capture
                   "write the capture"}
 
 CAPTURE = Section("capture", (
-    Option(flag="--capture", metavar="DIR", sets="capture.folder", changes="nothing",
+    Option(flag="--capture", metavar="DIR", type=parse_path, sets="capture.folder", changes="nothing",
            help="write DIR/capture.html, a page on one frame's commands: times, memory, dependencies, tensors, "
            "networks"),
     Option(flag="--capture-frame", metavar="N", type=parse_count, sets="capture.number", needs=_NEEDS_CAPTURE,

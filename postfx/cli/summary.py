@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from math import ceil
 from statistics import median
 from typing import Any
 
@@ -12,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from postfx.frame import Frame, Role
+from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.masks.entries import Coverage
 from postfx.plan import Plan, Skipped, from_files
@@ -19,6 +21,8 @@ from postfx.temporal.run_up import RunUp
 
 SHOWN_FRAMES = 3
 SHOWN_CUTS = 12
+LOG_SECONDS = 5
+"""Between two lines of a log about what takes long."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +43,16 @@ class Explanation:
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
-        plan = self.plan.as_dict()
+        plan, missing = self.plan.as_dict(), self.sequence.missing()
         plan["skipped"] += [asdict(item) for item in self.left_out]
         if alone := self._alone():
             plan["left_alone"] = alone.as_dict()
-        return {**plan, "ahead": self._ahead(), "frames": len(self.sequence), "warnings": self.sequence.warnings}
+        return {**plan, "ahead": self._ahead(), "frames": len(self.sequence), "missing": missing,
+                "warnings": self.sequence.warnings}
 
     def __str__(self) -> str:
-        first, lines = self.first, [str(self.plan)]
+        first, frames = self.first, describe_frames(self.sequence)
+        lines = [f"input   {self.sequence.pattern}: {frames}", str(self.plan)]
         lines += [f"skips   {item.what}: {item.why}" for item in self.left_out]
         if alone := self._alone():
             lines.append(f"leaves  of frame {first}: {alone}")
@@ -65,6 +71,21 @@ class Explanation:
         return self.run_up.after(self.first)[::-1] if self.run_up and self.plan.accumulating() else []
 
 
+def describe_frames(sequence: Sequence) -> str:
+    """How many frames are wanted, which, and which of them are missing."""
+    missing = sequence.missing()
+    holes = f", {len(missing)} missing: {format_frames(missing)}" if missing else ""
+    return f"{_frames(len(sequence))} ({format_frames(sequence.numbers)}{holes})"
+
+
+def describe_sizes(plan: Plan, sequence: Sequence) -> str:
+    """Size of the input, and of the output as its display window has it."""
+    render, output = plan.available, sequence.shown_size(plan.output.width, plan.output.height)
+    shown = sequence.shown_size(render.width, render.height)
+    change = f"{shown[0]}x{shown[1]} to {output[0]}x{output[1]}"
+    return change if output != shown else f"{output[0]}x{output[1]}, not enlarged"
+
+
 class FrameProgress:
     """Counts finished frames. Use as a context manager.
 
@@ -75,8 +96,9 @@ class FrameProgress:
         self._console = Console(stderr=True, markup=False, emoji=False)
         self._total, self._done, self._fresh = total, 0, 0
         self._begin = time.perf_counter()
+        self._told: float | None = None
         self._bar = Progress(
-            TextColumn("frames"),
+            TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}"),
@@ -99,10 +121,20 @@ class FrameProgress:
         """Print a line above the bar."""
         self._console.print(text, highlight=False, soft_wrap=True)
 
-    def skip(self) -> None:
-        """Count a frame that needs no work."""
-        self._done += 1
-        self._bar.advance(self._task)
+    def compiling(self, count: int) -> None:
+        """Tell that kernels are compiled, so many so far."""
+        text, now = "compiling kernels for this processor, on the first run only", time.perf_counter()
+        self._bar.update(self._task, description=f"compiling kernels, {count} done")
+        if self._told is None or (now - self._told > LOG_SECONDS and not self._console.is_terminal):
+            self.note(f"{text}: {count} done" if count else text)
+            self._told = now
+
+    def start(self, done: int) -> float:
+        """Start the clock, `done` frames needing no work; the time on it."""
+        self._done += done
+        self._bar.update(self._task, advance=done, description="frames")
+        self._begin = time.perf_counter()
+        return self._begin
 
     def advance(self, path: str) -> None:
         """Count a frame that was written to `path`."""
@@ -111,6 +143,16 @@ class FrameProgress:
         self._bar.update(self._task, advance=1, rate=rate)
         if not self._console.is_terminal:
             self._console.print(f"{self._done}/{self._total} {path} ({rate})", highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What the frames did not take: seconds until the first one, those of them in which kernels were compiled, and how
+    many kernels, because no earlier run kept them."""
+
+    seconds: float = 0.0
+    compiling: float = 0.0
+    compiled: int = 0
 
 
 @dataclass(frozen=True)
@@ -161,10 +203,11 @@ class Report:
     Attributes:
         frames: count of frames written in this run.
         wanted: count of frames of the input.
-        seconds: wall time, reading and writing included.
-        frame_ms: milliseconds in the passes for each written frame, without reading and writing. The first one
-            includes the compilation, and that of each shot its run-up.
+        seconds: wall time of the frames, reading and writing included, without what was `prepared`.
+        frame_ms: milliseconds in the passes for each written frame, without reading and writing. That of the first
+            one of each shot includes its run-up.
         pass_ms: pass name -> milliseconds on the device for each written frame.
+        prepared: what it took to load networks and compile kernels before.
         ahead_ms: milliseconds on the device for each frame of the run-ups.
         skipped: passes, planes and frames that were left out, and why.
         warnings: what was odd, each once.
@@ -189,6 +232,7 @@ class Report:
     skipped: list[Skipped]
     warnings: list[str]
     outputs: list[str]
+    prepared: Prepared = Prepared()
     ahead_ms: list[float] = field(default_factory=list)
     chosen: dict[str, dict[str, int]] = field(default_factory=dict)
     guides: dict[str, Any] | None = None
@@ -205,6 +249,8 @@ class Report:
         result = {
             "frames": self.frames,
             "seconds": round(self.seconds, 3),
+            "prepared": {"seconds": round(self.prepared.seconds, 3), "compiling": round(self.prepared.compiling, 3),
+                         "compiled": self.prepared.compiled},
             "ms_per_frame": _spread(self.frame_ms),
             "passes": {name: round(median(times), 3) for name, times in self.pass_ms.items()},
             "run_up": {"frames": len(self.ahead_ms), "ms_per_frame": _spread(self.ahead_ms)},
@@ -226,6 +272,9 @@ class Report:
     def summary(self) -> str:
         """The report in a few lines."""
         lines = [f"{self.frames} of {self.wanted} frames in {self.seconds:.1f} s{self._speed()}"]
+        if self.prepared.compiled:
+            lines.append(f"compiled {self.prepared.compiled} kernels in {self.prepared.compiling:.1f} s, which is not "
+                         "in these times; they are kept for the next run")
         lines += [f"ran      {name}: {median(times):.1f} ms a frame" for name, times in self.pass_ms.items()]
         if self.ahead_ms:
             lines.append(f"ran      {_frames(len(self.ahead_ms))} in reverse order, for a history of the first ones: "
@@ -272,6 +321,25 @@ class Report:
         if not self.frame_ms:
             return ""
         return f", {self.frames / self.seconds:.2f} frames/s, {median(self.frame_ms):.0f} ms a frame in the passes"
+
+
+def missed_budget(
+    budget: float | None, pass_ms: Mapping[str, list[float]], chosen: Mapping[str, Mapping[str, int]]
+) -> list[str]:
+    """A warning where most frames took longer than --budget, in milliseconds."""
+    times = pass_ms.get("denoise_upscale", [])
+    if budget is None or not times or median(times) <= budget:
+        return []
+    over = sum(time > budget for time in times)
+    networks = ", ".join(chosen.get("denoise_upscale", {}))
+    return [f"--budget {budget:g} was missed by {over} of {_frames(len(times))}: denoising took {median(times):.0f} ms "
+            f"a frame with {networks}: take a smaller --model or output, or allow {_round_up(max(times)):g}"]
+
+
+def _round_up(milliseconds: float) -> float:
+    """To two digits."""
+    step = 10.0 ** max(0, len(str(int(milliseconds))) - 2)
+    return ceil(milliseconds / step) * step
 
 
 def guides_in(plan: Plan, sized: bool) -> dict[str, Any] | None:

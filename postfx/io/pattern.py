@@ -5,9 +5,10 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 from fileseq.exceptions import MaxSizeException, ParseException
 from fileseq.frameset import FrameSet
@@ -22,7 +23,10 @@ _NUMBER = re.compile(
 )
 _DIGITS = re.compile(r"((?<=[._])-|^-)?\d+(?=\.[^.]*$)", re.ASCII)
 """The number that ends a name, with a minus that stands where a number begins."""
-_RANGE = re.compile(r"\s*(?P<first>-?\d{1,9})(?:-(?P<last>-?\d{1,9})(?:[xy:]\d{1,9})?)?\s*", re.ASCII)
+_RANGE = re.compile(r"\s*(?P<first>-?\d{1,9})(?:-(?P<last>-?\d{1,9})(?P<step>[xy:]\d{1,9})?)?\s*", re.ASCII)
+_WILD = re.compile(r"[*?[]")
+Source: TypeAlias = "str | os.PathLike[str] | Sequence[str | os.PathLike[str]]"
+"""A pattern, a folder, a file, wildcards, or files one by one."""
 MOST_DIGITS = 32
 """Digits that a frame number may be padded to."""
 MOST_FRAMES = 1_000_000
@@ -118,19 +122,39 @@ def parse_pattern(text: str) -> Pattern:
 
 
 def parse_frames(text: str) -> list[int]:
-    """Frame numbers of '1-100x2', '1,5,7-9' and the like, in the order given; SequenceError when malformed."""
+    """Frame numbers of '1-100x2', '1,5,7-9' and the like, in the order given; SequenceError when malformed.
+
+    Steps that fileseq writes with ':' or 'y' are refused: they deal frames out to several machines, out of order.
+    """
     try:
         parts = [_RANGE.fullmatch(part) for part in text.split(",") if part.strip()]
         if None in parts:
             raise ValueError("not whole numbers of up to nine digits")
-        if any(abs(int(part["last"] or part["first"]) - int(part["first"])) >= MOST_FRAMES for part in parts if part):
-            raise SequenceError(f"--frames {text}: holds more than {MOST_FRAMES} frames")
+        for part in filter(None, parts):
+            if abs(int(part["last"] or part["first"]) - int(part["first"])) >= MOST_FRAMES:
+                raise SequenceError(f"--frames {text}: holds more than {MOST_FRAMES} frames")
+            _refuse_other_steps(text, part)
         numbers = list(FrameSet(text))
     except (ParseException, MaxSizeException, ValueError) as error:
         raise SequenceError(f"--frames {text}: not a frame range: write it like 1-100, 1-100x2 or 1,5,8-12") from error
     if not numbers:
         raise SequenceError(f"--frames {text}: holds no frame")
     return [int(number) for number in numbers]
+
+
+def _refuse_other_steps(text: str, part: re.Match[str]) -> None:
+    """SequenceError for a step that other programs read otherwise."""
+    first, last, step = part["first"], part["last"], part["step"] or "x"
+    if step[0] == ":":
+        raise SequenceError(f"--frames {text}: a step is written with x: give {first}-{last}x{step[1:]}")
+    if step[0] == "y":
+        raise SequenceError(f"--frames {text}: a step is written with x, and y is no step: give {first}-{last}x2 for "
+                            "every second frame, or list the frames, like 2-4,6-8")
+
+
+def format_frames(numbers: Iterable[int]) -> str:
+    """Frame numbers as `parse_frames` reads them, sorted: '1-8', '1-9x2', '4,7-9'."""
+    return FrameSet.framesToFrameRange(numbers, sort=True) if (numbers := list(numbers)) else ""
 
 
 def number_in_name(path: Path) -> int | None:
@@ -155,14 +179,19 @@ def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
 
     SequenceError when the folder cannot be read.
     """
+    return _group(path for path in _listed(folder) if path.suffix.lower() in suffixes and path.name[0] != "."
+                  and os.path.isfile(path))
+
+
+def _group(paths: Iterable[Path]) -> list[Pattern]:
+    """Patterns of files, each once."""
     found: dict[tuple[str, str], Pattern] = {}
-    for path in sorted(_listed(folder), key=lambda path: (number_in_name(path) or 0) < 0):
-        if path.suffix.lower() in suffixes and not path.name.startswith(".") and os.path.isfile(path):
-            pattern, number = pattern_of(path), number_in_name(path)
-            known = found.setdefault((pattern.prefix, pattern.suffix), pattern)
-            fewer = pattern.digits is not None and known.digits is not None and pattern.digits < known.digits
-            if fewer and number is not None and number >= 0:
-                found[pattern.prefix, pattern.suffix] = pattern
+    for path in sorted(paths, key=lambda path: (number_in_name(path) or 0) < 0):
+        pattern, number = pattern_of(path), number_in_name(path)
+        known = found.setdefault((pattern.prefix, pattern.suffix), pattern)
+        fewer = pattern.digits is not None and known.digits is not None and pattern.digits < known.digits
+        if fewer and number is not None and number >= 0:
+            found[pattern.prefix, pattern.suffix] = pattern
     return list(found.values())
 
 
@@ -179,31 +208,72 @@ def _digits(match: re.Match[str]) -> int:
     return int(match["printf"] or match["houdini"] or match["angle"] or 1)
 
 
-def locate(source: str) -> tuple[Pattern, list[int] | None]:
-    """Pattern of a source, and the frame numbers where the source itself names one file.
+def locate(source: Source) -> tuple[Pattern, list[int] | None]:
+    """Pattern of a source, and the frame numbers where the source names some of its files.
 
-    Raises SequenceError for a folder without OpenEXR files or with several sequences.
+    A leading ~ is the home folder. Wildcards (* ? [..]) count where no file has that very name.
+
+    Raises SequenceError for a folder without OpenEXR files, and where files belong to several sequences.
     """
-    path = Path(source)
-    if os.path.isdir(source):
-        return _folder_pattern(path), None
-    pattern = parse_pattern(source)
+    if not isinstance(source, str | os.PathLike):
+        return _locate_files(list(source))
+    name = os.path.expanduser(source)
+    if os.path.isdir(name):
+        return _folder_pattern(Path(name)), None
+    pattern = parse_pattern(name)
+    if _WILD.search(name) and not pattern.found():
+        return _matches(pattern, str(source))
     if pattern.numbered or pattern.has_planes:
         return pattern, None
-    number = number_in_name(path)
-    return pattern_of(path), None if number is None else [number]
+    number = number_in_name(Path(name))
+    return pattern_of(Path(name)), None if number is None else [number]
+
+
+def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[int] | None]:
+    """Pattern of files that are named one by one, as a shell does with wildcards."""
+    if len(names) == 1:
+        return locate(names[0])
+    paths = [Path(os.path.expanduser(name)) for name in names]
+    absent = [path for path in paths if not path.is_file()]
+    if absent or not paths:
+        raise SequenceError(f"{absent[0] if absent else 'INPUT'}: no such file: check the folder, or put a pattern "
+                            "like 'shot.####.exr' in quotes")
+    return _together(paths, f"{len(paths)} files")
+
+
+def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
+    """Pattern of the files, or of the one folder, that wildcards fit."""
+    wild = (pattern.prefix + ("*" if pattern.numbered else "") + pattern.suffix).replace(PLANE, "*")
+    found = sorted(map(Path, glob.glob(wild)))
+    folders = [path for path in found if path.is_dir()]
+    paths = [path for path in found if path.is_file() and path.suffix.lower() in READABLE]
+    if not paths and len(folders) == 1:
+        return _folder_pattern(folders[0]), None
+    if not paths:
+        raise SequenceError(f"{source}: no such file: check the folder and the wildcards")
+    return _together(paths, source)
+
+
+def _together(paths: list[Path], source: str) -> tuple[Pattern, list[int] | None]:
+    """The one sequence that files belong to, and their numbers unless these are all that is on the disk."""
+    pattern = _one_sequence(_group(paths), source)
+    numbers = sorted({number for path in paths if (number := number_in_name(path)) is not None})
+    return pattern, None if not pattern.numbered or numbers == list(pattern.found()) else numbers
 
 
 def _folder_pattern(folder: Path) -> Pattern:
     patterns = patterns_in(folder, READABLE)
-    if len(patterns) == 1:
-        return patterns[0]
     if not patterns:
         raise SequenceError(f"{folder}: holds no OpenEXR file")
-    together = _one_file_a_plane(patterns)
+    return _one_sequence(patterns, str(folder))
+
+
+def _one_sequence(patterns: list[Pattern], source: str) -> Pattern:
+    """The one pattern, or the one that fits them all, each of another plane; else SequenceError."""
+    together = patterns[0] if len(patterns) == 1 else _one_file_a_plane(patterns)
     if together is None:
         names = ", ".join(Path(str(pattern)).name for pattern in patterns[:4])
-        raise SequenceError(f"{folder}: holds {len(patterns)} sequences ({names}): name one of them")
+        raise SequenceError(f"{source}: holds {len(patterns)} sequences ({names}): name one of them")
     return together
 
 

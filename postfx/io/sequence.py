@@ -6,7 +6,6 @@ import copy
 from collections.abc import Iterable, Iterator
 from itertools import takewhile
 from operator import index
-from os import PathLike
 from pathlib import Path
 
 from postfx.errors import ColourError, MissingFrameError, SequenceError
@@ -14,7 +13,7 @@ from postfx.frame import Frame, Role
 from postfx.io.colours import parse_colourspace
 from postfx.io.convert import parse_depth
 from postfx.io.frame_reader import Area, FrameFiles
-from postfx.io.pattern import locate, parse_frames
+from postfx.io.pattern import Source, format_frames, locate, parse_frames
 from postfx.io.windows import scaled_windows
 from postfx.masks.entries import Coverage, parse_leave
 from postfx.system import Scratch
@@ -40,11 +39,11 @@ class Sequence:
 
     def __init__(
         self,
-        source: str | PathLike[str],
+        source: Source,
         frames: str | Iterable[int] | None = None,
         profile: str | None = None,
         planes: Iterable[Role] | None = None,
-        guides: str | PathLike[str] | None = None,
+        guides: Source | None = None,
         scratch: Scratch | None = None,
         depth: str | None = None,
         cuts: Iterable[int] | None = None,
@@ -53,7 +52,7 @@ class Sequence:
         without: Iterable[Role] = (),
     ) -> None:
         self._scratch = scratch
-        self.pattern, named = locate(str(source))
+        self.pattern, named = locate(source)
         self.profile = profile
         self.depth = None if depth is None else parse_depth(depth)
         self.cuts = None if cuts is None else frozenset(cuts)
@@ -111,6 +110,24 @@ class Sequence:
     def present(self) -> list[int]:
         """Numbers of the frames on the disk, wanted or not."""
         return list(self._found)
+
+    def missing(self) -> list[int]:
+        """Numbers of wanted frames that are not on the disk, or whose guides are not, in order."""
+        return sorted({number for number in self.numbers if not self.holds(number)})
+
+    def refuse_holes(self, numbers: Iterable[int]) -> None:
+        """MissingFrameError that names all of these frames that are not on the disk."""
+        numbers = list(numbers)
+        missing = sorted({number for number in numbers if not self.holds(number)})
+        if len(missing) == 1:
+            self.files(missing[0])
+            self.guide_files(missing[0])
+        elif missing:
+            pattern = self.pattern if any(number not in self._found for number in missing) else \
+                f"guides {self.guides.pattern if self.guides else ''}"
+            raise MissingFrameError(f"{pattern}: {len(missing)} of {len(numbers)} frames are missing: "
+                                    f"{format_frames(missing)}: render them, leave them out with --frames, or give "
+                                    "--on-error skip")
 
     def all_files(self) -> list[Path]:
         """Files of all frames on the disk, wanted or not, and of their guides."""
@@ -213,11 +230,11 @@ class Sequence:
 
 
 def read_sequence(
-    pattern: str | PathLike[str],
+    pattern: Source,
     frames: str | Iterable[int] | None = None,
     profile: str | None = None,
     planes: Iterable[Role] | None = None,
-    guides: str | PathLike[str] | None = None,
+    guides: Source | None = None,
     depth: str | None = None,
     cuts: Iterable[int] | None = None,
     leave: str | None = None,
@@ -228,7 +245,8 @@ def read_sequence(
 
     Args:
         pattern: file name with %04d, ####, @@@@ or $F4 for the frame number and, where every plane has its own file,
-            {plane} for the plane; or a folder; or a single file.
+            {plane} for the plane; or a folder; or a single file; or wildcards such as shot.*.exr; or files in a list.
+            A leading ~ is the home folder.
         frames: '1-100x2', '1,5,8-12' or numbers; None for all that are on the disk.
         profile: name of a built-in renderer profile or path of a TOML file; None to detect it.
         planes: roles to read, of planes and guides; None for all that are there.

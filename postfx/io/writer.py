@@ -207,6 +207,7 @@ class OutputFiles:
 
     def __init__(self, target: str, sequence: Sequence, existing: Existing = Existing.REFUSE) -> None:
         self.existing, self._sequence = existing, sequence
+        target = os.path.expanduser(target)
         self._pattern = _output_pattern(target, sequence.pattern)
         self.display = is_display_format(str(self._pattern))
         if len(sequence) > 1 and not self._pattern.numbered:

@@ -25,6 +25,7 @@ import numpy as np
 from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
+from numba.core.event import Event, Listener, register, unregister
 from numba.core.extending import _Intrinsic
 from numba.core.serialize import dumps
 
@@ -50,10 +51,40 @@ def cache_folder() -> Path | None:
     return private_folder(FOLDER)
 
 
-def is_first_run() -> bool:
-    """Whether no compiled kernel is kept yet, so that the first frame will wait for the compiler."""
-    folder = cache_folder()
-    return folder is None or next(folder.glob(f"*{SUFFIX}"), None) is None
+class CompileWatch(Listener):
+    """Counts what Numba compiles, and how long that takes. Use as a context manager.
+
+    Args:
+        tell: is called before each function with the count of those before.
+
+    Attributes:
+        count: functions that were compiled, without those that were kept from an earlier run.
+        seconds: that it took.
+    """
+
+    def __init__(self, tell: Callable[[int], None] = lambda _: None) -> None:
+        self.count, self.seconds = 0, 0.0
+        self._tell, self._depth, self._begin = tell, 0, 0.0
+
+    def on_start(self, event: Event) -> None:
+        """A function begins, maybe within another one that calls it."""
+        self._tell(self.count)
+        if self._depth == 0:
+            self._begin = time.perf_counter()
+        self._depth += 1
+
+    def on_end(self, event: Event) -> None:
+        """It is done."""
+        self._depth, self.count = self._depth - 1, self.count + 1
+        if self._depth == 0:
+            self.seconds += time.perf_counter() - self._begin
+
+    def __enter__(self) -> CompileWatch:
+        register("numba:compile", self)  # type: ignore[no-untyped-call]  # Numba has no types
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        unregister("numba:compile", self)  # type: ignore[no-untyped-call]  # likewise
 
 
 class KernelCache(_Cache):

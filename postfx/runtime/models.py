@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from postfx.errors import ModelError
+from postfx.errors import ModelError, suggest
 from postfx.files import make_printable, parse_json, read_text
 from postfx.runtime.model_file import Declared, ModelFile, Weights, WireError, parse_model
 from postfx.system import is_plain_name, models_dir
@@ -43,7 +43,9 @@ class Library:
         where = ", ".join(str(folder) for folder in self.folders)
         known = self.names()
         alike = [other for other in known if other.split(".")[0] == name.split(".")[0]] or known
-        raise ModelError(f"no model '{name}' in {where}: there are {', '.join(alike) or 'none'}")
+        tags = {other.partition(".")[2] for other in alike}
+        meant = suggest(name.partition(".")[2], tags) if name.split(".")[0] in alike[0] else ""
+        raise ModelError(f"no model '{name}' in {where}{meant or ':'} there are {', '.join(alike) or 'none'}")
 
     def card(self, name: str) -> dict[str, Any]:
         """The model's card, empty when it has none. Raises ModelError when the card is not a JSON object."""

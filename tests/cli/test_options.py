@@ -13,11 +13,13 @@ from postfx.cli.main import main, make_parser
 from postfx.cli.options import Option, Section
 from postfx.cli.report import RunReport
 from postfx.cli.run_options import RUN, display_passes
+from postfx.cli.summary import missed_budget
+from postfx.errors import ModelError
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.runs.run import Options
-from postfx.runtime import Device
+from postfx.runtime import Device, Library
 
 PARTS = {"device": Device, "sequence": Sequence, "look": display_passes, "writer": write_frame, "run": Options,
          "page": RunReport, "capture": FrameCapture}
@@ -93,3 +95,38 @@ def test_options_name_what_there_is(option):
     flags = {each.flag for each in RUN}
     assert {key.partition("=")[0] for key in (*option.excludes, *option.needs)} <= flags
 
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["run", "in/", "--exposre", "1"], "unrecognized arguments: --exposre 1: did you mean --exposure?"),
+    (["run", "in/", "--no-denoize"], "did you mean --no-denoise?"),
+    (["exposure", "in/", "--refrence=0"], "did you mean --reference?"),
+    (["rnu", "in/"], "did you mean run?"), (["shot/a.exr"], "did you mean postfx run shot/a.exr?"),
+    (["run", "in/", "--qqq"], "unrecognized arguments: --qqq\n"),
+])
+def test_mistyped_options_and_verbs(words, told, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2 and told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "meant"), [("denoise_upscale.smal", "s"), ("denoise_upscale.m.fp3", "m.fp16"),
+                                             ("tonemap.acse2", "aces2"), ("tonemap.aces", "aces2")])
+def test_mistyped_models(name, meant):
+    with pytest.raises(ModelError, match=f"did you mean {meant}? there are".replace("?", r"\?")):
+        Library().path(name)
+
+
+def test_denoising_only_is_one_flag():
+    for words in (["--denoise-only"], ["--denoise"], ["--scale", "1"]):
+        assert RUN.values_for("denoiser", parse(*words))["scale"] == 1.0
+    assert "scale" not in RUN.values_for("denoiser", parse())
+    with pytest.raises(SystemExit):
+        parse("--denoise-only", "--scale", "2")
+
+
+def test_a_budget_that_is_missed_is_told():
+    times = {"denoise_upscale": [120.0, 80.0, 131.0]}
+    (told,) = missed_budget(90, times, {"denoise_upscale": {"s": 3}})
+    assert told == ("--budget 90 was missed by 2 of 3 frames: denoising took 120 ms a frame with s: take a smaller "
+                    "--model or output, or allow 140")
+    assert missed_budget(125, times, {}) == missed_budget(None, times, {}) == missed_budget(1, {}, {}) == []

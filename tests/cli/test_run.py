@@ -6,6 +6,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from postfx.cli.main import main
 from postfx.colour.curves import srgb_encode
 
 COPY = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise")
@@ -41,7 +42,7 @@ def test_json_report(postfx, shot):
     done = postfx(*COPY, "--frames", "1-4x2", "--json")
     report = done.json
     assert set(report) == {"frames", "seconds", "ms_per_frame", "passes", "skipped", "warnings", "outputs", "guides",
-                           "chosen", "cuts", "broken", "run_up"}
+                           "chosen", "cuts", "broken", "run_up", "prepared"}
     assert report["frames"] == 2
     assert report["outputs"] == ["out/shot.0001.exr", "out/shot.0003.exr"]
     assert set(report["ms_per_frame"]) == {"median", "min", "max"}
@@ -111,14 +112,23 @@ def test_overwrite(postfx, shot, tmp_path):
     assert pixels_of(tmp_path / "out/shot.0001.exr").shape == (32, 48, 3)
 
 
-def test_missing_frame_in_the_middle_keeps_the_finished(postfx, shot, tmp_path):
+def test_missing_frames_are_named_before_the_first_one(shot, tmp_path, capsys, monkeypatch):
     shot(1, 2, 4)
-    done = postfx(*COPY, "--json")
-    assert done.code == 2
-    assert "error: in/shot.0003.exr: frame 3 is missing: render it or leave it out with --frames" in done.err
-    assert outputs(tmp_path / "out") == ["shot.0001.exr", "shot.0002.exr"]
-    assert done.json["frames"] == 2
-    assert done.json["error"].startswith("in/shot.0003.exr")
+    monkeypatch.chdir(tmp_path)
+    run = ["run", *COPY[1:], "--device", "cpu", "--exposure", "0"]
+    assert main(run) == 2
+    assert "error: in/shot.0003.exr: frame 3 is missing: render it or leave it out" in capsys.readouterr().err
+    assert main([*run, "--frames", "1-9"]) == 2
+    holes = "in/shot.####.exr: 6 of 9 frames are missing: 3,5-9: render them, leave them out with --frames, or give "
+    assert holes in capsys.readouterr().err and not (tmp_path / "out").exists()
+    assert main([*run, "--frames", "1-5", "--explain"]) == 0
+    assert "input   in/shot.####.exr: 5 frames (1-5, 2 missing: 3,5)\n" in capsys.readouterr().out
+    assert main([*run, "--frames", "1-5", "--on-error", "skip"]) == 3
+    first, second = capsys.readouterr().err.splitlines()[:2]
+    assert first == "in/shot.####.exr to out/shot.####.exr: 5 frames (1-5, 2 missing: 3,5), 48x32, not enlarged"
+    assert second == "2 of 5 frames are missing, --on-error skip goes on without: 3,5"
+    assert main([*run, "--frames", "1-3", "--skip-existing"]) == 2
+    assert "error: in/shot.0003.exr: frame 3 is missing" in capsys.readouterr().err
 
 
 def test_broken_file_in_the_middle_keeps_the_finished(postfx, shot, tmp_path):

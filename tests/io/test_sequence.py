@@ -1,5 +1,6 @@
 """Patterns, ranges, folders and holes."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from postfx.errors import MissingFrameError, SequenceError
 from postfx.frame import Role
-from postfx.io.pattern import parse_frames, parse_pattern
+from postfx.io.pattern import format_frames, locate, parse_frames, parse_pattern
 from postfx.io.sequence import read_sequence
 
 
@@ -52,6 +53,17 @@ def test_two_numbers_in_a_name_are_refused():
 )
 def test_frame_ranges(text, numbers):
     assert parse_frames(text) == numbers
+
+
+@pytest.mark.parametrize(("text", "right"), [("1-8:4", "1-8x4"), ("1-100,2-9:3", "2-9x3"), ("1-8y2", "1-8x2")])
+def test_steps_of_other_kinds_are_refused(text, right):
+    with pytest.raises(SequenceError, match=f"a step is written with x.*give {right}"):
+        parse_frames(text)
+
+
+@pytest.mark.parametrize("text", ["1-8", "1-9x2", "4,7-9", "-3--1", "12"])
+def test_frames_are_told_as_they_are_read(text):
+    assert format_frames(reversed(parse_frames(text))) == text
 
 
 @pytest.mark.parametrize("text", ["1-", "a-b", "", "1..5"])
@@ -194,3 +206,26 @@ def test_headers_or_cuts_tell_where_shots_begin(write_exr, tmp_path):
         [False, True, False], [False, False, True]]
     with pytest.raises(MissingFrameError):
         by_header.begins_shot(4)
+
+
+def test_wildcards_lists_and_the_home_folder(shot, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    shot(1, 2, 4, 5)
+    shot(1, name="other.{:04d}.exr")
+    (tmp_path / "shot.txt").write_text("no picture")
+    whole, some = (1, 2, 3, 4, 5), (1, 2)
+    files = [f"shot.000{number}.exr" for number in (1, 2, 4, 5)]
+    for source, numbers in [
+        ("shot.*.exr", whole), ("sho?.####.exr", whole), ("shot.*", whole), ("~/shot.*.exr", whole),
+        ("~/shot.####.exr", whole), (files, whole), ("shot.000[12].exr", some), (files[:2], some),
+        ([f"~/{name}" for name in files[1::-1]], some), (files[:1], (1,)),
+    ]:
+        assert read_sequence(source).numbers == numbers, source
+    for source, told in [("*.exr", "holds 2 sequences"), ("no*.exr", "no*.exr: no such file"),
+                         ([files[0], "other.0001.exr"], "2 files: holds 2 sequences"),
+                         ([files[0], "x.exr"], "x.exr: no such file")]:
+        with pytest.raises(SequenceError, match=re.escape(told)):
+            locate(source)
+    (tmp_path / "shot.0001.exr").rename(tmp_path / "a[1]*.0001.exr")  # a name means itself first
+    assert locate("a[1]*.####.exr")[0].path(1).name == "a[1]*.0001.exr"

@@ -13,7 +13,8 @@ from numba.core.dispatcher import Dispatcher
 
 from postfx import kernels, system
 from postfx.kernels import compile_cache, numeric
-from postfx.kernels.compile_cache import digest
+from postfx.kernels.compile_cache import CompileWatch, digest
+from postfx.kernels.numeric import kernel_jit
 
 SOURCE = """
 import numpy as np
@@ -104,6 +105,15 @@ def test_all_kernels_have_digests():
                for found in pkgutil.walk_packages(kernels.__path__, f"{kernels.__name__}.")]
     functions = [value for module in modules for value in vars(module).values() if isinstance(value, Dispatcher)]
     assert len(functions) > 100 and all(map(digest, functions))
+
+
+def test_what_is_compiled_is_counted_and_timed():
+    function, told = kernel_jit()(lambda x: x + 3), []
+    with CompileWatch(told.append) as watch:
+        assert function(np.float32(1)) == 4 and watch.count == 1 and watch.seconds > 0 and told == [0]
+        function(np.float32(2))
+    function(np.int8(2))
+    assert watch.count == 1
 
 
 def test_what_cannot_be_told_is_an_error():
