@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -78,11 +77,6 @@ def ray_from_depth(
     """The inverse of `depth_from_ray`: distance to the eye; misses stay 1e10."""
     depth = np.asarray(depth, np.float64)
     return np.where(depth < DEPTH_MISS, depth / _cosines(depth.shape, fov_x, jitter, pixel_aspect), DEPTH_MISS)
-
-
-def pixel_aspect(header: Mapping[str, Any]) -> float:
-    """Width of a pixel over its height, by the attributes of a header or a frame's metadata; 1 without."""
-    return float(header.get("pixelAspectRatio", 1.0)) or 1.0
 
 
 def ray_slopes(

@@ -385,3 +385,8 @@ def _range(plane: np.ndarray) -> str:
     text = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "nothing finite"
     wrong = plane.size - finite.size
     return f"{text}, {wrong} not finite" if wrong and finite.size else text
+
+
+def pixel_aspect(header: Mapping[str, Any]) -> float:
+    """Width of a pixel over its height, by the attributes of a header or a frame's metadata; 1 without."""
+    return float(header.get("pixelAspectRatio", 1.0)) or 1.0

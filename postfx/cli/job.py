@@ -15,7 +15,7 @@ import numpy as np
 
 from postfx.cli.capture import FrameCapture
 from postfx.cli.inspection import Inspection
-from postfx.cli.on_error import Faults, OnError, Standin, check_sizes, first_readable
+from postfx.cli.interruptions import Faults, OnError, Standin, Stop, check_sizes, first_readable
 from postfx.cli.report import RunReport
 from postfx.cli.run_options import (
     RUN,
@@ -49,9 +49,8 @@ from postfx.passes.base import Pass
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
 from postfx.plan import Skipped, from_files
-from postfx.runs.events import Stop
-from postfx.runs.provenance import provenance_of
-from postfx.runs.run import Options, Run, Work
+from postfx.runs.run import Options, Run, provenance_of
+from postfx.runs.schedule import Work
 from postfx.runtime import Device
 from postfx.temporal.bidirectional import Backwards
 

@@ -66,8 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Process the sequence; returns the exit code."""
+    from postfx.cli.interruptions import EXIT_FAULTS
     from postfx.cli.job import Job  # loads the runtime, which --help must not wait for
-    from postfx.cli.on_error import EXIT_FAULTS
 
     job = Job(arguments)
     if arguments.explain:

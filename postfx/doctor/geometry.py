@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.depth import pixel_aspect, ray_slopes
+from postfx.depth import ray_slopes
 from postfx.doctor.statistics import finite
 from postfx.errors import IntegrationError
-from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.frame import DEPTH_MISS, Frame, Role, pixel_aspect
 from postfx.integrate.camera import perspective
 from postfx.integrate.materials import split_sum
 from postfx.integrate.motion import motion_from_depth

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from postfx.depth import pixel_aspect
-from postfx.frame import Role
+from postfx.frame import Role, pixel_aspect
 from postfx.io.convert import Camera, DepthOption, missing_error, missing_number
 from postfx.io.image_file import ImageFile
 from postfx.io.profile import PlaneRule, Profile, load_profile, profile_names

@@ -1,144 +1,147 @@
-"""One run's records: which frames to run, which files stay, what was written, and what it takes to go on."""
+"""One run: its log, how its frames came about, what it wrote, and what it takes to go on after a stop."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
+import platform
 import sys
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+import numba
+import numpy
 import numpy as np
+import OpenImageIO
 
 from postfx.errors import Interrupted, ReadError, WriteError
-from postfx.files import hash_file
 from postfx.frame import Frame
 from postfx.io.sequence import Sequence
-from postfx.io.writer import Existing, OutputFiles, is_complete
+from postfx.io.writer import Existing, OutputFiles
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan, Skipped
 from postfx.runs.checkpoint import load_checkpoint
-from postfx.runs.events import Log, now
 from postfx.runs.folder import RunFolder
 from postfx.runs.locks import Process
 from postfx.runs.manifest import Output
-from postfx.runs.provenance import Provenance
+from postfx.runs.schedule import Known, Work, facts_of, judge, schedule
+from postfx.runtime import Device, Library
+from postfx.version import __version__
 
 
-class Work(NamedTuple):
-    """A frame to process, and whether its result is written or only fills the history.
+class Log:
+    """Appends events to a file; without a file it does nothing.
 
-    With a checkpoint, the frame is not processed: the passes go on as they did after it.
+    Each line is written by one call, so lines of several runs that share a file do not mix. docs/reliability.md has the
+    events. Raises WriteError when the file cannot be written.
     """
 
-    number: int
-    write: bool
-    checkpoint: Path | None = None
+    def __init__(self, path: str | None, run: str) -> None:
+        self._run, self._path, self._file = run, path, -1
+        if path is not None:
+            try:
+                Path(path).parent.mkdir(parents=True, exist_ok=True)
+                self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+            except OSError as error:
+                raise WriteError(f"{path}: cannot be written: {error.strerror}: give --log another file") from error
+
+    def __call__(self, event: str, **facts: Any) -> None:
+        """Write one event."""
+        if self._file >= 0:
+            line = json.dumps({"time": now(), "run": self._run, "event": event, **facts}, default=str)
+            try:
+                os.write(self._file, f"{line}\n".encode())
+            except OSError as error:
+                raise WriteError(f"{self._path}: cannot be written: {error.strerror}") from error
+
+    def close(self) -> None:
+        """No more events."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
 
 
-class Known(NamedTuple):
-    """What is known of earlier runs.
+def now() -> str:
+    """The time as in ISO 8601, UTC, to the millisecond."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How the frames of a run come about.
 
     Attributes:
-        starts: frames that begin a shot, so that nothing before them counts.
-        checkpoints: frame number -> checkpoint that was made after it.
+        settings: argument -> value, of those given and those that have a default.
+        passes: name -> options, of the passes that run.
+        versions: of postfx and what it is built on.
+        device: where it runs.
+        fingerprint: of all of these, of the models that are installed, and of what else decides about pixels.
+        files: names of settings that are files; headers hold their names without the folder.
     """
 
-    starts: Collection[int] = ()
-    checkpoints: Mapping[int, Path] = {}
+    settings: Mapping[str, Any]
+    passes: Mapping[str, Mapping[str, Any]]
+    versions: Mapping[str, str]
+    device: Mapping[str, Any]
+    fingerprint: str
+    files: Collection[str] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """In plain types."""
+        return {"settings": dict(self.settings), "passes": dict(self.passes), "versions": dict(self.versions),
+                "device": dict(self.device), "fingerprint": self.fingerprint}
+
+    def header(self, models: Mapping[str, str]) -> dict[str, str]:
+        """Attributes for an image's header. models: name -> SHA-256 of the networks that ran."""
+        settings = {name: Path(str(value)).name if name in self.files and value else value
+                    for name, value in self.settings.items()}
+        return {
+            "postfx:version": self.versions["postfx"],
+            "postfx:models": ", ".join(f"{name} sha256:{digest}" for name, digest in sorted(models.items())),
+            "postfx:settings": json.dumps({"settings": settings, "passes": dict(self.passes)}, default=str),
+        }
 
 
-def schedule(
-    numbers: tuple[int, ...] | list[int], wanted: Collection[int], known: Known, most: int | None,
-    is_readable: Callable[[int], bool],
-) -> list[Work]:
-    """Frames to run, in order.
+def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also: Iterable[Any] = (),
+                  files: Collection[str] = ()) -> Provenance:
+    """Provenance of a run.
 
-    Args:
-        numbers: all frames of the sequence, in the order of an unbroken run.
-        wanted: those to be written.
-        most: frames to run again for the history of each wanted one; None for as many as it takes.
-        is_readable: whether a frame's input is there; what leads to a frame ends at a hole.
-
-    Before each wanted frame its history comes from the nearest of: the frame that ran before it in this run, a
-    checkpoint, the first frame of its shot.
+    settings: name -> value, of the options that change pixels; `files`: those of them that name files. also: what else
+    decides about pixels, and is not recorded.
     """
-    works: list[Work] = []
-    last = -1  # index of the frame that ran last
-    for at, number in enumerate(numbers):
-        if number not in wanted:
-            continue
-        first = _first(numbers, last + 1, at, known, is_readable)
-        first = first if most is None else max(first, at - most)
-        saved = [index for index in range(max(first - 1, last + 1), at)
-                 if numbers[index] in known.checkpoints and is_readable(numbers[index])]
-        if saved:
-            works.append(Work(numbers[saved[-1]], False, known.checkpoints[numbers[saved[-1]]]))
-            first = saved[-1] + 1
-        works += [Work(each, False) for each in numbers[first:at]]
-        works.append(Work(number, True))
-        last = at
-    return works
+    settings = {name: _plain(settings[name]) for name in sorted(settings)}
+    passes = {step.name: {key: _plain(value) for key, value in step.instance.options.items()} for step in plan.steps}
+    place = {"name": device.name, "provider": device.placement.provider, "threads": device.threads}
+    library = Library()
+    models = {name: library.sha256(name) for name in library.names()}
+    decisive = [settings, passes, versions(), place, plan.as_dict(), models, *also]
+    text = json.dumps(decisive, sort_keys=True, default=str)
+    return Provenance(settings, passes, versions(), place, hashlib.sha256(text.encode()).hexdigest(), files)
 
 
-def _first(
-    numbers: tuple[int, ...] | list[int], begin: int, at: int, known: Known, is_readable: Callable[[int], bool]
-) -> int:
-    """Index of the frame, from `begin` on, with which the history of frame `at` begins."""
-    holes = [index + 1 for index in range(begin, at) if not is_readable(numbers[index])]
-    starts = [index for index in range(begin, at + 1) if numbers[index] in known.starts]
-    return max([begin, *holes, *starts])
+def versions() -> dict[str, str]:
+    """Versions of postfx and of what its pixels depend on."""
+    runtimes = {name: _installed(name) for name in ("onnxruntime", "onnxruntime-gpu")}
+    return {"postfx": __version__, "python": platform.python_version(), "numpy": numpy.__version__,
+            "numba": numba.__version__, "OpenImageIO": OpenImageIO.VERSION_STRING,
+            **{name: version for name, version in runtimes.items() if version}}
 
 
-Inputs = Mapping[str, tuple[int, int]]
+def _installed(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
 
 
-class Judgement(NamedTuple):
-    """Whether a file is kept; why it is not, or what is odd about keeping it."""
-
-    kept: bool
-    why: str = ""
-
-
-def judge(path: Path, known: Output | None, size: tuple[int, int], inputs: Inputs) -> Judgement:
-    """Whether a file may stay.
-
-    Args:
-        known: what the manifest has about it.
-        size: width and height that it must have.
-        inputs: what its frame would be read from now.
-
-    A file that the manifest does not know, or that was altered since, stays if it can be decoded to its last pixel: it
-    may be someone's work. One whose run did not get to it is left from before that run, and does not stay.
-    """
-    if not path.is_file():
-        return Judgement(False, "is not there")
-    if known is None:
-        return Judgement(True) if is_complete(path, *size) else Judgement(False, "is not complete")
-    if known.sha256 is None:
-        return Judgement(False, "is older than the run that was to write it")
-    if (known.width, known.height) != size:
-        return Judgement(False, f"is {known.width}x{known.height}, not {size[0]}x{size[1]}")
-    if _changed(known.inputs, inputs):
-        return Judgement(False, "was made of an input that has changed since")
-    if path.stat().st_size == known.bytes and hash_file(path) == known.sha256:
-        return Judgement(True)
-    if is_complete(path, *size):
-        return Judgement(True, "was altered since it was written: kept; delete it to make it anew")
-    return Judgement(False, "is damaged")
-
-
-def facts_of(paths: list[Path]) -> dict[str, tuple[int, int]]:
-    """Size and time of change of files, by path; without those that are not there."""
-    found = {str(path): path.stat() for path in paths if path.is_file()}
-    return {path: (status.st_size, status.st_mtime_ns) for path, status in found.items()}
-
-
-def _changed(before: Inputs, now: Inputs) -> bool:
-    """Whether a file that is there under the same name is another one; files that are gone are not missed."""
-    return any(path in before and before[path] != facts for path, facts in now.items())
+def _plain(value: Any) -> Any:
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
 MANY = 32

@@ -9,8 +9,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from postfx.cli.interruptions import EXIT_FAULTS, Faults, OnError
 from postfx.cli.main import main
-from postfx.cli.on_error import EXIT_FAULTS, Faults, OnError
 from postfx.errors import ReadError, WriteError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence, read_sequence

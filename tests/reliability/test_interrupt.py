@@ -6,8 +6,8 @@ import time
 
 import pytest
 
+from postfx.cli.interruptions import Stop
 from postfx.errors import Interrupted
-from postfx.runs.events import Stop
 from tests.reliability.faulty import Faulty
 
 SLOW = {"at": "postfx.pipeline.Flow._run", "do": "sleep", "seconds": 0.3}

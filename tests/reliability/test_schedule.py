@@ -3,7 +3,7 @@
 import random
 from pathlib import Path
 
-from postfx.runs.run import Known, Work, schedule
+from postfx.runs.schedule import Known, Work, schedule
 
 
 def plan(numbers, wanted, starts=(), checkpoints=(), most=None, missing=()):

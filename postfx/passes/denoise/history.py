@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.caching import LRUCache
-from postfx.depth import pixel_aspect
-from postfx.frame import DEPTH_MISS, FrameSpec, Role
+from postfx.frame import DEPTH_MISS, FrameSpec, Role, pixel_aspect
 from postfx.kernels.denoise.layout import HIDDEN
 from postfx.kernels.denoise.prepare import RESIZE
 from postfx.kernels.denoise.reflections import CAMERA, REFLECTIONS

@@ -1,14 +1,17 @@
-"""What a run does about frames that cannot be read or processed: `--on-error`."""
+"""What interrupts a run: frames that cannot be read or processed (`--on-error`), and signals."""
 
 from __future__ import annotations
 
 import copy
+import signal
+import threading
 from collections.abc import Callable
 from enum import StrEnum
-from typing import TypeVar
+from types import FrameType
+from typing import Any, TypeVar
 
 from postfx.cli.summary import RESAMPLED, Fault, Processed
-from postfx.errors import FrameError, GuideError, MissingPlaneError, PostfxError, WriteError
+from postfx.errors import FrameError, GuideError, Interrupted, MissingPlaneError, PostfxError, WriteError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.sequence import Sequence
@@ -125,3 +128,45 @@ def check_sizes(frame: Frame, first: FrameSpec, sized: bool) -> None:
     if guides and first.guides and (guides.width, guides.height) != (first.guides.width, first.guides.height):
         raise GuideError(f"{guides.source}: guides are {guides.width}x{guides.height}, those of the first frame "
                          f"{first.guides.width}x{first.guides.height}: render them at one size")
+
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+Handler = Callable[[int, FrameType | None], Any] | int | signal.Handlers | None
+
+
+class Stop:
+    """Turns SIGINT (Ctrl-C) and SIGTERM into a request to stop. Use as a context manager in the main thread; in another
+    thread it changes nothing.
+
+    The first signal calls `tell` with a line for the user; a second one raises Interrupted at once, wherever that is.
+    """
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell = tell
+        self._asked: int | None = None
+        self._before: dict[int, Handler] = {}
+
+    @property
+    def asked(self) -> bool:
+        """Whether the run shall end after this frame."""
+        return self._asked is not None
+
+    def check(self) -> None:
+        """Between two frames: raises Interrupted when the run shall end."""
+        if self._asked is not None:
+            raise Interrupted(self._asked)
+
+    def __enter__(self) -> Stop:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._signalled) for number in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _signalled(self, number: int, _: FrameType | None) -> None:
+        if self.asked:
+            raise Interrupted(number)
+        self._asked = number
+        self._tell("stopping when this frame is finished; once more stops at once")
