@@ -211,8 +211,10 @@ struct Guide {
 };
 
 // An output pixel from 3x3 samples by predicted weight and distance; DOUBLED where both sides are twice the render's.
-// GUIDED radiance is without reflectance, then with that of the render size.
-template <bool DOUBLED, bool GUIDED>
+// Radiance that is multiplied BY something is without reflectance, then with that of the render size.
+enum Multiplied { BY_NOTHING, BY_GUIDES, BY_OWN };
+
+template <bool DOUBLED, Multiplied BY>
 __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
                                     const View& moved, const View& past, const View& params, const View& keep,
                                     const Guide& guide) {
@@ -246,12 +248,14 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
             const float even = wide_y[j] * wide_x[i];
             const float* const sample = samples + j * radiance.size[2] + i;
             Colour light = {sample[0], sample[picture], sample[2 * picture]};
-            if (GUIDED) {
+            if (BY == BY_GUIDES) {
                 const Colour own = {sample[3 * picture], sample[4 * picture], sample[5 * picture]};
                 light = {own.r + (light.r * guide.factor.r - own.r) * guide.trust,
                          own.g + (light.g * guide.factor.g - own.g) * guide.trust,
                          own.b + (light.b * guide.factor.b - own.b) * guide.trust};
             }
+            if (BY == BY_OWN)
+                light = {light.r * guide.factor.r, light.g * guide.factor.g, light.b * guide.factor.b};
             total += weight;
             sum = {sum.r + weight * light.r, sum.g + weight * light.g, sum.b + weight * light.b};
             soft = {soft.r + even * light.r, soft.g + even * light.g, soft.b + even * light.b};
@@ -271,13 +275,13 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
 }
 
 // The same at any scale; x and y count the frame's output pixels.
-template <bool GUIDED = false>
+template <Multiplied BY = BY_NOTHING>
 __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
                                     const View& moved, const View& past, const View& params, const View& keep,
                                     const Guide& guide = {}) {
     if (part.width == 2 * part.w && part.height == 2 * part.h)
-        return enlarged<true, GUIDED>(x, y, part, radiance, fine, moved, past, params, keep, guide);
-    return enlarged<false, GUIDED>(x, y, part, radiance, fine, moved, past, params, keep, guide);
+        return enlarged<true, BY>(x, y, part, radiance, fine, moved, past, params, keep, guide);
+    return enlarged<false, BY>(x, y, part, radiance, fine, moved, past, params, keep, guide);
 }
 
 // Blends one channel with the reprojected history and decodes it; `at` counts floats.

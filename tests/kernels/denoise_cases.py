@@ -21,12 +21,12 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
 )
 from postfx.kernels.denoise.output import ASSEMBLE, STRENGTH
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, RESIZE, SCALE
-from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_GUIDED
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, RESIZE, SCALE, means_size
+from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
 from postfx.kernels.denoise.reflections import REFLECTIONS
 from postfx.kernels.denoise.restore import DETAIL, JUDGE, RESTORE
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
 from postfx.kernels.kernel import Kernel
 from postfx.passes.denoise.tiling import Sizes, Window
@@ -36,8 +36,8 @@ from postfx.runtime.states import parse
 KERNELS = (
     SCALE, DILATE, HISTORY, FEATURE,
     GUIDE, TRUST, ACCUMULATE, POOL,
-    MIX_LEVELS, REMODULATE_GUIDED,
-    FILTER, REMODULATE, UPSAMPLE, UPSAMPLE_GUIDED,
+    MIX_LEVELS, REMODULATE_BOTH, MEANS,
+    FILTER, REMODULATE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED,
     RESIZE, REFLECTIONS, JUDGE, DETAIL,
     RESTORE, STRENGTH, RESAMPLE, REACTIVE,
     SPREAD_MASK, KEEP, ENLARGE, OVER, OVER_ALPHA, ASSEMBLE,
@@ -84,6 +84,7 @@ class Case(NamedTuple):
                 "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
                 "tiles": 3, "tile_h": window.rows, "tile_w": window.columns, "rows": self.h, "columns": self.w,
                 "cells_h": -(-window.rows // 8), "cells_w": -(-window.columns // 8),
+                **dict(zip(("means_h", "means_w"), means_size(window.rows, window.columns), strict=True)),
                 "tiles_high": -(-self.h // 16), "tiles_wide": -(-self.w // 16), **self._keep(window)}
 
     def _keep(self, window: Window) -> dict[str, int]:
@@ -107,8 +108,14 @@ def runs_of(kernel: Kernel) -> list[tuple[Case, bool]]:
     return [(case, bad) for case in CASES if kernel is not MIX_LEVELS or case.heads > 25 for bad in (False, True)]
 
 
+def case_for(kernel: Kernel, case: Case) -> Case:
+    """The case, with an output of the render size for the kernel that runs only there."""
+    return case._replace(height=case.h, width=case.w) if kernel is UPSAMPLE_UNSCALED else case
+
+
 def shape(kernel: Kernel, binding: str, case: Case) -> tuple[int, ...]:
     """Shape of a binding in a case."""
+    case = case_for(kernel, case)
     dims = [parse(size) for size in kernel.shapes[binding]]
     return tuple(dim.factor * (case.sizes()[dim.symbol] if dim.symbol else 1) for dim in dims)
 
@@ -116,6 +123,7 @@ def shape(kernel: Kernel, binding: str, case: Case) -> tuple[int, ...]:
 def arguments(kernel: Kernel, case: Case, seed: int = 0, bad: bool = False) -> dict[str, np.ndarray]:
     """Arguments that a kernel reads, with the ranges of real ones; `bad` puts values into the frame that no file
     should hold."""
+    case = case_for(kernel, case)
     random = np.random.default_rng([seed, *case[:5], *(case.part or ())])
     values = {name: _value(name, shape(kernel, name, case), case, random) for name in kernel.reads}
     for name in set(FRAME) & values.keys() if bad else ():
@@ -134,8 +142,11 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         gates = np.arange(size[1])[:, None, None]
         wide = np.exp(4 * unit - 2)
         return np.where(gates < BLEND, wide, np.where(gates < MEMORY, unit, 2 * unit - 1))
-    if name == "params":
-        return np.array([1.7, random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 0.8])
+    if name == "params":  # at the render size half of the cases have no jitter
+        jitter = random.uniform(-0.5, 0.5, 2) * ((case.h, case.w) != (case.height, case.width) or case.w % 2)
+        return np.array([1.7, *jitter, 0.8])
+    if name == "means":  # one cell where planes are not doubted
+        return unit[:1, :1] if case.h % 2 else unit
     if name in ("raw", "raw_fine", "phased_fine"):
         return random.normal(0, 4, size)
     if name == "products":
@@ -200,6 +211,7 @@ def _places(case: Case, random: np.random.Generator) -> np.ndarray:
 
 def in_frame(kernel: Kernel, results: Mapping[str, np.ndarray], case: Case) -> dict[str, np.ndarray]:
     """Results without what lies beyond the frame at output size, which may be anything."""
+    case = case_for(kernel, case)
     out, cut = case.window.out, {}
     for name, value in results.items():
         ends_beyond = kernel.shapes[name][:2] == ("out_th", "out_tw")

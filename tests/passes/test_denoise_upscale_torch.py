@@ -17,12 +17,13 @@ from tests.passes.denoise_frames import guided, noisy
 torch = pytest.importorskip("torch")
 
 from tests.training.conftest import one_thread  # noqa: E402, F401
-from tests.training.small_denoiser import LOW, SMALL, small_model  # noqa: E402
+from tests.training.small_denoiser import DOUBTING, LOW, SMALL, small_model  # noqa: E402
 from training.denoise import model as network  # noqa: E402
 
 TOLERANCE = 1e-3
 EXPOSURES = (1.0, 1.0, 2.5, 0.7)
 CUT = 3  # index of the frame that starts a new shot
+CONFIGS = {"small": SMALL, "low": LOW, "doubting": DOUBTING}
 
 
 def as_tensors(planes: dict[Role, np.ndarray]) -> dict[str, torch.Tensor]:
@@ -55,8 +56,9 @@ def broken_frames(size: tuple[int, int]) -> list[Frame]:
 
 
 @pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "portable"])
-@pytest.mark.parametrize(("model", "with_guides"), [("small", False), ("small", True), ("low", False)],
-                         ids=["alone", "guides", "fewer levels"])
+@pytest.mark.parametrize(("model", "with_guides"), [("small", False), ("small", True), ("low", False),
+                                                    ("doubting", False), ("doubting", True)],
+                         ids=["alone", "guides", "fewer levels", "doubting", "doubting guides"])
 @pytest.mark.parametrize(
     ("scale", "size"), [(2, (48, 64)), (2, (37, 50)), (1, (37, 50)), (1.5, (37, 50)), (3, (21, 35))]
 )
@@ -65,6 +67,8 @@ def test_pass_gives_what_torch_gives(
 ) -> None:
     output = tuple(round(side * scale) for side in size)
     frames = broken_frames(size)
+    if scale == 1:
+        frames[1].jitter = frames[2].jitter = (0.0, 0.0)  # samples at the centres of the output's pixels, too
     if with_guides:
         frames = [guided(frame, *output) for frame in frames]
         frames[1].guides[Role.DIFFUSE_ALBEDO][3, 4], frames[1].guides[Role.DEPTH][5, 6] = np.nan, np.inf
@@ -72,7 +76,7 @@ def test_pass_gives_what_torch_gives(
     pipeline = Pipeline([DenoiseUpscale(scale=scale, model=model)], device, exposure="metadata")
     reads = with_guides and scale > 1  # at render size the planes are better
     seen = frames if reads else [replace(frame, guides={}) for frame in frames]
-    wanted = in_torch(small_model(reads, LOW if model == "low" else SMALL).eval(), seen, output)
+    wanted = in_torch(small_model(reads, CONFIGS[model]).eval(), seen, output)
     for frame, expected in zip(frames, wanted, strict=True):
         found = pipeline(frame)[Role.COLOUR]
         assert np.abs(found - expected).max() <= TOLERANCE * np.abs(expected).max()

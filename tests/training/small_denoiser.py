@@ -11,6 +11,8 @@ from training.denoise.model import DenoiseUpscale, TrunkConfig
 SMALL = TrunkConfig((16, 16, 16, 16), 1)
 LOW = TrunkConfig((16, 16), 1)
 """Without the coarse levels, whose filters are the same at all pixels."""
+DOUBTING = TrunkConfig((16, 16), 1, trust=True)
+"""Says how far planes are trusted."""
 
 
 def small_model(guides: bool = False, config: TrunkConfig = SMALL) -> DenoiseUpscale:

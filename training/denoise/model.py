@@ -26,6 +26,7 @@ from postfx.kernels.denoise.layout import (
     MAX_COUNT,
     MEMORY,
     MIX,
+    PLANE_TRUST,
     SHARPEN,
     TRUST_CELL,
 )
@@ -306,8 +307,7 @@ def trust(own: Tensor, guides: Tensor, at: ops.Place, h: int | Tensor, w: int | 
 def trust_at(cells: Tensor, at: Centres, h: int | Tensor, w: int | Tensor) -> Tensor:
     """Trust at output pixels (N, 1, H, W), linear between the centres of cells; ``h`` by ``w`` render pixels of these
     count."""
-    across = _between(cells, at.columns + at.x, w, -1)
-    return _between(across, at.rows + at.y, h, -2)
+    return between(between(cells, at.columns + at.x, w, -1), at.rows + at.y, h, -2)
 
 
 def _differences(own: Tensor, guides: Tensor, rows: tuple[Tensor, Tensor],
@@ -326,15 +326,16 @@ def _differences(own: Tensor, guides: Tensor, rows: tuple[Tensor, Tensor],
     return mean, spread
 
 
-def _between(cells: Tensor, at: Tensor, size: int | Tensor, axis: int) -> Tensor:
-    """Values at places in render pixels along an axis."""
+def between(cells: Tensor, at: Tensor, size: int | Tensor, axis: int, first: int | Tensor = 0) -> Tensor:
+    """Values at places in render pixels along an axis, linear between the centres of cells; ``cells`` holds those from
+    the ``first`` on."""
     last = (size - 1) // TRUST_CELL
     place = ((at + 0.5) / TRUST_CELL - 0.5).clamp(min=0)
     place = (place - last).clamp(max=0) + last
     before = place.floor()
-    after = (before + 1).clamp(max=cells.shape[axis] - 1)
     share = (place - before).to(cells.dtype).unflatten(0, (-1, *[1] * (-1 - axis)))
-    return torch.lerp(cells.index_select(axis, before.long()), cells.index_select(axis, after.long()), share)
+    here, there = ((index - first).long().clamp(max=cells.shape[axis] - 1) for index in (before, before + 1))
+    return torch.lerp(cells.index_select(axis, here), cells.index_select(axis, there), share)
 
 
 # The output ---------------------------------------------------------------------------------------------------------
@@ -389,7 +390,6 @@ def reflectance(factor: Tensor, own: Tensor) -> Reflectance:
 
 # The recurrent step -------------------------------------------------------------------------------------------------
 
-MEAN_CELL = 8  # render pixels
 MAX_DEPTH = 1e10
 MAX_FLOAT = 3e38
 ALIGN = 16
@@ -574,12 +574,23 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
     return result
 
 
+def mean_reflectance(factor: Tensor) -> Tensor:
+    """Mean over cells of 8x8 pixels; the last ones may hold fewer."""
+    return F.avg_pool2d(factor, TRUST_CELL, ceil_mode=True, count_include_pad=False)
+
+
+def doubted(factor: Tensor, mean: Tensor, doubt: Tensor) -> Tensor:
+    """Reflectance of planes that may be noisy, with a share of its mean around each pixel. Colour is divided and
+    multiplied by the same, so noise that is left out is not printed into it."""
+    return factor - (factor - mean) * doubt
+
+
 def trusted(factor: Tensor, share: Tensor) -> Tensor:
-    """Reflectance of planes that may be noisy: its own by a ``share`` (N, 1, h, w) in [-1, 1], else its mean over
-    8x8 pixels. Colour is divided and multiplied by the same, so noise that is left out is not printed into it."""
-    cells = F.avg_pool2d(factor, MEAN_CELL, ceil_mode=True, count_include_pad=False)
-    smooth = F.interpolate(cells, factor.shape[-2:], mode="bilinear", align_corners=False)
-    return torch.lerp(smooth, factor, (1 + share) / 2)
+    """Reflectance of a frame as far as planes are trusted, (N, 1, h, w) in [-1, 1]; for the rest its mean."""
+    h, w = factor.shape[-2:]
+    rows, columns = (torch.arange(size, device=factor.device) for size in (h, w))
+    mean = between(between(mean_reflectance(factor), columns, w, -1), rows, h, -2)
+    return doubted(factor, mean, 0.5 - 0.5 * share)
 
 
 class DenoiseUpscale(nn.Module):
@@ -608,8 +619,9 @@ class DenoiseUpscale(nn.Module):
         coarsest = 2 ** len(levels)
         pad = (0, -w % coarsest, 0, -h % coarsest)
         here = fine[..., :h, :w]
+        planes = factor
         if self.config.trust:
-            factor = trusted(factor, here[:, FINE - 1:])
+            factor = trusted(factor, here[:, PLANE_TRUST:])
         noisy, distrust = demodulate(inputs.colour, factor), here[:, DISTRUST:IMPORTANCE]
         accumulated, count = accumulate(noisy, past.accumulated, past.count, distrust)
         importance = F.pad(here[:, IMPORTANCE:MEMORY], pad)
@@ -617,7 +629,7 @@ class DenoiseUpscale(nn.Module):
         radiance = filtered[..., :h, :w]
         guided = None
         if self.config.guides:
-            guided = reflectance(ops.demodulation(guides.diffuse_albedo, guides.specular_albedo), factor)
+            guided = reflectance(ops.demodulation(guides.diffuse_albedo, guides.specular_albedo), planes)
         elif self.config.trust and state.output.shape[-2:] == (h, w):  # texture is not resampled where nothing is
             guided = Reflectance(factor, (inputs.jitter == 0).all(1).to(factor.dtype)[:, None, None, None])
         shaded = radiance * factor if guided is None else torch.cat((radiance, radiance * factor), 1)

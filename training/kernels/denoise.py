@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise.layout import MOST_STATE, UNKNOWN
+from postfx.kernels.denoise.layout import BORDER_CELLS, MOST_STATE, PLANE_TRUST, TRUST_CELL, UNKNOWN
 from postfx.kernels.denoise.output import HELD, OWN
 from training import ops
 from training.denoise import model as network
@@ -193,18 +193,35 @@ class GuideFeatures(nn.Module):
         return torch.cat([ops.pick(seen, at[0][i], at[1][j]) for i in range(2) for j in range(2)], 1)
 
 
+class Means(nn.Module):
+    """albedos (h, w, 3), part_rows (th,), part_columns (tw,) -> means (cells, cells, 3) of the frame from the cell
+    before the part on; the frame's first and last ones repeat beyond it."""
+
+    def forward(self, diffuse_albedo: Tensor, specular_albedo: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        cells = network.mean_reflectance(ops.demodulation(to_image(diffuse_albedo), to_image(specular_albedo)))
+        return to_picture(ops.pick(cells, *(self._held(at, count) for at, count in zip(
+            (rows, columns), cells.shape[-2:], strict=True))))
+
+    @staticmethod
+    def _held(at: Tensor, count: int) -> Tensor:
+        needed = (at.shape[0] + TRUST_CELL - 1) // TRUST_CELL + BORDER_CELLS
+        return (torch.arange(needed) + at[0].long() // TRUST_CELL - 1).clamp(min=0).clamp(max=count - 1)
+
+
 class Accumulate(nn.Module):
-    """Frame, past (th, tw, 4), fine -> next_state (th, tw, 12), next_depth (th, tw, 1), level (4, hp, wp).
+    """Frame, means (cells, cells, 3) or (1, 1, 3), past (th, tw, 4), fine -> next_state (th, tw, 12), next_depth
+    (th, tw, 1), level (4, hp, wp), factor (th, tw, 3).
 
     What is broken is this frame's colour alone, and nothing that the next one knows: a state of zeros, as at a part's
     edge where the frame goes on."""
 
-    def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, depth: Tensor, past: Tensor,
-                fine: Tensor, params: Tensor, window: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, means: Tensor, depth: Tensor,
+                past: Tensor, fine: Tensor, params: Tensor, window: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         place = Window.of(window)
         (h, w), at, valid = past.shape[:2], place.held(past), place.valid(past)
         here, old = fine[:, :, :h, :w], to_image(past)
         factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
+        factor = network.doubted(factor, self._mean_around(at, means, place), self._doubt(here, means))
         noisy = network.demodulate(ops.pick(expose(colour, params), *at), factor)
         accumulated, count = network.accumulate(noisy, old[:, :3], old[:, 3:].clamp(min=0),
                                                 here[:, DISTRUST:IMPORTANCE])
@@ -216,7 +233,21 @@ class Accumulate(nn.Module):
         level = torch.where(whole, level, torch.cat((noisy, torch.ones_like(importance)), 1)) * to_image(valid)
         level = F.pad(level, (0, fine.shape[3] - w, 0, fine.shape[2] - h))
         now = to_picture(part(depth, *at))
-        return state, torch.where(valid > 0, now, torch.zeros_like(now)), level[0]
+        return state, torch.where(valid > 0, now, torch.zeros_like(now)), level[0], to_picture(factor) * valid
+
+    @staticmethod
+    def _mean_around(at: ops.Place, means: Tensor, place: Window) -> Tensor:
+        """Mean reflectance around pixels of the frame; with one cell, that of all of them."""
+        cells = to_image(means)
+        for axis, index, size, first in ((-1, at[1], place.w, place.left), (-2, at[0], place.h, place.top)):
+            cells = network.between(cells, index, size, axis, first // TRUST_CELL - 1)
+        return cells
+
+    @staticmethod
+    def _doubt(here: Tensor, means: Tensor) -> Tensor:
+        """Share of the mean in the reflectance: nothing where there is but one cell."""
+        share = 0.5 - 0.5 * here[:, PLANE_TRUST:PLANE_TRUST + 1]
+        return share * torch.sym_min(means.shape[0] - 1, 1)
 
 
 class Resize(nn.Module):
@@ -275,25 +306,21 @@ class Filter(nn.Module):
 
 
 class Remodulate(nn.Module):
-    """filtered (3, hp, wp), albedos (h, w, 3), part_rows (th,), part_columns (tw,) -> radiance (3, th + 2, tw + 2), its
+    """filtered (3, hp, wp), factor (th, tw, 3), part_rows (th,), part_columns (tw,) -> radiance (3, th + 2, tw + 2), its
     edge repeated once around."""
 
-    def forward(self, filtered: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, rows: Tensor,
-                columns: Tensor) -> Tensor:
-        at = rows.long(), columns.long()
-        factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
-        here = ops.pick(filtered[None], at[0] - at[0][:1], at[1] - at[1][:1])
-        return F.pad(here * factor, (1, 1, 1, 1), mode="replicate")[0]
+    def forward(self, filtered: Tensor, factor: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        at = [index.long() - index.long()[:1] for index in (rows, columns)]
+        here = ops.pick(filtered[None], *at) * part(factor, *at)
+        return F.pad(here, (1, 1, 1, 1), mode="replicate")[0]
 
 
-class RemodulateGuided(Remodulate):
+class RemodulateBoth(Remodulate):
     """The same -> radiance (6, th + 2, tw + 2): without the reflectance, and with it."""
 
-    def forward(self, filtered: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, rows: Tensor,
-                columns: Tensor) -> Tensor:
-        here = ops.pick(filtered[None], *(index.long() - index.long()[:1] for index in (rows, columns)))
-        shaded = super().forward(filtered, diffuse_albedo, specular_albedo, rows, columns)
-        return torch.cat((F.pad(here, (1, 1, 1, 1), mode="replicate")[0], shaded))
+    def forward(self, filtered: Tensor, factor: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        shaded = super().forward(filtered, factor, rows, columns)
+        return torch.cat((super().forward(filtered, torch.ones_like(factor), rows, columns), shaded))
 
 
 class Trust(nn.Module):
@@ -404,6 +431,19 @@ class UpsampleGuided(nn.Module):
             (frame.h, frame.w), (frame.top, frame.left), moved.shape[:2], strict=True)]
         trusted = network.trust_at(to_image(trust), frame.centres(at, moved), *sizes)
         return resolve(radiance, fine, moved, past, warped, Reflectance(factor, trusted), params, frame, keep)
+
+
+class UpsampleUnscaled(nn.Module):
+    """At the render size: radiance (6, th + 2, tw + 2) and the render pixels' factor (th, tw, 3), which is multiplied
+    after samples are weighed if these are not jittered."""
+
+    def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor, factor: Tensor,
+                params: Tensor, window: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
+        frame = Window.of(window)
+        at = frame.centres(frame.outputs(warped), moved)
+        centred = (params[1:3] == 0).all().to(factor.dtype)
+        own = Reflectance(part(factor, at.rows, at.columns), centred)
+        return resolve(radiance, fine, moved, past, warped, own, params, frame, keep)
 
 
 def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor,

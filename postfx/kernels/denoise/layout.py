@@ -17,7 +17,8 @@ repeated beyond the frame. ``seen_rows`` and ``seen_columns`` are the part's as 
 they go on as in a mirror. ``past`` (th, tw, 4) is the reprojected accumulation with its count, -1 where the history
 does not hold a pixel that lies in the frame. ``finer_rows`` and ``finer_columns`` tell where in the finer level a
 level's cells begin, -1 before its first, ``coarse_rows`` and ``coarse_columns`` in which cells of the coarser one its
-pixels lie.
+pixels lie. ``factor`` is the reflectance that colour is divided and multiplied by, ``means`` its mean in cells of 8x8
+pixels of the frame, from the cell before the part's first row and column on; (1, 1, 3) where planes are not doubted.
 
 Numbers are defined here once: `postfx.kernels.cuda_source` prints them for the CUDA kernels, and training imports them,
 also on machines without Numba.
@@ -39,13 +40,15 @@ SHARPEN, MIX = BLEND + 4, BLEND + 8
 DISTRUST, IMPORTANCE, MEMORY = MIX + 1, MIX + 2, MIX + 3
 FINE = MEMORY + HIDDEN
 """Channels of the fine head: where its parts begin behind the 5x5 kernel, and how many there are."""
+PLANE_TRUST = FINE - 1
+"""The last hidden channel, -1 to 1: how far networks that doubt planes trust a pixel's reflectance."""
 GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
 EXPOSURE, JITTER_X, JITTER_Y, GAIN = range(4)
 TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
 UNKNOWN = 1e-3  # share of a reprojected pixel that the history may lack
 TRUST_CELL, DOUBT, FAINT = 8, np.float32(0.7), np.float32(1e-4)
-"""Of guides: render pixels along a side of what is judged at once, how much what disagrees takes away, and the squared
-relative detail below which nothing is judged."""
+"""Render pixels along a side of the cells in which guides are judged and reflectance is averaged; how much trust guides
+lose that disagree, and the squared relative detail below which they are not judged."""
 MAX_COUNT = 32.0
 MAX_COLOUR = 1e4
 TINY = np.float32(1e-8)  # no sum of weights that counts is smaller
@@ -67,6 +70,8 @@ GUIDE_PLANES = {
 }
 BOTH = (6, "padded_h", "padded_w")
 """Radiance without reflectance and with it."""
+BORDER_CELLS = 3
+"""Cells of mean reflectance beyond those that fit into a part: one before it, and two behind."""
 SHAPES = PLANES | GUIDE_PLANES | {
     "depth_scale": (1,), "moved": ("th", "tw", 2), "history": ("height", "width", 3), "warped": ("out_th", "out_tw", 3),
     "params": (4,), "window": (8,), "part_rows": ("th",), "part_columns": ("tw",),
@@ -79,6 +84,7 @@ SHAPES = PLANES | GUIDE_PLANES | {
     "heads": (1, "heads", "hp", "wp"), "area": (2,), "filtered": (3, "hp", "wp"),
     "radiance": (3, "padded_h", "padded_w"), "output": ("out_th", "out_tw", 3), "next_history": ("out_th", "out_tw", 3),
     "guides": (1, GUIDES, "hp", "wp"), "trust": ("cells_h", "cells_w", 1),
+    "means": ("means_h", "means_w", 3), "factor": ("th", "tw", 3),
 }
 
 

@@ -80,16 +80,73 @@ extern "C" __global__ void denoise_dilate(View motion, View depth, View part_row
     pair(moved, size_t(y) * moved.size[1] + x) = {possible_motion(found.x), possible_motion(found.y)};
 }
 
-// Running mean of demodulated colour: colour, diffuse_albedo and specular_albedo (h, w, 3), depth (h, w, 1),
-// past (th, tw, 4), fine (1, 80, hp, wp), params (4,), window (8,) -> next_state (th, tw, 12), next_depth (th, tw, 1),
-// level (4, hp, wp), which is the mean with its importance. All are zero beyond the frame.
+// Mean reflectance in cells of 8x8 pixels of the frame, from the one before the part's first row and column on; the
+// frame's first and last cells repeat beyond it: diffuse_albedo and specular_albedo (h, w, 3), part_rows (th,),
+// part_columns (tw,) -> means (cells, cells, 3).
+extern "C" __global__ void denoise_means(View diffuse_albedo, View specular_albedo, View part_rows, View part_columns,
+                                         View means) {
+    PIXEL(means.size[1], means.size[0]);
+    const int h = diffuse_albedo.size[0], w = diffuse_albedo.size[1];
+    const int top = int(part_rows.at[0]) / TRUST_CELL - 1, left = int(part_columns.at[0]) / TRUST_CELL - 1;
+    const int first = within(top + y, (h - 1) / TRUST_CELL + 1) * TRUST_CELL, end = min(first + TRUST_CELL, h);
+    const int start = within(left + x, (w - 1) / TRUST_CELL + 1) * TRUST_CELL, stop = min(start + TRUST_CELL, w);
+    Colour sum = {0.0f, 0.0f, 0.0f};
+    for (int v = first; v < end; v++)
+        for (int u = start; u < stop; u++) {
+            const Colour own = demodulation(diffuse_albedo, specular_albedo, v, u);
+            sum = {sum.r + own.r, sum.g + own.g, sum.b + own.b};
+        }
+    const float share = 1.0f / ((end - first) * (stop - start));
+    float* const to = means.at + 3 * (y * means.size[1] + x);
+    to[0] = sum.r * share;
+    to[1] = sum.g * share;
+    to[2] = sum.b * share;
+}
+
+// Where a pixel of a side lies among the frame's cells: the two whose centres are around it, from the first of `means`
+// on, and how far it is from the one before it.
+struct Between {
+    int before, after;
+    float share;
+};
+
+__device__ inline Between cells_around(int at, int size, int first) {
+    const int last = (size - 1) / TRUST_CELL;
+    const float place = fminf(fmaxf((at + 0.5f) / TRUST_CELL - 0.5f, 0.0f), float(last));
+    const int before = int(place);
+    return {before - first, min(before + 1, last) - first, place - before};
+}
+
+// Reflectance brought towards its mean around a pixel of the frame, as far as it is not trusted (1 to -1).
+__device__ inline Colour doubted(const Colour& own, const View& means, int v, int u, int h, int w, const Window& part,
+                                 float trust) {
+    const Between down = cells_around(v, h, part.top / TRUST_CELL - 1);
+    const Between across = cells_around(u, w, part.left / TRUST_CELL - 1);
+    const float *const above = means.at + 3 * down.before * means.size[1];
+    const float *const below = means.at + 3 * down.after * means.size[1];
+    float mean[3];
+#pragma unroll
+    for (int c = 0; c < 3; c++) {
+        const int left = 3 * across.before + c, right = 3 * across.after + c;
+        const float first = above[left] + (below[left] - above[left]) * down.share;
+        const float second = above[right] + (below[right] - above[right]) * down.share;
+        mean[c] = first + (second - first) * across.share;
+    }
+    const float doubt = 0.5f - 0.5f * trust;
+    return {own.r - (own.r - mean[0]) * doubt, own.g - (own.g - mean[1]) * doubt, own.b - (own.b - mean[2]) * doubt};
+}
+
+// Running mean of demodulated colour: colour, diffuse_albedo and specular_albedo (h, w, 3), means (cells, cells, 3), one
+// cell where planes are not doubted, depth (h, w, 1), past (th, tw, 4), fine (1, 80, hp, wp), params (4,), window (8,)
+// -> next_state (th, tw, 12), next_depth (th, tw, 1), level (4, hp, wp), which is the mean with its importance, and
+// factor (th, tw, 3), the reflectance. All are zero beyond the frame.
 __device__ inline float size_of(const Four& value) {
     return fabsf(value.x) + fabsf(value.y) + fabsf(value.z) + fabsf(value.w);
 }
 
-extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo, View depth,
-                                              View past, View fine, View params, View window, View next_state,
-                                              View next_depth, View level) {
+extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo, View means,
+                                              View depth, View past, View fine, View params, View window,
+                                              View next_state, View next_depth, View level, View factor) {
     const int height = level.size[1], width = level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -100,7 +157,10 @@ extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, 
     if (!kept || part.top + y >= colour.size[0] || part.left + x >= colour.size[1]) {
         for (int c = 0; c < 4; c++) to[c * plane] = 0.0f;
         if (kept) next_depth.at[pixel] = 0.0f;
-        for (int c = 0; c < 3 && kept; c++) four(next_state, 3 * pixel + c) = {0.0f, 0.0f, 0.0f, 0.0f};
+        for (int c = 0; c < 3 && kept; c++) {
+            four(next_state, 3 * pixel + c) = {0.0f, 0.0f, 0.0f, 0.0f};
+            factor.at[3 * pixel + c] = 0.0f;
+        }
         return;
     }
     const size_t source = size_t(part.top + y) * colour.size[1] + part.left + x;
@@ -113,11 +173,14 @@ extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, 
                              head[(MEMORY + 3) * plane]},
                             {head[(MEMORY + 4) * plane], head[(MEMORY + 5) * plane], head[(MEMORY + 6) * plane],
                              head[(MEMORY + 7) * plane]}};
-    const Colour factor = demodulation(diffuse_albedo, specular_albedo, part.top + y, part.left + x);
+    Colour by = demodulation(diffuse_albedo, specular_albedo, part.top + y, part.left + x);
+    if (means.size[0] > 1)
+        by = doubted(by, means, part.top + y, part.left + x, colour.size[0], colour.size[1], part,
+                     head[PLANE_TRUST * plane]);
     const float share = 1.0f / (fmaxf(before.w, 0.0f) + 1.0f), alpha = share + (1.0f - share) * distrust;
-    const float r = fminf(clamped(red, 0.0f, MAX_FLOAT) * exposure / factor.r, MAX_COLOUR);
-    const float g = fminf(clamped(green, 0.0f, MAX_FLOAT) * exposure / factor.g, MAX_COLOUR);
-    const float b = fminf(clamped(blue, 0.0f, MAX_FLOAT) * exposure / factor.b, MAX_COLOUR);
+    const float r = fminf(clamped(red, 0.0f, MAX_FLOAT) * exposure / by.r, MAX_COLOUR);
+    const float g = fminf(clamped(green, 0.0f, MAX_FLOAT) * exposure / by.g, MAX_COLOUR);
+    const float b = fminf(clamped(blue, 0.0f, MAX_FLOAT) * exposure / by.b, MAX_COLOUR);
     const Four mean = {before.x + (r - before.x) * alpha, before.y + (g - before.y) * alpha,
                        before.z + (b - before.z) * alpha, fminf(1.0f / alpha, MAX_COUNT)};
     // What is broken is this frame's colour alone, and nothing that the next one knows.
@@ -133,6 +196,9 @@ extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, 
     four(next_state, 3 * pixel + 1) = known ? hidden[0] : none;
     four(next_state, 3 * pixel + 2) = known ? hidden[1] : none;
     next_depth.at[pixel] = z;
+    factor.at[3 * pixel] = by.r;
+    factor.at[3 * pixel + 1] = by.g;
+    factor.at[3 * pixel + 2] = by.b;
     to[0] = whole ? mean.x : r;
     to[plane] = whole ? mean.y : g;
     to[2 * plane] = whole ? mean.z : b;

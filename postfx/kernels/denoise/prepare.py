@@ -1,7 +1,7 @@
 """Kernels that prepare what the network and its filters read.
 
-They compute the scale of depth, spread motion over edges, weight what accumulates over time, resize what one frame
-leaves to the next, and warp the last output to where its pixels are now.
+They compute the scale of depth, spread motion over edges, average reflectance in cells, weight what accumulates over
+time, resize what one frame leaves to the next, and warp the last output to where its pixels are now.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from postfx.kernels.denoise.layout import (
+    BORDER_CELLS,
     DISTRUST,
     EXPOSURE,
     GAIN,
@@ -21,8 +22,10 @@ from postfx.kernels.denoise.layout import (
     MAX_FLOAT,
     MEMORY,
     MOST_STATE,
+    PLANE_TRUST,
     REFLECTANCE,
     TOP,
+    TRUST_CELL,
     WIDTH,
     kernel,
 )
@@ -41,7 +44,7 @@ from postfx.kernels.numeric import (
     vectorised,
 )
 
-ZERO, ONE = np.float32(0), np.float32(1)
+ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 NEAREST, FARTHEST, MOST_MOTION = np.float32(1e-6), np.float32(1e9), np.float32(1e5)
 
 
@@ -109,9 +112,62 @@ def dilate_rows(y0: int, y1: int, motion: np.ndarray, depth: np.ndarray, part_ro
 
 
 @compiled
+def mean_rows(y0: int, y1: int, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, part_rows: np.ndarray,
+              part_columns: np.ndarray, means: np.ndarray) -> None:
+    """Mean reflectance of the frame's cells from the one before the part's first row and column on; the frame's first
+    and last cells repeat beyond it."""
+    h, w = diffuse_albedo.shape[:2]
+    top, left = int(part_rows[0]) // TRUST_CELL - 1, int(part_columns[0]) // TRUST_CELL - 1
+    for row in range(y0, y1):
+        first = min(max(top + row, 0), (h - 1) // TRUST_CELL) * TRUST_CELL
+        end = min(first + TRUST_CELL, h)
+        for column in range(means.shape[1]):
+            start = min(max(left + column, 0), (w - 1) // TRUST_CELL) * TRUST_CELL
+            stop = min(start + TRUST_CELL, w)
+            r = g = b = ZERO
+            for y in range(first, end):
+                for x in range(start, stop):
+                    own = demodulation(diffuse_albedo, specular_albedo, y, x)
+                    r, g, b = r + own[0], g + own[1], b + own[2]
+            share = ONE / np.float32((end - first) * (stop - start))
+            means[row, column, 0], means[row, column, 1], means[row, column, 2] = r * share, g * share, b * share
+
+
+@inline
+def cell_place(at: int, size: int) -> Real:
+    """Where a pixel of a side lies among the frame's cells, from centre to centre."""
+    place = (np.float32(at) + HALF) / np.float32(TRUST_CELL) - HALF
+    return min(max(place, ZERO), np.float32((size - 1) // TRUST_CELL))
+
+
+@compiled
+def doubt_row(y: int, top: int, left: int, h: int, w: int, means: np.ndarray, trust: np.ndarray, line: np.ndarray,
+              factor: np.ndarray) -> None:
+    """A row of reflectance (tw, 3), brought towards its mean around each pixel as far as that is not trusted; ``y``,
+    ``top`` and ``left`` count the frame's pixels."""
+    place = cell_place(y, h)
+    first = top // TRUST_CELL - 1
+    upper, lower = int(place) - first, min(int(place) + 1, (h - 1) // TRUST_CELL) - first
+    down = place - np.float32(int(place))
+    for i in range(line.shape[0]):
+        for c in range(3):
+            line[i, c] = means[upper, i, c] + (means[lower, i, c] - means[upper, i, c]) * down
+    first = left // TRUST_CELL - 1
+    for x in range(min(factor.shape[0], w - left)):
+        place = cell_place(left + x, w)
+        before, after = int(place) - first, min(int(place) + 1, (w - 1) // TRUST_CELL) - first
+        across = place - np.float32(int(place))
+        doubt = HALF - HALF * trust[x]
+        for c in range(3):
+            mean = line[before, c] + (line[after, c] - line[before, c]) * across
+            factor[x, c] -= (factor[x, c] - mean) * doubt
+
+
+@compiled
 def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray,
-                    depth: np.ndarray, past: np.ndarray, fine: np.ndarray, params: np.ndarray, window: np.ndarray,
-                    state: np.ndarray, next_depth: np.ndarray, level: np.ndarray) -> None:
+                    means: np.ndarray, depth: np.ndarray, past: np.ndarray, fine: np.ndarray, params: np.ndarray,
+                    window: np.ndarray, state: np.ndarray, next_depth: np.ndarray, level: np.ndarray,
+                    factor: np.ndarray) -> None:
     """Running mean of demodulated colour; ``level`` (4, hp, wp) is it with its importance, zero beyond the frame.
 
     A state of zeros is one that is not known: as at the part's edge, where the frame goes on, since what is read of the
@@ -120,14 +176,20 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
     top, left = int(window[TOP]), int(window[LEFT])
     under, beside = top + past.shape[0] < colour.shape[0], left + past.shape[1] < colour.shape[1]
     rows, columns = min(past.shape[0], colour.shape[0] - top), min(past.shape[1], colour.shape[1] - left)
+    line = np.empty((means.shape[1], 3), np.float32)
     for y in range(y0, y1):
         first = columns if y < rows else 0
         level[:, y, first:] = ZERO
         if y < past.shape[0]:
-            state[y, first:], next_depth[y, first:] = ZERO, ZERO
+            state[y, first:], next_depth[y, first:], factor[y, first:] = ZERO, ZERO, ZERO
+        for x in range(first):
+            factor[y, x, 0], factor[y, x, 1], factor[y, x, 2] = demodulation(
+                diffuse_albedo, specular_albedo, top + y, left + x)
+        if first and means.shape[0] > 1:
+            doubt_row(top + y, top, left, colour.shape[0], colour.shape[1], means, fine[0, PLANE_TRUST, y], line,
+                      factor[y])
         for x in range(first):
             v, u = top + y, left + x
-            f0, f1, f2 = demodulation(diffuse_albedo, specular_albedo, v, u)
             share = ONE / (max(past[y, x, 3], ZERO) + ONE)
             alpha = share + (ONE - share) * fine[0, DISTRUST, y, x]
             level[3, y, x] = fine[0, IMPORTANCE, y, x]
@@ -137,9 +199,9 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
             for c in range(HIDDEN):
                 state[y, x, 4 + c] = fine[0, MEMORY + c, y, x]
                 total += abs(state[y, x, 4 + c])
-            for c, f in enumerate((f0, f1, f2)):
+            for c in range(3):
                 exposed = clamp(colour[v, u, c], ZERO, MAX_FLOAT) * params[EXPOSURE]
-                level[c, y, x] = min(exposed / f, np.float32(MAX_COLOUR))
+                level[c, y, x] = min(exposed / factor[y, x, c], np.float32(MAX_COLOUR))
                 state[y, x, c] = past[y, x, c] + (level[c, y, x] - past[y, x, c]) * alpha
                 total += abs(state[y, x, c])
             if total <= MOST_STATE:
@@ -159,11 +221,16 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
 
 SCALE = kernel("scale", ("depth",), ("depth_scale",), scale_rows, ("depth_scale", 0))
 DILATE = kernel("dilate", ("motion", "depth", "part_rows", "part_columns"), ("moved",), dilate_rows, ("moved", 0))
-ACCUMULATE = kernel("accumulate", ("colour", *REFLECTANCE, "depth", "past", "fine", "params", "window"),
-                    ("next_state", "next_depth", "level"), accumulate_rows, ("level", 1))
+MEANS = kernel("means", (*REFLECTANCE, "part_rows", "part_columns"), ("means",), mean_rows, ("means", 0))
+ACCUMULATE = kernel("accumulate", ("colour", *REFLECTANCE, "means", "depth", "past", "fine", "params", "window"),
+                    ("next_state", "next_depth", "level", "factor"), accumulate_rows, ("level", 1))
 
 
-HALF = np.float32(0.5)
+def means_size(rows: int, columns: int) -> tuple[int, int]:
+    """Cells of mean reflectance, down and across, that a part of the frame needs wherever it begins."""
+    return -(-rows // TRUST_CELL) + BORDER_CELLS, -(-columns // TRUST_CELL) + BORDER_CELLS
+
+
 STATE = 4 + HIDDEN
 
 

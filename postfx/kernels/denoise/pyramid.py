@@ -6,8 +6,8 @@ those of the whole frame do, so a window's first row or column may be the second
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import BOTH, KERNEL, MIX, REFLECTANCE, TINY, kernel
-from postfx.kernels.numeric import add, add_product, compiled, demodulation, inline, vectorised
+from postfx.kernels.denoise.layout import BOTH, KERNEL, MIX, TINY, kernel
+from postfx.kernels.numeric import add, add_product, compiled, inline, vectorised
 
 ZERO = np.float32(0)
 
@@ -114,31 +114,29 @@ def repeat_edge(line: np.ndarray, w: int) -> None:
 
 
 @compiled
-def remodulate_rows(y0: int, y1: int, filtered: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray,
-                    part_rows: np.ndarray, part_columns: np.ndarray, radiance: np.ndarray) -> None:
+def remodulate_rows(y0: int, y1: int, filtered: np.ndarray, factor: np.ndarray, part_rows: np.ndarray,
+                    part_columns: np.ndarray, radiance: np.ndarray) -> None:
     """Filtered colour times reflectance: (3, th + 2, tw + 2) exposed linear, a border of repeated pixels around it."""
     h, w = part_rows.size, part_columns.size
     top, left = int(part_rows[0]), int(part_columns[0])
     for row in range(y0, y1):
-        y = int(part_rows[min(max(row - 1, 0), h - 1)])
+        y = int(part_rows[min(max(row - 1, 0), h - 1)]) - top
         for x in range(w):
-            column = int(part_columns[x])
-            r, g, b = demodulation(diffuse_albedo, specular_albedo, y, column)
-            radiance[0, row, x + 1] = filtered[0, y - top, column - left] * r
-            radiance[1, row, x + 1] = filtered[1, y - top, column - left] * g
-            radiance[2, row, x + 1] = filtered[2, y - top, column - left] * b
+            column = int(part_columns[x]) - left
+            radiance[0, row, x + 1] = filtered[0, y, column] * factor[y, column, 0]
+            radiance[1, row, x + 1] = filtered[1, y, column] * factor[y, column, 1]
+            radiance[2, row, x + 1] = filtered[2, y, column] * factor[y, column, 2]
         for c in range(3):
             repeat_edge(radiance[c, row], w)
 
 
 @compiled
-def remodulate_guided_rows(y0: int, y1: int, filtered: np.ndarray, diffuse_albedo: np.ndarray,
-                           specular_albedo: np.ndarray, part_rows: np.ndarray, part_columns: np.ndarray,
-                           both: np.ndarray) -> None:
+def remodulate_both_rows(y0: int, y1: int, filtered: np.ndarray, factor: np.ndarray, part_rows: np.ndarray,
+                         part_columns: np.ndarray, both: np.ndarray) -> None:
     """Filtered colour, then the same times reflectance: (6, th + 2, tw + 2), likewise."""
     h, w = part_rows.size, part_columns.size
     top, left = int(part_rows[0]), int(part_columns[0])
-    remodulate_rows(y0, y1, filtered, diffuse_albedo, specular_albedo, part_rows, part_columns, both[3:])
+    remodulate_rows(y0, y1, filtered, factor, part_rows, part_columns, both[3:])
     for row in range(y0, y1):
         y = int(part_rows[min(max(row - 1, 0), h - 1)]) - top
         for c in range(3):
@@ -153,7 +151,7 @@ MIX_LEVELS = kernel("mix", ("coarse", "level", "heads", "coarse_rows", "coarse_c
                     ("mixed", 1), mixed=PLANAR)
 FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1),
                 mixed=("channels", "hp", "wp"))
-REMODULATE = kernel("remodulate", ("filtered", *REFLECTANCE, "part_rows", "part_columns"), ("radiance",),
+REMODULATE = kernel("remodulate", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),
                     remodulate_rows, ("radiance", 1))
-REMODULATE_GUIDED = kernel("remodulate_guided", ("filtered", *REFLECTANCE, "part_rows", "part_columns"), ("radiance",),
-                           remodulate_guided_rows, ("radiance", 1), radiance=BOTH)
+REMODULATE_BOTH = kernel("remodulate_both", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),
+                         remodulate_both_rows, ("radiance", 1), radiance=BOTH)

@@ -48,7 +48,32 @@ extern "C" __global__ void denoise_upsample_guided(View radiance, View fine, Vie
     const Guide guide = {demodulation(guide_diffuse_albedo, guide_specular_albedo, v, u),
                          trusted(trust, place_of(v, part.h, part.height, part.top, moved.size[0]),
                                  place_of(u, part.w, part.width, part.left, moved.size[1]))};
-    const Enlarged found = enlarged<true>(u, v, part, radiance, fine, moved, past, params, keep, guide);
+    const Enlarged found = enlarged<BY_GUIDES>(u, v, part, radiance, fine, moved, past, params, keep, guide);
+    const float darken = 1.0f / params.at[EXPOSURE];
+    const int at = 3 * (y * width + x);
+    blend_history(found.colour.r, found.kept, at, darken, warped, output, next_history);
+    blend_history(found.colour.g, found.kept, at + 1, darken, warped, output, next_history);
+    blend_history(found.colour.b, found.kept, at + 2, darken, warped, output, next_history);
+}
+
+// At the render size, where samples lie at the centres of the output's pixels: radiance without reflectance, which is
+// multiplied after they are weighed, so that texture of one pixel is not resampled; else radiance that already holds it.
+// radiance (6, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3),
+// factor (th, tw, 3), params (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
+extern "C" __global__ void denoise_upsample_unscaled(View radiance, View fine, View moved, View past, View warped,
+                                                     View factor, View params, View window, View keep, View output,
+                                                     View next_history) {
+    const int height = output.size[0], width = output.size[1];
+    PIXEL(width, height);
+    const Window part = window_of(window);
+    const int v = min(part.out_top + y, part.height - 1), u = min(part.out_left + x, part.width - 1);
+    const bool centred = params.at[JITTER_X] == 0.0f && params.at[JITTER_Y] == 0.0f;
+    const float* const by = factor.at + 3 * (size_t(within(v - part.top, factor.size[0])) * factor.size[1]
+                                             + within(u - part.left, factor.size[1]));
+    const Guide guide = {centred ? Colour{by[0], by[1], by[2]} : Colour{1.0f, 1.0f, 1.0f}, 1.0f};
+    View seen = radiance;
+    if (!centred) seen.at += 3 * size_t(radiance.size[1]) * radiance.size[2];
+    const Enlarged found = enlarged<BY_OWN>(u, v, part, seen, fine, moved, past, params, keep, guide);
     const float darken = 1.0f / params.at[EXPOSURE];
     const int at = 3 * (y * width + x);
     blend_history(found.colour.r, found.kept, at, darken, warped, output, next_history);

@@ -1,12 +1,7 @@
-"""Output pixels from render pixels by predicted weights, and the blend with the history.
+"""Kernels that enlarge the filtered radiance by predicted weights, sharpen it and blend it with the reprojected history.
 
-Loops over rows from render size to output size: taps, phases and sharpening of the upscaler's last kernels.
-
-What a row needs is split into many small loops over few arrays, because those become vector code.
-
-Kernels that enlarge the filtered radiance, sharpen it and blend it with the reprojected history.
-
-Every output row is made in planar rows, where loops over few arrays become vector code, and interleaved at its end.
+Every output row is made in planar rows and interleaved at its end. The work is split into many small loops over few
+arrays, because those become vector code.
 """
 
 from __future__ import annotations
@@ -53,6 +48,8 @@ from postfx.kernels.numeric import (
 )
 
 SIGMA, WIDE_SIGMA = 0.5, 1.0
+NONE, GUIDED, OWN = range(3)
+"""What radiance is multiplied by as it is enlarged: nothing, guides' reflectance, the render pixels' own."""
 ZERO, HALF = np.float32(0), np.float32(0.5)
 
 
@@ -174,6 +171,20 @@ def factor_row(y: int, left: int, diffuse_albedo: np.ndarray, specular_albedo: n
 
 
 @vectorised
+def multiply(by: np.ndarray, row: np.ndarray) -> None:
+    for x in range(row.size):
+        row[x] *= by[x]
+
+
+@compiled
+def own_factor_row(factor: np.ndarray, index: np.ndarray, own: np.ndarray) -> None:
+    """The render pixels' reflectance in a row of the output, planar."""
+    for x in range(index.size):
+        for c in range(3):
+            own[c, x] = factor[index[x], c]
+
+
+@vectorised
 def guided_row(plain: np.ndarray, factor: np.ndarray, trust: np.ndarray, first: int, step: int,
                row: np.ndarray) -> None:
     """A row without reflectance times that of the guides, every ``step``-th from ``first`` on, as far as these are
@@ -249,7 +260,7 @@ def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: 
             size: tuple[int, int], scale: tuple[Real, Real], share: np.ndarray, guide: np.ndarray, index: np.ndarray,
             leans: np.ndarray, corners: np.ndarray, rows: np.ndarray, soft: np.ndarray, current: np.ndarray,
             trust: np.ndarray) -> None:
-    """A row at any scale."""
+    """A row at any scale; radiance of three channels is multiplied by the factors in `guide` if it has some."""
     channels, w = radiance.shape[0], corners.shape[1]
     total, line, sharpen = rows[channels], rows[channels + 1], rows[channels + 2]
     rows[:channels], rows[channels] = ZERO, TINY
@@ -268,6 +279,9 @@ def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: 
             weighted_picked(column[3 + c], wide_x, index, line)
             guided_row(line, guide[c], guide[3], 0, 1, soft)
             guided_row(rows[3 + c], guide[c], guide[3], 0, 1, rows[c])
+        elif guide.shape[1] > 0:
+            multiply(guide[c], soft)
+            multiply(guide[c], rows[c])
         encode_sharp(rows[c], total, soft, sharpen)
         place(rows[c], c, 3, current)
     control_row(BLEND, iy, ty, fine, index, leans, corners, line)
@@ -281,11 +295,12 @@ def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: 
 @compiled
 def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: np.ndarray, past: np.ndarray,
                  warped: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, cells: np.ndarray,
-                 guided: bool, params: np.ndarray, window: np.ndarray, keep: np.ndarray, output: np.ndarray,
-                 history: np.ndarray) -> None:
+                 factor: np.ndarray, by: int, params: np.ndarray, window: np.ndarray, keep: np.ndarray,
+                 output: np.ndarray, history: np.ndarray) -> None:
     """Output pixels from 3x3 samples by predicted weight and distance, blended with the reprojected history.
 
-    The albedos have the frame's output size; they and the cells of trust are looked at only if ``guided``.
+    The albedos have the frame's output size; they and the cells of trust are looked at only ``by`` GUIDED reflectance,
+    and the ``factor`` of the render size only by the OWN one.
     """
     frame_h, frame_w, frame_height, frame_width = (int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]),
                                                    int(window[OUT_WIDTH]))
@@ -311,7 +326,7 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
     column, soft = np.empty((channels, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
     current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
     share = np.empty(w, np.float32)
-    guide = np.empty((4, width if guided else 0), np.float32)
+    guide = np.empty((4, 0 if by == NONE else width), np.float32)
     for row in range(y0, y1):
         y = min(int(window[OUT_TOP]) + row, frame_height - 1)
         iy, offset = centre(y, frame_h, frame_height)
@@ -322,7 +337,9 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
             gauss_y[j] = gauss(j - 1 + params[JITTER_Y] - offset)
         for c in range(channels):
             weighted(radiance[c, iy], radiance[c, iy + 1], radiance[c, iy + 2], upper, middle, lower, column[c])
-        if guided:
+        if by == OWN:
+            own_factor_row(factor[iy], index, guide)
+        if by == GUIDED:
             factor_row(y, left, diffuse_albedo, specular_albedo, guide)
             trust_row(cells, place_of(iy, offset, held_h), places, guide[3])
         if double:
@@ -340,8 +357,8 @@ def upsample_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, move
                   warped: np.ndarray, params: np.ndarray, window: np.ndarray, keep: np.ndarray, output: np.ndarray,
                   history: np.ndarray) -> None:
     """Radiance that already holds the reflectance."""
-    resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, warped, False, params, window, keep,
-                 output, history)
+    resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, warped, warped, NONE, params, window,
+                 keep, output, history)
 
 
 @compiled
@@ -351,8 +368,22 @@ def guided_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved:
                 history: np.ndarray) -> None:
     """Radiance without reflectance, which is put back at output size as far as the guides are trusted; for the rest
     that with the reflectance of the render size."""
-    resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, trust, True, params,
-                 window, keep, output, history)
+    resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, trust, warped, GUIDED,
+                 params, window, keep, output, history)
+
+
+@compiled
+def unscaled_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: np.ndarray, past: np.ndarray,
+                  warped: np.ndarray, factor: np.ndarray, params: np.ndarray, window: np.ndarray, keep: np.ndarray,
+                  output: np.ndarray, history: np.ndarray) -> None:
+    """Radiance without reflectance, which is multiplied after the samples are weighed where they lie at the centres of
+    the output's pixels: texture of one pixel is not resampled. Else radiance that already holds it."""
+    if params[JITTER_X] == ZERO and params[JITTER_Y] == ZERO:
+        resolve_rows(y0, y1, radiance[:3], fine, moved, past, warped, warped, warped, warped, factor, OWN, params,
+                     window, keep, output, history)
+    else:
+        resolve_rows(y0, y1, radiance[3:], fine, moved, past, warped, warped, warped, warped, factor, NONE, params,
+                     window, keep, output, history)
 
 
 WRITES = ("output", "next_history")
@@ -360,3 +391,5 @@ READS = ("radiance", "fine", "moved", "past", "warped")
 UPSAMPLE = kernel("upsample", (*READS, "params", "window", "keep"), WRITES, upsample_rows, ("output", 0))
 UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "trust", "params", "window", "keep"), WRITES,
                          guided_rows, ("output", 0), radiance=BOTH)
+UPSAMPLE_UNSCALED = kernel("upsample_unscaled", (*READS, "factor", "params", "window", "keep"), WRITES, unscaled_rows,
+                           ("output", 0), radiance=BOTH)

@@ -86,6 +86,11 @@ def grid_of(models: Iterable[str]) -> int:
     return max(_grid(Library().card(model).get("outputs", {}) if has_model(model) else {}) for model in models)
 
 
+def doubts_planes(model: str) -> bool:
+    """Whether a model's network says how far each pixel's planes are trusted, in its last hidden channel."""
+    return has_model(model) and bool(Library().card(model).get("config", {}).get("trust"))
+
+
 def _grid(outputs: Mapping[str, Mapping[str, Any]]) -> int:
     levels = [int(name[-1]) for name, facts in outputs.items() if "level" in name and not facts.get("constant")]
     return 1 << max(levels, default=LEVELS)

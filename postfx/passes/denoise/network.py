@@ -22,12 +22,12 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
     opened_shape,
 )
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY
-from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_GUIDED
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, means_size
+from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.kernel import Kernel
-from postfx.passes.denoise.models import load_network
+from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.tiling import LEVELS, Window
 from postfx.runtime import (
     ArgumentTable,
@@ -185,9 +185,10 @@ def _dispatch(commands: CommandBuffer, label: str, tables: list[ArgumentTable], 
             encoder.dispatch(table.state, table)
 
 
-ENDS = {False: (REMODULATE, UPSAMPLE),
-        True: (REMODULATE_GUIDED, UPSAMPLE_GUIDED)}
-"""Kernels that put the reflectance back and enlarge, without guides and with them."""
+PLAIN, GUIDED, UNSCALED = "plain", "guided", "unscaled"
+ENDS = {PLAIN: (REMODULATE, UPSAMPLE), GUIDED: (REMODULATE_BOTH, UPSAMPLE_GUIDED),
+        UNSCALED: (REMODULATE_BOTH, UPSAMPLE_UNSCALED)}
+"""Kernels that put the reflectance back and enlarge: before, with that of guides, or after, at the render size."""
 MOST_PLACES = 64
 """Windows of a graph's size whose places are kept on the device."""
 
@@ -196,7 +197,8 @@ class Graph:
     """Pipeline states, tensors and argument tables for windows of one size.
 
     A guided graph's models read guides beside the features, and colour gets their reflectance at output size, as far
-    as they are trusted. A reactive one may work with masks of where the history is not used.
+    as they are trusted. A reactive one may work with masks of where the history is not used. Models that doubt planes
+    read their mean around each pixel, too.
     """
 
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
@@ -208,6 +210,8 @@ class Graph:
         self._places: dict[Window, dict[str, dict[str, Tensor]]] = {}
         between = cache(self._new)  # of several networks only one runs in a frame
         self._heads = {model: self._heads_of(state, between) for model, state in networks.items()}
+        self._doubting = {model for model in models if doubts_planes(model)}
+        self._ends = {model: self._end_of(model) for model in models}
         self._make_tensors(networks[models[0]])
         self._make_tables(self._heads[models[0]]["fine"])
         self._networks = {model: Network(state, self._seen, self._heads[model], between)
@@ -226,24 +230,30 @@ class Graph:
                 else one number does.
         """
         warped = self._made["warped"] if moves else tensors["history"]
-        keep = self._made["keep"] if masked else tensors["keep"]
-        self._bind({**tensors, "warped": warped, "keep": keep}, self._place(window), self._heads[model])
+        keep, end, doubts = self._made["keep"] if masked else tensors["keep"], self._ends[model], model in self._doubting
+        known = {"warped": warped, "keep": keep, "means": self._means if doubts else self._no_means}
+        self._bind({**tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            self._run(encoder, "dilate")
+            self._run(encoder, "dilate", *("means",) * doubts)
             for names in (("history",) * moves + ("keep",) * masked, self._looks):
                 encoder.barrier()
                 self._run(encoder, *names)
         self._networks[model].encode(commands)
         with commands.compute_encoder("filter") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            for i, name in enumerate(self._filter_order):
+            for i, name in enumerate((*self._filter_order, f"remodulate {end}")):
                 if i:
                     encoder.barrier()
                 self._run(encoder, name)
         with commands.compute_encoder("upsample") as encoder:
             encoder.barrier(after="compute", before="compute")
-            self._run(encoder, "upsample")
+            self._run(encoder, f"upsample {end}")
+
+    def _end_of(self, model: str) -> str:
+        frame = self._window.frame
+        unscaled = (frame.h, frame.w) == (frame.height, frame.width)
+        return GUIDED if self._guided else UNSCALED if unscaled and model in self._doubting else PLAIN
 
     def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
         return self._device.heap.transient(name, shape, dtype)
@@ -263,7 +273,9 @@ class Graph:
         rows, columns, out = self._window.rows, self._window.columns, self._window.out
         self._made = {"moved": self._new("moved", (rows, columns, 2)), "past": self._new("past", (rows, columns, 4)),
                       "warped": self._new("warped", (out.rows, out.columns, 3)),
-                      "radiance": self._new("radiance", (6 if self._guided else 3, rows + 2, columns + 2))}
+                      "factor": self._new("factor", (rows, columns, 3))}
+        self._means = self._new("means", (*means_size(rows, columns), 3)) if self._doubting else None
+        self._no_means = self._given("no means", np.zeros((1, 1, 3), np.float32))
         if self._guided:
             cells = (-(-side // TRUST_CELL) for side in (rows, columns))
             self._made["trust"] = self._new("trust", (*cells, 1))
@@ -276,12 +288,17 @@ class Graph:
         levels = [self._new(f"level {i}", (4, *level(i))) for i in range(LEVELS + 1)]
         filtered = [self._new(f"filtered {i}", (3, *level(i))) for i in range(LEVELS + 1)]
         made = self._made | self._seen | {"fine": fine, "level": levels[0], "filtered": filtered[0]}
-        remodulate, upsample = ENDS[self._guided]
         self._looks = ("features", "guides", "trust") if self._guided else ("features",)
         for name, kernel in (("dilate", DILATE), ("history", HISTORY),
-                             ("features", FEATURE), ("accumulate", ACCUMULATE),
-                             ("remodulate", remodulate), ("upsample", upsample)):
+                             ("features", FEATURE), ("accumulate", ACCUMULATE)):
             self._table(name, kernel, **made)
+        for end in set(self._ends.values()):
+            size = (3 if end == PLAIN else 6, self._window.rows + 2, self._window.columns + 2)
+            radiance = self._new(f"radiance {end}", size)
+            for name, kernel in zip(("remodulate", "upsample"), ENDS[end], strict=True):
+                self._table(f"{name} {end}", kernel, **made, radiance=radiance)
+        if self._means is not None:
+            self._table("means", MEANS, means=self._means)
         if self._reactive:
             self._table("keep", KEEP, **made)
         if self._guided:
@@ -298,7 +315,6 @@ class Graph:
                 self._filter_order.append(f"mix {i}")
             self._table(f"filter {i}", FILTER, mixed=mixed, filtered=filtered[i])
             self._filter_order.append(f"filter {i}")
-        self._filter_order.append("remodulate")
 
     def _table(self, name: str, kernel: Kernel, **tensors: Tensor) -> None:
         """An argument table for a kernel, with those of the tensors that it names."""
