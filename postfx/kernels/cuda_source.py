@@ -13,7 +13,8 @@ from postfx.kernels.denoise import layout
 SOURCES = Path(__file__).parent
 _KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\(\w+\) )?(\w+)\(')
 _LAYOUT = (
-    "HIDDEN", "KERNEL", "TAP_WEIGHTS", "BLEND", "SHARPEN", "MIX", "DISTRUST", "IMPORTANCE", "MEMORY", "FINE", "PLANE_TRUST",
+    "HIDDEN", "KERNEL", "TAP_WEIGHTS", "BLEND", "SHARPEN", "MIX", "DISTRUST", "IMPORTANCE", "MEMORY", "FINE",
+    "PLANE_TRUST",
     "EXPOSURE", "JITTER_X", "JITTER_Y", "GAIN",
     "TOP", "LEFT", "HEIGHT", "WIDTH", "OUT_TOP", "OUT_LEFT", "OUT_HEIGHT", "OUT_WIDTH",
     "TRUST_CELL", "DOUBT", "FAINT", "MAX_COLOUR", "TINY", "MAX_COUNT", "MAX_DEPTH", "MAX_FLOAT",

@@ -22,8 +22,8 @@ def exported_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("models")
     for guides, name in ((False, "denoise_upscale.small.onnx"), (True, "denoise_upscale.small.guides.onnx")):
         export_trunk(small_model(guides).trunk, folder / name)
-    for tag, config, guides in (("low", LOW, False), ("doubting", DOUBTING, False), ("doubting.guides", DOUBTING, True)):
-        model, path = small_model(guides, config), folder / f"denoise_upscale.{tag}.onnx"
+    for tag, config in (("low", LOW), ("doubting", DOUBTING), ("doubting.guides", DOUBTING)):
+        model, path = small_model(tag.endswith(".guides"), config), folder / f"denoise_upscale.{tag}.onnx"
         checkpoint = {"config": model.config.as_dict(), "weights": model.state_dict(), "notes": {}}
         write_card(path, card(checkpoint, tag, export_trunk(model.trunk, path), {}))
     return folder

@@ -306,8 +306,8 @@ class Filter(nn.Module):
 
 
 class Remodulate(nn.Module):
-    """filtered (3, hp, wp), factor (th, tw, 3), part_rows (th,), part_columns (tw,) -> radiance (3, th + 2, tw + 2), its
-    edge repeated once around."""
+    """filtered (3, hp, wp), factor (th, tw, 3), part_rows (th,), part_columns (tw,) -> radiance (3, th + 2, tw + 2),
+    its edge repeated once around."""
 
     def forward(self, filtered: Tensor, factor: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
         at = [index.long() - index.long()[:1] for index in (rows, columns)]

@@ -1,4 +1,4 @@
-"""Kernels that enlarge the filtered radiance by predicted weights, sharpen it and blend it with the reprojected history.
+"""Kernels that enlarge the filtered radiance by predicted weights, sharpen it, and blend it with the last output.
 
 Every output row is made in planar rows and interleaved at its end. The work is split into many small loops over few
 arrays, because those become vector code.

@@ -230,7 +230,8 @@ class Graph:
                 else one number does.
         """
         warped = self._made["warped"] if moves else tensors["history"]
-        keep, end, doubts = self._made["keep"] if masked else tensors["keep"], self._ends[model], model in self._doubting
+        keep = self._made["keep"] if masked else tensors["keep"]
+        end, doubts = self._ends[model], model in self._doubting
         known = {"warped": warped, "keep": keep, "means": self._means if doubts else self._no_means}
         self._bind({**tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
@@ -274,8 +275,8 @@ class Graph:
         self._made = {"moved": self._new("moved", (rows, columns, 2)), "past": self._new("past", (rows, columns, 4)),
                       "warped": self._new("warped", (out.rows, out.columns, 3)),
                       "factor": self._new("factor", (rows, columns, 3))}
-        self._means = self._new("means", (*means_size(rows, columns), 3)) if self._doubting else None
         self._no_means = self._given("no means", np.zeros((1, 1, 3), np.float32))
+        self._means = self._new("means", (*means_size(rows, columns), 3)) if self._doubting else self._no_means
         if self._guided:
             cells = (-(-side // TRUST_CELL) for side in (rows, columns))
             self._made["trust"] = self._new("trust", (*cells, 1))
@@ -297,7 +298,7 @@ class Graph:
             radiance = self._new(f"radiance {end}", size)
             for name, kernel in zip(("remodulate", "upsample"), ENDS[end], strict=True):
                 self._table(f"{name} {end}", kernel, **made, radiance=radiance)
-        if self._means is not None:
+        if self._doubting:
             self._table("means", MEANS, means=self._means)
         if self._reactive:
             self._table("keep", KEEP, **made)
