@@ -16,6 +16,7 @@ from postfx.doctor.pictures import write_pictures
 from postfx.doctor.statistics import Values, count_values, noise_level
 from postfx.frame import DEPTH_MISS, ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match
+from postfx.io.profile import SOURCES
 from postfx.io.sequence import Sequence
 
 STYLES = {"error": "bold red", "warning": "yellow", "info": "cyan"}
@@ -64,7 +65,7 @@ class Inspection:
             "frames": {"count": len(sequence), "first": sequence.numbers[0], "last": sequence.numbers[-1]},
             "examined": [frame.number for frame in material.frames],
             "absent_frames": [number for number in sequence.numbers if number not in sequence.present()],
-            "profile": {"name": layout.profile.name, "title": layout.profile.title},
+            "profile": {"name": layout.profile.name, "title": layout.profile.title, "source": layout.profile.source},
             "width": spec.width,
             "height": spec.height,
             "roles": explain_roles(self._reading),
@@ -99,6 +100,7 @@ def _plane(pixels: np.ndarray, role: Role, match: Match, stored: Values) -> dict
     return {
         "role": str(role),
         "channels": match.names,
+        "source": match.rule.source,
         "min": low,
         "max": high,
         "misses": int((pixels >= DEPTH_MISS).sum()) if role is Role.DEPTH else 0,
@@ -136,10 +138,11 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
     return [
         f"{facts['source']}: {_frames_text(facts['frames'])}{looked}: {VERDICTS[exit_code]}",
         f"profile {profile['name']} ({profile['title'] or 'own'}), {facts['width']}x{facts['height']}",
+        *([f"names are {SOURCES[profile['source']]}"] if profile["source"] else []),
         "",
         *(line for finding in facts["findings"] for line in _finding_lines(finding)),
         *([""] if facts["findings"] else []),
-        *(_plane_line(plane) for plane in facts["planes"]),
+        *(_plane_line(plane, profile["source"]) for plane in facts["planes"]),
         "",
         *_guide_lines(facts["guides"]),
         *(f"missing  {item['role']}{': ' + item['mend'] if item['mend'] else ''}" for item in facts["missing"]),
@@ -169,12 +172,14 @@ def _guide_lines(guides: dict[str, Any] | None) -> list[str]:
     return [head, "", *map(_plane_line, guides["planes"]), ""]
 
 
-def _plane_line(plane: dict[str, Any]) -> str:
+def _plane_line(plane: dict[str, Any], source: str = "") -> str:
+    """One line; it says where the plane's names are from if that is neither `source` nor the user's own profile."""
     values = "no value" if plane["min"] is None else f"{plane['min']:.4g} .. {plane['max']:.4g}"
     signed = plane["role"] in ("motion", "normal")
     counts = (("misses", "misses"), ("non_finite", "not finite"), *(() if signed else (("negative", "negative"),)))
     odd = [f"{plane[key]} {words}" for key, words in counts if plane[key]]
     odd += [f"noise {plane['noise']:.2g}"] if (plane["noise"] or 0) >= 1e-3 else []
+    odd += [f"name {SOURCES[plane['source']]}"] if plane["source"] not in ("", source) else []
     text = f"{plane['role']:<22}{plane['channels']:<38}{values}"
     return f"{text} ({', '.join(odd)})" if odd else text
 

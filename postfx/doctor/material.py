@@ -177,6 +177,7 @@ def _why(layout: Layout, match: Match, prefix: str) -> str:
     steps = [f"(stored + {list(rule.offset)}) x {list(rule.scale)}"] if any(rule.offset) else []
     steps += [f"times {list(rule.scale)}"] if not any(rule.offset) and set(rule.scale) != {1} else []
     steps += [f"unit {rule.unit}"] if role is Role.MOTION else []
+    steps += ["while the shutter is open"] if rule.per == "shutter" else []
     steps += [f"{rule.space} space"] if role is Role.NORMAL else []
     steps += _depth_steps(rule) if role is Role.DEPTH else []
     return prefix + preferred + (f"; read as: {', '.join(steps)}" if steps else "")

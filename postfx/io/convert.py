@@ -26,6 +26,8 @@ class Camera:
             refer to; None where the planes cover just that.
         shift: from the centre of the display window to that of the planes, in pixels, x right, y down.
         near, far: distances of the near and far plane, or None.
+        max_velocity: pixels that motion in unit velocity is 1 for, or None.
+        shutter: how long the shutter is open, in frames, or None.
     """
 
     world_to_camera: np.ndarray | None = None
@@ -34,6 +36,8 @@ class Camera:
     pixel_aspect: float = 1.0
     near: float | None = None
     far: float | None = None
+    max_velocity: float | None = None
+    shutter: float | None = None
     display_size: tuple[int, int] | None = None
     shift: tuple[float, float] = (0.0, 0.0)
 
@@ -54,9 +58,12 @@ def convert(
     height = plane.shape[0] if height is None else height
     if rule.role is Role.DEPTH:
         return _depth(plane, rule, camera, first, height)
+    missed = (plane == 0).all(axis=-1) if rule.role is Role.NORMAL and any(rule.offset) else None
     plane = _affine(plane, rule)
+    if missed is not None:
+        plane[missed] = 0
     if rule.role is Role.MOTION:
-        plane = _motion_pixels(plane, rule.unit, *(camera.display_size or (plane.shape[1], height)))
+        plane = _motion_pixels(plane, rule, camera, *(camera.display_size or (plane.shape[1], height)))
         plane[~np.isfinite(plane)] = 0
     if rule.role is Role.NORMAL and rule.space == "camera":
         assert camera.world_to_camera is not None, "the plane is not used without a worldToCamera header"
@@ -108,9 +115,13 @@ def _empty(rule: PlaneRule) -> float:
     return math.inf if rule.kind in ("planar", "ray") else 0.0 if rule.reversed else 1.0
 
 
-def _motion_pixels(plane: np.ndarray, unit: str, width: int, height: int) -> np.ndarray:
-    size = {"pixels": None, "uv": (width, height), "ndc": (width / 2, height / 2)}[unit]
-    return plane if size is None else plane * np.asarray(size, np.float32)
+def _motion_pixels(plane: np.ndarray, rule: PlaneRule, camera: Camera, width: int, height: int) -> np.ndarray:
+    """Motion from frame to frame in pixels."""
+    most = camera.max_velocity or 1.0
+    sizes = {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2), "velocity": (most, most)}
+    frames = (camera.shutter or 1.0) if rule.per == "shutter" else 1.0
+    factors = [size / frames for size in sizes[rule.unit]]
+    return plane if factors == [1, 1] else plane * np.asarray(factors, np.float32)
 
 
 KINDS = {

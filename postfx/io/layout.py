@@ -145,6 +145,10 @@ class Layout:
     camera: Camera
     attributes: Mapping[str, Any]
     warnings: list[str] = field(default_factory=list)
+    unused: dict[Role, str] = field(default_factory=dict)
+    """Why a plane that is there is not used, as long as no other one of its role is."""
+    barred: set[tuple[Channel, ...]] = field(default_factory=set)
+    """Channels that no later rule may take either, as they are in a space that cannot be left."""
 
 
 class Header:
@@ -180,6 +184,8 @@ class Header:
             jitter=(0.0, 0.0) if jitter is None else (float(jitter[0]), float(jitter[1])),
             near=_first(self.number("near"), self._layout.profile.near),
             far=_first(self.number("far"), self._layout.profile.far),
+            max_velocity=_first(self.number("max_velocity"), self._layout.profile.max_velocity),
+            shutter=_first(self.number("shutter"), self._layout.profile.shutter),
             pixel_aspect=pixel_aspect(self._layout.attributes),
         )
 
@@ -209,6 +215,7 @@ def make_layout(
                 _match_rule(index, layout, depth.rule(rule), given=True)
             else:
                 _match_rule(index, layout, rule, given=False)
+    layout.warnings += [reason for role, reason in layout.unused.items() if role not in layout.planes]
     layout.warnings += _colour_warnings(layout)
     return layout
 
@@ -223,12 +230,20 @@ def _colour_warnings(layout: Layout) -> list[str]:
 
 def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: bool) -> None:
     """Find a plane; `given` tells that the user says what it holds, not the profile."""
-    channels = next(filter(None, map(index.find, rule.candidates(layout.layer))), None)
-    if channels is None:
+    found = [channels for channels in map(index.find, rule.candidates(layout.layer)) if channels]
+    channels = next((channels for channels in found if channels not in layout.barred), None)
+    if channels is None or index.find(name.replace("{layer}", layout.layer) for name in rule.requires) is None:
         return
     match = Match(rule, channels)
     if rule.role is Role.NORMAL and rule.space == "camera" and layout.camera.world_to_camera is None:
-        layout.warnings.append(f"normals {match.names} are in camera space and no worldToCamera header: not used")
+        layout.unused[rule.role] = f"normals {match.names} are in camera space and no worldToCamera header: not used"
+        layout.barred.update(found)
+        return
+    if rule.role is Role.MOTION and rule.unit == "velocity" and layout.camera.max_velocity is None:
+        layout.unused[rule.role] = (
+            f"motion {match.names} is scaled by a largest velocity that the file does not hold: not used; give "
+            "max_velocity, in pixels, under [camera] in a profile"
+        )
         return
     number = missing_number(rule, layout.camera) if rule.role is Role.DEPTH else None
     if number == "fov" and not given:
@@ -251,6 +266,7 @@ def _fits(index: ChannelIndex, profile: Profile, attributes: Mapping[str, Any]) 
     return any(
         all(re.search(pattern, str(attributes.get(name, ""))) for name, pattern in rule.header)
         and index.find(name.replace("{layer}", layer) for name in rule.channels) is not None
+        and not any(index.find([name.replace("{layer}", layer)]) for name in rule.without)
         for rule in profile.detect
     )
 

@@ -5,11 +5,14 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
     name = "studio"
     title = "Our farm's names"
     extends = "generic"                  # its planes and header keys come after ours
+    source = "manual"                    # where its names are from: file (read by us), code (the renderer's source),
+                                         # listing (channels of a file that others listed) or manual (documents alone)
     marker = "Combined.R"                # what precedes this channel name is {layer} below
 
     [[detect]]                           # any of these tables suffices; all conditions in one must hold
     header = { Software = "^Blender 5" } # regular expressions on header attributes
     channels = ["{layer}Vector.X"]       # these channels must exist
+    without = ["Albedo.R"]               # none of these may exist
 
     [header]                             # header attributes, first one found counts
     samples = ["cycles.{layer}samples"]
@@ -19,13 +22,19 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
     near = 0.1                           # distances of the near and far plane, when no header says them
     far = 1000.0
     column_vectors = true                # worldToCamera is stored for column vectors
+    max_velocity = 20                    # pixels, of motion in unit "velocity", when no header says it
+    shutter = 0.5                        # frames, of motion per shutter, when no header says it
 
     [[plane]]
     role = "motion"                      # a plane role of postfx
     names = ["Vector", "velocity"]       # layer names in order of preference; "" is no layer, * matches anything
     channels = ["XY", "RG"]              # channel letters in order of preference, or a list of whole names
-    scale = [1, -1]                      # value = (stored + offset) * scale
-    unit = "pixels"                      # motion: pixels, uv (0..1 of the image) or ndc (-1..1)
+    requires = ["Albedo.R"]              # the plane is looked for only where these channels exist, too
+    source = "manual"                    # of this plane's names, where it is another than the profile's
+    scale = [1, -1]                      # value = (stored + offset) * scale; a normal stored as 0, 0, 0 stays zero
+    unit = "pixels"                      # motion: pixels, uv (0..1 of the image), ndc (-1..1) or velocity (-1..1 of
+                                         # max_velocity)
+    per = "frame"                        # motion: from frame to frame, or while the shutter is open ("shutter")
     space = "world"                      # normals: world or camera
     kind = "planar"                      # depth: planar, ray (distance from the eye), device (a depth buffer: 0 at the
                                          # near, 1 at the far plane) or normalised (linear between the two planes)
@@ -40,7 +49,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -77,6 +86,7 @@ def _list_of(kind: Kind, words: str) -> Kind:
 TEXT = Kind("a text", lambda value: isinstance(value, str))
 YES_NO = Kind("true or false", lambda value: isinstance(value, bool))
 NUMBER = Kind("a number", _is_number)
+LENGTH = Kind("a number above 0", lambda value: _is_number(value) and value > 0)
 DISTANCE = Kind("a number or inf", lambda value: _is_number(value) or value == math.inf)
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 TABLES = _list_of(TABLE, "tables in double brackets")
@@ -89,12 +99,14 @@ LETTERS = Kind("a list of texts or of lists of texts",
 PATTERNS = Kind("a table of regular expressions",
                 lambda value: isinstance(value, dict) and all(map(_is_pattern, value.values())))
 
-PROFILE = {"name": TEXT, "title": TEXT, "extends": TEXT, "marker": TEXT, "detect": TABLES, "header": TABLE,
-           "camera": TABLE, "plane": TABLES}
-CAMERA = {"fov_x": NUMBER, "near": NUMBER, "far": DISTANCE, "column_vectors": YES_NO}
-DETECT = {"header": PATTERNS, "channels": TEXTS}
-PLANE = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "scale": NUMBERS, "offset": NUMBERS, "unit": TEXT,
-         "space": TEXT, "kind": TEXT, "reversed": YES_NO, "miss": NUMBER, "clamp": RANGE, "enable": TEXT}
+PROFILE = {"name": TEXT, "title": TEXT, "extends": TEXT, "source": TEXT, "marker": TEXT, "detect": TABLES,
+           "header": TABLE, "camera": TABLE, "plane": TABLES}
+CAMERA = {"fov_x": NUMBER, "near": NUMBER, "far": DISTANCE, "column_vectors": YES_NO, "max_velocity": LENGTH,
+          "shutter": LENGTH}
+DETECT = {"header": PATTERNS, "channels": TEXTS, "without": TEXTS}
+PLANE = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "requires": TEXTS, "source": TEXT, "scale": NUMBERS,
+         "offset": NUMBERS, "unit": TEXT, "per": TEXT, "space": TEXT, "kind": TEXT, "reversed": YES_NO, "miss": NUMBER,
+         "clamp": RANGE, "enable": TEXT}
 
 
 def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, where: str = "profile") -> None:
@@ -107,10 +119,19 @@ def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, where
 
 
 BUILTIN = Path(__file__).parent / "profiles"
-HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera", "near", "far")
+HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera", "near", "far", "max_velocity",
+               "shutter")
 _MOST_BYTES, _MOST_DOTS = 1 << 18, 200
 DEPTH_KINDS = ("planar", "ray", "device", "normalised")
-_CHOICES = {"unit": ("pixels", "uv", "ndc"), "space": ("world", "camera"), "kind": DEPTH_KINDS}
+SOURCES = {
+    "file": "seen in files of the renderer",
+    "code": "from the renderer's source code",
+    "listing": "from lists of channels that others published",
+    "manual": "from its maker's documents, not seen in a file",
+}
+"""Where a profile's names are from -> in words."""
+_CHOICES = {"unit": ("pixels", "uv", "ndc", "velocity"), "per": ("frame", "shutter"), "space": ("world", "camera"),
+            "kind": DEPTH_KINDS, "source": ("", *SOURCES)}
 
 
 @dataclass(frozen=True)
@@ -120,9 +141,12 @@ class PlaneRule:
     role: Role
     names: tuple[str, ...]
     channels: tuple[tuple[str, ...], ...]
+    requires: tuple[str, ...] = ()
+    source: str = ""
     scale: tuple[float, ...] = (1.0,)
     offset: tuple[float, ...] = (0.0,)
     unit: str = "pixels"
+    per: str = "frame"
     space: str = "world"
     kind: str = "planar"
     reversed: bool = False
@@ -142,6 +166,7 @@ class DetectRule:
 
     header: tuple[tuple[str, str], ...] = ()
     channels: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -150,6 +175,7 @@ class Profile:
 
     name: str
     title: str = ""
+    source: str = ""
     marker: str = ""
     detect: tuple[DetectRule, ...] = ()
     header: dict[str, tuple[str, ...]] = field(default_factory=dict, hash=False)
@@ -158,6 +184,8 @@ class Profile:
     near: float | None = None
     far: float | None = None
     column_vectors: bool = False
+    max_velocity: float | None = None
+    shutter: float | None = None
 
     def rules(self, role: Role) -> tuple[PlaneRule, ...]:
         """Rules for a role, best first."""
@@ -205,23 +233,38 @@ def _parse(table: dict[str, Any], path: Path) -> Profile:
     header = table.get("header", {})
     check(header, dict.fromkeys(HEADER_KEYS, TEXTS), path, "[header]")
     own = {key: tuple(names) for key, names in header.items()}
+    source = table.get("source", "")
+    _check_choices(table, ("source",), path, "profile")
     return Profile(
         name=table.get("name", path.stem),
         title=table.get("title", ""),
+        source=source,
         marker=table.get("marker", base.marker),
         detect=tuple(_detect(rule, path) for rule in table.get("detect", [])),
         header={key: own.get(key, ()) + base.header.get(key, ()) for key in HEADER_KEYS},
-        planes=tuple(_plane(rule, path) for rule in table.get("plane", [])) + base.planes,
+        planes=tuple(_plane({"source": source, **rule}, path) for rule in table.get("plane", [])) + base.planes,
         fov_x=camera.get("fov_x", base.fov_x),
         near=camera.get("near", base.near),
         far=camera.get("far", base.far),
         column_vectors=camera.get("column_vectors", base.column_vectors),
+        max_velocity=camera.get("max_velocity", base.max_velocity),
+        shutter=camera.get("shutter", base.shutter),
     )
+
+
+def _check_choices(table: Mapping[str, Any], keys: Iterable[str], path: Path, where: str) -> None:
+    """ProfileError for a word that is none of those that its key knows."""
+    for key in keys:
+        allowed = _CHOICES[key]
+        if table.get(key, allowed[0]) not in allowed:
+            known = ", ".join(filter(None, allowed))
+            raise ProfileError(f"{path}: {where}: {key} = {table[key]!r}: use one of {known}")
 
 
 def _detect(table: dict[str, Any], path: Path) -> DetectRule:
     check(table, DETECT, path, "[[detect]]")
-    return DetectRule(tuple(table.get("header", {}).items()), tuple(table.get("channels", ())))
+    names = (tuple(table.get(key, ())) for key in ("channels", "without"))
+    return DetectRule(tuple(table.get("header", {}).items()), *names)
 
 
 def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
@@ -229,10 +272,8 @@ def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     check(table, PLANE, path, where)
     if table.get("role") not in list(Role):
         raise ProfileError(f"{path}: {where}: unknown role: use one of {', '.join(Role)}")
-    for key, allowed in _CHOICES.items():
-        if table.get(key, allowed[0]) not in allowed:
-            raise ProfileError(f"{path}: {where}: {key} = {table[key]!r}: use one of {', '.join(allowed)}")
-    role, listed = Role(table["role"]), {"names", "channels", "scale", "offset", "clamp"}
+    _check_choices(table, _CHOICES, path, where)
+    role, listed = Role(table["role"]), {"names", "channels", "requires", "scale", "offset", "clamp"}
     channels = tuple(tuple(letters) for letters in table.get("channels", []))
     if not channels or any(len(letters) != ROLES[role].channels for letters in channels):
         raise ProfileError(f"{path}: {where}: each entry of channels needs {ROLES[role].channels} channels")

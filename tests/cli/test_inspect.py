@@ -52,6 +52,19 @@ def test_nothing_wrong_is_0(inspect):
     assert found["examined"] == list(range(1, 9))
 
 
+def test_where_the_names_of_a_renderer_are_from(inspect, write_exr, capsys):
+    names = (*"RGB", *(f"DiffuseFilter.{letter}" for letter in "RGB"), "MotionVectors.R", "MotionVectors.G")
+    path = write_exr("a.exr", {name: np.full((16, 16), 0.5) for name in names})
+    _, found = inspect(path)
+    assert found["profile"] == {"name": "redshift", "title": "Redshift", "source": "listing"}
+    assert {plane["role"]: plane["source"] for plane in found["planes"]} == {
+        "colour": "", "diffuse_albedo": "listing", "motion": "manual"}
+    main(["inspect", str(path)])
+    text = capsys.readouterr().out
+    assert "names are from lists of channels that others published\n" in text
+    assert text.count("name from its maker's documents, not seen in a file") == 1
+
+
 def test_roles_say_which_planes_and_why(inspect):
     _, found = inspect(ROOM, "--frames", "2")
     assert set(found["roles"]) == set(Role)
