@@ -30,7 +30,8 @@ def _truth() -> dict[Role, np.ndarray]:
     rng = np.random.default_rng(7)
     planes = {role: rng.random((HEIGHT, WIDTH, count)) for role, count in (
         (Role.COLOUR, 3), (Role.ALPHA, 1), (Role.DEPTH, 1), (Role.MOTION, 2), (Role.NORMAL, 3),
-        (Role.DIFFUSE_ALBEDO, 3), (Role.SPECULAR_ALBEDO, 3), (Role.ROUGHNESS, 1), (Role.SAMPLE_COUNT, 1), (Role.VARIANCE_OF_MEAN, 3))}
+        (Role.DIFFUSE_ALBEDO, 3), (Role.SPECULAR_ALBEDO, 3), (Role.ROUGHNESS, 1), (Role.SAMPLE_COUNT, 1),
+        (Role.VARIANCE_OF_MEAN, 3))}
     planes[Role.COLOUR] = planes[Role.COLOUR] * 4
     planes[Role.DEPTH] = 1 + 9 * planes[Role.DEPTH]
     planes[Role.MOTION] = 8 * planes[Role.MOTION] - 4
