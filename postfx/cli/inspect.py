@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from postfx.cli.run_options import COLOURSPACE, DEPTH, INPUT
+from postfx.cli.run_options import COLOURSPACE, DEPTH, INPUT, LAYER, VIEW
 
 HELP = "find what is wrong with a sequence's planes"
 DESCRIPTION = """\
@@ -37,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--guides", metavar="GUIDES", help="files of planes at output size, as for 'postfx run'")
     parser.add_argument("--frames", metavar="RANGE", help="frames of interest, e.g. 12 or 1-100")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
-    DEPTH.add_to(parser)
-    COLOURSPACE.add_to(parser)
+    for option in (DEPTH, COLOURSPACE, LAYER, VIEW):
+        option.add_to(parser)
     parser.add_argument("--pictures", metavar="DIR", help="write a picture of every plane of the first frame there")
     parser.add_argument(
         "--report", metavar="HTML", help="write a page that opens from the disk and needs no network: frames with an "
@@ -53,7 +53,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.cli.report import write_inspection
 
     inspection = Inspection(arguments.input, arguments.frames, arguments.profile, arguments.guides, arguments.depth,
-                            arguments.colourspace)
+                            arguments.colourspace, arguments.layer, arguments.view)
     if arguments.pictures:
         inspection.write_pictures(arguments.pictures)
     if arguments.report:

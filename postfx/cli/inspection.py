@@ -39,9 +39,10 @@ class Inspection:
 
     def __init__(
         self, source: str, frames: str | Iterable[int] | None, profile: str | None, guides: str | None = None,
-        depth: str | None = None, colourspace: str | None = None,
+        depth: str | None = None, colourspace: str | None = None, layer: str | None = None, view: str | None = None,
     ) -> None:
-        self.sequence = Sequence(source, frames, profile, guides=guides, depth=depth, colourspace=colourspace)
+        self.sequence = Sequence(source, frames, profile, guides=guides, depth=depth, colourspace=colourspace,
+                                 layer=layer, view=view)
         self._reading: Reading = read_material(self.sequence)
         self.findings: list[Finding] = examine(self._reading.material)
         self.exit_code = exit_code(self.findings)

@@ -337,7 +337,8 @@ class Job:
         for number in (listed[0], *numbers):
             frames = listed[listed.index(number):]
             try:
-                return Inspection(given.input, frames, given.profile, given.guides, given.depth)
+                return Inspection(given.input, frames, given.profile, given.guides, given.depth,
+                                  given.colourspace, given.layer, given.view)
             except PostfxError:
                 if number == numbers[-1]:
                     raise

@@ -299,6 +299,11 @@ COLOURSPACE = Option(
     "colorInteropID or chromaticities, else rec709)",
 )
 
+LAYER = Option(flag="--layer", metavar="NAME", sets="sequence.layer",
+               help="view layer or other layer to read (default: of several view layers that with the most planes)")
+VIEW = Option(flag="--view", metavar="NAME", sets="sequence.view",
+              help="view of stereo files to read, e.g. left (default: the first)")
+
 
 def parse_cuts(text: str) -> tuple[int, ...] | None:
     """Frames at which shots begin, as --cuts says: 'auto' gives None, 'none' none, else '1,48' or '1-100x10'.
@@ -321,6 +326,8 @@ READING = Section("reading and running", (
            help="how the renderer names its planes (default: found from the file)"),
     DEPTH,
     COLOURSPACE,
+    LAYER,
+    VIEW,
     Option(flag="--cuts", metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts", convert=parse_cuts,
            help="where shots begin, so that the history is dropped: by headers and pictures, nowhere, or at these "
            "frames, e.g. 1,48,90 (default: auto)"),

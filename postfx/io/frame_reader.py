@@ -14,10 +14,11 @@ import OpenImageIO as oiio
 
 from postfx.errors import GuideError, MissingPlaneError, ReadError
 from postfx.frame import OUTPUT_SIZE_ROLES, ROLES, ColourSource, Frame, FrameSpec, GuideSpec, Role
+from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
 from postfx.io.colours import INTEROP, gather_attributes
 from postfx.io.convert import Camera, DepthOption, convert, fill_value
 from postfx.io.image_file import ImageFile
-from postfx.io.layout import Channel, ChannelIndex, Header, Layout, Match, make_layout, read_channels
+from postfx.io.layout import Header, Layout, Match, make_layout
 from postfx.io.masks import LeftAlone
 from postfx.io.profile import load_profile
 from postfx.io.windows import AREA, Window
@@ -85,7 +86,7 @@ def take_opaque_colour(layout: Layout, index: ChannelIndex) -> None:
 
 def _alpha_beside(match: Match, layout: Layout, index: ChannelIndex) -> Match | None:
     names = next(names for names in match.rule.candidates(layout.layer) if index.find(names) == match.channels)
-    channels = index.find([f"{names[0].rpartition('.')[0]}.A"])
+    channels = index.find([f"{names[0].rpartition('.')[0]}.A"], lambda found: are_together((*found, match.channels[0])))
     rules = layout.profile.rules(Role.ALPHA)
     return Match(rules[0], channels) if channels and rules else None
 
@@ -199,6 +200,9 @@ def _pieces(height: int, channels: Iterable[Channel]) -> Iterator[tuple[int, int
     return ((first, min(height, first + rows)) for first in range(0, height, rows))
 
 
+_SHOWN = 12  # layers in a message
+
+
 class FrameFiles:
     """The open files of one frame. Use as a context manager.
 
@@ -206,10 +210,10 @@ class FrameFiles:
     output size have files of their own. Else the planes that are larger than the colour are guides. `depth` replaces
     what the profile says about depth; `leave` and `strict` are for `LeftAlone`, which makes a strength or multiplies
     that of the files; planes of the roles `without` are taken as absent; `area` is that of
-    frames before. Where there is an overlay, the colour is that
-    before transparents, if it is there. Raises ProfileError when near, far or field of view of such a depth is missing,
+    frames before; `layer` and `view` choose among several. Where there is an overlay, the colour is that before
+    transparents, if it is there. Raises ProfileError when near, far or field of view of such a depth is missing,
     MissingFrameError or ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide,
-    StrengthError when what to leave is not there.
+    and for a layer or view that is not there, StrengthError when what to leave is not there.
 
     Attributes:
         layout: planes of the frame's size.
@@ -228,8 +232,11 @@ class FrameFiles:
         strict: bool = True,
         without: Collection[Role] = (),
         area: Area | None = None,
+        layer: str | None = None,
+        view: str | None = None,
     ) -> None:
         self._stack, self._without = ExitStack(), without
+        self._layer, self._view = layer, view
         try:
             self._files = {word: self._stack.enter_context(ImageFile(path)) for word, path in paths.items()}
             self.path = next(iter(self._files.values())).path
@@ -317,9 +324,13 @@ class FrameFiles:
         hint = next((rule.enable for rule in rules if rule.enable), "")
         remedy = f"switch it on ({hint})" if hint else "render it"
         tried = " or ".join(", ".join(names) for names in looked) or "nothing"
+        held = ChannelIndex(self._files).contents()
+        more = f" and {len(held) - _SHOWN} more" if len(held) > _SHOWN else ""
+        there = f"; it holds {'; '.join(held[:_SHOWN])}{more}" if role is Role.COLOUR else ""
+        choose = ", choose a layer (--layer NAME)" if role is Role.COLOUR else ""
         return MissingPlaneError(
             f"{self.path}: no plane '{role}': profile {profile.name} looks for {tried}; "
-            f"{remedy}, or name it in a profile (--profile FILE.toml)"
+            f"{remedy}{choose}, or name it in a profile (--profile FILE.toml){there}"
         )
 
     def _made(self) -> set[Role]:
@@ -327,9 +338,21 @@ class FrameFiles:
         return {Role.STRENGTH} - self.layout.planes.keys() if self.alone else set()
 
     def _look(self, profile: str | None, depth: DepthOption | None) -> tuple[ChannelIndex, Layout]:
-        index = ChannelIndex(self._files)
-        return index, make_layout(index, self._attributes(), load_profile(profile) if profile else None, depth,
-                                  self._without)
+        index = ChannelIndex(self._files, self._view, self._layer or "")
+        if self._view and self._view not in index.views:
+            known = ", ".join(index.views) or "one view without a name"
+            raise MissingPlaneError(f"{self.path}: no view '{self._view}': it holds {known}")
+        if self._layer and not index.has_layer(self._layer):
+            known = ", ".join(index.layers()) or "none"
+            raise MissingPlaneError(f"{self.path}: no layer '{self._layer}': it holds {known}")
+        chosen = load_profile(profile) if profile else None
+        layout = make_layout(index, self._attributes(), chosen, depth, self._without, self._layer)
+        others = [view for view in index.views[1:]
+                  if make_layout(ChannelIndex(self._files, view), {}, layout.profile).planes.get(Role.COLOUR)]
+        if others:
+            layout.warnings.append(f"view {index.views[0]} is read; {', '.join(others)} not, so an output that keeps "
+                                   "other channels has it as it was: --view NAME chooses")
+        return index, layout
 
     def _look_wider(
         self, profile: str | None, depth: DepthOption | None, area: Area
@@ -413,6 +436,6 @@ class FrameFiles:
         if Role.COLOUR not in self.layout.planes:
             return None
         channels = self.layout.planes[Role.COLOUR].channels
-        if len({(channel.file, channel.part.index) for channel in channels}) > 1:
+        if not are_together(channels):
             return None
         return ColourSource(channels[0].part.index, tuple(channel.name for channel in channels), self.layout.attributes)

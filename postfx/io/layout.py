@@ -1,112 +1,19 @@
-"""Where a frame's planes are: every channel of its files under all its names, matched by a renderer profile.
-"""
+"""Where a frame's planes are: the channels of its files, matched by a renderer profile."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from postfx.frame import Role, pixel_aspect
+from postfx.io.channels import Channel, ChannelIndex, are_together, has_siblings
 from postfx.io.convert import Camera, DepthOption, missing_error, missing_number
-from postfx.io.image_file import ImageFile
-from postfx.io.profile import PlaneRule, Profile, load_profile, profile_names
-from postfx.io.windows import PICTURE, Part
-
-COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image", "noisy")
-"""Words that stand for the colour plane where every plane has its own file."""
-
-
-def is_plane_word(word: str) -> bool:
-    """Whether a word in file or part names stands for a plane: one for the colour, or a generic profile's layer."""
-    layers = {name for rule in load_profile("generic").planes for name in rule.names if name}
-    return word.lower() in {*COLOUR_FILES, *layers}
-
-
-class Channel(NamedTuple):
-    """One channel of one part of one of a frame's files."""
-
-    file: ImageFile
-    part: Part
-    name: str
-
-
-class ChannelIndex:
-    """Channels by full name: 'albedo.R' is channel R of part or file albedo, or a channel of that very name.
-
-    `files` maps a plane's word ('' where one file holds all planes) to its file. A channel R without more is that of
-    a part named after the colour, else of the first part that is not named after another plane. Letter case does not
-    count. Parts of another view than the first part's are left out.
-    """
-
-    def __init__(self, files: Mapping[str, ImageFile]) -> None:
-        self._channels: dict[str, Channel] = {}
-        for word, file in files.items():
-            parts = [part for part in file.parts if part.view in ("", file.parts[0].view)]
-            plain = _plain(parts) if word == "" or word.lower() in COLOUR_FILES else []
-            for part in plain + [part for part in parts if part not in plain]:
-                self._add(word, file, part, part in plain)
-
-    def find(self, names: Iterable[str]) -> tuple[Channel, ...] | None:
-        """Channels by full name, * matching anything; None unless all are there."""
-        found: list[Channel] = []
-        for name in names:
-            channel = self._find_one(name.lower())
-            if channel is None:
-                return None
-            found.append(channel)
-        return tuple(found)
-
-    def matching(self, name: str) -> list[Channel]:
-        """A channel or those of a layer, by full name or the end of it, * matching anything; each once."""
-        for pattern in (name, f"{name}.*", f"*.{name}", f"*.{name}.*"):
-            found = [channel for key, channel in self._channels.items() if fnmatchcase(key, pattern.lower())]
-            if found:
-                return list(dict.fromkeys(found))
-        return []
-
-    def ending_in(self, name: str) -> Iterator[Channel]:
-        """Channels whose full name ends like this."""
-        return (channel for key, channel in self._channels.items() if key.endswith(name.lower()))
-
-    def _find_one(self, name: str) -> Channel | None:
-        if "*" not in name:
-            return self._channels.get(name)
-        return next((channel for key, channel in self._channels.items() if fnmatchcase(key, name)), None)
-
-    def _add(self, word: str, file: ImageFile, part: Part, plain: bool) -> None:
-        for name in part.channels:
-            full = [name] if plain or "." in name else []
-            full += [f"{part.name}.{name}"] if part.name else []
-            for key in full + ([f"{word}.{name}"] if word else []):
-                self._channels.setdefault(key.lower(), Channel(file, part, name))
-
-
-def read_channels(
-    fills: Mapping[Channel, float], rows: tuple[int, int] | None = None
-) -> dict[Channel, np.ndarray]:
-    """Every channel once, or some of its rows, with one read of each part that holds any; each with what it is filled
-    with where there is no data."""
-    wanted: dict[tuple[ImageFile, int], list[Channel]] = {}
-    for channel in fills:
-        wanted.setdefault((channel.file, channel.part.index), []).append(channel)
-    pixels: dict[Channel, np.ndarray] = {}
-    for (file, _), channels in wanted.items():
-        read = file.read(channels[0].part, {channel.name: fills[channel] for channel in channels}, rows)
-        pixels.update({channel: read[channel.name] for channel in channels})
-    return pixels
-
-
-def _plain(parts: list[Part]) -> list[Part]:
-    """Parts whose channels go by their bare names as well, best first."""
-    colour = [part for part in parts if part.is_picture]
-    colour += [part for part in parts if part.name.lower() in COLOUR_FILES and part not in colour]
-    return colour + [part for part in parts if not is_plane_word(part.name)] or parts
-
+from postfx.io.profile import DetectRule, PlaneRule, Profile, load_profile, profile_names
+from postfx.io.windows import PICTURE
 
 _PICTURE_RULES = (
     PlaneRule(Role.COLOUR, ("",), (("R", "G", "B"),)),
@@ -149,6 +56,8 @@ class Layout:
     """Why a plane that is there is not used, as long as no other one of its role is."""
     barred: set[tuple[Channel, ...]] = field(default_factory=set)
     """Channels that no later rule may take either, as they are in a space that cannot be left."""
+    chosen_layer: str | None = None
+    """The view layer that was chosen among several, None where there is one or none."""
 
 
 class Header:
@@ -196,27 +105,52 @@ def make_layout(
     profile: Profile | None = None,
     depth: DepthOption | None = None,
     without: Collection[Role] = (),
+    layer: str | None = None,
 ) -> Layout:
     """Where the planes are, by a profile or, without one, by the first that fits; `depth` replaces what it says of it.
 
-    Planes of the roles `without` are taken as absent.
+    Planes of the roles `without` are taken as absent. Of several view layers it is `layer`, or the one with the most
+    planes.
 
     Raises ProfileError when the depth plane needs numbers of the camera that are not known.
     """
     profile = profile or _detect(index, attributes)
     if PICTURE in attributes:
         profile = replace(profile, planes=_PICTURE_RULES + profile.planes)
-    layout = Layout(profile, _layer(index, profile), {}, Camera(), attributes)
+    layers = _layers(index, profile)
+    named = [name for name in layers if layer is not None and name.rstrip(".").lower() == layer.lower()]
+    found = [_match_all(index, Layout(profile, name, {}, Camera(), attributes), depth, without)
+             for name in named or layers]
+    layout = max(found, key=_preference)
+    if len(found) > 1:
+        layout.chosen_layer = layout.layer.rstrip(".")
+        others = ", ".join(other.layer.rstrip(".") for other in found if other is not layout)
+        layout.warnings.append(f"view layer {layout.chosen_layer} is read, as it has the most planes; not {others}: "
+                               "--layer NAME chooses")
+    layout.warnings += _colour_warnings(layout)
+    return layout
+
+
+_DEFAULT_LAYERS = ("viewlayer.", "view layer.", "renderlayer.")
+"""Names that Blender gives to its first view layer."""
+
+
+def _preference(layout: Layout) -> tuple[bool, int, bool]:
+    """The larger, the more likely a view layer is the one that is meant."""
+    name = layout.layer.lower()
+    return Role.COLOUR in layout.planes and name != "overlay.", len(layout.planes), name in _DEFAULT_LAYERS
+
+
+def _match_all(index: ChannelIndex, layout: Layout, depth: DepthOption | None, without: Collection[Role]) -> Layout:
     camera = Header(layout).camera()
     layout.camera = depth.camera(camera) if depth else camera
-    for rule in profile.planes:
+    for rule in layout.profile.planes:
         if rule.role not in layout.planes and rule.role not in without:
             if depth is not None and rule.role is Role.DEPTH:
                 _match_rule(index, layout, depth.rule(rule), given=True)
             else:
                 _match_rule(index, layout, rule, given=False)
     layout.warnings += [reason for role, reason in layout.unused.items() if role not in layout.planes]
-    layout.warnings += _colour_warnings(layout)
     return layout
 
 
@@ -230,7 +164,7 @@ def _colour_warnings(layout: Layout) -> list[str]:
 
 def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: bool) -> None:
     """Find a plane; `given` tells that the user says what it holds, not the profile."""
-    found = [channels for channels in map(index.find, rule.candidates(layout.layer)) if channels]
+    found = [channels for names in _candidates(layout, rule) if (channels := _find(index, layout, rule, names))]
     channels = next((channels for channels in found if channels not in layout.barred), None)
     if channels is None or index.find(name.replace("{layer}", layout.layer) for name in rule.requires) is None:
         return
@@ -256,25 +190,61 @@ def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: boo
     layout.planes[rule.role] = match
 
 
+def _candidates(layout: Layout, rule: PlaneRule) -> list[tuple[str, ...]]:
+    """Names to look for, best first: alpha where the colour is."""
+    found = rule.candidates(layout.layer)
+    if rule.role is Role.ALPHA and Role.COLOUR in layout.planes:
+        layer = _layer_of([channel.name for channel in layout.planes[Role.COLOUR].channels])
+        return sorted(found, key=lambda names: _layer_of(names) != layer)
+    return found
+
+
+def _find(index: ChannelIndex, layout: Layout, rule: PlaneRule, names: tuple[str, ...]) -> tuple[Channel, ...] | None:
+    """Channels of these names that may be the plane."""
+    colour = layout.planes.get(Role.COLOUR)
+    layer, apart = _layer_of(names), layout.layer.lower().rstrip(".")
+    is_called_so = "alpha" in layer or (apart and layer.startswith(apart))
+
+    def fits(channels: tuple[Channel, ...]) -> bool:
+        first = channels[0]
+        if rule.role is Role.ALPHA and colour and are_together(colour.channels) and not is_called_so:
+            return are_together((first, colour.channels[0]))
+        if rule.role is Role.DEPTH and not layer:
+            return not has_siblings(first, "XYZ")  # else it is of a position or normal
+        if rule.role is Role.COLOUR and len(set(channels)) == 1:
+            return not (has_siblings(first, "X") or has_siblings(first, ("RY", "BY")))
+        return True
+
+    return index.find(names, fits)
+
+
+def _layer_of(names: Sequence[str]) -> str:
+    """Layer of channels by full name, in lower case; '' where they have none."""
+    return names[0].lower().rpartition(".")[0]
+
+
 def _detect(index: ChannelIndex, attributes: Mapping[str, Any]) -> Profile:
     profiles = [load_profile(name) for name in profile_names()]
     return next((profile for profile in profiles if _fits(index, profile, attributes)), profiles[-1])
 
 
 def _fits(index: ChannelIndex, profile: Profile, attributes: Mapping[str, Any]) -> bool:
-    layer = _layer(index, profile)
     return any(
         all(re.search(pattern, str(attributes.get(name, ""))) for name, pattern in rule.header)
-        and index.find(name.replace("{layer}", layer) for name in rule.channels) is not None
-        and not any(index.find([name.replace("{layer}", layer)]) for name in rule.without)
+        and any(_meets(index, rule, layer) for layer in _layers(index, profile))
         for rule in profile.detect
     )
 
 
-def _layer(index: ChannelIndex, profile: Profile) -> str:
+def _meets(index: ChannelIndex, rule: DetectRule, layer: str) -> bool:
+    """Whether the channels are there that must be, and none that must not."""
+    there, absent = ([name.replace("{layer}", layer) for name in names] for names in (rule.channels, rule.without))
+    return index.find(there) is not None and not any(index.find([name]) for name in absent)
+
+
+def _layers(index: ChannelIndex, profile: Profile) -> list[str]:
     """What precedes the profile's marker channel: 'ViewLayer.' of 'ViewLayer.Combined.R'; '' without a marker."""
-    found = next(index.ending_in(profile.marker), None) if profile.marker else None
-    return found.name[: -len(profile.marker)] if found else ""
+    return (index.before(profile.marker) if profile.marker else []) or [""]
 
 
 def _first(*values: float | None) -> float | None:

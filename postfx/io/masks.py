@@ -12,7 +12,8 @@ import numpy as np
 from postfx.errors import StrengthError
 from postfx.files import parse_json, read_text
 from postfx.frame import Role
-from postfx.io.layout import Channel, ChannelIndex, Header, Layout, read_channels
+from postfx.io.channels import Channel, ChannelIndex, read_channels
+from postfx.io.layout import Header, Layout
 from postfx.masks import converged
 from postfx.masks.cryptomatte import Cryptomatte, share_of, snap, split_shares
 from postfx.masks.entries import AUTO, Coverage, Entry, id_range, is_in_range

@@ -14,8 +14,8 @@ from fileseq.exceptions import MaxSizeException, ParseException
 from fileseq.frameset import FrameSet
 
 from postfx.errors import SequenceError
+from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.image_file import READABLE
-from postfx.io.layout import COLOUR_FILES, is_plane_word
 
 PLANE = "{plane}"
 _NUMBER = re.compile(

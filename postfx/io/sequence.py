@@ -50,8 +50,11 @@ class Sequence:
         leave: str | None = None,
         colourspace: str | None = None,
         without: Iterable[Role] = (),
+        layer: str | None = None,
+        view: str | None = None,
     ) -> None:
         self._scratch = scratch
+        self._layer, self._view = layer, view
         self.pattern, named = locate(source)
         self.profile = profile
         self.depth = None if depth is None else parse_depth(depth)
@@ -166,7 +169,8 @@ class Sequence:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
         guides, strict = self.guide_files(number), not self._named
         files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self.without,
-                           self._area)
+                           self._area, self._layer, self._view)
+        self._layer = self._layer or files.layout.chosen_layer
         self._area = self._area or files.area
         self._named = True  # a thing that was found need not be in every frame
         try:
@@ -240,6 +244,8 @@ def read_sequence(
     leave: str | None = None,
     colourspace: str | None = None,
     without: Iterable[Role] = (),
+    layer: str | None = None,
+    view: str | None = None,
 ) -> Sequence:
     """Frames of a sequence, read one at a time while iterating.
 
@@ -262,13 +268,15 @@ def read_sequence(
             aces2065-1, in place of what headers say (chromaticities, colorInteropID; Rec.709 without any). They are
             turned to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.
         without: roles of planes to take as absent, such as `Role.OVERLAY`.
+        layer: view layer or other layer whose channels are read; None for that with the most planes.
+        view: of stereo files, such as 'left'; None for the first.
 
     Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError,
     ReadError or StrengthError.
     """
     return Sequence(
         pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave, colourspace=colourspace,
-        without=without,
+        without=without, layer=layer, view=view,
     )
 
 

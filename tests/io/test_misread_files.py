@@ -78,3 +78,39 @@ def test_a_radiance_picture_from_the_bottom(collection: Path) -> None:
     path = collection / "flip.hdr"
     stored = oiio.ImageInput.open(str(path)).read_image("float")
     np.testing.assert_array_equal(read(path)[Role.COLOUR], stored[::-1])
+
+
+def assert_planes(frame: Frame, **wanted: tuple[float, ...]) -> None:
+    """The collection's picture, opaque, and these planes of one value each."""
+    np.testing.assert_allclose(frame[Role.COLOUR], PICTURE, atol=1e-6)
+    assert set(map(str, frame.planes)) == {"colour", *wanted}
+    for role, values in wanted.items():
+        np.testing.assert_allclose(frame[Role(role)], np.broadcast_to(values, frame[Role(role)].shape), atol=1e-6)
+
+
+def test_a_cryptomatte_beside_a_colour_without_alpha(collection: Path) -> None:
+    assert_planes(read(collection / "parts_matte_as_alpha.exr"))
+
+
+def test_a_position_before_the_depth(collection: Path) -> None:
+    assert_planes(read(collection / "parts_position_as_depth.exr"), alpha=(1,), depth=(5,))
+
+
+def test_parts_of_layer_and_view(collection: Path) -> None:
+    path = collection / "nuke_parts_normal_is_depth.exr"
+    assert_planes(read(path), alpha=(1,), depth=(4,), normal=(0, 0, 1))
+
+
+def test_layers_with_words_for_letters(collection: Path) -> None:
+    normal = (0.577,) * 3
+    assert_planes(read(collection / "nuke_layers.exr"), alpha=(1,), depth=(4,), normal=normal,
+                  diffuse_albedo=(0.5,) * 3)
+
+
+def test_two_view_layers(collection: Path) -> None:
+    path = collection / "blender_two_view_layers.exr"
+    sequence = read_sequence(path)
+    assert_planes(next(iter(sequence)), alpha=(1,), diffuse_albedo=(0.5,) * 3)
+    assert sequence.warnings == [
+        "view layer ViewLayer is read, as it has the most planes; not BG: --layer NAME chooses"]
+    np.testing.assert_allclose(read(path, layer="BG")[Role.COLOUR], 0.1, atol=1e-6)

@@ -1,0 +1,269 @@
+"""Every channel of a frame's files under all its names, part by part, so that what belongs together stays together.
+
+A channel goes by its own name ('albedo.R'), by that of its part before it ('albedo' and 'R'), and by that of its file
+where every plane has one. Nuke's and Clarisse's red, green, blue and alpha count as R, G, B and A, and letter case does
+not count. Of stereo files one view is looked at. Views are told by an attribute of parts, by their names ('rgba.left',
+'rgba_left') or by the last but one word of a channel's name ('left.R', 'forward.left.u').
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from postfx.io.image_file import ImageFile
+from postfx.io.profile import load_profile
+from postfx.io.windows import Part
+
+COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image", "noisy")
+"""Words that stand for the colour plane where every plane has its own file."""
+_LETTERS = {"red": "r", "green": "g", "blue": "b", "alpha": "a"}
+_VIEW_WORDS = ("main", "left", "right")
+"""Views that parts are named after where no attribute tells views."""
+_DATA = re.compile(
+    r"crypto|matte|mask|normal|depth|position|point|motion|vector|velocity|albedo|roughness|variance"
+    r"|(^|[._ ])(n|ng|ns|nn|p|pref|pworld|z|ids?|uv|st)([._ ]|$)|(?-i:[a-z]ID$)",
+    re.IGNORECASE,
+)
+"""Names of parts whose R, G and B are no colours."""
+
+
+def is_plane_word(word: str) -> bool:
+    """Whether a word in file or part names stands for a plane: one for the colour, or a generic profile's layer."""
+    layers = {name for rule in load_profile("generic").planes for name in rule.names if name}
+    return word.lower() in {*COLOUR_FILES, *layers}
+
+
+class Channel(NamedTuple):
+    """One channel of one part of one of a frame's files."""
+
+    file: ImageFile
+    part: Part
+    name: str
+
+
+@dataclass(eq=False)
+class _Source:
+    """One part of a file, seen from one view: full name in lower case -> the name as it is written, and the channel.
+
+    `rank` tells how likely its R, G and B are the frame's colour, the lowest first; parts of rank `_NAMED` are found by
+    the name of the part only.
+    """
+
+    rank: int
+    channels: dict[str, tuple[str, Channel]] = field(default_factory=dict)
+
+    def add(self, name: str, channel: Channel) -> None:
+        self.channels.setdefault(name.lower(), (name, channel))
+
+    def find(self, names: Iterable[str]) -> tuple[Channel, ...] | None:
+        """Channels by full name in lower case; None unless all are there."""
+        found = [self._find_one(name) for name in names]
+        return tuple(channel for channel in found if channel) if all(found) else None
+
+    def _find_one(self, name: str) -> Channel | None:
+        if "*" in name:
+            name = next((key for key in self.channels if fnmatchcase(key, name)), name)
+        return self.channels[name][1] if name in self.channels else None
+
+
+_PICTURE, _COLOUR, _UNKNOWN, _NAMED = range(4)
+
+
+class ChannelIndex:
+    """Channels of a frame's files by full name.
+
+    `files` maps a plane's word ('' where one file holds all planes) to its file. A channel R without more is that of
+    the picture that postfx wrote, else of a part named after the colour, else of the first part that is not named after
+    something else. `view` is one of `views`, or None for the first. `layer` is a layer whose channels also go by their
+    names without it, and come first.
+
+    Attributes:
+        views: of the first file, the one that is looked at first; empty where the file is not of several.
+    """
+
+    def __init__(self, files: Mapping[str, ImageFile], view: str | None = None, layer: str = "") -> None:
+        self._files = files
+        self.views = _views(next(iter(files.values())).parts)
+        view = view or (self.views[0] if self.views else "")
+        self.views = tuple(sorted(self.views, key=lambda own: own != view))
+        found = [source for word, file in files.items() for source in _sources(word, file, view)]
+        self._sources = sorted(found, key=lambda source: source.rank)
+        if layer:
+            self._prefer(layer)
+
+    def find(
+        self, names: Iterable[str], fits: Callable[[tuple[Channel, ...]], bool] = lambda _: True
+    ) -> tuple[Channel, ...] | None:
+        """Channels by full name, * matching anything, all of one part; None unless all are there, () without names.
+
+        The first part counts whose channels fit. They may be spread over parts only where no part has them all.
+        """
+        wanted = [name.lower() for name in names]
+        if not wanted:
+            return ()
+        found = [source.find(wanted) for source in (*self._sources, self._everything)]
+        return next((channels for channels in found if channels and fits(channels)), None)
+
+    def matching(self, name: str) -> list[Channel]:
+        """A channel or those of a layer, by full name or the end of it, * matching anything; each once."""
+        everything = self._everything.channels.items()
+        for pattern in (name, f"{name}.*", f"*.{name}", f"*.{name}.*"):
+            found = [channel for key, (_, channel) in everything if fnmatchcase(key, pattern.lower())]
+            if found:
+                return list(dict.fromkeys(found))
+        return []
+
+    def before(self, ending: str) -> list[str]:
+        """What stands before this ending in full names, each once, '' included."""
+        ending = ending.lower()
+        names = [name for key, (name, _) in self._everything.channels.items() if f".{key}".endswith(f".{ending}")]
+        return list(dict.fromkeys(name[: len(name) - len(ending)] for name in names))
+
+    def has_layer(self, layer: str) -> bool:
+        """Whether a channel's full name begins with this layer."""
+        return any(key.startswith(f"{layer.lower()}.") for key in self._everything.channels)
+
+    def layers(self) -> list[str]:
+        """First words of full names, each once."""
+        names = [name for name, _ in self._everything.channels.values() if "." in name]
+        return list(dict.fromkeys(name.partition(".")[0] for name in names))
+
+    def contents(self) -> list[str]:
+        """What the files hold, layer by layer: 'albedo.R,G,B'."""
+        layers: dict[str, list[str]] = {}
+        for file in self._files.values():
+            for part in file.parts:
+                for name in part.channels:
+                    layer, _, letter = name.rpartition(".")
+                    layers.setdefault(layer or (part.name if len(file.parts) > 1 else ""), []).append(letter)
+        return [f"{layer}{'.' * bool(layer)}{','.join(letters)}" for layer, letters in layers.items()]
+
+    @cached_property
+    def _everything(self) -> _Source:
+        together = _Source(_NAMED)
+        for source in self._sources:
+            for key, entry in source.channels.items():
+                together.channels.setdefault(key, entry)
+        return together
+
+    def _prefer(self, layer: str) -> None:
+        start = f"{layer.lower()}."
+        for source in self._sources:
+            inner = {key[len(start):]: entry for key, entry in source.channels.items() if key.startswith(start)}
+            source.channels = inner | {key: entry for key, entry in source.channels.items() if key not in inner}
+            source.rank = _PICTURE if inner else source.rank
+        self._sources.sort(key=lambda source: source.rank)
+
+
+def are_together(channels: Iterable[Channel]) -> bool:
+    """Whether channels are of one part of one file."""
+    return len({(channel.file, channel.part.index) for channel in channels}) == 1
+
+
+def has_siblings(channel: Channel, letters: Iterable[str]) -> bool:
+    """Whether a channel's part holds channels of these letters in the same layer."""
+    layer = channel.name.rpartition(".")[0]
+    names = {name.lower() for name in channel.part.channels}
+    return all((f"{layer}.{letter}" if layer else letter).lower() in names for letter in letters)
+
+
+def read_channels(
+    fills: Mapping[Channel, float], rows: tuple[int, int] | None = None
+) -> dict[Channel, np.ndarray]:
+    """Every channel once, or some of its rows, with one read of each part that holds any; each with what it is filled
+    with where there is no data."""
+    wanted: dict[tuple[ImageFile, int], list[Channel]] = {}
+    for channel in fills:
+        wanted.setdefault((channel.file, channel.part.index), []).append(channel)
+    pixels: dict[Channel, np.ndarray] = {}
+    for (file, _), channels in wanted.items():
+        read = file.read(channels[0].part, {channel.name: fills[channel] for channel in channels}, rows)
+        pixels.update({channel: read[channel.name] for channel in channels})
+    return pixels
+
+
+def _sources(word: str, file: ImageFile, view: str) -> Iterator[_Source]:
+    """The parts of a file that hold channels of a view."""
+    views = _views(file.parts)
+    holds_colour = word == "" or word.lower() in COLOUR_FILES
+    ranks = _ranks([_name_and_view(part, views)[0] for part in file.parts], file.parts) if holds_colour else {}
+    is_lone = len(file.parts) == 1
+    for index, part in enumerate(file.parts):
+        name, own = _name_and_view(part, views)
+        source = _Source(ranks.get(index, _NAMED))
+        shorts = [(*_without_view(channel, views, own, is_lone), Channel(file, part, channel))
+                  for channel in part.channels]
+        named = {short: found for short, seen, found in shorts if seen == "" or len(views) < 2}
+        named |= {short: found for short, seen, found in shorts if seen == view}
+        for short, found in (*named.items(), *((_with_letter(short), found) for short, found in named.items())):
+            for full in _full_names(short, name, word, source.rank < _NAMED):
+                source.add(full, found)
+        if source.channels:
+            yield source
+
+
+def _full_names(short: str, part: str, word: str, is_plain: bool) -> list[str]:
+    own = [short] if is_plain or "." in short else []
+    return own + [f"{head}.{short}" for head in (part, word) if head and not short.startswith(f"{head}.")]
+
+
+def _ranks(names: list[str], parts: tuple[Part, ...]) -> dict[int, int]:
+    """Ranks of the parts whose channels go by their bare names as well; of all, where none is likely to."""
+    ranks = {index: _PICTURE for index, part in enumerate(parts) if part.is_picture}
+    for index, name in enumerate(names):
+        words = {name.lower(), name.lower().rpartition(".")[2]}
+        if words & {*COLOUR_FILES}:
+            ranks.setdefault(index, _COLOUR)
+        elif not is_plane_word(name) and not _DATA.search(name):
+            ranks.setdefault(index, _UNKNOWN)
+        elif name.lower() in _BARE:
+            ranks.setdefault(index, _UNKNOWN)
+    return ranks or dict.fromkeys(range(len(parts)), _UNKNOWN)
+
+
+_BARE = ("z",)
+"""Names of parts that are those of the one channel in them."""
+
+
+def _with_letter(name: str) -> str:
+    """'albedo.red' as 'albedo.r'."""
+    layer, dot, letter = name.rpartition(".")
+    return layer + dot + _LETTERS.get(letter.lower(), letter)
+
+
+def _views(parts: tuple[Part, ...]) -> tuple[str, ...]:
+    """Views that a file's parts tell, the first one first; of one view or none where it is not of several."""
+    listed = parts[0].attributes.get("multiView")
+    if isinstance(listed, tuple):
+        return tuple(map(str, listed))
+    told = [part.view for part in parts if part.view]
+    ends = [re.split(r"[._]", part.name)[-1] for part in parts]
+    shared = len(parts) > 1 and len(set(ends)) == 1 and all("." in part.name for part in parts)
+    named = [end for end in ends if end.lower() in _VIEW_WORDS or shared]
+    return tuple(dict.fromkeys(told or named))
+
+
+def _name_and_view(part: Part, views: tuple[str, ...]) -> tuple[str, str]:
+    """A part's name without its view, and the view, '' where it tells none."""
+    found = re.fullmatch(r"(.+)[._]([^._]+)", part.name)
+    if found and found[2] in ((part.view,) if part.view else views):
+        return found[1], found[2]
+    return part.name, part.view
+
+
+def _without_view(channel: str, views: tuple[str, ...], view: str, is_by_name: bool) -> tuple[str, str]:
+    """A channel's name without its view, and the view: the part's, else that in its name; '' where it is of all.
+
+    Channels without a layer are of the first view where names tell views.
+    """
+    *layers, letter = channel.split(".")
+    if layers and layers[-1] in views and not view:
+        return ".".join([*layers[:-1], letter]), layers[-1]
+    return channel, view or (views[0] if views and not layers and is_by_name else "")
