@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from postfx.errors import MissingPlaneError, PassContractError
@@ -66,7 +67,7 @@ class Plan:
     remarks: tuple[str, ...] = ()
     guides: tuple[Role, ...] = ()
 
-    @property
+    @cached_property
     def input(self) -> FrameSpec:
         """Spec of the frame once only the planes and guides that are needed were read."""
         return _restricted(self.available, self.planes, self.guides)

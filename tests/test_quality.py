@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 pytest.importorskip("skimage", reason="needs the extra 'bench'")
-from postfx.bench.material import Material, Sources  # noqa: E402
+from postfx.bench.measure import Material, Sources  # noqa: E402
 from postfx.bench.methods import (  # noqa: E402
     OTHERS,
     Method,

@@ -14,8 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from postfx.bench import require
-from postfx.bench.material import Material, Sources, output_pattern
-from postfx.bench.measure import Task, run_task, score, timing
+from postfx.bench.measure import Material, Sources, Task, output_pattern, run_task, score, timing
 from postfx.bench.methods import LeftOut, catalogue, select
 from postfx.bench.report import ablations, compare, front, offered, write_csv
 from postfx.errors import BenchError, WriteError

@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator
 from matplotlib.transforms import Bbox
 from scipy.ndimage import uniform_filter
 
-from postfx.bench.material import Material
+from postfx.bench.measure import Material
 from postfx.bench.methods import FAMILIES
 from postfx.bench.metrics import grey_exposure, psnr
 from postfx.bench.report import offered

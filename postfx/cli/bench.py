@@ -67,7 +67,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from pathlib import Path
 
     from postfx.bench.job import Bench, Wish  # loads the runtime, which --help must not wait for
-    from postfx.bench.material import Sources
+    from postfx.bench.measure import Sources
     from postfx.bench.report import print_table
 
     sources = Sources(arguments.input, arguments.reference, arguments.guides, arguments.frames, arguments.profile)

@@ -7,6 +7,7 @@ import dataclasses
 import tempfile
 import time
 from collections import Counter
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,9 +40,9 @@ from postfx.cli.summary import (
 from postfx.cuts import CutDetector
 from postfx.errors import PostfxError, WriteError
 from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of, measure
+from postfx.files import WriteBehind, read_ahead, read_patiently
 from postfx.frame import Frame, Role
 from postfx.io.pattern import format_frames
-from postfx.io.prefetch import WriteBehind, read_ahead, read_patiently
 from postfx.io.sequence import Sequence
 from postfx.io.writer import Existing, OutputFiles, write_frame
 from postfx.kernels.compile_cache import CompileWatch
@@ -97,6 +98,7 @@ class Job:
             self.left_out += explain_overlay(arguments, files)
             spec = files.spec()
             self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards else spec)
+        self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
             self.outputs.refuse_few_bits(self.plan.output.encoding)
         standin = None
@@ -225,13 +227,14 @@ class Job:
         for _ in range(2):
             detector(frame)
         with tempfile.TemporaryDirectory(prefix="postfx-") as folder:
-            write_frame(Path(folder) / f"any{self._files().path(self.first).suffix}", frame, **self._values("writer"))
+            write_frame(Path(folder) / f"any{self._files().path(self.first).suffix}", frame, **self._format)
 
     def _process_all(self, run: Run, stop: Stop, progress: FrameProgress) -> None:
         if self._run_up:
             self._run_up.on_frame = announce_run_up(stop.check, progress.note)
         self._capture.choose([work.number for work in run.works])
         self._page.choose([work.number for work in run.works if work.write])
+        capturing = self._capture.around if self._arguments.capture else nullcontext
         is_unseen = False  # whether the passes have not seen the frame before, as looking ahead of it failed
         with WriteBehind() as behind:
             for work, frame in read_ahead(run.works, partial(self._read, run)):
@@ -244,12 +247,13 @@ class Job:
                     ahead = partial(self._look_ahead, frame, work.write, stop, progress)
                     frame = self._faults.attempt(work.number, work.write, ahead)
                     is_unseen = frame is None
-                with self._capture.around(work.number):
+                with capturing(work.number):
                     done = None if frame is None else self._process(work, frame)
                 if done is None and work.write:
                     done = self._faults.instead(work.number)
                 if work.write and done:
-                    self._page.add(done)
+                    if self._arguments.report:
+                        self._page.add(done)
                     behind.put(partial(self._write, run, done, progress))
                 run.ran(work.number, behind.wait, stop.asked)
                 stop.check()
@@ -267,7 +271,7 @@ class Job:
         return self._faults.read(work.number, work.write, partial(self._checked, run, work.number))
 
     def _checked(self, run: Run, number: int) -> Frame:
-        read = partial(self.sequence.read, number, self.plan.planes, from_files(self.plan.guides))
+        read = partial(self.sequence.read, number, self.plan.planes, self._guides)
         frame = read_patiently(read, partial(run.failed, number))
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame
@@ -305,7 +309,7 @@ class Job:
     def _write(self, run: Run, done: Processed, progress: FrameProgress) -> None:
         number, result = done.source.number, done.result
         write = partial(write_frame, self._files().path(number), result, relax=self._relax,
-                        provenance=run.header(), **self._values("writer"))
+                        provenance=run.header(), **self._format)
         if path := self._faults.attempt(number, True, write):
             run.wrote(number, path, result, **done.facts())
             self._written.append(str(path))

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from postfx.errors import ExposureError, PostfxError
+from postfx.files import read_ahead
 from postfx.frame import Frame, Role
-from postfx.io.prefetch import read_ahead
 from postfx.kernels.image import block_means
 
 if TYPE_CHECKING:

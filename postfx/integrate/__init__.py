@@ -18,6 +18,11 @@ from postfx.depth import (
 from postfx.errors import IntegrationError
 from postfx.integrate.camera import (
     depth_of,
+    exposure_hint,
+    exposure_of_camera,
+    halton,
+    jitter_length,
+    jitter_sequence,
     perspective,
     pixel_positions,
     positions_from_depth,
@@ -43,7 +48,6 @@ from postfx.integrate.motion import (
     skinned_previous_positions,
 )
 from postfx.integrate.planes import frame_header, write_planes
-from postfx.integrate.sampling import exposure_hint, exposure_of_camera, halton, jitter_length, jitter_sequence
 from postfx.integrate.surfaces import (
     blend_surfaces,
     fresnel_dielectric,

@@ -18,8 +18,7 @@ import OpenImageIO as oiio
 
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
-from postfx.io.exr.chunks import MAX_SIDE
-from postfx.io.exr.container import ExrContainer
+from postfx.io.exr.container import MAX_SIDE, ExrContainer
 from postfx.io.radiance import MAX_HEADER, STARTS, RadianceHeader, parse_header
 from postfx.io.windows import Part, Window, own_windows, part_of, some_rows, to_area
 

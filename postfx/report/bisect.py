@@ -12,7 +12,7 @@ import numpy as np
 
 from postfx.errors import CompareError, ReadError
 from postfx.report.capture_data import read
-from postfx.runtime.capture_network import largest_error
+from postfx.runtime.capture import largest_error
 
 Tensor = dict[str, Any]
 """A tensor's entry in capture.json."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from postfx.errors import CaptureError, ModelError
 from postfx.report.capture_data import finite_or_text
-from postfx.runtime.capture_network import constant_nodes, load_graph, reads
+from postfx.runtime.capture import constant_nodes, load_graph, reads
 from postfx.runtime.snapshot import statistics
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from postfx.runs.checkpoint import load_checkpoint
 from postfx.runs.folder import RunFolder
 from postfx.runs.locks import Process
 from postfx.runs.manifest import Output
-from postfx.runs.schedule import Known, Work, facts_of, judge, schedule
+from postfx.runs.schedule import Known, Work, judge, schedule
 from postfx.runtime import Device, Library
 from postfx.version import __version__
 
@@ -334,4 +334,10 @@ class Run:
             return {}
         files = {**self._sequence.files(number), **{f"guides {k}": v for k, v in
                                                     (self._sequence.guide_files(number) or {}).items()}}
-        return facts_of(list(files.values()))
+        return _states_of(list(files.values()))
+
+
+def _states_of(paths: list[Path]) -> dict[str, tuple[int, int]]:
+    """Size and modification time of the files that exist, by path."""
+    found = {str(path): path.stat() for path in paths if path.is_file()}
+    return {path: (status.st_size, status.st_mtime_ns) for path, status in found.items()}

@@ -114,12 +114,6 @@ def judge(path: Path, known: Output | None, size: tuple[int, int], inputs: Input
     return Judgement(False, "is damaged")
 
 
-def facts_of(paths: list[Path]) -> dict[str, tuple[int, int]]:
-    """Size and time of change of files, by path; without those that are not there."""
-    found = {str(path): path.stat() for path in paths if path.is_file()}
-    return {path: (status.st_size, status.st_mtime_ns) for path, status in found.items()}
-
-
 def _changed(before: Inputs, now: Inputs) -> bool:
     """Whether a file that is there under the same name is another one; files that are gone are not missed."""
     return any(path in before and before[path] != facts for path, facts in now.items())

@@ -13,7 +13,7 @@ import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -106,7 +106,7 @@ class Session:
         options = ort.RunOptions()
         if self._placement.stream:  # the command buffer waits once, at its end
             options.add_run_config_entry("disable_synchronize_execution_providers", "1")
-        return lambda: self._session.run_with_iobinding(binding, options)
+        return partial(self._session.run_with_iobinding, binding, options)
 
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Outputs that depend on no input, from one run on zeros. ModelError when there are none such, or they cannot

@@ -36,7 +36,7 @@ class CapturedTensor(CapturedValue):
 
 @dataclass
 class CapturedNode:
-    """A node of a network, run by itself after the command; see `capture_network.NodeRun`.
+    """A node of a network, run by itself after the command; see `capture.NodeRun`.
 
     Attributes:
         outputs: what it wrote, in the node's order; of constants, figures only.
@@ -57,7 +57,7 @@ class CapturedNetwork:
 
     Attributes:
         nodes: in the order of the file, up to the first that failed.
-        difference: the largest relative error (`capture_network.largest_error`) of what the command wrote against
+        difference: the largest relative error (`capture.largest_error`) of what the command wrote against
             what the nodes wrote one by one: what optimising and fusing changed. None when that is not known.
     """
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from postfx.errors import PostfxError
 from postfx.exposure import ExposureMeter, SmoothExposure
+from postfx.files import read_ahead, read_patiently
 from postfx.frame import Frame, FrameSpec, GuideSpec, Role
-from postfx.io.prefetch import read_ahead, read_patiently
 from postfx.io.sequence import Sequence
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline

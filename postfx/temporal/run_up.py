@@ -9,8 +9,8 @@ from itertools import takewhile
 
 from postfx.cuts import CutDetector
 from postfx.errors import PostfxError
+from postfx.files import read_ahead, read_patiently
 from postfx.frame import Frame
-from postfx.io.prefetch import read_ahead, read_patiently
 from postfx.io.sequence import Sequence
 from postfx.temporal.reverse_motion import reverse_motion
 

@@ -11,7 +11,7 @@ from postfx.errors import ReadError, WriteError
 from postfx.report.capture_data import as_dict, read
 from postfx.report.page import capture_page, write_capture
 from postfx.runtime import ArgumentTable, Device
-from postfx.runtime.capture_network import MISSING
+from postfx.runtime.capture import MISSING
 from tests import toys
 from tests.report.browser import rendered
 

@@ -8,7 +8,7 @@ import pytest
 from onnx import helper
 
 from postfx.report.networks import describe
-from postfx.runtime.capture_network import MISSING
+from postfx.runtime.capture import MISSING
 from tests import toys
 from tests.deep import make_deep
 

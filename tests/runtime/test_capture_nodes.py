@@ -5,7 +5,7 @@ import pytest
 from onnx import TensorProto, helper
 
 from postfx.runtime import Device, Library
-from postfx.runtime.capture_network import run_nodes
+from postfx.runtime.capture import run_nodes
 from postfx.runtime.session import Placement
 from postfx.system import models_dir
 from tests import toys

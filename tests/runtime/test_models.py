@@ -10,7 +10,7 @@ import pytest
 from onnx import TensorProto, helper
 
 from postfx.runtime import ArgumentTable, Binding, Library, ModelError
-from postfx.runtime.capture_network import constant_nodes
+from postfx.runtime.capture import constant_nodes
 from tests import toys
 
 

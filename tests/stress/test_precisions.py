@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 pytest.importorskip("skimage", reason="needs the extra 'bench'")
-from postfx.bench.material import Material, Sources  # noqa: E402
+from postfx.bench.measure import Material, Sources  # noqa: E402
 from postfx.bench.metrics import psnr, shown  # noqa: E402
 from postfx.frame import Role  # noqa: E402
 from postfx.runtime import Device  # noqa: E402

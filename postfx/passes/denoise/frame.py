@@ -164,6 +164,7 @@ class Frames:
         self._graphs: LRUCache[Shape, Graph] = LRUCache(MOST_GRAPHS)
         self._bands = bands_within(device.scratch, sizes, models)
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
+        self._window = Window.whole(sizes)
         if self._bands:
             self._make(self._band_shape)
         self._history = history
@@ -224,8 +225,7 @@ class Frames:
         masked = keep and self._reactive
         kept = self._history.cover(band.held if band else (0, self._sizes.h))
         if band is None and self._whole:
-            self._whole.encode(commands, Window.whole(self._sizes), self.model, seen | targets, keep and not still,
-                               masked)
+            self._whole.encode(commands, self._window, self.model, seen | targets, keep and not still, masked)
         for some in [band] if band else self._bands:
             self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own)
         return self._output

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from postfx.bench.job import Bench, Wish
-from postfx.bench.material import Sources
+from postfx.bench.measure import Sources
 from training.datagen.clip_export import frame_header, write_exr
 from training.datagen.clip_file import GUIDES
 from training.measure.validation.clips import FULL, HALF, load

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from postfx.io.prefetch import WriteBehind, read_ahead
+from postfx.files import WriteBehind, read_ahead
 
 
 def test_items_come_in_order_and_at_most_one_is_read_ahead() -> None:
