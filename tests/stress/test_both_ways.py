@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import contextmanager
 
 import numpy as np
-import pytest
 
 from postfx.bench.stress import BRIGHTEST, HARD
 from postfx.frame import Frame, Role
@@ -65,21 +64,22 @@ BOTH = on(cpu=("s.fp32",))
 
 
 @BOTH
-@pytest.mark.parametrize("name", HARD)
-def test_light_is_finite_and_in_range(name: str, model: str, device: Device) -> None:
-    """Also in frames beside hard ones, which have them in their history or ahead."""
-    hard = [HARD[name](noisy(number, 24, 32)) for number in (2, 3)]
-    frames = [noisy(1, 24, 32), *hard, noisy(4, 24, 32)]
-    frames = [frame for frame in frames if frame.spec == frames[1].spec]
-    for frame, colour in zip(frames, both_ways(frames, model, device), strict=True):
-        assert np.isfinite(colour).all() and colour.min() >= 0 and colour.max() <= BRIGHTEST, frame.number
+def test_light_is_finite_and_in_range(model: str, device: Device) -> None:
+    """Also in frames beside hard ones, which have them in their history or ahead; half of the inputs."""
+    for name, change in list(HARD.items())[::2]:
+        hard = [change(noisy(number, 24, 32)) for number in (2, 3)]
+        frames = [noisy(1, 24, 32), *hard, noisy(4, 24, 32)]
+        frames = [frame for frame in frames if frame.spec == frames[1].spec]
+        for frame, colour in zip(frames, both_ways(frames, model, device), strict=True):
+            assert np.isfinite(colour).all(), (name, frame.number)
+            assert colour.min() >= 0 and colour.max() <= BRIGHTEST, (name, frame.number)
 
 
 @BOTH
-@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
-def test_sizes(size: tuple[int, int], model: str, device: Device) -> None:
-    for colour in both_ways([noisy(number, *size) for number in (1, 2, 3)], model, device):
-        assert colour.shape == (2 * size[0], 2 * size[1], 3) and np.isfinite(colour).all()
+def test_sizes(model: str, device: Device) -> None:
+    for size in SIZES[::2]:
+        for colour in both_ways([noisy(number, *size) for number in (1, 2, 3)], model, device):
+            assert colour.shape == (2 * size[0], 2 * size[1], 3) and np.isfinite(colour).all(), size
 
 
 @BOTH
