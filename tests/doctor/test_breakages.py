@@ -28,10 +28,21 @@ def test_room(room, breakage, diagnose):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SHARED)
 @pytest.mark.parametrize("breakage", BREAKAGES, ids=lambda breakage: breakage.name)
-def test_other_renderers(shared_frames, name, breakage, diagnose):
-    check(breakage.apply(shared_frames(name)), breakage, diagnose)
+def test_other_renderers(shared_frames, breakage, diagnose):
+    """On one sequence each, of those that have what is to be broken, in turn."""
+    first = BREAKAGES.index(breakage) % len(SHARED)
+    names = SHARED[first:] + SHARED[:first]
+    broken = (breakage.apply(shared_frames(name)) for name in names)
+    check(next((frames for frames in broken if frames is not None), None), breakage, diagnose)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", SHARED)
+def test_all_sequences_of_other_renderers(shared_frames, name, diagnose):
+    for breakage in BREAKAGES:
+        if (broken := breakage.apply(shared_frames(name))) is not None:
+            check(broken, breakage, diagnose)
 
 
 def test_at_least_twenty_mistakes():

@@ -57,10 +57,10 @@ def test_frames_of_several_sizes_are_named(diagnose):
 
 
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
-def test_constant_planes(size, value, diagnose):
-    found = codes(diagnose([filled(value, size, number) for number in (1, 2, 3)]))
-    assert found <= {"normal-length"}  # the only claim that constants allow: (v, v, v) is not of unit length
+def test_constant_planes(size, diagnose):
+    for value in (0.0, 0.5, 1.0):
+        found = codes(diagnose([filled(value, size, number) for number in (1, 2, 3)]))
+        assert found <= {"normal-length"}, value  # all that constants allow: (v, v, v) is not of unit length
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -72,10 +72,10 @@ def test_nothing_but_misses(size, diagnose):
 
 
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_nothing_finite(size, value, diagnose):
-    findings = diagnose([filled(value, size, number) for number in (1, 2, 3)])
-    assert codes(findings) <= {"not-finite", "negative", "depth-negative"} and "not-finite" in codes(findings)
+def test_nothing_finite(size, diagnose):
+    for value in (np.nan, np.inf, -np.inf):
+        found = codes(diagnose([filled(value, size, number) for number in (1, 2, 3)]))
+        assert "not-finite" in found and found <= {"not-finite", "negative", "depth-negative"}, value
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -106,11 +106,11 @@ def test_without_colour(diagnose):
     assert "missing-colour" in codes(diagnose([Frame({Role.DEPTH: np.ones((20, 20, 1), np.float32)})]))
 
 
-@pytest.mark.parametrize("role", list(Role))
 @pytest.mark.parametrize("value", [0.0, 2.0, np.nan, np.inf, -1.0, DEPTH_MISS])
-def test_pictures_of_anything(role, value):
-    shown = picture(np.full((3, 4, ROLES[role].channels), value, np.float32), role)
-    assert shown.shape == (3, 4, 3) and shown.dtype == np.uint8
+def test_pictures_of_anything(value):
+    for role in Role:
+        shown = picture(np.full((3, 4, ROLES[role].channels), value, np.float32), role)
+        assert shown.shape == (3, 4, 3) and shown.dtype == np.uint8, role
 
 
 def test_motion_of_the_camera_is_the_stored_motion_and_none_without_a_camera(room):
