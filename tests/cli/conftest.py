@@ -1,9 +1,6 @@
 """Running the command line as people do, on small files."""
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-REPOSITORY = Path(__file__).resolve().parent.parent.parent
+from postfx.cli.main import main
 
 
 class Outcome(NamedTuple):
@@ -27,21 +24,18 @@ class Outcome(NamedTuple):
 
 
 @pytest.fixture
-def postfx(tmp_path: Path) -> Callable[..., Outcome]:
-    """Runs `postfx ARGUMENTS` in the test's folder."""
+def postfx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture) -> Callable[..., Outcome]:
+    """Runs `postfx ARGUMENTS` in the test's folder and process: a start of Python takes longer than most runs."""
+    monkeypatch.chdir(tmp_path)
 
     def run(*arguments: str) -> Outcome:
-        path = os.pathsep.join(filter(None, [str(REPOSITORY), os.environ.get("PYTHONPATH")]))
-        done = subprocess.run(
-            [sys.executable, "-m", "postfx", *arguments],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": path},
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=False,
-        )
-        return Outcome(done.returncode, done.stdout, done.stderr)
+        capfd.readouterr()
+        try:
+            code = main(arguments)
+        except SystemExit as ended:
+            assert ended.code is None or isinstance(ended.code, int), ended.code
+            code = ended.code or 0
+        return Outcome(code, *capfd.readouterr())
 
     return run
 
