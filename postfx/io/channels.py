@@ -12,13 +12,14 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from postfx.frame import Role
 from postfx.io.image_file import ImageFile
-from postfx.io.profile import load_profile
+from postfx.io.profile import load_profile, profile_names
 from postfx.io.windows import Part
 
 COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image", "noisy")
@@ -35,9 +36,18 @@ _DATA = re.compile(
 
 
 def is_plane_word(word: str) -> bool:
-    """Whether a word in file or part names stands for a plane: one for the colour, or a generic profile's layer."""
-    layers = {name for rule in load_profile("generic").planes for name in rule.names if name}
-    return word.lower() in {*COLOUR_FILES, *layers}
+    """Whether a word in file or part names stands for a plane: one for the colour, or a layer that a profile names."""
+    return bool(word) and word.lower() in _plane_words()
+
+
+@cache
+def _plane_words() -> frozenset[str]:
+    """In lower case. Single letters, which are channels as well, count as the generic profile has them."""
+    named = {name for rule in load_profile("generic").planes for name in rule.names}
+    for profile in map(load_profile, profile_names()):
+        named |= {name for rule in profile.planes if rule.role not in (Role.COLOUR, Role.ALPHA) for name in rule.names
+                  if len(name) > 1 and "*" not in name and "{" not in name}
+    return frozenset({*COLOUR_FILES, *(name.lower() for name in named if name)})
 
 
 class Channel(NamedTuple):
@@ -210,7 +220,7 @@ def _sources(word: str, file: ImageFile, view: str) -> Iterator[_Source]:
 
 
 def _full_names(short: str, part: str, word: str, is_plain: bool) -> list[str]:
-    own = [short] if is_plain or "." in short else []
+    own = [short] if is_plain or "." in short or short.lower() == part.lower() else []
     return own + [f"{head}.{short}" for head in (part, word) if head and not short.startswith(f"{head}.")]
 
 
@@ -223,13 +233,7 @@ def _ranks(names: list[str], parts: tuple[Part, ...]) -> dict[int, int]:
             ranks.setdefault(index, _COLOUR)
         elif not is_plane_word(name) and not _DATA.search(name):
             ranks.setdefault(index, _UNKNOWN)
-        elif name.lower() in _BARE:
-            ranks.setdefault(index, _UNKNOWN)
     return ranks or dict.fromkeys(range(len(parts)), _UNKNOWN)
-
-
-_BARE = ("z",)
-"""Names of parts that are those of the one channel in them."""
 
 
 def _with_letter(name: str) -> str:

@@ -6,7 +6,7 @@ Stored values are made from the wanted ones by what the renderer documents, not 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from postfx.io import layout as layout_module
 from postfx.io.convert import parse_depth
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.profile import SOURCES, load_profile, profile_names
+from postfx.io.sequence import read_sequence
 
 HEIGHT, WIDTH, FOV = 4, 6, 60.0
 VIEW = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [1, 2, 3, 1]], np.float64)
@@ -352,14 +353,56 @@ def test_layout(open_layout, tmp_path, name):
     assert set(sources.replace(" and", ",").split(", ")) == used
 
 
-def test_no_two_profiles_fit(open_layout, monkeypatch):
+def in_words(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Channels as Nuke writes them again: red, green, blue and alpha instead of letters."""
+    words = dict(zip("rgba", ("red", "green", "blue", "alpha"), strict=True))
+    parted = {name: name.rpartition(".") for name in stored}
+    return {f"{layer}.{words.get(letter.lower(), letter)}" if layer else name: stored[name]
+            for name, (layer, _, letter) in parted.items()}
+
+
+def test_no_two_profiles_fit_and_nuke_may_rewrite_the_files(open_layout, monkeypatch):
     """What is found does not depend on which profile is tried first; Blender 4's are a kind of Blender 5's."""
     order = sorted(profile_names(), reverse=True)
     order = ["cycles-4", *(name for name in order if name not in ("cycles-4", "generic")), "generic"]
     monkeypatch.setattr(layout_module, "profile_names", lambda: order)
     for name, layout in LAYOUTS.items():
-        with open_layout(layout) as files:
+        is_flat = not isinstance(next(iter(layout.stored.values())), Mapping)
+        with open_layout(replace(layout, stored=in_words(layout.stored) if is_flat else layout.stored)) as files:
             assert files.layout.profile.name == layout.profile, name
+            assert layout.camera or set(files.layout.planes) - PICTURE == layout.roles, name
+
+
+@pytest.mark.parametrize("name", ["Arnold without its header", "Redshift, raw vectors", "Karma", "MoonRay"])
+def test_a_part_for_each_layer(open_layout, name):
+    layout, parts = LAYOUTS[name], {}
+    for channel, plane in layout.stored.items():
+        layer, _, letter = channel.rpartition(".")
+        part = layer or ("rgba" if channel in "RGBA" else channel)
+        parts.setdefault(part, {})[letter] = plane
+    header = {key: np.float32(value).reshape(4, 4) if key == "worldToCamera" else value
+              for key, value in layout.header.items()}
+    with open_layout(replace(layout, stored=parts, header=header)) as files:
+        frame = files.read(1)
+    assert files.layout.profile.name == layout.profile and set(frame.planes) == layout.roles | PICTURE
+    for role in frame.planes:
+        np.testing.assert_allclose(frame[role], TRUTH[role], rtol=2e-5, atol=2e-5, err_msg=role)
+
+
+def test_a_folder_with_a_file_for_each_plane(write_exr, tmp_path):
+    layout = LAYOUTS["Cycles in Gaffer, a file a plane"]
+    for name in ("beauty", "diffuse_color", "glossy_color", "motion"):
+        write_exr(f"shot/{name}.0001.exr", layout.stored[name])
+    (frame,) = read_sequence(tmp_path / "shot")
+    assert set(frame.planes) == PICTURE | ALBEDOS | {Role.MOTION}
+
+
+def test_the_colour_is_no_part_that_a_renderer_names_otherwise(write_parts):
+    parts = {"VRayDiffuseFilter": store("", "RGB", DIFFUSE), "RGB_color": picture("", "RGB")}
+    with FrameFiles({"": write_parts("a.exr", parts)}) as files:
+        frame = files.read(1)
+    np.testing.assert_allclose(frame[Role.COLOUR], COLOUR, rtol=1e-6)
+    np.testing.assert_allclose(frame[Role.DIFFUSE_ALBEDO], DIFFUSE, rtol=1e-6)
 
 
 def test_no_profile_takes_a_picture_for_something_else(write_exr):
