@@ -100,7 +100,7 @@ class Job:
             self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards else spec)
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
-            self.outputs.refuse_few_bits(self.plan.output.encoding)
+            self.outputs.check_storage(self.plan.output.encoding, arguments.bits, arguments.compression)
         standin = None
         if policy is OnError.COPY:
             plain, _ = self._passes(None if denoising is None else self._resampling())

@@ -66,6 +66,12 @@ FRAMES = Section("", (
            convert=lambda keep: keep == "all",
            help="EXR: what the input holds beside the picture goes into the output bit for bit (channels at render "
            "size, parts, header), or not at all (default: all)"),
+    Option(flag="--bits", metavar="N", type=parse_positive, sets="writer.bits",
+           help="of a channel: EXR 16 (half floats, default) or 32 (floats), PNG 8 (default) or 16 (default in HDR), "
+           "TIFF 8 or 16 (default)"),
+    Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
+           help="of EXR: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab or, with a level, dwaa:45 (default: "
+           "zip, the fastest; the last five lose a little)"),
     Option(flag="--on-error", choices=("stop", "skip", "copy"), default="stop", changes="nothing",
            help="a frame that cannot be read or processed ends the run; has no output; or its picture is enlarged "
            "without denoising. The run goes on after the last two and exits with 3 (default: stop)"),

@@ -22,7 +22,7 @@ from postfx.colour.icc import make_profile
 from postfx.colour.primaries import Chromaticities
 from postfx.errors import ReadError
 from postfx.frame import Frame
-from postfx.io.exr.container import ExrContainer, write_container, zip_part
+from postfx.io.exr.container import ExrContainer, picture_part, write_container
 from postfx.io.exr.header import Header, read_headers
 from postfx.io.exr.passthrough import merge_source
 from postfx.io.windows import Pixels
@@ -227,7 +227,7 @@ def encode(
 def _write_exr(
     path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None, keep: Frame | None
 ) -> int:
-    """Scanlines in ZIP, in a third of the time that OpenImageIO takes; returns the file's bytes.
+    """Scanlines, in ZIP in a third of the time that OpenImageIO takes; returns the file's bytes.
 
     Each chunk goes straight into the file, together with the channels and parts that are kept.
     """
@@ -241,7 +241,7 @@ def _write_exr(
         return [pixels[:, :, place] for place in places]
 
     with ExitStack() as stack:
-        parts = merge_source(header, rows, keep, stack) if keep else [zip_part(header, rows)]
+        parts = merge_source(header, rows, keep, stack) if keep else [picture_part(header, rows)]
         return write_container(path, parts)
 
 

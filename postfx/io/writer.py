@@ -19,6 +19,7 @@ from postfx.files import is_utf8, make_printable, output_file
 from postfx.frame import LINEAR, Frame, Role
 from postfx.io.dither import Dither, quantise
 from postfx.io.encode import JPEG, encode, halves, has_end, light_of, tag_codes, tag_light
+from postfx.io.exr.container import COMPRESSIONS
 from postfx.io.exr.passthrough import kept_attributes, set_attributes
 from postfx.io.image_file import reason_of
 from postfx.io.pattern import PLANE, Pattern, parse_pattern
@@ -29,7 +30,8 @@ from postfx.version import __version__
 LINEAR_FORMATS = (".exr",)
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG)
 WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
-_DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays only
+_DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays if not told otherwise
+_LEVELLED = ("dwaa", "dwab")
 _PNG_LEVEL, _PNG_PAETH = 3, 128  # with alpha: half the time of level 6 and a filter chosen for each row, for 4 % more
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
 SRGB_DISPLAY = parse_display("srgb")
@@ -44,11 +46,28 @@ def is_display_format(path: str | PathLike[str]) -> bool:
     return suffix in DISPLAY_FORMATS
 
 
-def refuse_few_bits(path: Path, encoding: str) -> None:
-    """WriteError where files of this name have too few bits for code values of an encoding."""
+def check_storage(path: Path, bits: int | None, compression: str, encoding: str) -> None:
+    """WriteError where files of this name cannot have so many bits or this compression, or have too few bits for code
+    values of an encoding."""
+    suffix = path.suffix.lower()
     display = None if encoding in LINEAR else parse_display(encoding)
-    if display and display.hdr and path.suffix.lower() in JPEG:
-        raise WriteError(f"{path}: JPEG has too few bits for {display.kind.title}: write PNG or TIFF")
+    may_have = (16, 32) if suffix in LINEAR_FORMATS else (8,) if suffix in JPEG else (8, 16)
+    if bits is not None and bits not in may_have:
+        raise WriteError(f"{path}: cannot have {bits} bits: {suffix[1:].upper()} has {' or '.join(map(str, may_have))}")
+    if suffix not in LINEAR_FORMATS and display and display.hdr and (suffix in JPEG or bits == 8):
+        few = "JPEG has too few bits" if suffix in JPEG else "8 bits are too few"
+        raise WriteError(f"{path}: {few} for {display.kind.title}: write PNG or TIFF, of 16 bits")
+    check_compression(path, compression)
+
+
+def check_compression(path: Path, compression: str) -> None:
+    """WriteError for a compression that OpenEXR does not have, or that is not for files of this name."""
+    name, _, level = compression.partition(":")
+    if name not in COMPRESSIONS.values() or (level and (name not in _LEVELLED or not level.isdigit())):
+        raise WriteError(f"--compression {compression}: use one of {', '.join(COMPRESSIONS.values())}, or with a level "
+                         "dwaa:45 or dwab:45")
+    if compression != "zip" and path.suffix.lower() not in LINEAR_FORMATS:
+        raise WriteError(f"{path}: --compression is for EXR files: leave it out")
 
 
 def write_frame(
@@ -59,35 +78,45 @@ def write_frame(
     dither: Dither | str = Dither.MOVING,
     provenance: Mapping[str, str] | None = None,
     keep: bool = False,
+    bits: int | None = None,
+    compression: str = "zip",
 ) -> Path:
     """Write colour and alpha of a frame; returns the path.
 
-    EXR holds linear light: a display-encoded frame is decoded, in its display's primaries, and 1 is white. Half floats
-    unless `half` is False, ZIP compression, the input's windows scaled to the frame's size, and its useful header
-    attributes. Beside scene-linear colour also an overlay that was not composited, as a layer of that name.
+    EXR holds linear light: a display-encoded frame is decoded, in its display's primaries, and 1 is white. The input's
+    windows are scaled to the frame's size, and its useful header attributes kept. Beside scene-linear colour also an
+    overlay that was not composited, as a layer of that name.
 
-    Other files hold code values within the display window: JPEG and PNG 8 bits, dithered, TIFF and PNG for HDR displays
-    16 bits. They are tagged with the display that they are for, see `postfx.io.encode`. Linear frames are clipped to
-    0..1 there and encoded as sRGB, so tone-map them first.
+    Other files hold code values within the display window; 8 bits are dithered. They are tagged with the display that
+    they are for, see `postfx.io.encode`. Linear frames are clipped to 0..1 there and encoded as sRGB, so tone-map them
+    first.
 
     The file appears under its name only when it is complete; folders are made.
 
     Args:
+        half: of EXR, whether its channels are half floats; the same as `bits`, which tells it for all formats.
         relax: is called again and again meanwhile.
         dither: moving, static or none.
         provenance: attributes for an EXR header that tell how the frame came about.
         keep: write everything else that the frame's source holds into an EXR, see `postfx.io.exr.passthrough`.
+        bits: EXR 16 (half floats, default) or 32 (floats); PNG and TIFF 8 or 16 (default: PNG 8, but 16 for HDR
+            displays; TIFF 16); JPEG 8.
+        compression: of EXR: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa or dwab, the last two with a level as in
+            'dwaa:45'. ZIP is the fastest, pxr24 (floats), b44 and dwa lose a little.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot
-    hold an HDR picture, ReadError when what is kept cannot be read.
+    hold such a picture, ReadError when what is kept cannot be read.
     """
     path = Path(path)
     shown = is_display_format(path)
-    convert = _code_pixels(frame, path, Dither(dither)) if shown else _linear_pixels(frame, half)
+    check_storage(path, bits, compression, frame.encoding)
+    half = half if bits is None else bits == 16
+    convert = _code_pixels(frame, path, Dither(dither), bits) if shown else _linear_pixels(frame, half)
     windows = output_windows(frame)
     convert = cut(convert, windows.area, windows.display if shown else windows.data)
     spec = _spec(frame, windows, convert(slice(0, 1)), path)
     if not shown:
+        spec.attribute("compression", compression)
         set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
     with output_file(path) as temporary:
         encode(temporary, path.suffix.lower(), spec, convert, relax, frame if keep else None)
@@ -126,19 +155,18 @@ def _linear_pixels(frame: Frame, half: bool) -> Pixels:
     return convert
 
 
-def _code_pixels(frame: Frame, path: Path, dither: Dither) -> Pixels:
+def _code_pixels(frame: Frame, path: Path, dither: Dither, bits: int | None) -> Pixels:
     suffix, display = path.suffix.lower(), _display_of(frame)
-    refuse_few_bits(path, frame.encoding)
     opaque = Role.ALPHA not in frame or suffix in JPEG or frame[Role.ALPHA].min() >= 1
     straight = suffix == ".png" and not opaque
-    bits = 16 if suffix in _DEEP or (display and display.hdr) else 8
+    depth = bits or (16 if suffix in _DEEP or (display and display.hdr) else 8)
 
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
         codes = colour if display else SRGB.encode(colour)
         codes = _straight(codes, frame[Role.ALPHA][rows], display or SRGB_DISPLAY) if straight else codes
         pixels = codes if opaque else _with_alpha(codes, frame, rows)
-        return quantise(pixels, bits, dither, frame.number, rows.start)
+        return quantise(pixels, depth, dither, frame.number, rows.start)
 
     return convert
 
@@ -185,7 +213,6 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) 
     set_attributes(spec, kept_attributes(frame))
     if display:
         tag_light(spec, display.kind.primaries, display.white)
-    spec.attribute("compression", "zip")
     return spec
 
 
@@ -231,9 +258,9 @@ class OutputFiles:
                 if os.path.lexists(path):
                     raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")
 
-    def refuse_few_bits(self, encoding: str) -> None:
-        """WriteError where the format has too few bits for code values of an encoding."""
-        refuse_few_bits(Path(str(self._pattern)), encoding)
+    def check_storage(self, encoding: str, bits: int | None = None, compression: str = "zip") -> None:
+        """WriteError where the format cannot have these bits or this compression, or too few for an encoding."""
+        check_storage(Path(str(self._pattern)), bits, compression, encoding)
 
     def _refuse_inputs(self, sequence: Sequence) -> None:
         """No input may be replaced, whatever links, `..` or letter case lead there, and no output may become a frame of

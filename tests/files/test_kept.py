@@ -10,7 +10,7 @@ import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
-from postfx.errors import ReadError
+from postfx.errors import ReadError, WriteError
 from postfx.frame import Frame, Role
 from postfx.io.exr.container import ExrContainer
 from postfx.io.sequence import read_sequence
@@ -192,3 +192,10 @@ def test_the_command_line_keeps_all_or_none(postfx, shot, tmp_path: Path) -> Non
     assert "keeps" not in told.out and "keeps" not in postfx("in/", "-o", "a.####.png", "--explain").out
     assert postfx("in/", "-o", "none/", "--keep", "none").code == 0
     assert not untouched(channel_hashes(tmp_path / "none/shot.0001.exr"))
+
+
+def test_what_stays_in_the_pictures_part_is_kept_by_zip_only(tmp_path: Path) -> None:
+    frame = processed(write_mixed(tmp_path / "in.exr"))
+    with pytest.raises(WriteError, match="bit for bit, with ZIP only: leave --compression dwaa out, or give --keep"):
+        write_frame(tmp_path / "out.exr", frame, keep=True, compression="dwaa")
+    assert write_frame(tmp_path / "out.exr", frame, compression="dwaa").is_file()

@@ -53,6 +53,43 @@ def test_display_frames_are_decoded_for_exr(frame, tmp_path):
     np.testing.assert_allclose(written[:, :, :3], srgb_decode(frame[Role.COLOUR]), atol=1e-6)
 
 
+def test_compressions_hold_the_picture(tmp_path):
+    """Decoded by another library; 300 rows, so that each has several chunks; windows as they are given."""
+    rows, columns = np.mgrid[:300, :40].astype(np.float32)
+    light = np.stack([1 + np.sin(rows / 30), 1 + np.cos(columns / 9), rows / 300], 2)
+    frame = Frame({Role.COLOUR: light, Role.ALPHA: np.ones((300, 40, 1), np.float32)})
+    wanted = {bits: pixels_of(write_frame(tmp_path / "zip.exr", frame, bits=bits)) for bits in (16, 32)}
+    np.testing.assert_array_equal(wanted[32][..., :3], light)
+    for compression in ("none", "rle", "zips", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab:200"):
+        for bits, expected in wanted.items():
+            path = write_frame(tmp_path / "a.exr", frame, compression=compression, bits=bits)
+            spec, found = oiio.ImageBuf(str(path)).spec(), pixels_of(path)
+            assert spec.getattribute("compression") == compression.partition(":")[0]
+            assert str(spec.format) == {16: "half", 32: "float"}[bits] and is_complete(path, 40, 300)
+            lost = {"b44": 0.05, "dwa": 0.05, "pxr": 1e-4}.get(compression[:3], 0)
+            np.testing.assert_allclose(found, expected, atol=lost, err_msg=f"{compression} {bits}")
+    fine, coarse = (write_frame(tmp_path / f"{level}.exr", frame, compression=f"dwaa:{level}") for level in (5, 900))
+    assert coarse.stat().st_size < fine.stat().st_size
+
+
+def test_bits_of_pictures_and_what_cannot_be(frame, tmp_path):
+    for name, bits, kind in (("a.png", 16, "uint16"), ("a.png", 8, "uint8"), ("a.tif", 8, "uint8"),
+                             ("a.jpg", 8, "uint8")):
+        path = write_frame(tmp_path / name, frame, bits=bits)
+        assert str(oiio.ImageBuf(str(path)).spec().format) == kind
+    deep = pixels_of(write_frame(tmp_path / "a.png", frame, bits=16))[..., :3]
+    np.testing.assert_allclose(deep, srgb_encode(frame[Role.COLOUR]), atol=1 / 65535)
+    hdr = Frame(frame.planes, encoding=str(parse_display("pq")))
+    for name, given, options, told in (
+        ("a.exr", frame, {"bits": 8}, "EXR has 16 or 32"), ("a.jpg", frame, {"bits": 16}, "JPG has 8"),
+        ("a.png", hdr, {"bits": 8}, "8 bits are too few for"), ("a.png", frame, {"compression": "piz"}, "is for EXR"),
+        ("a.exr", frame, {"compression": "zop"}, "use one of none"),
+        ("a.exr", frame, {"compression": "piz:9"}, "dwaa:45"),
+    ):
+        with pytest.raises(WriteError, match=told):
+            write_frame(tmp_path / name, given, **options)
+
+
 @pytest.mark.parametrize("suffix", [".exr", ".png", ".tif", ".jpg"])
 def test_any_number_of_threads_encodes_the_same(frame, tmp_path, suffix):
     frame = Frame({Role.COLOUR: np.tile(frame[Role.COLOUR], (20, 20, 1))}, encoding="srgb")

@@ -67,6 +67,12 @@ class Header:
         return self._unpacked("compression", "<B")[0]
 
     @property
+    def dwa_level(self) -> float | None:
+        """How much DWA compression loses, where the header says so."""
+        value = self.attributes.get("dwaCompressionLevel")
+        return float(struct.unpack("<f", value.value)[0]) if value and len(value.value) == 4 else None
+
+    @property
     def data(self) -> Window:
         """Data window."""
         return Window(*self._unpacked("dataWindow", "<4i"))

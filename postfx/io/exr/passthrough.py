@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
+from postfx.errors import WriteError
 from postfx.frame import ColourSource, Frame
-from postfx.io.exr.container import ZIP, ExrContainer, NewPart, Rows, zip_part
+from postfx.io.exr.container import COMPRESSIONS, ZIP, ExrContainer, NewPart, Rows, picture_part
 from postfx.io.exr.header import SCANLINES, TILES, Header, pack_channels
 from postfx.io.image_file import ImageFile
 from postfx.io.windows import AREA, EXR_NAMES, PICTURE
@@ -97,7 +98,7 @@ RENDER = "render:"
 """Before the name of an attribute of the render that the picture's file cannot have, or that is not true of it."""
 _SHARED = ("displayWindow", "pixelAspectRatio", "timeCode", "chromaticities")
 _STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "type", "name", "tiles", "version",
-              "chunkCount", "maxSamplesPerPixel")
+              "chunkCount", "maxSamplesPerPixel", "dwaCompressionLevel")
 _INVENTED = "capDate"  # OpenImageIO writes today's where there is none
 _NAME, _RENDER_NAME = "rgba", "render"
 
@@ -114,7 +115,7 @@ def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> lis
     Raises ReadError when the source is broken, OSError when it is gone.
     """
     if frame.source is None or Path(frame.source).suffix.lower() != ".exr":
-        return [zip_part(own, rows)]
+        return [picture_part(own, rows)]
     source = stack.enter_context(ExrContainer(Path(frame.source)))
     return _Merge(own, rows, source, frame, stack).parts()
 
@@ -135,7 +136,7 @@ class _Merge:
             parts = [self._together(part, header) if part == index else self._as_stored(part, header)
                      for part in range(len(headers))]
         else:
-            parts = [zip_part(header, self._rows), *(self._as_stored(part, header) for part in range(len(headers)))]
+            parts = [picture_part(header, self._rows), *(self._as_stored(part, header) for part in range(len(headers)))]
         return _with_names(parts)
 
     def _is_in_place(self) -> bool:
@@ -163,9 +164,12 @@ class _Merge:
         fresh = [channel.name for channel in self._own.channels]
         rest = [channel for channel in self._source.headers[part].channels if channel.name not in fresh]
         if not rest:
-            return zip_part(header, self._rows)
+            return picture_part(header, self._rows)
         header.set("channels", "chlist", pack_channels(self._own.channels + rest))
-        header.set("compression", "compression", bytes([ZIP]))
+        if header.compression != ZIP:
+            name = COMPRESSIONS[header.compression]
+            raise WriteError(f"{self._source.path}: has channels that stay in the picture's part bit for bit, with ZIP "
+                             f"only: leave --compression {name} out, or give --keep none")
         source = self._stack.enter_context(ImageFile(self._source.path, checked=True))
         (render,) = (one for one in source.parts if one.index == part)
         old, order = [channel.name for channel in rest], [channel.name for channel in header.channels]
@@ -175,7 +179,7 @@ class _Merge:
             found |= zip(old, source.read_stored(render, old, first, last), strict=True)
             return [found[name] for name in order]
 
-        return zip_part(header, rows)
+        return picture_part(header, rows)
 
     def _header(self, render: Header, in_place: bool) -> Header:
         """Header of the picture's part: what the writer gave it, and what the render's says that it did not change."""
