@@ -11,7 +11,15 @@ from types import FrameType
 from typing import Any, TypeVar
 
 from postfx.cli.summary import RESAMPLED, Fault, Processed
-from postfx.errors import FrameError, GuideError, Interrupted, MissingPlaneError, PostfxError, WriteError
+from postfx.errors import (
+    FrameError,
+    GuideError,
+    Interrupted,
+    MissingFrameError,
+    MissingPlaneError,
+    PostfxError,
+    WriteError,
+)
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.sequence import Sequence
@@ -106,16 +114,21 @@ class Faults:
 
 
 def first_readable(sequence: Sequence, policy: OnError) -> int:
-    """Number of the first frame, or of the first one that can be read where those that cannot are let pass."""
+    """Number of the first frame, or of the first one that can be read where those that cannot are let pass.
+
+    Where none can be, raises the error of the last one that is there.
+    """
+    errors: list[PostfxError] = []
     for number in sequence.numbers:
         try:
             with sequence.open(number) as files:
                 files.spec()
                 return number
-        except PostfxError:
-            if policy is OnError.STOP or number == sequence.numbers[-1]:
-                raise
-    raise AssertionError("a sequence has a frame")
+        except PostfxError as error:
+            errors.append(error)
+            if policy is OnError.STOP:
+                break
+    raise next((error for error in reversed(errors) if not isinstance(error, MissingFrameError)), errors[0])
 
 
 def check_sizes(frame: Frame, first: FrameSpec, sized: bool) -> None:
