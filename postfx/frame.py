@@ -205,11 +205,16 @@ class ColourSource:
         part: part of the file, counted from 0.
         channels: names of red, green and blue there.
         attributes: header attributes as they were read.
+        renders: part and name of every channel that stands for the render's colour or its alpha, the layers beside the
+            one that was read included.
+        pixels: part and name of channels whose values are distances in pixels -> their axis, 0 across and 1 down.
     """
 
     part: int
     channels: tuple[str, ...]
     attributes: Mapping[str, Any]
+    renders: frozenset[tuple[int, str]] = frozenset()
+    pixels: Mapping[tuple[int, str], int] = field(default_factory=dict)
 
 
 @dataclass(eq=False, repr=False)

@@ -22,6 +22,7 @@ from postfx.cli.run_options import (
     RUN,
     announce_run_up,
     display_passes,
+    explain_kept,
     explain_overlay,
     make_run_up,
     refuse_layer,
@@ -98,6 +99,8 @@ class Job:
             self.left_out += explain_overlay(arguments, files)
             spec = files.spec()
             self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards else spec)
+            self.kept, left_out = explain_kept(arguments, files, (self.plan.output.width, self.plan.output.height))
+            self.left_out += left_out
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits, arguments.compression)

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from postfx.cli.run_options import RUN, describe_kept
+from postfx.cli.run_options import RUN
 from postfx.errors import PostfxError
 
 HELP = "denoise, upscale and tone-map a sequence"
@@ -75,7 +75,7 @@ def execute(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print(json.dumps(explained.as_dict(), indent=2))
         else:
-            print("\n".join([str(explained), *describe_kept(arguments, job.sequence, job.first)]))
+            print("\n".join(filter(None, [str(explained), job.kept])))
         return 0
     failure: PostfxError | KeyboardInterrupt | None = None
     try:

@@ -62,10 +62,11 @@ FRAMES = Section("", (
     Option(flag="--preroll", metavar="N", type=parse_count, sets="run.preroll", changes="nothing",
            help="frames to process without writing, before the first one of the range, so that the passes have their "
            "history (default: 0)"),
-    Option(flag="--keep", choices=("all", "none"), default="all", sets="writer.keep",
-           convert=lambda keep: keep == "all",
-           help="EXR: what the input holds beside the picture goes into the output bit for bit (channels at render "
-           "size, parts, header), or not at all (default: all)"),
+    Option(flag="--keep", choices=("auto", "all", "none"), default="auto", off="auto", sets="writer.keep",
+           convert={"auto": None, "all": True, "none": False}.get,
+           help="EXR: what the input holds beside the picture (channels, parts, header) goes into the output; beside a "
+           "larger picture enlarged by the nearest pixel (all); never (none); or bit for bit where the picture has the "
+           "input's size, else not (default: auto)"),
     Option(flag="--bits", metavar="N", type=parse_positive, sets="writer.bits",
            help="of a channel: EXR 16 (half floats, default) or 32 (floats), PNG 8 (default) or 16 (default in HDR), "
            "TIFF 8 or 16 (default)"),
@@ -78,22 +79,28 @@ FRAMES = Section("", (
 ))
 
 
-def describe_kept(arguments: argparse.Namespace, sequence: Sequence, number: int) -> list[str]:
-    """A line on the channels that a frame's file holds beside the picture and --keep copies; empty if there are none.
-    """
+def explain_kept(arguments: argparse.Namespace, files: FrameFiles, size: tuple[int, int]) -> tuple[str, list[Skipped]]:
+    """A line on the channels that a frame's file holds beside the picture and an output of a size keeps, '' for none;
+    and those that it does not."""
     from postfx.frame import Role
     from postfx.io.writer import is_display_format
+    from postfx.plan import Skipped
 
     is_picture = arguments.output and Path(arguments.output).suffix and is_display_format(arguments.output)
-    if arguments.keep == "none" or is_picture:
-        return []
-    with sequence.open(number) as files:
-        planes = [files.layout.planes[role] for role in (Role.COLOUR, Role.ALPHA) if role in files.layout.planes]
-        touched = {(channel.part.index, channel.name) for match in planes for channel in match.channels}
-        file = files.match(Role.COLOUR).channels[0].file
-        others = [(part.index, name) for part in file.parts for name in part.channels]
-    count = len([other for other in others if other not in touched])
-    return [f"keeps   {count} other channels bit for bit (--keep none leaves them out)"] if count else []
+    if arguments.keep == "none" or is_picture or Role.COLOUR not in files.layout.planes:
+        return "", []
+    colour = files.match(Role.COLOUR)
+    planes = [files.layout.planes[role] for role in (Role.COLOUR, Role.ALPHA) if role in files.layout.planes]
+    touched = {(channel.part.index, channel.name) for match in planes for channel in match.channels}
+    others = {(part.index, name) for part in colour.channels[0].file.parts for name in part.channels} - touched
+    count = f"{len(others)} other channel{'s' * (len(others) != 1)}"
+    if not others:
+        return "", []
+    if colour.size == size:
+        return f"keeps   {count} bit for bit (--keep none leaves them out)", []
+    if arguments.keep == "all":
+        return f"keeps   {count}, enlarged by the nearest pixel, without the render's own colour", []
+    return "", [Skipped(count, "they have the render's size; --keep all enlarges them by the nearest pixel")]
 
 
 # Logs and resuming

@@ -201,6 +201,8 @@ def _pieces(height: int, channels: Iterable[Channel]) -> Iterator[tuple[int, int
 
 
 _SHOWN = 12  # layers in a message
+_AXES = {"z": 0, "w": 1}
+"""Axes of Blender's motion to the next frame, by letter."""
 
 
 class FrameFiles:
@@ -240,18 +242,18 @@ class FrameFiles:
         try:
             self._files = {word: self._stack.enter_context(ImageFile(path)) for word, path in paths.items()}
             self.path = next(iter(self._files.values())).path
-            index, self.layout = self._look(profile, depth)
+            self._index, self.layout = self._look(profile, depth)
             self.area = area_of(self.layout, area)
             if self.area and self.area.is_wider:
-                index, self.layout = self._look_wider(profile, depth, self.area)
+                self._index, self.layout = self._look_wider(profile, depth, self.area)
             self.layout.attributes = self._attributes_of_colour()
             drop_smaller_planes(self.layout)
             self.guides = larger_planes(self.layout)
             if guides:
                 self.guides = self._own_guides(guides, profile, depth)
             if Role.OVERLAY in self.layout.planes or (self.guides and Role.OVERLAY in self.guides.planes):
-                take_opaque_colour(self.layout, index)
-            self.alone = LeftAlone(leave, index, self.layout, self.path, strict) if leave else None
+                take_opaque_colour(self.layout, self._index)
+            self.alone = LeftAlone(leave, self._index, self.layout, self.path, strict) if leave else None
         except BaseException:
             self._stack.close()
             raise
@@ -438,4 +440,31 @@ class FrameFiles:
         channels = self.layout.planes[Role.COLOUR].channels
         if not are_together(channels):
             return None
-        return ColourSource(channels[0].part.index, tuple(channel.name for channel in channels), self.layout.attributes)
+        names = tuple(channel.name for channel in channels)
+        return ColourSource(channels[0].part.index, names, self.layout.attributes, self._renders(), self._in_pixels())
+
+    def _renders(self) -> frozenset[tuple[int, str]]:
+        """Part and name of all channels in the colour's file that a profile takes for the colour, with their alpha."""
+        file = self.layout.planes[Role.COLOUR].channels[0].file
+        names = (names for rule in self.layout.profile.rules(Role.COLOUR)
+                 for names in rule.candidates(self.layout.layer))
+        found = [self.layout.planes[Role.COLOUR].channels, *filter(None, map(self._index.find, names))]
+        for role in (Role.COLOUR, Role.ALPHA):
+            found += [self.layout.planes[role].channels] if role in self.layout.planes else []
+        alphas = [f"{channels[0].name.rpartition('.')[0]}.A".removeprefix(".") for channels in found]
+        found += [(channels[0]._replace(name=alpha),) for channels, alpha in zip(found, alphas, strict=True)
+                  if alpha in channels[0].part.channels]
+        return frozenset((one.part.index, one.name) for channels in found for one in channels if one.file is file)
+
+    def _in_pixels(self) -> dict[tuple[int, str], int]:
+        """Part and name of the colour's file's channels that hold motion in pixels, and their axis; what lies beside
+        them in their layer, such as Blender's motion to the next frame, included."""
+        match = self.layout.planes.get(Role.MOTION)
+        if match is None or match.rule.unit != "pixels":
+            return {}
+        first, layer = match.channels[0], match.channels[0].name.rpartition(".")[0]
+        beside = [name for name in first.part.channels if name.rpartition(".")[0] == layer]
+        axes = {name: _AXES[letter] for name in beside if (letter := name[-1:].lower()) in _AXES}
+        axes |= {channel.name: axis for axis, channel in enumerate(match.channels)}
+        colour = self.layout.planes[Role.COLOUR].channels[0]
+        return {(first.part.index, name): axis for name, axis in axes.items()} if first.file is colour.file else {}

@@ -196,7 +196,7 @@ def scaled_windows(covered: Window, display: Window, data: Window, width: int, h
     corner = _scaled(covered, scale)
     area = Window(corner.x0, corner.y0, corner.x0 + width - 1, corner.y0 + height - 1)
     shown = area if display == covered else _scaled(display, scale).common(area) or area
-    return OutputWindows(area, shown, _outwards(data, scale).common(area) or area)
+    return OutputWindows(area, shown, cover(data, scale).common(area) or area)
 
 
 def cut(pixels: Pixels, area: Window, window: Window) -> Pixels:
@@ -212,6 +212,7 @@ def _scaled(window: Window, scale: tuple[float, float]) -> Window:
     return Window(x0, y0, round((window.x1 + 1) * scale[0]) - 1, round((window.y1 + 1) * scale[1]) - 1)
 
 
-def _outwards(window: Window, scale: tuple[float, float]) -> Window:
+def cover(window: Window, scale: tuple[float, float]) -> Window:
+    """A scaled rectangle, its corners rounded outwards."""
     x0, y0 = math.floor(window.x0 * scale[0]), math.floor(window.y0 * scale[1])
     return Window(x0, y0, math.ceil((window.x1 + 1) * scale[0]) - 1, math.ceil((window.y1 + 1) * scale[1]) - 1)

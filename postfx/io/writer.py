@@ -20,6 +20,7 @@ from postfx.frame import LINEAR, Frame, Role
 from postfx.io.dither import Dither, quantise
 from postfx.io.encode import JPEG, encode, halves, has_end, light_of, tag_codes, tag_light
 from postfx.io.exr.container import COMPRESSIONS
+from postfx.io.exr.nearest import enlargement_of
 from postfx.io.exr.passthrough import kept_attributes, set_attributes
 from postfx.io.image_file import reason_of
 from postfx.io.pattern import PLANE, Pattern, parse_pattern
@@ -77,7 +78,7 @@ def write_frame(
     relax: Callable[[], None] | None = None,
     dither: Dither | str = Dither.MOVING,
     provenance: Mapping[str, str] | None = None,
-    keep: bool = False,
+    keep: bool | None = False,
     bits: int | None = None,
     compression: str = "zip",
 ) -> Path:
@@ -98,7 +99,8 @@ def write_frame(
         relax: is called again and again meanwhile.
         dither: moving, static or none.
         provenance: attributes for an EXR header that tell how the frame came about.
-        keep: write everything else that the frame's source holds into an EXR, see `postfx.io.exr.passthrough`.
+        keep: write everything else that the frame's source holds into an EXR, see `postfx.io.exr.passthrough`; None:
+            only beside a picture that has the source's size.
         bits: EXR 16 (half floats, default) or 32 (floats); PNG and TIFF 8 or 16 (default: PNG 8, but 16 for HDR
             displays; TIFF 16); JPEG 8.
         compression: of EXR: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa or dwab, the last two with a level as in
@@ -119,6 +121,7 @@ def write_frame(
         spec.attribute("compression", compression)
         set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
     with output_file(path) as temporary:
+        keep = enlargement_of(frame) is None if keep is None else keep
         encode(temporary, path.suffix.lower(), spec, convert, relax, frame if keep else None)
     return path
 

@@ -10,11 +10,16 @@ import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
+from postfx.cli.main import make_parser
+from postfx.cli.run_options import explain_kept
 from postfx.errors import ReadError, WriteError
 from postfx.frame import Frame, Role
 from postfx.io.exr.container import ExrContainer
+from postfx.io.exr.nearest import Enlargement
 from postfx.io.sequence import read_sequence
+from postfx.io.windows import Window
 from postfx.io.writer import is_complete, write_frame
+from postfx.plan import Skipped
 from tests.files.exr_files import (
     COMPRESSIONS,
     HEIGHT,
@@ -22,6 +27,7 @@ from tests.files.exr_files import (
     channel_hashes,
     chunk_hashes,
     headers_of,
+    noise_bits,
     picture,
     write_mixed,
     write_studio,
@@ -61,19 +67,67 @@ def test_channels_of_the_pictures_part_stay_in_place(tmp_path: Path, compression
     np.testing.assert_array_equal(again[Role.ALPHA], frame[Role.ALPHA].astype(np.float16))
 
 
+def pixels(path: Path, part: int = 0) -> dict[str, np.ndarray]:
+    """Bits of a part's channels, as they are stored."""
+    channels = OpenEXR.File(str(path), separate_channels=True).parts[part].channels
+    return {name: channel.pixels.view(f"u{channel.pixels.itemsize}") for name, channel in channels.items()}
+
+
+def larger(plane: np.ndarray) -> np.ndarray:
+    return np.repeat(np.repeat(plane, 2, 0), 2, 1)
+
+
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_a_larger_picture_has_a_part_of_its_own(tmp_path: Path, compression: str) -> None:
+def test_beside_a_larger_picture_channels_have_the_bits_of_the_nearest_pixel(tmp_path: Path, compression: str) -> None:
     source = write_mixed(tmp_path / "in.exr", compression)
-    before = channel_hashes(source)
     out, frame = keep(source, 2)
-    after = channel_hashes(out)
-    assert {name: bits for (part, name), bits in after.items() if part == "render"} == \
-        {name: bits for (_, name), bits in before.items()}
-    assert {name for part, name in after if part == "rgba"} == set(PICTURE)
-    assert chunk_hashes(out)["render"] == chunk_hashes(source)[""]
+    before, after = pixels(source), pixels(out)
+    assert set(after) == set(before)
+    for name in before.keys() - set(PICTURE):
+        np.testing.assert_array_equal(after[name], larger(before[name]), err_msg=name)
     with ExrContainer(out) as file:
-        sizes = {header.name: (header.data.width, header.data.height) for header in file.headers}
-    assert sizes == {"rgba": (2 * WIDTH, 2 * HEIGHT), "render": (WIDTH, HEIGHT)}
+        (header,) = file.headers
+    assert (header.data.width, header.data.height) == (2 * WIDTH, 2 * HEIGHT) and header.data == header.display
+    (again,) = read_sequence(out, planes=[Role.COLOUR])
+    np.testing.assert_array_equal(again[Role.COLOUR], frame[Role.COLOUR].astype(np.float16))
+
+
+def test_every_pixel_of_any_enlargement_is_that_of_the_nearest_one() -> None:
+    """Also where data and display window differ, and the picture is no whole multiple of the render."""
+    data = Window(-2, 3, 7, 9)
+    enlargement = Enlargement(Window(0, 0, 9, 9), Window(0, 0, 16, 24))
+    assert enlargement.window(data) == (-4, 7, 13, 24)
+    lines, columns = enlargement.nearest(data)
+    wanted = [min(max(int(np.floor((x + 0.5) / 1.7)) + 2, 0), 9) for x in range(-4, 14)]
+    assert columns.tolist() == wanted
+    assert lines.tolist() == [min(max(int(np.floor((y + 0.5) / 2.5)) - 3, 0), 6) for y in range(7, 25)]
+
+
+def test_a_larger_picture_takes_the_place_of_the_renders_colour_in_layers(tmp_path: Path) -> None:
+    """Other layers stay, at the picture's size; distances in pixels grow."""
+    light = picture()
+    layers = {"ViewLayer.Combined": "RGBA", "ViewLayer.Noisy Image": "RGBA", "ViewLayer.Vector": "XYZW",
+              "BG.Combined": "RGBA"}
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage},
+                          {f"{layer}.{name}": light[own] for name, own in zip(names, "RGBA", strict=True)}, layer)
+             for layer, names in layers.items()]
+    OpenEXR.File(parts).write(str(tmp_path / "in.exr"))
+    out, frame = keep(tmp_path / "in.exr", 2)
+    assert [part.name() for part in OpenEXR.File(str(out)).parts] == ["rgba", "ViewLayer.Vector", "BG.Combined"]
+    found = OpenEXR.File(str(out), separate_channels=True).parts
+    motion = {name: channel.pixels for name, channel in found[1].channels.items()}
+    for letter, own in zip("XYZW", "RGBA", strict=True):
+        np.testing.assert_array_equal(motion[f"ViewLayer.Vector.{letter}"], larger(light[own]) * np.float16(2))
+    np.testing.assert_array_equal(found[2].channels["BG.Combined.R"].pixels, larger(light["R"]))
+    (again,) = read_sequence(out, planes=[Role.COLOUR])
+    np.testing.assert_array_equal(again[Role.COLOUR], frame[Role.COLOUR].astype(np.float16))
+
+
+def test_by_default_nothing_is_kept_beside_a_larger_picture(tmp_path: Path) -> None:
+    source = write_mixed(tmp_path / "in.exr")
+    same, enlarged = (write_frame(tmp_path / f"{scale}.exr", processed(source, scale), keep=None) for scale in (1, 2))
+    assert untouched(channel_hashes(same)) == untouched(channel_hashes(source))
+    assert not untouched(channel_hashes(enlarged))
 
 
 @pytest.mark.parametrize("scale", [1, 2])
@@ -82,28 +136,33 @@ def test_every_attribute_keeps_its_bytes(tmp_path: Path, scale: int) -> None:
     before, (out, _) = headers_of(source), keep(source, scale)
     after = headers_of(out)
     fresh = {"channels", "compression", "dataWindow", "displayWindow", "lineOrder", "chunkCount", "name", "type"}
-    for part in before:
-        own = after[part]
-        moved = {"displayWindow"} if scale > 1 else {"compression", "chunkCount"} if part == "beauty" else set()
-        assert {name: value for name, value in before[part].items() if own.get(name) != value}.keys() <= moved
-    shown = after["beauty" if scale == 1 else "rgba"]
-    assert {name for name, value in before["beauty"].items() if shown.get(name) != value} <= fresh
+    assert set(after) == set(before) - ({"deep"} if scale > 1 else set())
+    for part in after:
+        moved = {"compression", "chunkCount"} if part == "beauty" else set()
+        moved |= fresh | {"tiles"} if scale > 1 else set()
+        assert {name for name, value in before[part].items() if after[part].get(name) != value} <= moved
     if scale > 1:
-        assert after["beauty"]["render:displayWindow"] == before["beauty"]["displayWindow"]
+        assert after["mip"]["render:displayWindow"] == before["mip"]["displayWindow"]
 
 
-@pytest.mark.parametrize("scale", [1, 2])
-def test_deep_and_mip_mapped_parts_are_copied_as_they_are_stored(tmp_path: Path, scale: int) -> None:
+def test_deep_and_mip_mapped_parts_are_copied_as_they_are_stored(tmp_path: Path) -> None:
     source = write_studio(tmp_path)
-    before, (out, _) = chunk_hashes(source), keep(source, scale)
+    before, (out, _) = chunk_hashes(source), keep(source)
     after = chunk_hashes(out)
     assert {part: after[part] for part in ("deep", "mip")} == {part: before[part] for part in ("deep", "mip")}
     file = oiio.ImageInput.open(str(out))
-    deep, mip = (1, 2) if scale == 1 else (2, 3)
-    samples = file.read_native_deep_image(deep, 0)
+    samples = file.read_native_deep_image(1, 0)
     assert [samples.samples(pixel) for pixel in range(8)] == [0, 1, 2, 3, 0, 1, 2, 3]
     assert samples.deep_value(7, 1, 2) == 7.25
-    assert file.seek_subimage(mip, 6) and file.read_image(mip, 6, 0, 1, oiio.FLOAT).item() == 6
+    assert file.seek_subimage(2, 6) and file.read_image(2, 6, 0, 1, oiio.FLOAT).item() == 6
+    file.close()
+
+
+def test_beside_a_larger_picture_there_are_no_deep_parts_and_no_smaller_levels(tmp_path: Path) -> None:
+    out, _ = keep(write_studio(tmp_path), 2)
+    file = oiio.ImageInput.open(str(out))
+    assert file.seek_subimage(1, 0) and not file.seek_subimage(1, 1)
+    np.testing.assert_array_equal(file.read_image(1, 0, 0, 1, oiio.FLOAT), np.zeros((128, 128, 1)))
     file.close()
 
 
@@ -120,15 +179,27 @@ def test_a_colour_in_layers_is_kept_and_the_picture_comes_first(tmp_path: Path) 
     np.testing.assert_array_equal(again[Role.COLOUR], frame[Role.COLOUR].astype(np.float16))
 
 
-def test_a_finished_file_is_read_back_without_the_smaller_planes(tmp_path: Path) -> None:
-    source = write_mixed(tmp_path / "in.exr", postfx_x=1.0)
+def test_a_finished_file_is_read_back_with_its_planes(tmp_path: Path) -> None:
+    source = write_mixed(tmp_path / "in.exr")
     out, _ = keep(source, 2)
-    sequence = read_sequence(out)
+    (frame,), (before,) = read_sequence(out), read_sequence(source)
+    np.testing.assert_array_equal(frame[Role.DEPTH], larger(before[Role.DEPTH]))
+    again = write_frame(tmp_path / "again.exr", frame, keep=True)
+    assert untouched(channel_hashes(again)) == untouched(channel_hashes(out))
+
+
+def test_planes_that_are_smaller_than_the_picture_beside_them_are_not_read(tmp_path: Path) -> None:
+    """Older versions kept the render beside the picture at its own size."""
+    display = {"displayWindow": (np.zeros(2, np.int32), np.int32([2 * WIDTH - 1, 2 * HEIGHT - 1]))}
+    kind = {"type": OpenEXR.scanlineimage, **display}
+    parts = [OpenEXR.Part({**kind, **header}, channels, name) for name, header, channels in (
+        ("rgba", {"postfx:picture": "R,G,B,A"}, {name: larger(plane) for name, plane in picture().items()}),
+        ("render", {}, picture() | {"depth.Z": noise_bits(1, "float")}))]
+    OpenEXR.File(parts).write(str(tmp_path / "old.exr"))
+    sequence = read_sequence(tmp_path / "old.exr")
     (frame,) = sequence
     assert set(frame.planes) == {Role.COLOUR, Role.ALPHA} and frame.spec.width == 2 * WIDTH
     assert sequence.warnings == ["planes depth are of the render before it was enlarged: not read"]
-    again = write_frame(tmp_path / "again.exr", frame, keep=True)
-    assert untouched(channel_hashes(again)) == untouched(channel_hashes(source))
 
 
 def test_what_is_no_longer_true_of_the_picture_is_kept_apart(tmp_path: Path) -> None:
@@ -139,9 +210,9 @@ def test_what_is_no_longer_true_of_the_picture_is_kept_apart(tmp_path: Path) -> 
     for name in ("postfx:jitter", "postfx:spp"):
         assert name not in header and header[f"render:{name}"] == before[name]
     assert next(iter(read_sequence(out))).jitter == (0, 0)
-    larger, _ = keep(source, 2)
-    assert headers_of(larger)["render"]["postfx:jitter"] == before["postfx:jitter"]
-    assert next(iter(read_sequence(larger))).jitter == (0, 0)
+    enlarged, _ = keep(source, 2)
+    assert headers_of(enlarged)[""]["render:postfx:jitter"] == before["postfx:jitter"]
+    assert next(iter(read_sequence(enlarged))).jitter == (0, 0)
 
 
 def test_a_changed_attribute_is_the_writers(tmp_path: Path) -> None:
@@ -199,3 +270,18 @@ def test_what_stays_in_the_pictures_part_is_kept_by_zip_only(tmp_path: Path) -> 
     with pytest.raises(WriteError, match="bit for bit, with ZIP only: leave --compression dwaa out, or give --keep"):
         write_frame(tmp_path / "out.exr", frame, keep=True, compression="dwaa")
     assert write_frame(tmp_path / "out.exr", frame, compression="dwaa").is_file()
+
+
+def test_the_command_line_keeps_nothing_beside_a_larger_picture_but_when_asked(shot, tmp_path: Path) -> None:
+    source = str(shot(1) / "shot.0001.exr")
+
+    def told(*words: str) -> tuple[str, list[Skipped]]:
+        arguments = make_parser().parse_args(["run", source, "-o", str(tmp_path / "out/"), *words])
+        with read_sequence(source).open(1) as files:
+            return explain_kept(arguments, files, (2 * WIDTH, 2 * HEIGHT))
+
+    line, left_out = told()
+    assert line == "" and str(left_out[0].what) == "7 other channels" and "--keep all enlarges them" in left_out[0].why
+    assert told("--keep", "all") == (
+        "keeps   7 other channels, enlarged by the nearest pixel, without the render's own colour", [])
+    assert told("--keep", "none") == ("", [])

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.frame import Role
+from postfx.frame import Frame, Role
+from postfx.io.image_file import ImageFile
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import write_frame
 from tests.files.exr_files import channel_hashes, chunk_hashes, headers_of
@@ -31,15 +32,18 @@ FILES = (
 STRUCTURE = {"channels", "compression", "dataWindow", "displayWindow", "lineOrder", "chunkCount", "name", "type"}
 
 
-@pytest.mark.parametrize("scale", [1, 2])
-@pytest.mark.parametrize("name", FILES)
-def test_every_untouched_channel_and_attribute_is_kept(shared_dir: Path, tmp_path: Path, name: str, scale: int) -> None:
-    source = shared_dir / name
+def write_darker(source: Path, out: Path, scale: int) -> tuple[Path, Frame]:
     frame = next(iter(read_sequence(source, planes=[Role.COLOUR])))
     larger = np.repeat(np.repeat(frame[Role.COLOUR], scale, 0), scale, 1) * np.float32(0.5)
-    out = write_frame(tmp_path / "out.exr", dataclasses.replace(frame, planes={Role.COLOUR: larger}), keep=True)
+    return write_frame(out, dataclasses.replace(frame, planes={Role.COLOUR: larger}), keep=True), frame
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_untouched_channel_and_attribute_is_kept(shared_dir: Path, tmp_path: Path, name: str) -> None:
+    source = shared_dir / name
+    out, frame = write_darker(source, tmp_path / "out.exr", 1)
     before, after = channel_hashes(source), channel_hashes(out)
-    in_place = scale == 1 and frame.colour_source is not None and frame.colour_source.channels == ("R", "G", "B")
+    in_place = frame.colour_source is not None and frame.colour_source.channels == ("R", "G", "B")
     touched = {list(headers_of(source))[frame.colour_source.part]} if in_place else set()
     for (part, channel), bits in before.items():
         if part not in touched or channel not in ("R", "G", "B"):
@@ -52,3 +56,19 @@ def test_every_untouched_channel_and_attribute_is_kept(shared_dir: Path, tmp_pat
             assert chunks[kept] == chunk_hashes(source)[part]
         changed = {key for key, value in header.items() if attributes[kept].get(key) != value}
         assert changed <= STRUCTURE
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_enlarged_files_can_be_read_and_have_one_size(shared_dir: Path, tmp_path: Path, name: str) -> None:
+    source = shared_dir / name
+    out, frame = write_darker(source, tmp_path / "out.exr", 2)
+    with ImageFile(source) as before, ImageFile(out) as after:
+        sizes = {part.display: (2 * part.display.width, 2 * part.display.height) for part in before.parts}
+        assert {(part.display.width, part.display.height) for part in after.parts} == set(sizes.values())
+        for part in after.parts:
+            after.read(part, dict.fromkeys(part.channels, 0.0), (0, 8))
+        names = {name for part in before.parts for name in part.channels}
+        kept = {name for part in after.parts for name in part.channels}
+        replaced = {name for _, name in frame.colour_source.renders} if frame.colour_source else set()
+        assert names - replaced <= kept
+        assert not {name for name in kept if name.endswith("Combined.R")}

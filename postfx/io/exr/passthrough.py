@@ -2,9 +2,11 @@
 
 The picture is always R, G, B (and A) of a part with the attribute `postfx:picture`. Where it has the input's size and
 windows, and the input's colour is R, G, B of one part, it takes their place, and the part's other channels are written
-again, without loss, as ZIP-compressed scanlines. Else it is the first part, and all parts of the input follow with
-their own pixels and size, the render's colour among them; so a larger picture leaves ids and Cryptomattes as they were.
-Parts that need not be written again, deep ones included, are copied as they are stored.
+again, without loss, as ZIP-compressed scanlines. Else it is the first part, and all parts of the input follow, the
+render's colour among them. Parts that need not be written again, deep ones included, are copied as they are stored.
+
+Beside a larger picture all channels have its size: each pixel has the bits of the nearest one, and only distances in
+pixels grow. The render's colour, which the picture replaces, and deep parts are left out there.
 
 A file has one display window, pixel aspect, time code and set of primaries. Where those of the picture differ, a part's
 own are kept under the name with `render:` before it. So are attributes that are no longer true of the picture (jitter,
@@ -13,6 +15,7 @@ samples per pixel, a cut) in the part that it shares with other channels.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from fractions import Fraction
@@ -25,9 +28,10 @@ import OpenImageIO as oiio
 from postfx.errors import WriteError
 from postfx.frame import ColourSource, Frame
 from postfx.io.exr.container import COMPRESSIONS, ZIP, ExrContainer, NewPart, Rows, picture_part
-from postfx.io.exr.header import SCANLINES, TILES, Header, pack_channels
+from postfx.io.exr.header import SCANLINES, TILES, ChannelInfo, Header, pack_channels, raw
+from postfx.io.exr.nearest import Enlargement, enlarged_rows, enlargement_of
 from postfx.io.image_file import ImageFile
-from postfx.io.windows import AREA, EXR_NAMES, PICTURE
+from postfx.io.windows import AREA, EXR_NAMES, PICTURE, Window
 
 _OUTDATED = (
     "acesimagecontainerflag", "postfx:jitter", "postfx:models", "postfx:reset", "postfx:settings", "postfx:spp",
@@ -126,10 +130,13 @@ class _Merge:
     def __init__(self, own: Header, rows: Rows, source: ExrContainer, frame: Frame, stack: ExitStack) -> None:
         self._own, self._rows, self._source, self._frame, self._stack = own, rows, source, frame, stack
         self._stored = frame.colour_source or ColourSource(0, (), {})
+        self._enlargement = enlargement_of(frame)
 
     def parts(self) -> list[NewPart]:
         """All parts of the output."""
         index, headers = self._stored.part, self._source.headers
+        if self._enlargement:
+            return _with_names(self._enlarged(self._enlargement))
         in_place = self._is_in_place()
         header = self._header(headers[index], in_place)
         if in_place:
@@ -148,7 +155,12 @@ class _Merge:
         return same and plain and flat and self._stored.channels == ("R", "G", "B")
 
     def _as_stored(self, part: int, picture: Header) -> NewPart:
-        """A part of the source with its pixels as they are, and what the whole file shares as the picture has it."""
+        """A part of the source with its pixels as they are."""
+        header = self._beside(part, picture)
+        return NewPart(header, self._source.counts[part], self._source.copy_chunks(part))
+
+    def _beside(self, part: int, picture: Header) -> Header:
+        """Header of a part of the source, with what the whole file shares as the picture has it."""
         header = Header(dict(self._source.headers[part].attributes))
         for name in _SHARED:
             own, shared = header.attributes.get(name), picture.attributes.get(name)
@@ -157,7 +169,32 @@ class _Merge:
                 header.attributes |= {name: shared} if shared else {}
         if PICTURE in header.attributes:  # of a picture that was processed again
             header.attributes[RENDER + PICTURE] = header.attributes.pop(PICTURE)
-        return NewPart(header, self._source.counts[part], self._source.copy_chunks(part))
+        return header
+
+    def _enlarged(self, enlargement: Enlargement) -> list[NewPart]:
+        """The picture, and the source's flat parts at its size, without the render's colour."""
+        file = self._stack.enter_context(ImageFile(self._source.path, checked=True))
+        index, fresh = self._stored.part, {channel.name for channel in self._own.channels}
+        picture, parts = self._header(self._source.headers[index], in_place=False), []
+        joined = NewPart(picture, 0, ())
+        for part in file.parts:
+            replaced = self._stored.renders | ({(index, name) for name in fresh} if part.index == index else set())
+            kept = sorted((channel for channel in self._source.headers[part.index].channels
+                           if (part.index, channel.name) not in replaced), key=lambda channel: raw(channel.name))
+            names = [channel.name for channel in kept]
+            pixels = {name: axis for (own, name), axis in self._stored.pixels.items() if own == part.index}
+            larger = enlargement.window(part.data)
+            if not kept:
+                continue
+            rows = enlarged_rows(file, part, names, enlargement, pixels)
+            if part.index == index and larger == self._own.data and self._stored.channels == ("R", "G", "B"):
+                picture = self._header(self._source.headers[index], in_place=True)
+                self._check_zip(picture)
+                picture.set("channels", "chlist", pack_channels(self._own.channels + kept))
+                joined = picture_part(picture, _join(picture, self._own, self._rows, names, rows))
+            else:
+                parts.append(picture_part(_resized(self._beside(part.index, picture), larger, kept), rows))
+        return [joined if joined.count else picture_part(picture, self._rows), *parts]
 
     def _together(self, part: int, header: Header) -> NewPart:
         """The part that held the render's colour, with the picture in its place."""
@@ -166,20 +203,19 @@ class _Merge:
         if not rest:
             return picture_part(header, self._rows)
         header.set("channels", "chlist", pack_channels(self._own.channels + rest))
+        self._check_zip(header)
+        source = self._stack.enter_context(ImageFile(self._source.path, checked=True))
+        (render,) = (one for one in source.parts if one.index == part)
+        old = [channel.name for channel in rest]
+        return picture_part(header, _join(header, self._own, self._rows, old,
+                                      lambda first, last: source.read_stored(render, old, first, last)))
+
+    def _check_zip(self, header: Header) -> None:
+        """WriteError unless a part that holds the picture and other channels is compressed by ZIP."""
         if header.compression != ZIP:
             name = COMPRESSIONS[header.compression]
             raise WriteError(f"{self._source.path}: has channels that stay in the picture's part bit for bit, with ZIP "
                              f"only: leave --compression {name} out, or give --keep none")
-        source = self._stack.enter_context(ImageFile(self._source.path, checked=True))
-        (render,) = (one for one in source.parts if one.index == part)
-        old, order = [channel.name for channel in rest], [channel.name for channel in header.channels]
-
-        def rows(first: int, last: int) -> list[np.ndarray]:
-            found = dict(zip(fresh, self._rows(first, last), strict=True))
-            found |= zip(old, source.read_stored(render, old, first, last), strict=True)
-            return [found[name] for name in order]
-
-        return picture_part(header, rows)
 
     def _header(self, render: Header, in_place: bool) -> Header:
         """Header of the picture's part: what the writer gave it, and what the render's says that it did not change."""
@@ -204,6 +240,30 @@ class _Merge:
         read, now = self._stored.attributes, self._frame.metadata
         same = name not in read or np.array_equal(read[name], now.get(name, read[name]))
         return is_outdated(name, self._frame) or not same
+
+
+def _join(header: Header, own: Header, rows: Rows, names: list[str], others: Rows) -> Rows:
+    """Reads the picture's channels and others beside them, in the order of the header of both."""
+    fresh, order = [channel.name for channel in own.channels], [channel.name for channel in header.channels]
+
+    def joined(first: int, last: int) -> list[np.ndarray]:
+        found = dict(zip(fresh, rows(first, last), strict=True))
+        found |= zip(names, others(first, last), strict=True)
+        return [found[name] for name in order]
+
+    return joined
+
+
+def _resized(header: Header, data: Window, channels: list[ChannelInfo]) -> Header:
+    """Header of a part with these channels in another data window, as ZIP-compressed scanlines."""
+    header.attributes.pop("tiles", None)
+    header.set("channels", "chlist", pack_channels(channels))
+    header.set("compression", "compression", bytes([ZIP]))
+    header.set("dataWindow", "box2i", struct.pack("<4i", *data))
+    header.set("lineOrder", "lineOrder", bytes(1))
+    if "type" in header.attributes:
+        header.set_text("type", SCANLINES)
+    return header
 
 
 def _with_names(parts: list[NewPart]) -> list[NewPart]:
