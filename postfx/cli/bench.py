@@ -8,7 +8,6 @@ import json
 from postfx.cli.options import parse_positive
 from postfx.errors import BenchError
 
-HELP = "measure run time against error on a sequence with references"
 DESCRIPTION = """\
 Measure run time against error: this project's networks, Open Image Denoise, accumulation and plain enlargement, side by
 side on noisy frames with references. Needs: pip install 'postfx[bench]'

@@ -11,7 +11,6 @@ from postfx.cli.options import parse_from_zero
 if TYPE_CHECKING:
     from postfx.report.bisect import Comparison
 
-HELP = "find the first tensor in which two captures differ"
 DESCRIPTION = """\
 Compare two captures of the same passes, options and frame, command by command: the first tensor whose largest relative
 error exceeds the tolerance, and a table of all. Both have to be made with --capture-tensors all; where both also have

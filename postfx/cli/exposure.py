@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 
-HELP = "measure whether the exposure is right and steady"
 DESCRIPTION = """\
 Measure the exposure of a sequence where it is seen: a grey checkerboard, divided by the exposure that would be right,
 goes through the tone mapper with the exposure that the run uses. Right, it is a steady mid grey. The level that comes

@@ -7,7 +7,6 @@ import json
 
 from postfx.cli.run_options import COLOURSPACE, DEPTH, INPUT, LAYER, VIEW
 
-HELP = "find what is wrong with a sequence's planes"
 DESCRIPTION = """\
 Find what is wrong with a sequence: reads up to eight consecutive frames from the first one (or the first of --frames),
 and checks albedos, normals, roughness, depth, motion, jitter, cuts, exposure and noise. Motion is tried in all common

@@ -9,7 +9,6 @@ from pathlib import Path
 from postfx.cli.options import Options, Section
 from postfx.cli.run_options import LOOK, display_passes
 
-HELP = "write a look as a .cube look-up table"
 DESCRIPTION = """\
 Write the global part of a look as a 3-D look-up table (.cube) that OpenColorIO, DaVinci Resolve, Nuke and others read.
 It takes ACEScct and gives code values of --display. Apply the exposure before it.

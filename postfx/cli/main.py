@@ -5,14 +5,24 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from importlib import import_module
 
-from postfx.cli import bench, capture_compare, exposure, inspect, lut, models, run, verify
 from postfx.cli.options import Parser
 from postfx.errors import PostfxError
 from postfx.version import __version__
 
-VERBS = (run, verify, inspect, exposure, bench, models, lut, capture_compare)
+VERBS = {
+    "run": "denoise, upscale and tone-map a sequence",
+    "verify": "check that the files of a run are there, whole and unaltered",
+    "inspect": "find what is wrong with a sequence's planes",
+    "exposure": "measure whether the exposure is right and steady",
+    "bench": "measure run time against error on a sequence with references",
+    "models": "list the trained models",
+    "lut": "write a look as a .cube look-up table",
+    "capture-compare": "find the first tensor in which two captures differ",
+}
+"""Verb -> what it does, as in `postfx --help`. The module of its name is loaded when it is called."""
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE = 141
@@ -21,7 +31,8 @@ EXIT_PIPE = 141
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code: 0 done, 1 what was checked is not well, 2 something the user can fix,
     130 interrupted by Ctrl-C, 143 ended by SIGTERM."""
-    arguments = make_parser().parse_args(argv)
+    words = sys.argv[1:] if argv is None else argv
+    arguments = make_parser([word for word in words if not word.startswith("-")][:1]).parse_args(words)
     _read_and_write_by(getattr(arguments, "threads", None))
     try:
         code: int = arguments.execute(arguments)
@@ -55,8 +66,8 @@ def _read_and_write_by(threads: int | None) -> None:
         oiio.attribute(name, threads or usable_cores())
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """Parser of all verbs."""
+def make_parser(used: Collection[str] = tuple(VERBS)) -> argparse.ArgumentParser:
+    """Parser that lists all verbs and knows the arguments of those in `used`, whose modules it loads."""
     parser = Parser(
         prog="postfx",
         description="Post-processing of rendered image sequences: denoise, upscale, tone-map.",
@@ -64,17 +75,13 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"postfx {__version__}")
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
-    for verb in VERBS:
-        name = verb.__name__.rpartition(".")[2].replace("_", "-")
-        added = verbs.add_parser(
-            name,
-            help=verb.HELP,
-            description=verb.DESCRIPTION,
-            epilog=verb.EXAMPLES,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        verb.add_arguments(added)
-        added.set_defaults(execute=verb.execute, parser=added)
+    for name, summary in VERBS.items():
+        added = verbs.add_parser(name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter)
+        if name in used:
+            verb = import_module(f"postfx.cli.{name.replace('-', '_')}")
+            added.description, added.epilog = verb.DESCRIPTION, verb.EXAMPLES
+            verb.add_arguments(added)
+            added.set_defaults(execute=verb.execute, parser=added)
     return parser
 
 

@@ -6,7 +6,6 @@ import argparse
 import json
 from typing import Any
 
-HELP = "list the trained models"
 DESCRIPTION = """\
 List the models that are installed, with what their cards say. --model TAG takes PASS.TAG.int8 (integers) on a CPU and
 PASS.TAG.fp16 (half precision) on a GPU, where there are such, else PASS.TAG; --model TAG.fp32 takes PASS.TAG. Variants

@@ -9,7 +9,6 @@ import sys
 from postfx.cli.run_options import RUN
 from postfx.errors import PostfxError
 
-HELP = "denoise, upscale and tone-map a sequence"
 DESCRIPTION = """\
 Denoise, upscale and tone-map a rendered sequence.
 

@@ -12,7 +12,6 @@ from postfx.files import make_printable
 if TYPE_CHECKING:
     from postfx.runs.manifest import Verification
 
-HELP = "check that the files of a run are there, whole and unaltered"
 DESCRIPTION = """\
 Check the files of a folder against postfx.manifest.json, which 'postfx run' keeps beside the frames: each must be there
 and have the SHA-256 that it was written with. Files that a run was to write and did not, and files named like those of
