@@ -204,13 +204,6 @@ def catmull_rom(t: Tensor) -> tuple[Tensor, ...]:
             (0.5 * t - 0.5) * t * t)
 
 
-def display(exposed: Tensor) -> Tensor:
-    """Exposed linear colour to the sRGB-encoded curve x / (1 + x) that quality is scored on."""
-    x = exposed.clamp(min=0)
-    x = x / (1 + x)
-    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp(min=1e-6) ** (1 / 2.4) - 0.055)
-
-
 def log_encode(exposed: Tensor) -> Tensor:
     """log(1 + x) of a colour in [0, 1e4]."""
     return torch.log1p(exposed.clamp(0.0, MAX_COLOUR))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 import torch.nn.functional as F
+from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from torch import Tensor, nn
 
 from training import ops
@@ -53,8 +54,7 @@ def filters(size: int, device: torch.device) -> Tensor:
 
 def seen(display: Tensor) -> Tensor:
     """sRGB code values (N, 3, H, W) in [0, 1] -> filtered Lab, chroma by the hundredth of the lightness."""
-    linear = torch.where(display <= 0.04045, display / 12.92, ((display.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
-    x, y, z = turned(FORTH, linear).unbind(1)
+    x, y, z = turned(FORTH, rgb_to_linear_rgb(display)).unbind(1)
     opponent, (height, width) = torch.stack((y, x - y, y - z), 1), display.shape[-2:]
     with torch.autocast(display.device.type, enabled=False):  # eight bits are too few
         passed = filters(height, display.device) @ opponent @ filters(width, display.device).mT
@@ -83,6 +83,12 @@ KNEE, COARSE_KNEE = 0.02, 0.005  # code values
 LIGHT_CELL, LIGHT_MOST, LIGHT_FLOOR, LIGHT_KNEE, LIGHT = 16, 1000.0, 0.05, 0.05, 0.5
 SEEN = 0.5  # weight of how different pictures look
 NOISY, MOST_SCALE = 0.2, 8.0  # the display-encoded error of an input whose frames count once, and how much they may
+
+
+def display(exposed: Tensor) -> Tensor:
+    """Exposed linear colour to the sRGB-encoded curve x / (1 + x) that quality is scored on."""
+    x = exposed.clamp(min=0)
+    return linear_rgb_to_rgb(x / (1 + x))
 
 
 def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -157,9 +163,9 @@ class Truth:
 
     def __init__(self, batch: Batch, even: bool = False):
         self.references = batch.references
-        self.shown = [ops.display(reference) for reference in batch.references]
+        self.shown = [display(reference) for reference in batch.references]
         ones = torch.ones_like(batch.keep[0])
-        self.scale = [even_scale(ops.display(inputs.colour), shown) if even else ones
+        self.scale = [even_scale(display(inputs.colour), shown) if even else ones
                       for inputs, shown in zip(batch.frames, self.shown, strict=True)]
         self.motion = batch.true_motion or [inputs.motion for inputs in batch.frames]
         self.moved = [reproject_reference(before, motion)
@@ -170,7 +176,7 @@ class Truth:
     def scores(self, outputs: list[Tensor], weight: float) -> Scores:
         """Loss of the exposed linear ``outputs`` with a ``weight`` of flicker, the mean PSNR of the clip's second half
         and the mean flicker."""
-        shown = [ops.display(output) for output in outputs]
+        shown = [display(output) for output in outputs]
         pictures = sum(map(frame_loss, shown, self.shown, self.scale))
         pictures = pictures + LIGHT * sum(map(light_loss, outputs, self.references))
         flicker = torch.stack([self._flicker(shown, t) for t in range(1, len(shown))])

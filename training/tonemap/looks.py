@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 import torch.nn.functional as F
+from kornia.filters import filter2d_separable
 
 from training.tonemap.model import BLACK, MID_GREY, default_shaper, look_up, shape
 from training.tonemap.views import ACES2, AGX, NEUTRAL, Lut, Ocio, View, exact_view
@@ -34,18 +35,12 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 FLOOR = 2.0**-8  # added to luminance before the logarithm, so that noise in black is not stretched
 
 
-def _blur(x: torch.Tensor) -> torch.Tensor:
-    """Binomial 5x5 blur of (N,C,H,W), replicated border."""
-    k = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0], dtype=x.dtype, device=x.device) / 16
-    c = x.shape[1]
-    x = F.conv2d(F.pad(x, (2, 2, 0, 0), mode="replicate"), k.view(1, 1, 1, 5).expand(c, 1, 1, 5), groups=c)
-    return F.conv2d(F.pad(x, (0, 0, 2, 2), mode="replicate"), k.view(1, 1, 5, 1).expand(c, 1, 5, 1), groups=c)
-
-
 def _down(x: torch.Tensor) -> torch.Tensor:
     """Half size, sampled where `_up` puts it back: any shift between the two would smear to one side at every level."""
-    size = [-(-side // 2) for side in x.shape[-2:]]
-    return F.interpolate(_blur(x), size=size, mode="bilinear", align_corners=False)
+    size = [-(-side // 2) for side in x.shape[-2:]]  # kornia's pyrdown rounds odd sizes down
+    line = torch.tensor([[1.0, 4.0, 6.0, 4.0, 1.0]], dtype=x.dtype, device=x.device) / 16
+    blurred = filter2d_separable(x, line, line, "replicate")
+    return F.interpolate(blurred, size=size, mode="bilinear", align_corners=False)
 
 
 def _up(x: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
