@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from training.measure.runs import BEGIN, END, append_run, main, read_runs, record_kinds, table
+from training.measure.runs import BEGIN, END, LOG, append_run, main, read_runs, record_kinds, table
 
 RUN = {"run": "m.2", "start": "m.1", "options": {"widths": [16, 32], "even": True}, "clips": 9, "gpus": 2, "batch": 32,
        "steps": 100, "minutes": 1.5, "validation_psnr": 28.6049, "validation_flicker": float("nan")}
@@ -42,3 +42,10 @@ def test_a_table_goes_between_the_markers_of_a_document(tmp_path: Path, capsys: 
     with pytest.raises(SystemExit):
         main(["table", "--log", str(log)])
     assert "line 2: not a run" in capsys.readouterr().err
+
+
+def test_the_log_of_the_repository_is_the_table_of_the_page() -> None:
+    page = Path(__file__).resolve().parents[3] / "docs" / "training.md"
+    runs = read_runs(LOG)
+    assert len({run["run"] for run in runs}) == len(runs) and {*runs[0]} >= {"start", "options", "kinds", "outcome"}
+    assert table(runs) in page.read_text(), "python -m training.measure.runs table --write docs/training.md"
