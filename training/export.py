@@ -162,6 +162,29 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
     path.with_suffix(".json").write_text(json.dumps(ordered, indent=2) + "\n")
 
 
+RECIPE = {"base": str, "steps": list, "differs": list, "not recorded": list, "scale": float}
+
+
+def check_recipe(recipe: object) -> str | None:
+    """What is wrong with a card's recipe, None where nothing is; `training.remake` tells what it holds."""
+    if not isinstance(recipe, dict):
+        return "no recipe: an object with 'steps' is expected"
+    for key, value in recipe.items():
+        if not isinstance(value, RECIPE.get(key, ())):
+            return f"recipe: '{key}' is not one of {', '.join(RECIPE)}, or not of its kind"
+    steps = recipe.get("steps") or []
+    if not steps or not all(isinstance(s, dict) and isinstance(s.get("run"), str) and s["run"].strip() and
+                            set(s) <= {"run", "processes"} and isinstance(s.get("processes", 1), int) for s in steps):
+        return "recipe: 'steps' is a list of objects with 'run', a module and its arguments, and perhaps 'processes'"
+    return None
+
+
+def known_recipe(card: Path) -> dict[str, Any]:
+    """The recipe of a card that is about to be written again, as a part of it; empty where it has none."""
+    recipe = json.loads(card.read_text()).get("recipe") if card.exists() else None
+    return {"recipe": recipe} if recipe else {}
+
+
 def read_quality(path: str | None) -> dict[str, Any]:
     """Measured quality to keep in a card, from a JSON file."""
     return json.loads(Path(path).read_text()) if path else {}
@@ -174,4 +197,5 @@ def parser(doc: str | None, tag: str) -> argparse.ArgumentParser:
     made.add_argument("--tag", default=tag, help=f"name of the model among its kind; default: {tag}")
     made.add_argument("--quality", help="JSON of measured quality, kept in the card")
     made.add_argument("--models", type=Path, default=MODELS, help="folder to write to")
+    made.add_argument("--network-only", action="store_true", help="leave the kernels as they are")
     return made

@@ -40,12 +40,17 @@ class Worker:
     deaths: int = 0
 
 
-def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_farm(parser)
-    handed = add_options(parser)
-    args = parser.parse_args(argv)
-    return args, worker_command("training.datagen.render_worker", args, handed)
+    parser.set_defaults(handed=add_options(parser))
+    return parser
+
+
+def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
+    """The options, and the command of a worker."""
+    args = options().parse_args(argv)
+    return args, worker_command("training.datagen.render_worker", args, args.handed)
 
 
 def add_farm(parser: argparse.ArgumentParser) -> None:

@@ -107,12 +107,17 @@ def mix(parts: Sequence[tuple[Path, float]]) -> dict[str, Any]:
     return {"config": first["config"], "weights": weights, "notes": {**first["notes"], "weights": told}}
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     mixing = commands.add_parser("mix", help="average the weights of networks of the same layout")
     mixing.add_argument("parts", nargs="+", type=part, metavar="CHECKPOINT:SHARE", help="shares add up to 1")
     mixing.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    parser = options()
     args = parser.parse_args(argv)
     try:
         save(mix(args.parts), args.output)

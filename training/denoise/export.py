@@ -205,7 +205,8 @@ def _output(config: TrunkConfig, name: str) -> dict[str, Any]:
 
 def main() -> None:
     args = parser(__doc__, "m").parse_args()
-    export_kernels(args.models / "kernels")
+    if not args.network_only:
+        export_kernels(args.models / "kernels")
     if not args.checkpoint:
         return
     checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)

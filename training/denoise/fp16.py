@@ -26,7 +26,7 @@ from postfx.kernels.denoise.network_io import OPEN, OPEN_FINE, OPEN_PHASED, PACK
 from postfx.passes.denoise.network import CHANNELS, FEATURE_PARTS, PACKED, PHASED_FINE, RAW
 from postfx.runtime import Library
 from training.denoise.quantise import variant_name
-from training.export import MODELS, ParityError, relative_error, write_card
+from training.export import MODELS, ParityError, known_recipe, relative_error, write_card
 
 # The graph ----------------------------------------------------------------------------------------------------------
 # The graph of a denoised upscaler in half precision.
@@ -197,8 +197,9 @@ def make_fp16(name: str, folder: Path) -> dict[str, Any]:
     align = 2 ** computed_levels(model.graph)
     alike = {output: told for output, told in card.get("outputs", {}).items() if told.get("constant")}
     card |= {"inputs": _listed(model.graph.input, align), "outputs": _listed(model.graph.output, align) | alike}
-    card.pop("quality", None)  # was measured in float32
-    write_card(path, card)
+    for other in ("quality", "recipe"):  # measured in float32; of the float32 network
+        card.pop(other, None)
+    write_card(path, card | known_recipe(path.with_suffix(".json")))
     return card
 
 
@@ -257,11 +258,15 @@ def _run(model: onnx.ModelProto, reads: Mapping[str, np.ndarray]) -> dict[str, n
     return dict(zip(names, session.run(names, dict(reads)), strict=True))
 
 
-def main() -> None:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name", help="model of the folder, as denoise_upscale.m or denoise_upscale.m.1x")
     parser.add_argument("--models", type=Path, default=MODELS, metavar="FOLDER", help="where it is, and to write to")
-    args = parser.parse_args()
+    return parser
+
+
+def main() -> None:
+    args = options().parse_args()
     card = make_fp16(args.name, args.models)
     path = args.models / f"{card['name']}.onnx"
     error = card["parity"]["max_relative_error"]

@@ -29,7 +29,7 @@ from training.denoise.checkpoint import PREFIX, weights_of
 from training.denoise.dataset import Batch, collate, load, to_batch
 from training.denoise.export import card, export_trunk, load_trunk
 from training.denoise.model import LEVELS, DenoiseUpscale, Trunk, TrunkConfig, empty_state, logits_of
-from training.export import MODELS, write_card
+from training.export import MODELS, known_recipe, write_card
 
 # Channels -------------------------------------------------------------------------------------------------------------
 
@@ -184,19 +184,21 @@ def prune_levels(args: argparse.Namespace, parser: argparse.ArgumentParser) -> N
     active, means = looked_at(model.eval(), (to_batch(collate([clip], [0])) for clip in clips))
     first = first_unused(config, active)
     if first is None:
-        parser.error(f"{args.name} makes use of all its levels")
+        print(f"{args.name} makes use of all its levels: nothing is cut")
+        return
     trunk = cut(config, weights, first, means)
     notes = {key: value for key, value in facts["training"].items() if key != "script"}
     checkpoint = {"config": trunk.config.as_dict(), "notes": notes,
                   "weights": {PREFIX + key: value for key, value in trunk.state_dict().items()}}
     error = export_trunk(load_trunk(checkpoint), path)
-    write_card(path, card(checkpoint, facts["tag"], error, facts["quality"]))
+    recipe = known_recipe(path.with_suffix(".json"))
+    write_card(path, card(checkpoint, facts["tag"], error, facts["quality"]) | recipe)
     print(f"{len(clips)} clips: nothing comes from level {first + 1} of {len(config.widths)} or beyond")
 
 
 # Commands -----------------------------------------------------------------------------------------------------------
 
-def main(argv: Sequence[str] | None = None) -> None:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     channels = commands.add_parser("channels", help="find channels that are never active")
@@ -208,8 +210,14 @@ def main(argv: Sequence[str] | None = None) -> None:
     levels.add_argument("-o", "--models", type=Path, default=MODELS, help="where the model is read and written")
     for command in (channels, levels):
         command.add_argument("--clips", type=Path, required=True, help="folder of clips to look at")
-    args = parser.parse_args(argv)
-    (prune_channels if args.command == "channels" else prune_levels)(args, commands.choices[args.command])
+    channels.set_defaults(act=prune_channels, parser=channels)
+    levels.set_defaults(act=prune_levels, parser=levels)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    args = options().parse_args(argv)
+    args.act(args, args.parser)
 
 
 if __name__ == "__main__":

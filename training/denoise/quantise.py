@@ -43,7 +43,7 @@ from training.denoise.int8 import (
     unfold_half,
     value,
 )
-from training.export import MODELS, store_half, write_card
+from training.export import MODELS, known_recipe, store_half, write_card
 
 # Calibration --------------------------------------------------------------------------------------------------------
 # What a float network computes in runs over frames: ranges to keep its tensors in, and moments to round weights by.
@@ -229,8 +229,9 @@ def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[st
     path = folder / f"{variant_name(name, PRECISION)}.onnx"
     path.write_bytes(small.SerializeToString(deterministic=True))
     card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION}
-    for measured_otherwise in ("quality", "parity"):
-        card.pop(measured_otherwise, None)
+    for other in ("quality", "parity", "recipe"):  # measured in float32; of the float32 network
+        card.pop(other, None)
+    card |= known_recipe(path.with_suffix(".json"))
     known, found = library.card(name).get("outputs", {}), facts(small)
     found["outputs"] = {output: known.get(output, told) for output, told in found["outputs"].items()}
     card |= {"made_from": {"name": name, "sha256": library.card(name).get("sha256")},
@@ -249,13 +250,18 @@ def difference(found: list[np.ndarray], wanted: list[np.ndarray]) -> dict[str, f
     return {"psnr_db": round(float(decibels.mean()), 2), "worst_psnr_db": round(float(decibels.min()), 2)}
 
 
-def main() -> None:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", help="model of the library, as denoise_upscale.m or denoise_upscale.m.1x")
+    parser.add_argument("name", help="model of the folder, as denoise_upscale.m or denoise_upscale.m.1x")
     parser.add_argument("--clips", required=True, metavar="SOURCE", help="folder of clips (.npz), or a noisy sequence")
-    parser.add_argument("-o", "--models", type=Path, default=MODELS, metavar="FOLDER", help="where to write")
-    args = parser.parse_args()
-    card = make_int8(args.name, Library(), args.clips, args.models)
+    parser.add_argument("-o", "--models", type=Path, default=MODELS, metavar="FOLDER",
+                        help="where it is, and where to write")
+    return parser
+
+
+def main() -> None:
+    args = options().parse_args()
+    card = make_int8(args.name, Library(args.models), args.clips, args.models)
     path = args.models / f"{card['name']}.onnx"
     print(f"{path}: {path.stat().st_size} bytes, {card['int8_layers']} convolutions in int8; "
           f"against float32 {card['difference']['psnr_db']} dB, worst frame {card['difference']['worst_psnr_db']} dB")

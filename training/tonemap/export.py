@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import Any
 
@@ -141,9 +142,14 @@ def card(checkpoint: dict[str, Any], tag: str, quality: dict[str, Any]) -> dict[
     }
 
 
+def options() -> argparse.ArgumentParser:
+    return parser(__doc__, "local")
+
+
 def main() -> None:
-    args = parser(__doc__, "local").parse_args()
-    export_kernels(args.models / "kernels")
+    args = options().parse_args()
+    if not args.network_only:
+        export_kernels(args.models / "kernels")
     if args.checkpoint:
         checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
         export_look(checkpoint, args.tag, args.models, read_quality(args.quality))

@@ -244,7 +244,7 @@ def load(path: str, name: str) -> tuple[Pictures, Lesson]:
         return pictures, Lesson(look, torch.from_numpy(packed[f"cube/{name}"].astype(np.float32)), wanted)
 
 
-def main() -> None:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", required=True)
     parser.add_argument("--looks", nargs="+", default=["local", "auto"], help="built-in looks, or .toml files")
@@ -255,7 +255,11 @@ def main() -> None:
     parser.add_argument("--hold-out", nargs="*", default=[], help="file stems kept for validation")
     parser.add_argument("--side", type=int, default=768, help="longest side of a photograph")
     parser.add_argument("--space", choices=LINEAR_SPACES, help="primaries of the files, linear; default: by header")
-    args = parser.parse_args()
+    return parser
+
+
+def main() -> None:
+    args = options().parse_args()
     pictures = collect(args.photos, args.panoramas, args.clips, args.clip_limit, args.hold_out, args.side, args.space)
     lessons = {Path(name).stem: lesson(find_look(name), pictures) for name in args.looks}
     save(args.output, pictures, lessons)
