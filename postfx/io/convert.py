@@ -65,8 +65,10 @@ def convert(
     if rule.role is Role.MOTION:
         plane = _motion_pixels(plane, rule, camera, *(camera.display_size or (plane.shape[1], height)))
         plane[~np.isfinite(plane)] = 0
-    if rule.role is Role.NORMAL and rule.space == "camera":
+    if rule.role is Role.NORMAL and rule.space != "world":
         assert camera.world_to_camera is not None, "the plane is not used without a worldToCamera header"
+        if rule.space == "view" and np.linalg.det(camera.world_to_camera[:3, :3]) < 0:
+            plane = plane * np.array([1, 1, -1], np.float32)  # the header's camera looks along +z
         plane = normals_to_world(plane, camera.world_to_camera)
     if rule.clamp is not None:
         plane = np.clip(plane, *rule.clamp)

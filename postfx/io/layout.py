@@ -169,7 +169,7 @@ def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: boo
     if channels is None or index.find(name.replace("{layer}", layout.layer) for name in rule.requires) is None:
         return
     match = Match(rule, channels)
-    if rule.role is Role.NORMAL and rule.space == "camera" and layout.camera.world_to_camera is None:
+    if rule.role is Role.NORMAL and rule.space != "world" and layout.camera.world_to_camera is None:
         layout.unused[rule.role] = f"normals {match.names} are in camera space and no worldToCamera header: not used"
         layout.barred.update(found)
         return

@@ -35,7 +35,8 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
     unit = "pixels"                      # motion: pixels, uv (0..1 of the image), ndc (-1..1) or velocity (-1..1 of
                                          # max_velocity)
     per = "frame"                        # motion: from frame to frame, or while the shutter is open ("shutter")
-    space = "world"                      # normals: world or camera
+    space = "world"                      # normals: world, camera (along the axes of worldToCamera) or view (x right, y
+                                         # up, z to the viewer, whatever the axes of worldToCamera; right-handed world)
     kind = "planar"                      # depth: planar, ray (distance from the eye), device (a depth buffer: 0 at the
                                          # near, 1 at the far plane) or normalised (linear between the two planes)
     reversed = true                      # device and normalised depth: 1 at the near plane
@@ -130,8 +131,8 @@ SOURCES = {
     "manual": "from its maker's documents, not seen in a file",
 }
 """Where a profile's names are from -> in words."""
-_CHOICES = {"unit": ("pixels", "uv", "ndc", "velocity"), "per": ("frame", "shutter"), "space": ("world", "camera"),
-            "kind": DEPTH_KINDS, "source": ("", *SOURCES)}
+_CHOICES = {"unit": ("pixels", "uv", "ndc", "velocity"), "per": ("frame", "shutter"),
+            "space": ("world", "camera", "view"), "kind": DEPTH_KINDS, "source": ("", *SOURCES)}
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,9 @@ from postfx.io.sequence import read_sequence
 
 HEIGHT, WIDTH, FOV = 4, 6, 60.0
 VIEW = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [1, 2, 3, 1]], np.float64)
-"""A world-to-camera matrix for row vectors; its camera looks along +z, as OpenEXR has it."""
+"""A world-to-camera matrix for row vectors: a rotation and a shift."""
+FORWARD = VIEW * [1, 1, -1, 1]
+"""Of the camera of a right-handed world that `VIEW` looks along -z in, with z forwards."""
 SIZE = np.array([WIDTH, HEIGHT])
 
 
@@ -76,9 +78,8 @@ def ray_lengths(miss: float) -> np.ndarray:
     return np.where(DEPTH[:, :, 0] < DEPTH_MISS, lengths, miss)[:, :, None]
 
 
-def in_camera(forwards: int) -> np.ndarray:
-    """Normals along the camera's axes: x right, y up, and z forwards (1) or backwards (-1)."""
-    return NORMAL @ VIEW[:3, :3] * [1, 1, forwards]
+IN_CAMERA = NORMAL @ VIEW[:3, :3]
+"""Normals along the camera's axes."""
 
 
 def to_next(per_frame: float = 1.0) -> np.ndarray:
@@ -111,7 +112,7 @@ class Layout:
     apart: bool = False
 
 
-CAMERA = {"worldToCamera": VIEW.ravel()}
+CAMERA, CAMERA_FORWARD = {"worldToCamera": VIEW.ravel()}, {"worldToCamera": FORWARD.ravel()}
 LENS = {"postfx__fovX": FOV}
 BLENDER_VECTOR = np.concatenate([MOTION * [1, -1], OTHER[:, :, :2]], axis=2)
 
@@ -127,7 +128,7 @@ def denoising_data(depth: np.ndarray) -> Channels:
     return (store("ViewLayer.Noisy Image", "RGBA", np.concatenate([COLOUR, ALPHA], axis=2))
             | store("ViewLayer.Combined", "RGBA", np.concatenate([OTHER, ALPHA], axis=2))
             | store("ViewLayer.Denoising Albedo", "RGB", DIFFUSE)
-            | store("ViewLayer.Denoising Normal", "XYZ", in_camera(1))
+            | store("ViewLayer.Denoising Normal", "XYZ", IN_CAMERA * [1, 1, -1])
             | store("ViewLayer.Denoising Depth", "Z", depth))
 
 
@@ -179,7 +180,7 @@ LAYOUTS = {
     "Blender 2.8 to 4 without its header": Layout(
         "cycles-4", blender("RenderLayer", "DiffCol", "GlossCol"), ALL_BUT_ROUGHNESS),
     "Blender 4, Denoising Data": Layout(
-        "cycles-4", denoising_data(ray_lengths(0)), SURFACE, {"Software": "Blender 4.2.1", **CAMERA},
+        "cycles-4", denoising_data(ray_lengths(0)), SURFACE, {"Software": "Blender 4.2.1", **CAMERA_FORWARD},
         depth=f"ray,fov={FOV},miss=0"),
     "Cycles in Gaffer, a file a plane": Layout("cycles-hosts", {
         "beauty": picture(), "diffuse_color": store("", "RGB", DIFFUSE), "glossy_color": store("", "RGB", SPECULAR),
@@ -242,14 +243,14 @@ LAYOUTS = {
         "karma", picture("C") | store("N", "XYZ", NORMAL) | store("albedo", "RGB", DIFFUSE) | store("hitPz", "", DEPTH)
         | store("motionvectors", "RG", OTHER) | store("directdiffuse", "RGB", OTHER), SURFACE, HUSK),
     "Mantra": Layout(
-        "mantra", picture() | store("N", "XYZ", in_camera(-1)) | store("Pz", "", DEPTH) | store("P", "XYZ", OTHER)
+        "mantra", picture() | store("N", "XYZ", IN_CAMERA) | store("Pz", "", DEPTH) | store("P", "XYZ", OTHER)
         | store("basecolor", "RGB", DIFFUSE) | store("all_comp", "RGB", OTHER), SURFACE, CAMERA),
     "MoonRay": Layout(
-        "moonray", picture() | store("material_albedo", "RGB", DIFFUSE) | store("material_normal", "RGB", in_camera(-1))
+        "moonray", picture() | store("material_albedo", "RGB", DIFFUSE) | store("material_normal", "RGB", IN_CAMERA)
         | store("depth", "", depth_with(0)) | store("motionvec", "RG", to_next() / (SIZE / 2)),
-        SURFACE | {Role.MOTION}, CAMERA),
+        SURFACE | {Role.MOTION}, CAMERA_FORWARD),
     "Iray for Maya": Layout(
-        "iray", picture() | store("normal", "XYZ", in_camera(-1)) | store("depth", "Z", DEPTH)
+        "iray", picture() | store("normal", "XYZ", IN_CAMERA) | store("depth", "Z", DEPTH)
         | store("albedo", "RGB", DIFFUSE) | store("material_id", "RGBA", np.tile(ALPHA, 4)), SURFACE,
         {"IFM_camera": "camera_MEShape3", **CAMERA}),
     "LuxCore in Blender": Layout(
@@ -295,7 +296,7 @@ LAYOUTS = {
         "mitsuba-3", picture() | store("albedo", "RGB", DIFFUSE) | store("nn", "XYZ", NORMAL)
         | store("dd", "T", ray_lengths(0)), SURFACE, {"generatedBy": "Mitsuba version 3.9.1", **LENS}),
     "pbrt-v4": Layout(
-        "pbrt-4", picture("", "RGB") | store("Albedo", "RGB", DIFFUSE) | store("Ns", "XYZ", in_camera(1))
+        "pbrt-4", picture("", "RGB") | store("Albedo", "RGB", DIFFUSE) | store("Ns", "XYZ", IN_CAMERA)
         | store("N", "XYZ", OTHER) | store("P", "XYZ", np.concatenate([OTHER[:, :, :2], depth_with(0)], axis=2))
         | store("dzdx", "", OTHER), SURFACE, {"worldToCamera": VIEW.T.ravel()}),
     "plain names": Layout(
