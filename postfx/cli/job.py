@@ -29,6 +29,7 @@ from postfx.cli.run_options import (
 )
 from postfx.cli.summary import (
     Explanation,
+    ExposureUsed,
     FrameProgress,
     Prepared,
     Processed,
@@ -40,7 +41,7 @@ from postfx.cli.summary import (
 )
 from postfx.cuts import CutDetector
 from postfx.errors import PostfxError, WriteError
-from postfx.exposure import SMOOTH, ExposureMeter, SmoothExposure, colours_of, measure
+from postfx.exposure import APPLIED, SMOOTH, USED, ExposureMeter, SmoothExposure, colours_of, measure
 from postfx.files import WriteBehind, read_ahead, read_patiently
 from postfx.frame import Frame, Role
 from postfx.io.pattern import format_frames
@@ -114,6 +115,7 @@ class Job:
         self._page = RunReport(self.sequence, self.pipeline, self.plan, self._inspect, check=not arguments.explain,
                                **self._values("page"))
         self._seconds, self._prepared = 0.0, Prepared()
+        self._exposure = ExposureUsed(str(arguments.exposure), self._is_exposed)
         self._frame_ms: list[float] = []
         self._ahead_ms: list[float] = []
         self._pass_ms: dict[str, list[float]] = {}
@@ -127,7 +129,23 @@ class Job:
 
     def explained(self) -> Explanation:
         """What would run."""
-        return Explanation(self.plan, self.sequence, self.first, self.left_out, self._run_up)
+        exposure = self._exposure if self._exposure.multipliers else self._exposure_of_first()
+        return Explanation(self.plan, self.sequence, self.first, self.left_out, self._run_up, exposure)
+
+    def _exposure_of_first(self) -> ExposureUsed:
+        """What --exposure says of the first frame, by its colour alone."""
+        mode, own = str(self._arguments.exposure), self.sequence.reader()
+        own.rewind()
+        if self._smooth or not self._is_exposed:
+            return ExposureUsed(mode, self._is_exposed)
+        frame = own.read(self.first, (Role.COLOUR,), ())
+        used = {self.first: ExposureMeter(mode)(frame)}
+        return ExposureUsed(mode, True, used, {self.first: frame.exposure or 1.0})
+
+    @property
+    def _is_exposed(self) -> bool:
+        """Whether the exposure is in the pixels that are written."""
+        return self.plan.output.encoding != self.plan.input.encoding
 
     def headline(self) -> str:
         """What comes of what, in a line."""
@@ -166,10 +184,12 @@ class Job:
             ahead_ms=self._ahead_ms,
             skipped=[*self.plan.skipped, *self.left_out, *self.pipeline.left_out()],
             warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *self._capture.warnings,
+                      *self._exposure.warnings(),
                       *missed_budget(self._arguments.budget, self._pass_ms, self._chosen)],
             chosen={name: dict(counts) for name, counts in self._chosen.items()},
             outputs=self._written,
             guides=guides_in(self.plan, {"scale", "size"} & {*self._values("denoiser")} != set()),
+            exposure=self._exposure,
             cuts=self._cuts,
             left_alone=self.sequence.left_alone,
             broken=self._broken,
@@ -310,11 +330,14 @@ class Job:
                 self._chosen.setdefault(step.name, Counter())[choice] += 1
 
     def _write(self, run: Run, done: Processed, progress: FrameProgress) -> None:
-        number, result = done.source.number, done.result
+        number, result, used = done.source.number, done.result, done.exposure
+        told = {} if used is None else {APPLIED if self._is_exposed else USED: used}
         write = partial(write_frame, self._files().path(number), result, relax=self._relax,
-                        provenance=run.header(), **self._format)
+                        provenance={**run.header(), **told}, **self._format)
         if path := self._faults.attempt(number, True, write):
             run.wrote(number, path, result, **done.facts())
+            if used is not None:
+                self._exposure.multipliers[number], self._exposure.lit[number] = used, done.lit
             self._written.append(str(path))
             progress.advance(str(path))
 

@@ -216,9 +216,10 @@ PASSES = Section("passes", (
            help="where the history is not used, for particles and the like: plane (the plane 'reactive'), difference "
            "(colour against the plane 'opaque_colour'), auto (the first of these that is there, default) or none; "
            "with scale= and threshold= of the difference, e.g. auto,scale=8"),
-    Option(flag="--exposure", metavar="auto|smooth|metadata|EV", default="auto",
-           help="metered on the pictures so far, on the whole sequence in a pass before (steadier), from the header "
-           "(postfx:exposure), or a number of stops (default: auto)"),
+    Option(flag="--exposure", metavar="auto|smooth|lit|metadata|EV", default="auto",
+           help="of pictures: metered frame by frame, metered on the whole sequence in a pass before (steadier), as it "
+           "was lit (the header's postfx:exposure, or 0 EV), by the header alone, or a number of stops (default: auto, "
+           "and the summary says by how much)"),
 ))
 
 

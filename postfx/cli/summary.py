@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from math import ceil
+from math import ceil, log2
 from statistics import median
 from typing import Any
 
@@ -33,6 +33,7 @@ class Explanation:
         plan: of the first frame that can be read, which has the number `first`.
         left_out: what the arguments leave out, and why.
         run_up: what runs before the first frame of a shot.
+        exposure: of that frame, or the mode alone where all frames have to be metered.
     """
 
     plan: Plan
@@ -40,6 +41,7 @@ class Explanation:
     first: int
     left_out: list[Skipped]
     run_up: RunUp | None
+    exposure: ExposureUsed
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
@@ -48,6 +50,7 @@ class Explanation:
         if alone := self._alone():
             plan["left_alone"] = alone.as_dict()
         return {**plan, "ahead": self._ahead(), "frames": len(self.sequence), "missing": missing,
+                "exposure": self.exposure.as_dict(),
                 "warnings": self.sequence.warnings}
 
     def __str__(self) -> str:
@@ -56,6 +59,10 @@ class Explanation:
         lines += [f"skips   {item.what}: {item.why}" for item in self.left_out]
         if alone := self._alone():
             lines.append(f"leaves  of frame {first}: {alone}")
+        if self.exposure.applied:
+            one = f"frame {first} by " if len(self.exposure.multipliers) == 1 else ""
+            known = self.exposure.multipliers
+            lines.append(f"exposes {one}{self.exposure}" if known else "exposes all frames by what metering them gives")
         if ahead := self._ahead():
             listed = f"frame{'s' * (len(ahead) > 1)} {', '.join(map(str, ahead))}"
             lines.append(f"run-up  of each shot: {listed} before frame {first} (--run-up 0 for none)")
@@ -145,6 +152,62 @@ class FrameProgress:
             self._console.print(f"{self._done}/{self._total} {path} ({rate})", highlight=False, soft_wrap=True)
 
 
+_HOW = {"auto": "metered", "smooth": "metered on the whole sequence", "lit": "as it was lit",
+        "metadata": "by the header"}
+NIGHT_EV = 3.0
+"""From here on metering makes day of a night shot."""
+
+
+@dataclass(frozen=True)
+class ExposureUsed:
+    """By how much frames were exposed, and by whose word.
+
+    Attributes:
+        mode: as --exposure says it.
+        applied: whether it is in the pixels, as in pictures; else it was a hint to the denoiser alone.
+        multipliers: frame number -> multiplier.
+        lit: multipliers of the same frames that their headers ask for, 1 where they ask for nothing.
+    """
+
+    mode: str = "auto"
+    applied: bool = False
+    multipliers: dict[int, float] = field(default_factory=dict)
+    lit: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def metered(self) -> bool:
+        """Whether the pictures told it, and not their author."""
+        return self.mode in ("auto", "smooth")
+
+    def as_dict(self) -> dict[str, Any]:
+        """In plain types."""
+        ev = [round(log2(value), 4) for value in self.multipliers.values()]
+        return {"mode": self.mode, "metered": self.metered, "applied": self.applied,
+                "ev": [min(ev), max(ev)] if ev else None, "multipliers": self.multipliers}
+
+    def __str__(self) -> str:
+        how = _HOW.get(self.mode, "as given")
+        if not self.metered:
+            return f"{_stops(self.multipliers)}, {how}"
+        known = "" if set(self.lit.values()) <= {1.0} else ", by the header"
+        return f"{_stops(self.multipliers)}, {how} (as it was lit: {_stops(self.lit)}{known}, with --exposure lit)"
+
+    def warnings(self) -> list[str]:
+        """That a dark scene comes out bright, which nobody may have wanted."""
+        more = [log2(value / self.lit.get(number, 1.0)) for number, value in self.multipliers.items()]
+        if not (self.applied and self.metered and more and median(more) >= NIGHT_EV):
+            return []
+        return [f"metering shows this {median(more):.1f} EV brighter than it was lit: a night shot comes out as day; "
+                "--exposure lit keeps the light"]
+
+
+def _stops(multipliers: Mapping[int, float]) -> str:
+    """'+1.2 EV' or '+1.2 to +1.9 EV'."""
+    ev = sorted(f"{log2(value):+.1f}" for value in multipliers.values())
+    ev.sort(key=float)
+    return f"{ev[0]} EV" if ev[0] == ev[-1] else f"{ev[0]} to {ev[-1]} EV"
+
+
 @dataclass(frozen=True)
 class Prepared:
     """What the frames did not take: seconds until the first one, those of them in which kernels were compiled, and how
@@ -176,6 +239,11 @@ class Processed:
     milliseconds: float | None = None
     passes: Mapping[str, float] = field(default_factory=dict)
     broken: Mapping[Role, int] = field(default_factory=dict)
+
+    @property
+    def lit(self) -> float:
+        """The multiplier that the header asks for, else 1."""
+        return self.source.exposure or 1.0
 
     def facts(self) -> dict[str, Any]:
         """What the log says."""
@@ -215,6 +283,7 @@ class Report:
         chosen: pass name -> what it chose (a network) -> frames, of passes that choose.
         guides: size of the planes at output size, roles that were used, and whether the output's size follows from
             them; None without guides.
+        exposure: by how much frames were exposed.
         cuts: frames at which a cut was found in the pictures.
         left_alone: how much of the frames --leave left as it is.
         broken: plane -> pixels that were not finite and frames that had them.
@@ -236,6 +305,7 @@ class Report:
     ahead_ms: list[float] = field(default_factory=list)
     chosen: dict[str, dict[str, int]] = field(default_factory=dict)
     guides: dict[str, Any] | None = None
+    exposure: ExposureUsed = ExposureUsed()
     cuts: list[int] = field(default_factory=list)
     left_alone: Coverage = field(default_factory=Coverage)
     broken: dict[str, dict[str, int]] = field(default_factory=dict)
@@ -259,6 +329,7 @@ class Report:
             "outputs": self.outputs,
             "guides": self.guides,
             "chosen": self.chosen,
+            "exposure": self.exposure.as_dict(),
             "cuts": self.cuts,
             "broken": self.broken,
         }
@@ -280,6 +351,8 @@ class Report:
             lines.append(f"ran      {_frames(len(self.ahead_ms))} in reverse order, for a history of the first ones: "
                          f"{median(self.ahead_ms):.1f} ms a frame")
         lines += [f"chose    {name}: {_counted(counts)}" for name, counts in self.chosen.items()]
+        if self.exposure.applied and self.exposure.multipliers:
+            lines.append(f"exposure {self.exposure}")
         lines += [f"guides   {_guides_text(self.guides)}"] if self.guides else []
         lines += [f"cuts     found at {_listed(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
         if self.left_alone.frames:

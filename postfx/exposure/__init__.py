@@ -2,10 +2,12 @@
 
 from postfx.errors import ExposureError
 from postfx.exposure.metering import (
+    APPLIED,
     KEY,
     LIMITS_EV,
     MODES,
     SMOOTH,
+    USED,
     ExposureMeter,
     Metered,
     SmoothExposure,
@@ -17,10 +19,12 @@ from postfx.exposure.metering import (
 )
 
 __all__ = [
+    "APPLIED",
     "KEY",
     "LIMITS_EV",
     "MODES",
     "SMOOTH",
+    "USED",
     "ExposureError",
     "ExposureMeter",
     "Metered",

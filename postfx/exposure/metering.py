@@ -30,7 +30,11 @@ BLACK = 2.0**-24  # mean luminance of a block that holds nothing: borders, misse
 BLOCK, MOST_BLOCKS = 8, 160
 BRIGHTEN_SECONDS, DARKEN_SECONDS = 1.0, 0.4  # an eye and a camera close faster than they open
 FRAMES_PER_SECOND = 24.0
-MODES = ("auto", "metadata")
+MODES = ("auto", "lit", "metadata")
+USED = "postfx:exposureUsed"
+"""Header attribute with the multiplier that a run used, for what comes after; the author's own is postfx:exposure."""
+APPLIED = "postfx:exposureApplied"
+"""The same where it is in the pixels already."""
 
 SMOOTH = "smooth"
 SECONDS = 0.5
@@ -64,7 +68,9 @@ class ExposureMeter:
 
     mode: 'auto' meters each picture and follows it smoothly in EV, slower towards brighter (1 s) than towards
     darker (0.4 s), at once at the first frame and at cuts (`frame.reset`); a black frame keeps the shot's last value.
-    'metadata' takes `frame.exposure` and fails where there is none. A number is an EV: the multiplier is 2 ** EV.
+    'lit' shows the light as its author made it: `frame.exposure`, or 1 where the header has none. 'metadata' fails
+    there, but for frames of an earlier run, whose multiplier it takes (`USED`). A number is an EV: the multiplier is
+    2 ** EV.
     """
 
     def __init__(self, mode: str | float = "auto") -> None:
@@ -90,7 +96,9 @@ class ExposureMeter:
 
     def __call__(self, frame: Frame) -> float:
         """Multiplier for `frame`; ExposureError when the mode is 'metadata' and its header gives none."""
-        if self.mode == "metadata":
+        if self.mode == "lit" and frame.exposure is None:
+            return 1.0
+        if self.mode in ("lit", "metadata"):
             return _header_exposure(frame)
         if self.mode == "auto":
             return float(2.0 ** self._follow(frame))
@@ -126,16 +134,18 @@ def _fixed_ev(mode: str | float) -> float:
         ev = math.nan
     if not abs(ev) <= 64:
         raise ExposureError(
-            f"exposure '{mode}': use auto, metadata or a number of stops (EV) within -64..64; for sequences smooth too"
+            f"exposure '{mode}': use auto, lit, metadata or a number of stops (EV) within -64..64; for sequences "
+            "smooth too"
         )
     return ev
 
 
 def _header_exposure(frame: Frame) -> float:
-    exposure, name = frame.exposure, frame.source or f"frame {frame.number}"
+    name = frame.source or f"frame {frame.number}"
+    exposure = frame.metadata.get(USED) if frame.exposure is None else frame.exposure
     if exposure is None:
         raise ExposureError(f"{name}: no exposure in its header (postfx:exposure): use --exposure auto or an EV number")
-    if not 0 < exposure < math.inf:
+    if not isinstance(exposure, int | float) or not 0 < exposure < math.inf:
         raise ExposureError(f"{name}: exposure {exposure} in its header is not a positive number: use --exposure auto")
     return float(exposure)
 

@@ -77,7 +77,7 @@ def write_frame(
     half: bool = True,
     relax: Callable[[], None] | None = None,
     dither: Dither | str = Dither.MOVING,
-    provenance: Mapping[str, str] | None = None,
+    provenance: Mapping[str, str | float] | None = None,
     keep: bool | None = False,
     bits: int | None = None,
     compression: str = "zip",

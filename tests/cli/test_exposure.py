@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +12,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from postfx.cli.main import main
 from tests.exposure.scenes import picture
 
 EV = 1.0
@@ -88,6 +92,79 @@ def test_smooth_exposure_of_a_part_is_that_of_the_whole(postfx, grey, tmp_path: 
     assert np.array_equal(pixels(tmp_path / "out/p.0003.png"), whole)
     assert postfx("run", "in/", "-o", "late/p.####.png", *arguments[4:-1], "auto").code == 0
     assert abs(pixels(tmp_path / "late/p.0003.png") - whole).mean() > 0.02
+
+
+@pytest.fixture
+def told(grey, tmp_path: Path, monkeypatch, capsys) -> Callable[..., tuple[dict, str]]:
+    """Runs `postfx run in/ ARGUMENTS --json` on two night shots, six stops below mid grey; its JSON and its text."""
+
+    def run(*arguments: str, exposure: float | None = None) -> tuple[dict, str]:
+        monkeypatch.chdir(tmp_path)
+        grey(6.0, 6.0, **{"postfx__exposure": exposure if exposure else 1.0})
+        words = ["run", "in/shot.####.exr", "--no-denoise", "--no-tonemap", "--device", "cpu", "--overwrite"]
+        assert main([*words, *arguments, "--json"]) == 0
+        found = capsys.readouterr()
+        return json.loads(found.out), found.err
+
+    return run
+
+
+def test_metering_is_told_and_a_night_shot_is_no_day_in_silence(told, tmp_path: Path) -> None:
+    report, text = told("-o", "out/a.####.png")
+    assert "exposure +6.0 EV, metered (as it was lit: +0.0 EV, with --exposure lit)" in text
+    assert "warning  metering shows this 6.0 EV brighter than it was lit: a night shot comes out as day" in text
+    used = report["exposure"]
+    assert (used["mode"], used["metered"], used["applied"]) == ("auto", True, True)
+    assert used["ev"] == pytest.approx([6, 6], abs=0.05) and set(used["multipliers"]) == {"1", "2"}
+    night, text = told("-o", "night/a.####.png", "--exposure", "lit")
+    assert "exposure +0.0 EV, as it was lit\n" in text and "night shot" not in text
+    assert night["exposure"]["ev"] == [0, 0] and not night["exposure"]["metered"]
+    assert pixels(tmp_path / "night/a.0001.png").mean() < 0.1 < 0.4 < pixels(tmp_path / "out/a.0001.png").mean()
+    lit, text = told("-o", "out/a.####.png", exposure=2.0**5)
+    assert "(as it was lit: +5.0 EV, by the header, with --exposure lit)" in text and "night shot" not in text
+
+
+def test_the_plan_says_how_pictures_are_exposed(told) -> None:
+    for mode, line in (("auto", "exposes frame 1 by +6.0 EV, metered (as it was lit: +0.0 EV, with --exposure lit)"),
+                       ("lit", "exposes frame 1 by +0.0 EV, as it was lit"),
+                       ("1.5", "exposes frame 1 by +1.5 EV, as given"),
+                       ("smooth", "exposes all frames by what metering them gives")):
+        plan, _ = told("-o", "out/a.####.png", "--exposure", mode, "--explain")
+        assert plan["exposure"]["mode"] == mode and plan["exposure"]["applied"]
+        (one,) = [text for text in explained(mode).splitlines() if text.startswith("exposes")]
+        assert one.startswith(line)
+
+
+def explained(mode: str) -> str:
+    """What --explain prints."""
+    with contextlib.redirect_stdout(io.StringIO()) as found:
+        main(["run", "in/", "-o", "out/a.####.png", "--no-denoise", "--no-tonemap", "--exposure", mode, "--explain",
+              "--device", "cpu"])
+    return found.getvalue()
+
+
+def test_an_exposure_in_the_pixels_is_called_so_in_the_header(told, tmp_path: Path) -> None:
+    used, _ = told("-o", "out/a.####.exr", "--display", "srgb")
+    header = oiio.ImageBuf(str(tmp_path / "out/a.0001.exr")).spec()
+    applied = header.getattribute("postfx:exposureApplied")
+    assert applied == pytest.approx(used["exposure"]["multipliers"]["1"])
+    assert not header.getattribute("postfx:exposureUsed")
+
+
+def test_a_second_run_takes_the_exposure_of_the_first(write_exr, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    for number in (1, 2):
+        write_exr(f"in/shot.{number:04d}.exr", dict(zip("RGB", np.moveaxis(picture(4.0), -1, 0), strict=True)))
+    common = ["--device", "cpu", "--json", "--model", "s", "--run-up", "0"]
+    assert main(["run", "in/", "-o", "clean/", "--scale", "1", *common]) == 0
+    first = json.loads(capsys.readouterr().out)["exposure"]
+    header = oiio.ImageBuf("clean/shot.0001.exr").spec()
+    assert header.getattribute("postfx:exposureUsed") == pytest.approx(2.0**4, rel=0.02) and not first["applied"]
+    picture_run = ["run", "clean/", "-o", "p.####.png", "--no-denoise", "--no-tonemap", "--overwrite", "--json"]
+    assert main([*picture_run, "--exposure", "metadata"]) == 0
+    assert json.loads(capsys.readouterr().out)["exposure"]["multipliers"] == pytest.approx(first["multipliers"])
+    assert main([*picture_run, "--exposure", "lit"]) == 0
+    assert json.loads(capsys.readouterr().out)["exposure"]["ev"] == [0, 0]
 
 
 def test_the_environment_draws_the_checkerboard_in_a_run(postfx, grey, tmp_path: Path, monkeypatch) -> None:

@@ -42,7 +42,7 @@ def test_json_report(postfx, shot):
     done = postfx(*COPY, "--frames", "1-4x2", "--json")
     report = done.json
     assert set(report) == {"frames", "seconds", "ms_per_frame", "passes", "skipped", "warnings", "outputs", "guides",
-                           "chosen", "cuts", "broken", "run_up", "prepared"}
+                           "chosen", "cuts", "broken", "run_up", "prepared", "exposure"}
     assert report["frames"] == 2
     assert report["outputs"] == ["out/shot.0001.exr", "out/shot.0003.exr"]
     assert set(report["ms_per_frame"]) == {"median", "min", "max"}

@@ -124,8 +124,16 @@ def test_fixed_stops() -> None:
 
 @pytest.mark.parametrize("mode", ("automatic", "nan", 1e9))
 def test_other_modes_are_refused(mode: str | float) -> None:
-    with pytest.raises(ExposureError, match="use auto, metadata or a number of stops"):
+    with pytest.raises(ExposureError, match="use auto, lit, metadata or a number of stops"):
         ExposureMeter(mode)
+
+
+def test_lit_is_the_headers_exposure_or_none_and_what_a_run_used_is_not_lit() -> None:
+    colour, used = picture(3.0), {"postfx:exposureUsed": 5.0}
+    assert ExposureMeter("lit")(frame(colour, exposure=4.0, metadata=used)) == 4.0
+    assert ExposureMeter("lit")(frame(colour, metadata=used)) == 1.0
+    assert ExposureMeter("metadata")(frame(colour, metadata=used)) == 5.0
+    assert ExposureMeter("metadata")(frame(colour, exposure=4.0, metadata=used)) == 4.0
 
 
 def test_metadata_is_taken_from_the_header_or_the_file_is_named() -> None:

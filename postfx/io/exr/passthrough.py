@@ -34,8 +34,8 @@ from postfx.io.image_file import ImageFile
 from postfx.io.windows import AREA, EXR_NAMES, PICTURE, Window
 
 _OUTDATED = (
-    "acesimagecontainerflag", "postfx:jitter", "postfx:models", "postfx:reset", "postfx:settings", "postfx:spp",
-    "postfx:version", "preview", "thumbnail",
+    "acesimagecontainerflag", "postfx:exposureapplied", "postfx:exposureused", "postfx:jitter", "postfx:models",
+    "postfx:reset", "postfx:settings", "postfx:spp", "postfx:version", "preview", "thumbnail",
 )
 # What describes the input's storage, its samples or channels that are not written.
 _DROPPED = (
