@@ -26,11 +26,16 @@ mi.set_variant(_variant())
 from training.datagen.clip import ClipOptions, Style, draw_spp, filter_table, guide_frame, make_clip, noisy_frame  # noqa: E402
 from training.datagen.clip_file import guide_depth, half_depth, load_clip, save_clip  # noqa: E402
 from training.datagen.scenes import meshes  # noqa: E402
-from training.datagen.scenes.bending import bent  # noqa: E402
 from training.datagen.scenes.build import BuiltScene, Description  # noqa: E402
 from training.datagen.scenes.lights import Environments  # noqa: E402
 from training.datagen.scenes.materials import Material  # noqa: E402
-from training.datagen.scenes.motion import Camera, look_at, object_path, translation  # noqa: E402
+from training.datagen.scenes.motion import (  # noqa: E402
+    Camera,
+    bend_mesh,  # noqa: E402
+    look_at,
+    object_path,
+    translation,
+)
 from training.datagen.scenes.real import RealScenes  # noqa: E402
 from training.datagen.tracing import Tracer  # noqa: E402
 
@@ -264,7 +269,8 @@ def test_motion_of_things_that_bend(tracer: Tracer) -> None:
 
 
 def test_normals_follow_what_bends() -> None:
-    mesh = bent(meshes.quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), lambda v, t: v + v[:, 1:2] * np.array([0, 0, t]), 1.0)
+    flat = meshes.quad([0, 0, 0], [1, 0, 0], [0, 1, 0])
+    mesh = bend_mesh(flat, lambda v, t: v + v[:, 1:2] * np.array([0, 0, t]), 1.0)
     assert np.allclose(mesh.vertices[:, 2], mesh.vertices[:, 1])
     assert np.allclose(mesh.normals, np.array([0, -1, 1]) / np.sqrt(2), atol=1e-6)
 

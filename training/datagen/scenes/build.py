@@ -8,9 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from training.datagen.scenes.bending import bent
 from training.datagen.scenes.materials import Material
 from training.datagen.scenes.meshes import Mesh, merge
+from training.datagen.scenes.motion import bend_mesh
 
 # Motion -------------------------------------------------------------------------------------------------------------
 # Where surface points were in the previous frame: a matrix for each shape, and a shift for each corner that bends.
@@ -191,7 +191,7 @@ def anchors(count: int = 96) -> list:
 
 def _posed(source: Mesh, part: Part, description: Description, time: float) -> Mesh:
     """A part's mesh in the world at frame `time`."""
-    mesh = source if part.bend is None else bent(source, description.bends[part.bend], time)
+    mesh = source if part.bend is None else bend_mesh(source, description.bends[part.bend], time)
     return mesh if part.mover is None else mesh.transformed(description.movers[part.mover](time))
 
 

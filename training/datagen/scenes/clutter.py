@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from training.datagen.scenes import cloth, meshes, solids
+from training.datagen.scenes import meshes, solids
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.meshes import Mesh, rotation, translation
 
@@ -155,7 +155,7 @@ def jar(rng: np.random.Generator) -> Thing:
 
 
 def tray(rng: np.random.Generator) -> Thing:
-    return [(cloth.folded(rng, rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.3), int(rng.integers(1, 5))), "cloth")]
+    return [(solids.folded(rng, rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.3), int(rng.integers(1, 5))), "cloth")]
 
 
 def plates(rng: np.random.Generator) -> Thing:

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from training.datagen.scenes import foliage, furniture, lights, meshes, textures
-from training.datagen.scenes.bending import random_bend
 from training.datagen.scenes.build import Description
 from training.datagen.scenes.materials import Material, polished, random_material
-from training.datagen.scenes.motion import object_path
+from training.datagen.scenes.motion import object_path, random_bend
 
 View = tuple[np.ndarray, np.ndarray]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from training.datagen.scenes import cloth, clutter, foliage, meshes, solids
+from training.datagen.scenes import clutter, foliage, meshes, solids
 from training.datagen.scenes.clutter import arrange, book_row, moved
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.joinery import panel_grid
@@ -174,6 +174,6 @@ def towel_rail(rng: np.random.Generator) -> Thing:
     ends = solids.boxes([[-w / 2, y - 0.01, 0], [w / 2 - 0.01, y - 0.01, 0]], [[-w / 2 + 0.01, y + 0.01, z],
                                                                             [w / 2, y + 0.01, z]])
     made: Thing = [(meshes.merge([bar, ends]), "metal")]
-    towel = cloth.draped(rng, 0.04, 0.6 * w, rng.uniform(0.25, 0.55), 0.0, 0.003)
+    towel = solids.draped(rng, 0.04, 0.6 * w, rng.uniform(0.25, 0.55), 0.0, 0.003)
     made.append((towel.transformed(translation(0, y + 0.012, z) @ rotation(Y, np.pi / 2)), "cloth"))
     return made

@@ -6,12 +6,11 @@ import numpy as np
 from scipy import ndimage
 
 from training.datagen.scenes import foliage, furniture, lights, meshes, textures
-from training.datagen.scenes.bending import random_bend
 from training.datagen.scenes.build import Description
 from training.datagen.scenes.draft import Draft, Pool, View, add_glowing, draft_thing, moving_thing, place, surface
 from training.datagen.scenes.interior import interior
 from training.datagen.scenes.lights import Environments
-from training.datagen.scenes.motion import object_path
+from training.datagen.scenes.motion import object_path, random_bend
 from training.datagen.scenes.room import room
 
 

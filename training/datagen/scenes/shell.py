@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from training.datagen.scenes import cloth, joinery, meshes, solids
-from training.datagen.scenes.bending import hanging
+from training.datagen.scenes import joinery, meshes, solids
 from training.datagen.scenes.build import Description
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.joinery import Joinery, Opening
 from training.datagen.scenes.meshes import rotation, translation
+from training.datagen.scenes.motion import hanging
 from training.datagen.scenes.roles import Roles
 
 DOWN = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # a plan's x, y, off -> x, z, down
@@ -157,7 +157,7 @@ def _curtains(house: House, side: Side, hole: Opening) -> None:
     for x in (hole.x0 - 0.2 + 0.3 * reach, hole.x1 + 0.2 - 0.3 * reach):
         if x - reach / 2 < 0.0 or x + reach / 2 > side.width:
             continue
-        mesh = cloth.curtain(rng, reach, top - low).transformed(side.matrix @ translation(x, low, 0.1))
+        mesh = solids.curtain(rng, reach, top - low).transformed(side.matrix @ translation(x, low, 0.1))
         bend = None
         if rng.random() < 0.35:
             house.d.bends.append(hanging(rng, mesh.vertices[:, 1].max(), top - low, side.matrix[:3, 2]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from training.datagen.scenes import cloth, meshes, solids
+from training.datagen.scenes import meshes, solids
 from training.datagen.scenes.clutter import moved, turned
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.meshes import Mesh, rotation, translation
@@ -34,12 +34,12 @@ def sofa(rng: np.random.Generator, seats: int | None = None) -> Thing:
     for k in range(seats):
         x = -w + (k + 0.5) * pitch
         made.append((_stuffed(rng, pitch, depth - 0.2, 0.17, (x, seat - 0.06, 0.22 + (depth - 0.2) / 2)), "fabric"))
-        back = cloth.cushion(rng, pitch * 0.98, 0.52, 0.2).transformed(rotation(X, np.pi / 2 - 0.2))
+        back = solids.cushion(rng, pitch * 0.98, 0.52, 0.2).transformed(rotation(X, np.pi / 2 - 0.2))
         made.append((back.transformed(translation(x, seat + 0.28, 0.3)), "fabric"))
     for _ in range(int(rng.integers(0, seats + 2))):
         made.append((_loose(rng, rng.uniform(-w + 0.2, w - 0.2), seat + 0.02, 0.44), str(rng.choice(CUSHIONS))))
     if rng.random() < 0.4:
-        throw = cloth.draped(rng, arm + 0.04, 0.35, rng.uniform(0.15, 0.4), 0.0, 0.006)
+        throw = solids.draped(rng, arm + 0.04, 0.35, rng.uniform(0.15, 0.4), 0.0, 0.006)
         made.append((throw.transformed(translation(w + arm / 2, rest + 0.004, 0.55 * depth)), "cloth"))
     return made
 
@@ -53,7 +53,7 @@ def _stuffed(rng: np.random.Generator, width: float, depth: float, thick: float,
     mesh = solids.rounded(-half, half, 0.05, 6)
     v = mesh.vertices
     crown = (1 - (v[:, 0] / half[0]) ** 2) * (1 - (v[:, 2] / half[2]) ** 2)
-    lift = 0.03 * crown + 0.004 * cloth.waves(rng, v[:, 0], v[:, 2], 0.25)
+    lift = 0.03 * crown + 0.004 * solids.waves(rng, v[:, 0], v[:, 2], 0.25)
     puffed = v + np.stack([0 * lift, np.sign(v[:, 1]) * lift, 0 * lift], 1) + np.array(centre)
     return meshes.smooth(Mesh(puffed, mesh.normals, mesh.uvs, mesh.faces))
 
@@ -61,7 +61,7 @@ def _stuffed(rng: np.random.Generator, width: float, depth: float, thick: float,
 def _loose(rng: np.random.Generator, x: float, y: float, z: float) -> Mesh:
     """A cushion that leans on a back at z."""
     size = rng.uniform(0.35, 0.5)
-    mesh = cloth.cushion(rng, size, size * rng.uniform(0.7, 1.0), rng.uniform(0.1, 0.18))
+    mesh = solids.cushion(rng, size, size * rng.uniform(0.7, 1.0), rng.uniform(0.1, 0.18))
     tilt = rotation(Y, rng.normal(0, 0.25)) @ rotation(X, np.pi / 2 - rng.uniform(0.15, 0.5))
     mesh = mesh.transformed(tilt @ rotation(Y, rng.normal(0, 0.12)))
     return mesh.transformed(translation(x, y - mesh.vertices[:, 1].min(), z))
@@ -79,16 +79,16 @@ def bed(rng: np.random.Generator) -> Thing:
                    (_feet(rng, w - 0.06, 0.15, length - 0.06, 0.16), "wood")]
     made += _head_board(rng, w, top)
     start = rng.uniform(0.45, 0.8)
-    duvet = cloth.draped(rng, 2 * w + 0.04, length - start, rng.uniform(0.1, 0.32), 0.05, rng.uniform(0.008, 0.035))
+    duvet = solids.draped(rng, 2 * w + 0.04, length - start, rng.uniform(0.1, 0.32), 0.05, rng.uniform(0.008, 0.035))
     made.append((duvet.transformed(translation(0, top + 0.03, start + 0.1 + (length - start) / 2)), "bedding"))
     for x in ((-0.5 * w, 0.5 * w) if w > 0.65 else (0.0,)):
         for layer in range(int(rng.integers(1, 3))):
             tilt = rotation(Y, rng.normal(0, 0.1)) @ rotation(X, -0.3 - 0.5 * layer)
-            pillow = cloth.cushion(rng, min(0.85 * w, 0.72), 0.45, rng.uniform(0.14, 0.2)).transformed(tilt)
+            pillow = solids.cushion(rng, min(0.85 * w, 0.72), 0.45, rng.uniform(0.14, 0.2)).transformed(tilt)
             spot = translation(x + rng.normal(0, 0.02), top + 0.08 + 0.1 * layer, 0.33 + 0.03 * layer)
             made.append((pillow.transformed(spot), str(rng.choice(["bedding", "bedding", "pattern", "fabric2"]))))
     if rng.random() < 0.5:
-        blanket = cloth.draped(rng, 2 * w + 0.08, 0.5, rng.uniform(0.1, 0.4), 0.0, 0.012)
+        blanket = solids.draped(rng, 2 * w + 0.08, 0.5, rng.uniform(0.1, 0.4), 0.0, 0.012)
         made.append((blanket.transformed(translation(0, top + 0.075, length - 0.3)), "fabric2"))
     return made
 
@@ -124,7 +124,7 @@ def rug(rng: np.random.Generator) -> Thing:
     w, d = rng.uniform(0.7, 1.4), rng.uniform(0.5, 1.0)
     x, z = np.meshgrid(np.linspace(-w, w, 60), np.linspace(-d, d, 40), indexing="ij")
     rim = np.clip(6 * np.minimum(1 - np.abs(x / w), 1 - np.abs(z / d)) * min(w, d) / 0.1, 0, 1)
-    y = 0.012 * np.sqrt(rim) + 0.006 * rim * np.clip(cloth.waves(rng, x, z, 0.7) - 0.8, 0, None) + 0.002
+    y = 0.012 * np.sqrt(rim) + 0.006 * rim * np.clip(solids.waves(rng, x, z, 0.7) - 0.8, 0, None) + 0.002
     made: Thing = [(solids.sheet(np.stack([x, y, z], -1).transpose(1, 0, 2)), "pattern")]
     if rng.random() < 0.5:
         at = np.arange(-d, d, 0.012)

@@ -18,7 +18,6 @@ if "DRJIT_LIBLLVM_PATH" not in os.environ:
 mi.set_variant("llvm_ad_rgb")
 
 from training.datagen.scenes import clutter, fittings, fixtures, foliage, furnishing, solids, tables, upholstery  # noqa: E402
-from training.datagen.scenes.bending import hanging  # noqa: E402
 from training.datagen.scenes.build import BuiltScene, Description  # noqa: E402
 from training.datagen.scenes.daylight import outside_only  # noqa: E402
 from training.datagen.scenes.draft import Draft  # noqa: E402
@@ -26,7 +25,11 @@ from training.datagen.scenes.interior import CHANCES, interior  # noqa: E402
 from training.datagen.scenes.lights import Environments, sky  # noqa: E402
 from training.datagen.scenes.materials import Material  # noqa: E402
 from training.datagen.scenes.meshes import Mesh  # noqa: E402
-from training.datagen.scenes.motion import Camera, look_at  # noqa: E402
+from training.datagen.scenes.motion import (  # noqa: E402
+    Camera,
+    hanging,  # noqa: E402
+    look_at,
+)
 from training.datagen.scenes.procedural import FAMILIES, draft  # noqa: E402
 from training.datagen.tracing import MISS_DEPTH, Film, Tracer  # noqa: E402
 
