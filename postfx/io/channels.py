@@ -256,9 +256,9 @@ def _views(parts: tuple[Part, ...]) -> tuple[str, ...]:
 
 def _name_and_view(part: Part, views: tuple[str, ...]) -> tuple[str, str]:
     """A part's name without its view, and the view, '' where it tells none."""
-    found = re.fullmatch(r"(.+)[._]([^._]+)", part.name)
+    found = re.fullmatch(r"(?:(.+)[._])?([^._]+)", part.name)
     if found and found[2] in ((part.view,) if part.view else views):
-        return found[1], found[2]
+        return found[1] or "", found[2]
     return part.name, part.view
 
 
@@ -268,6 +268,6 @@ def _without_view(channel: str, views: tuple[str, ...], view: str, is_by_name: b
     Channels without a layer are of the first view where names tell views.
     """
     *layers, letter = channel.split(".")
-    if layers and layers[-1] in views and not view:
+    if layers and layers[-1] in views and view in ("", layers[-1]):
         return ".".join([*layers[:-1], letter]), layers[-1]
     return channel, view or (views[0] if views and not layers and is_by_name else "")

@@ -352,8 +352,8 @@ class FrameFiles:
         others = [view for view in index.views[1:]
                   if make_layout(ChannelIndex(self._files, view), {}, layout.profile).planes.get(Role.COLOUR)]
         if others:
-            layout.warnings.append(f"view {index.views[0]} is read; {', '.join(others)} not, so an output that keeps "
-                                   "other channels has it as it was: --view NAME chooses")
+            layout.warnings.append(f"view {index.views[0]} is read; {', '.join(others)} not, and is only copied where "
+                                   "the output keeps other channels: --view NAME chooses")
         return index, layout
 
     def _look_wider(

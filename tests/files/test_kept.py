@@ -123,6 +123,21 @@ def test_a_larger_picture_takes_the_place_of_the_renders_colour_in_layers(tmp_pa
     np.testing.assert_array_equal(again[Role.COLOUR], frame[Role.COLOUR].astype(np.float16))
 
 
+def test_guides_of_the_pictures_size_stay_as_they_are(tmp_path: Path) -> None:
+    window = {"displayWindow": (np.zeros(2, np.int32), np.int32([WIDTH - 1, HEIGHT - 1]))}
+    guides = {f"albedo.{name}": noise_bits(seed, "half", 2 * WIDTH, 2 * HEIGHT) for seed, name in enumerate("RGB")}
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage, **window}, channels, name) for name, channels in (
+        ("rgba", picture() | {"depth.Z": noise_bits(1, "float")}), ("albedo", guides))]
+    OpenEXR.File(parts).write(str(tmp_path / "in.exr"))
+    before = channel_hashes(tmp_path / "in.exr")
+    out, _ = keep(tmp_path / "in.exr", 2)
+    after = channel_hashes(out)
+    assert {key: bits for key, bits in after.items() if key[0] == "albedo"} == \
+        {key: bits for key, bits in before.items() if key[0] == "albedo"}
+    with ExrContainer(out) as file:
+        assert {header.data for header in file.headers} == {(0, 0, 2 * WIDTH - 1, 2 * HEIGHT - 1)}
+
+
 def test_by_default_nothing_is_kept_beside_a_larger_picture(tmp_path: Path) -> None:
     source = write_mixed(tmp_path / "in.exr")
     same, enlarged = (write_frame(tmp_path / f"{scale}.exr", processed(source, scale), keep=None) for scale in (1, 2))
@@ -285,3 +300,22 @@ def test_the_command_line_keeps_nothing_beside_a_larger_picture_but_when_asked(s
     assert told("--keep", "all") == (
         "keeps   7 other channels, enlarged by the nearest pixel, without the render's own colour", [])
     assert told("--keep", "none") == ("", [])
+
+
+@pytest.mark.parametrize("names", [("rgba.right", "rgba.left"), ("right", "left")])
+def test_both_views_one_after_the_other(tmp_path: Path, names: tuple[str, str]) -> None:
+    """The second run is given the output of the first."""
+    views = [picture(seed=1), picture(seed=2)]
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage, "view": view}, dict(channels), name)
+             for view, channels, name in zip(("right", "left"), views, names, strict=True)]
+    OpenEXR.File(parts).write(str(tmp_path / "in.exr"))
+    path = tmp_path / "in.exr"
+    for view in ("right", "left"):
+        (frame,) = read_sequence(path, view=view)
+        darker = {role: plane * np.float32(0.5) for role, plane in frame.planes.items()}
+        path = write_frame(tmp_path / f"{view}.exr", dataclasses.replace(frame, planes=darker), keep=True)
+    found = OpenEXR.File(str(path), separate_channels=True).parts
+    assert [part.name() for part in found] == [*names]
+    for part, before in zip(found, views, strict=True):
+        for name, plane in before.items():
+            np.testing.assert_array_equal(part.channels[name].pixels, plane * np.float16(0.5))

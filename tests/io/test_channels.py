@@ -40,6 +40,7 @@ PARTS = {
     "a Cryptomatte's A is no alpha": ({"beauty": RGB, **CRYPTO}, COLOUR),
     "a Cryptomatte that comes first is no colour": ({**CRYPTO, "main": RGBA}, WITH_ALPHA),
     "a mask that comes first is no red": ({"sky": flat("R", 9), "matteA": flat("R", 8), "picture": RGB}, COLOUR),
+    "alpha in a grey part of its own": ({"rgb": RGB, "alpha": flat("Y", 0.4)}, WITH_ALPHA),
     "alpha in a part of its own": ({"rgb": RGB, "alpha": flat("A", 0.4)}, WITH_ALPHA),
     "position is no depth": ({"rgba": RGBA, "P": VECTOR, "Z": flat("Z", 5)}, WITH_ALPHA | {"depth": [5]}),
     "position without a name that tells is no depth": ({"rgba": RGBA, "where": VECTOR}, WITH_ALPHA),
@@ -128,6 +129,10 @@ STEREO = {
         "depth.left": flat("Z", 5)},
     "names with a line": {"rgba_left": RGBA, "depth_left": flat("Z", 5), "depth_right": flat("Z", 8),
                           "rgba_right": flat("RGBA", 9, 9, 9, 9)},
+    "parts named after views": {"left": RGBA | flat("Z", 5), "right": flat("RGBAZ", 9, 9, 9, 9, 8)},
+    "Blender's": {"VL.Combined.left": flat([f"VL.Combined.left.{name}" for name in "RGBA"], *GREY),
+                  "VL.Combined.right": flat([f"VL.Combined.right.{name}" for name in "RGBA"], 9, 9, 9, 9),
+                  "VL.Depth.left": flat(["VL.Depth.left.Z"], 5), "VL.Depth.right": flat(["VL.Depth.right.Z"], 8)},
 }
 
 
@@ -136,11 +141,22 @@ def test_stereo_parts(write_parts, kind: str) -> None:
     sequence = read_sequence(write_parts("a.exr", STEREO[kind]))
     assert means(next(iter(sequence))) == WITH_ALPHA | {"depth": [5]}
     assert sequence.warnings == [
-        "view left is read; right not, so an output that keeps other channels has it as it was: --view NAME chooses"]
+        "view left is read; right not, and is only copied where the output keeps other channels: --view NAME chooses"]
     other = read(write_parts("a.exr", STEREO[kind]), view="right")
     assert means(other) == {"colour": [9] * 3, "alpha": [9], "depth": [8]}
     with pytest.raises(MissingPlaneError, match="no view 'centre': it holds left, right"):
         read(write_parts("a.exr", STEREO[kind]), view="centre")
+
+
+def test_view_layers_in_parts(write_parts) -> None:
+    """Blender 5 writes a part a pass."""
+    parts = {f"{layer}.{name}": flat([f"{layer}.{name}.{letter}" for letter in letters], *values)
+             for layer, name, letters, values in (
+                 ("View Layer", "Combined", "RGBA", (9, 9, 9, 9)), ("Set", "Combined", "RGBA", GREY),
+                 ("View Layer", "Depth", "Z", (8,)), ("Set", "Depth", "Z", (5,)), ("Set", "Normal", "XYZ", (1, 2, 3)))}
+    path = write_parts("a.exr", parts, Software="Blender 5.1.0")
+    assert means(read(path)) == WITH_ALPHA | {"depth": [5], "normal": [1, 2, 3]}
+    assert means(read(path, layer="View Layer")) == {"colour": [9] * 3, "alpha": [9], "depth": [8]}
 
 
 def test_views_in_channel_names(shared_dir: Path) -> None:

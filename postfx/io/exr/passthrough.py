@@ -177,6 +177,7 @@ class _Merge:
         index, fresh = self._stored.part, {channel.name for channel in self._own.channels}
         picture, parts = self._header(self._source.headers[index], in_place=False), []
         joined = NewPart(picture, 0, ())
+        display = next(part.display for part in file.parts if part.index == index)
         for part in file.parts:
             replaced = self._stored.renders | ({(index, name) for name in fresh} if part.index == index else set())
             kept = sorted((channel for channel in self._source.headers[part.index].channels
@@ -184,7 +185,9 @@ class _Merge:
             names = [channel.name for channel in kept]
             pixels = {name: axis for (own, name), axis in self._stored.pixels.items() if own == part.index}
             larger = enlargement.window(part.data)
-            if not kept:
+            if kept and part.display != display:  # of a file of two sizes, as where guides have the output's
+                parts += [self._as_stored(part.index, picture)] if part.data == self._own.data else []
+            if not kept or part.display != display:
                 continue
             rows = enlarged_rows(file, part, names, enlargement, pixels)
             if part.index == index and larger == self._own.data and self._stored.channels == ("R", "G", "B"):
