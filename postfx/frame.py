@@ -94,6 +94,38 @@ OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)
 """Planes that may come at output size, which is what makes them guides."""
 
 
+PART_KINDS = ("light", "diffuse", "specular", "scatter", "albedo", "normal", "position", "mist", "shadow", "ao")
+"""Meanings of a part. Light is added up to the picture: with all of the reflectance in it, the diffuse or the specular
+one, or none (fog, emission, a background). The others are no light and add up to nothing."""
+ADDITIVE = PART_KINDS[:4]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A named plane that is denoised with the picture's filters.
+
+    Attributes:
+        name: as the frame's `parts` name it.
+        kind: one of `PART_KINDS`.
+        group: parts of one group add up to the picture, or to some of it; a frame may be taken apart in several ways.
+
+    Raises FrameError for another kind.
+    """
+
+    name: str
+    kind: str = "light"
+    group: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in PART_KINDS:
+            raise FrameError(f"part '{self.name}' is of the unknown kind '{self.kind}': use {', '.join(PART_KINDS)}")
+
+    @property
+    def is_light(self) -> bool:
+        """Whether it is added up to the picture."""
+        return self.kind in ADDITIVE
+
+
 @dataclass(frozen=True)
 class GuideSpec:
     """Size and roles of a frame's guides, which are planes at output size.
@@ -125,6 +157,7 @@ class FrameSpec:
         encoding: meaning of the colour plane, see `ENCODINGS`.
         guides: None for a frame without planes at output size.
         source: file that the frame comes from, for messages: comparisons ignore it.
+        parts: name and channel count of each part, in the order of the names; given as a mapping or as pairs.
 
     Raises FrameError for an empty size, a wrong channel count and an unknown encoding.
     """
@@ -135,6 +168,7 @@ class FrameSpec:
     encoding: str = "scene-linear"
     guides: GuideSpec | None = None
     source: str | None = field(default=None, compare=False)
+    parts: tuple[tuple[str, int], ...] = ()
 
     def __init__(
         self,
@@ -144,11 +178,13 @@ class FrameSpec:
         encoding: str = "scene-linear",
         guides: GuideSpec | None = None,
         source: str | None = None,
+        parts: Mapping[str, int] | Iterable[tuple[str, int]] = (),
     ) -> None:
         if width < 1 or height < 1:
             raise FrameError(f"frame size {width}x{height}: both sides must be at least 1 pixel")
         fixed = {"width": width, "height": height, "planes": _order_planes(planes),
-                 "encoding": _complete_encoding(encoding), "guides": guides, "source": source}
+                 "encoding": _complete_encoding(encoding), "guides": guides, "source": source,
+                 "parts": tuple(sorted(dict(parts).items()))}
         for name, value in fixed.items():
             object.__setattr__(self, name, value)
 
@@ -161,6 +197,11 @@ class FrameSpec:
     def guide_roles(self) -> tuple[Role, ...]:
         """Roles of the guides, in the order of `Role`."""
         return self.guides.roles if self.guides else ()
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of the parts, in their order."""
+        return tuple(name for name, _ in self.parts)
 
     def has(self, role: Role) -> bool:
         """Whether the frame holds a plane of this role."""
@@ -241,6 +282,8 @@ class Frame:
         guide_size: width and height of the guides; given only for a frame whose guides were not read.
         guide_jitter: like `jitter`, of the guides' samples, in pixels of the guides.
         guide_source: file that the guides were read from, or None.
+        parts: name -> array (height, width, 1 or 3) of a part of the picture, such as a light group, in radiance like
+            the colour; or of another plane that is to be denoised with it.
 
     Two frames are equal when all of that is, NaN being equal to NaN; only the files that they come from may differ.
     `print` shows a table of the planes, and a notebook the picture as well.
@@ -265,12 +308,14 @@ class Frame:
     guide_jitter: tuple[float, float] = (0.0, 0.0)
     guide_source: str | None = None
     colour_source: ColourSource | None = None
+    parts: dict[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.planes:
             raise FrameError(f"frame {self._name()} has no planes")
         self.planes = self._check_all(self.planes, "plane", self.source)
         self.guides = self._check_all(self.guides, "guide", self.guide_source)
+        self.parts = {str(name): self._checked_part(name, part) for name, part in self.parts.items()}
         if self.guides:
             self.guide_size = next(iter(self.guides.values())).shape[1::-1]
         if self.world_to_camera is not None:
@@ -282,7 +327,8 @@ class Frame:
         height, width = next(iter(self.planes.values())).shape[:2]
         channels = {role: plane.shape[2] for role, plane in self.planes.items()}
         guides = GuideSpec(*self.guide_size, tuple(self.guides), self.guide_source) if self.guide_size else None
-        return FrameSpec(width, height, channels, self.encoding, guides, self.source)
+        parts = {name: part.shape[2] for name, part in self.parts.items()}
+        return FrameSpec(width, height, channels, self.encoding, guides, self.source, parts)
 
     def __getitem__(self, role: Role) -> np.ndarray:
         """Plane of a role, (height, width, channels); FrameError when the frame does not hold it."""
@@ -337,6 +383,7 @@ class Frame:
         """Of each plane and guide its name, size and channels, type, and range."""
         planes = [(str(role), plane) for role, plane in self.planes.items()]
         planes += [(f"guide {role}", plane) for role, plane in self.guides.items()]
+        planes += [(f"part {name}", part) for name, part in self.parts.items()]
         return [(name, f"{plane.shape[1]}x{plane.shape[0]}x{plane.shape[2]}", str(plane.dtype), _range(plane))
                 for name, plane in planes]
 
@@ -361,6 +408,17 @@ class Frame:
             expected = f"(height, width, {channels})"
             raise FrameError(f"{kind} '{role}' of frame {self._name()} has shape {plane.shape}: it needs {expected}")
         return np.ascontiguousarray(plane, np.float32)
+
+    def _checked_part(self, name: str, part: np.ndarray) -> np.ndarray:
+        size = next(iter(self.planes.values())).shape[:2]
+        if not isinstance(part, np.ndarray) or not np.issubdtype(part.dtype, np.floating):
+            found = getattr(part, "dtype", type(part).__name__)
+            raise FrameError(f"part '{name}' of frame {self._name()} is {found}: give a NumPy array of floats")
+        part = part[:, :, None] if part.ndim == 2 else part
+        if part.ndim != 3 or part.shape[:2] != size or part.shape[2] not in (1, 3):
+            expected = f"({size[0]}, {size[1]}, 1 or 3)"
+            raise FrameError(f"part '{name}' of frame {self._name()} has shape {part.shape}: it needs {expected}")
+        return np.ascontiguousarray(part, np.float32)
 
     def _name(self, source: str | None = None) -> str:
         source = source or self.source

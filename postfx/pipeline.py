@@ -285,10 +285,13 @@ class Flow:
     def _uploaded(self, frame: Frame, plan: Plan, exposure: float, lost: bool) -> Iterator[ResidentFrame]:
         inputs = {role: self._input(role, frame[role]) for role in plan.planes}
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
+        parts = {name: self._input(f"part {name}", frame.parts[name]) for name in plan.parts}
         try:
-            yield _resident(frame, plan.input, inputs, guides, exposure, lost)
+            resident = _resident(frame, plan.input, inputs, guides, exposure, lost)
+            resident.parts, resident.given_parts = dict(parts), {name: frame.parts[name] for name in parts}
+            yield resident
         finally:
-            for tensor in (*inputs.values(), *guides.values()):
+            for tensor in (*inputs.values(), *guides.values(), *parts.values()):
                 tensor.release()
 
     def _input(self, name: str, array: np.ndarray) -> Tensor:
@@ -304,7 +307,7 @@ class Flow:
         try:
             for step in steps:
                 _encode(step, commands, resident)
-            commands.keep(*resident.tensors.values())
+            commands.keep(*resident.tensors.values(), *resident.parts.values())
             commands.commit()
         finally:
             commands.discard()
@@ -370,7 +373,10 @@ def _finished(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Ro
     planes = {role: frame[role] for role in unread}
     for role, tensor in resident.tensors.items():
         planes[role] = frame[role] if tensor is inputs.get(role) else tensor.download()
-    result = dataclasses.replace(frame, planes=planes, encoding=plan.output.encoding, jitter=resident.jitter)
+    parts = {name: part for name, part in frame.parts.items() if same_size}
+    parts |= {name: tensor.download() for name, tensor in resident.parts.items()}
+    result = dataclasses.replace(frame, planes=planes, encoding=plan.output.encoding, jitter=resident.jitter,
+                                 parts=parts)
     if same_size:
         return result
     return dataclasses.replace(result, guides={}, guide_size=None, guide_jitter=(0.0, 0.0), guide_source=None)

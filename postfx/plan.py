@@ -57,6 +57,7 @@ class Plan:
         remarks: what the active passes have to say about the result.
         output: spec of the frame that comes out.
         guides: roles of the guides that must be read, likewise.
+        parts: names of the parts of the picture that must be read, likewise.
     """
 
     available: FrameSpec
@@ -66,11 +67,12 @@ class Plan:
     output: FrameSpec
     remarks: tuple[str, ...] = ()
     guides: tuple[Role, ...] = ()
+    parts: tuple[str, ...] = ()
 
     @cached_property
     def input(self) -> FrameSpec:
         """Spec of the frame once only the planes and guides that are needed were read."""
-        return _restricted(self.available, self.planes, self.guides)
+        return _restricted(self.available, self.planes, self.guides, self.parts)
 
     def accumulating(self) -> tuple[Step, ...]:
         """The steps up to the last one that is the better the more frames came before; empty where there is none."""
@@ -83,6 +85,7 @@ class Plan:
             "input": _spec_dict(self.available),
             "planes": [str(role) for role in self.planes],
             "guides": [str(role) for role in self.guides],
+            "parts": list(self.parts),
             "passes": [_step_dict(step) for step in self.steps],
             "skipped": [{"what": item.what, "why": item.why} for item in self.skipped],
             "remarks": list(self.remarks),
@@ -96,6 +99,7 @@ class Plan:
     def __str__(self) -> str:
         lines = [("frame", _spec_text(self.available)), ("reads", _names(self.planes))]
         lines += [("guides", text) for text in self._guides_text()]
+        lines += [("parts", ", ".join(self.parts))] if self.parts else []
         lines += [(f"pass {number}", _step_text(step)) for number, step in enumerate(self.steps, 1)]
         lines += [("skips", f"{item.what}: {item.why}") for item in self.skipped]
         lines += [("note", remark) for remark in self.remarks]
@@ -133,7 +137,10 @@ def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
     planes, guides = _needed(spec, steps), _needed_guides(spec, steps)
     skipped += [Skipped(f"plane '{role}'", "no pass reads it") for role in spec.roles if role not in planes]
     skipped += _unread_guides(spec, guides)
-    return _narrowed(Plan(spec, planes, tuple(steps), tuple(skipped), current, guides=guides))
+    read = {name for step in steps for name in step.reflection.parts}
+    parts = tuple(name for name in spec.part_names if name in read)
+    skipped += [Skipped(f"part '{name}'", "no pass reads it") for name in spec.part_names if name not in parts]
+    return _narrowed(Plan(spec, planes, tuple(steps), tuple(skipped), current, guides=guides, parts=parts))
 
 
 def _narrowed(plan: Plan) -> Plan:
@@ -193,10 +200,11 @@ def _step_names(passes: Sequence[Pass]) -> list[str]:
     return [name if count == 1 else f"{name} {count}" for name, count in zip(plain, counts, strict=True)]
 
 
-def _restricted(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role]) -> FrameSpec:
+def _restricted(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role], parts: Sequence[str]) -> FrameSpec:
     """Guides that nobody reads leave their size behind: it tells how large the output should be."""
     kept = replace(spec.guides, roles=tuple(guides)) if spec.guides else None
-    return FrameSpec(spec.width, spec.height, roles, spec.encoding, kept, spec.source)
+    held = [(name, channels) for name, channels in spec.parts if name in parts]
+    return FrameSpec(spec.width, spec.height, roles, spec.encoding, kept, spec.source, held)
 
 
 def _step_text(step: Step) -> str:

@@ -214,7 +214,8 @@ struct Guide {
 // Radiance that is multiplied BY something is without reflectance, then with that of the render size.
 enum Multiplied { BY_NOTHING, BY_GUIDES, BY_OWN };
 
-template <bool DOUBLED, Multiplied BY>
+// LINEAR light is neither sharpened nor encoded.
+template <bool DOUBLED, Multiplied BY, bool LINEAR>
 __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
                                     const View& moved, const View& past, const View& params, const View& keep,
                                     const Guide& guide) {
@@ -261,27 +262,29 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
             soft = {soft.r + even * light.r, soft.g + even * light.g, soft.b + even * light.b};
         }
     }
-    const float sharpen = at_corner<DOUBLED>(head + SHARPEN * plane, plane, corner, right, lower);
     const float blend = at_corner<DOUBLED>(head + BLEND * plane, plane, corner, right, lower);
-    const Colour sharp = {log_encode(sum.r / total), log_encode(sum.g / total), log_encode(sum.b / total)};
     const int at = row * moved.size[1] + column;
     const float px = x + moved.at[2 * at] * (float(width) / w), py = y + moved.at[2 * at + 1] * (float(height) / h);
     const bool inside = px >= -0.5f && px <= width - 0.5f && py >= -0.5f && py <= height - 0.5f;  // not if NaN
     const bool held = inside && past.at[4 * at + 3] >= 0.0f;
+    const float kept = held ? share_of(keep, row, column) * (1.0f - blend) : 0.0f;
+    if (LINEAR) return {{sum.r / total, sum.g / total, sum.b / total}, kept};
+    const float sharpen = at_corner<DOUBLED>(head + SHARPEN * plane, plane, corner, right, lower);
+    const Colour sharp = {log_encode(sum.r / total), log_encode(sum.g / total), log_encode(sum.b / total)};
     return {{fmaxf(sharp.r + sharpen * (sharp.r - log_encode(soft.r)), 0.0f),
              fmaxf(sharp.g + sharpen * (sharp.g - log_encode(soft.g)), 0.0f),
              fmaxf(sharp.b + sharpen * (sharp.b - log_encode(soft.b)), 0.0f)},
-            held ? share_of(keep, row, column) * (1.0f - blend) : 0.0f};
+            kept};
 }
 
 // The same at any scale; x and y count the frame's output pixels.
-template <Multiplied BY = BY_NOTHING>
+template <Multiplied BY = BY_NOTHING, bool LINEAR = false>
 __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
                                     const View& moved, const View& past, const View& params, const View& keep,
                                     const Guide& guide = {}) {
     if (part.width == 2 * part.w && part.height == 2 * part.h)
-        return enlarged<true, BY>(x, y, part, radiance, fine, moved, past, params, keep, guide);
-    return enlarged<false, BY>(x, y, part, radiance, fine, moved, past, params, keep, guide);
+        return enlarged<true, BY, LINEAR>(x, y, part, radiance, fine, moved, past, params, keep, guide);
+    return enlarged<false, BY, LINEAR>(x, y, part, radiance, fine, moved, past, params, keep, guide);
 }
 
 // Blends one channel with the reprojected history and decodes it; `at` counts floats.

@@ -32,6 +32,7 @@ class Reflection:
         output: spec of the frame it leaves. Planes that are not in it are dropped, so a pass that changes the size
             names only the planes that exist at the new size. So are guides.
         may_read_guides: planes at output size that it uses when they are there.
+        parts: names of the parts of the picture that it reads, and leaves at the output's size.
         notes: what else the user may want to know of its work on such frames, as short clauses.
     """
 
@@ -41,6 +42,7 @@ class Reflection:
     may_read: tuple[Role, ...] = ()
     may_read_guides: tuple[Role, ...] = ()
     notes: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
 
 
 @dataclass
@@ -60,6 +62,8 @@ class ResidentFrame:
         guides: role -> tensor like those of `tensors`, at output size; those that passes read.
         given: role -> plane on the host, of planes that no pass replaced so far: to decide what to record.
         given_guides: likewise, of the guides.
+        parts: name -> tensor of a part that passes read, see `postfx.frame.Frame`.
+        given_parts: likewise, on the host.
         blank: roles of planes that a pass replaced and that are 0 everywhere.
         wanted: False where nothing but the history of the frame is.
     """
@@ -79,6 +83,8 @@ class ResidentFrame:
     guide_jitter: tuple[float, float] = (0.0, 0.0)
     given: dict[Role, np.ndarray] = field(default_factory=dict)
     given_guides: dict[Role, np.ndarray] = field(default_factory=dict)
+    parts: dict[str, Tensor] = field(default_factory=dict)
+    given_parts: dict[str, np.ndarray] = field(default_factory=dict)
     blank: set[Role] = field(default_factory=set)
     wanted: bool = True
 

@@ -21,12 +21,13 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
 )
 from postfx.kernels.denoise.output import ASSEMBLE, STRENGTH
+from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, RESIZE, SCALE, means_size
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
 from postfx.kernels.denoise.reflections import REFLECTIONS
 from postfx.kernels.denoise.restore import DETAIL, JUDGE, RESTORE
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_LIGHT, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
 from postfx.kernels.kernel import Kernel
 from postfx.passes.denoise.tiling import Sizes, Window
@@ -44,11 +45,12 @@ KERNELS = (
     PACK, OPEN, OPEN_FINE, OPEN_PHASED,
     OPEN_PRODUCTS, OPEN_FINE_PRODUCTS, STORE,
     STORE_RINGED,
+    REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, DECODE, DECODE_ONE,
 )
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
-FRAME = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth", "image",
-         "strength", "reactive", "opaque_colour", *GUIDE_PLANES)
+FRAME = ("colour", "part", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth",
+         "image", "strength", "reactive", "opaque_colour", *GUIDE_PLANES)
 
 
 class Case(NamedTuple):
@@ -82,7 +84,8 @@ class Case(NamedTuple):
                 "ringed_hp": hp + 2, "ringed_wp": wp + 2, "th": window.rows, "tw": window.columns,
                 "out_th": window.out.rows, "out_tw": window.out.columns,
                 "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
-                "tiles": 3, "tile_h": window.rows, "tile_w": window.columns, "rows": self.h, "columns": self.w,
+                "tiles": 3, "parts": 3, "tile_h": window.rows, "tile_w": window.columns,
+                "rows": self.h, "columns": self.w,
                 "cells_h": -(-window.rows // 8), "cells_w": -(-window.columns // 8),
                 **dict(zip(("means_h", "means_w"), means_size(window.rows, window.columns), strict=True)),
                 "tiles_high": -(-self.h // 16), "tiles_wide": -(-self.w // 16), **self._keep(window)}
@@ -153,7 +156,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return random.normal(0, 400, size)
     if name == "scaling":
         return np.stack([0.005 + 0.01 * unit[0], 4 * unit[1] - 2])
-    if name == "coding":  # half of the channels have negative values, too
+    if name == "coding" and len(size) > 1:  # half of the channels have negative values, too
         return np.where(np.arange(size[1]) % 2, [[MOST_CODE // 2], [MOST_CODE // 2 + 1]], [[MOST_CODE], [0]])
     if name == "planes":
         return 3 * unit - 1
@@ -190,9 +193,15 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.array([1.7, 3.0, 0.1])
     if name in ("reactive", "last_reactive", "keep"):  # whole numbers, too
         return np.clip(2 * unit - 0.5, 0, 1)
-    if name in ("colour", "opaque_colour", "denoised"):
+    if name == "coding":  # of a part: half of them light, others with values below 0
+        return np.array([-1.0, 0.5, 1.5] if case.h % 2 else [0.0, 1.0, 1e4])
+    if name == "decoding":
+        return np.array([2.0, -1.0, -0.8, 0.9, case.h % 2])
+    if name == "complete":
+        return np.array([case.w % 2])
+    if name in ("part", "colour", "opaque_colour", "denoised"):
         return 40 * unit**4
-    if name in ("past", "state"):  # with holes, where the history does not know a pixel
+    if name in ("past", "state", "next_state"):  # with holes, where the history does not know a pixel
         unit[..., 3][random.random(size[:2]) < 0.05] = -1 / 30 if name == "past" else 0
         return 30 * unit
     return {"depth_scale": 1 + unit}.get(name, unit)

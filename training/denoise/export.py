@@ -27,19 +27,20 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
 )
 from postfx.kernels.denoise.output import ASSEMBLE, STRENGTH
+from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, RESIZE, SCALE
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
 from postfx.kernels.denoise.reflections import REFLECTIONS
 from postfx.kernels.denoise.restore import DETAIL, JUDGE, RESTORE
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_LIGHT, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
 from postfx.passes.denoise.models import GUIDED, UNSCALED, parted
 from postfx.passes.denoise.network import FEATURE_PARTS, PHASED_FINE
 from training.denoise.model import Trunk, TrunkConfig, stem
 from training.export import export, export_kernel, parity, parser, read_quality, write_card
 from training.kernels import denoise as kernels
-from training.kernels import extras
+from training.kernels import extras, parts
 
 CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
 SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, for 1x",
@@ -60,7 +61,7 @@ SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35,
          "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3,
          "finer_h": 63, "finer_w": 97, "coarse_h": 17, "coarse_w": 25,
          "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
-         "keep_h": 15, "keep_w": 27, "cells_h": 3, "cells_w": 5, "means_h": 6, "means_w": 8, "wide": 8}
+         "keep_h": 15, "keep_w": 27, "parts": 3, "cells_h": 3, "cells_w": 5, "means_h": 6, "means_w": 8, "wide": 8}
 KERNELS = {
     SCALE: kernels.Scale,
     DILATE: kernels.Dilate,
@@ -80,6 +81,12 @@ KERNELS = {
     UPSAMPLE: kernels.Upsample,
     UPSAMPLE_GUIDED: kernels.UpsampleGuided,
     UPSAMPLE_UNSCALED: kernels.UpsampleUnscaled,
+    REFLECT: parts.Reflect,
+    ACCUMULATE_PART: parts.AccumulatePart,
+    UPSAMPLE_LIGHT: parts.UpsampleLight,
+    BALANCE: parts.Balance,
+    DECODE: parts.Decode,
+    DECODE_ONE: parts.DecodeOne,
     JUDGE: extras.Judge,
     DETAIL: extras.Detail,
     RESTORE: extras.Restore,

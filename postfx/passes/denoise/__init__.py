@@ -12,8 +12,8 @@ from typing import ClassVar, Never
 import numpy as np
 
 from postfx.caching import LRUCache
-from postfx.errors import PassOptionError
-from postfx.frame import GUIDE_ROLES, FrameSpec, Role
+from postfx.errors import FrameError, PassOptionError
+from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.passes.base import MOST_SIZES, Pass, Reflection, ResidentFrame
 from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain
 from postfx.passes.denoise.history import Cameras, History, can_follow
@@ -31,6 +31,7 @@ from postfx.passes.denoise.models import (
     unscaled_remarks,
 )
 from postfx.passes.denoise.options import Size, checked_scale, checked_size, output_size, parse_reactive
+from postfx.passes.denoise.parts import PartHistory, checked_parts
 from postfx.passes.denoise.tiling import Sizes, active_cells
 from postfx.runtime import CommandBuffer, Device, Tensor
 
@@ -52,11 +53,14 @@ class DenoiseUpscale(Pass):
             its precision ('s' below 'm', 's' and 'm' below 'l'), take turns with it; the history goes on.
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength`
             says the same pixel by pixel, and both are multiplied; where it is 0, no network runs.
+        parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part` where they are not
+            light. Light of one group keeps its sum.
+        alpha: whether alpha is denoised with the picture, where it is neither 0 nor 1; else it is only resampled.
         reactive: where the history is not used, for what moves without motion vectors, such as particles: 'plane', the
             plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto', the first of
             the two that the frame has; 'none'. Then perhaps scale= and threshold=, as in 'auto,scale=4,threshold=0.05'.
 
-    Alpha and a transparency overlay are only resampled; the pass `overlay` composites. The plane `later` is handed on
+    A transparency overlay is only resampled; the pass `overlay` composites. The plane `later` is handed on
     to the pass `both_ways`.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. At render
@@ -70,9 +74,10 @@ class DenoiseUpscale(Pass):
     name: ClassVar[str] = "denoise_upscale"
 
     def __init__(self, *, scale: float | None = None, size: Sequence[int] | None = None, model: str = "m",
-                 strength: float = 1.0, budget: float | None = None, reactive: str = "auto", **unknown: Never) -> None:
+                 strength: float = 1.0, budget: float | None = None, reactive: str = "auto",
+                 parts: Sequence[Part | str] = (), alpha: bool = True, **unknown: Never) -> None:
         super().__init__(scale=scale, size=size, model=model, strength=strength, budget=budget, reactive=reactive,
-                         **unknown)
+                         parts=parts, alpha=alpha, **unknown)
         self.scale = checked_scale(scale)
         self.size = checked_size(size, self.scale)
         self.strength = float(strength)
@@ -82,6 +87,7 @@ class DenoiseUpscale(Pass):
         if self.budget is not None and not self.budget > 0:
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a budget above 0")
         self._mask = parse_reactive(str(reactive))
+        self._parts, self._alpha = checked_parts(parts), bool(alpha)
         self._used: str | None = None
         self._cameras = Cameras()
         self._tag = checked_tag(str(model))
@@ -98,7 +104,7 @@ class DenoiseUpscale(Pass):
         kept = [role for role in carried if role not in spec.guide_roles]
         guides = (*(guides if self.strength else ()), *(role for role in carried if role in spec.guide_roles))
         return Reflection(reads=(Role.COLOUR, *demanded), may_read=(*planes, *kept), writes=(Role.COLOUR, *carried),
-                          output=output, may_read_guides=guides, notes=self._notes(spec))
+                          output=output, may_read_guides=guides, notes=self._notes(spec), parts=self._read_parts(spec))
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
@@ -125,6 +131,7 @@ class DenoiseUpscale(Pass):
                 name_models(device, (model_of(tag, ending, device) for tag in self._tags for ending in endings))
             reactive = self._mask.role(spec) is not None
             self._history = History(device, Sizes(spec.height, spec.width, *size), reactive)
+            self._part_history = PartHistory(device, size, self._parts)
         self._sizes: LRUCache[FrameSpec, ReadyNetwork | ReadyPlain] = LRUCache(MOST_SIZES)
         self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
         super().compile(device, spec)
@@ -148,9 +155,10 @@ class DenoiseUpscale(Pass):
     def _made_ready(self, spec: FrameSpec) -> ReadyNetwork | ReadyPlain:
         size = self._output_size(spec)
         if not self.strength:
-            return ReadyPlain(self._device, spec, size)
+            return ReadyPlain(self._device, spec, size, self._parts)
         models, guided = self._models(spec), self._is_guided(spec)
-        return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask)
+        return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask,
+                            self._parts, self._alpha, self._part_history)
 
     def _models(self, spec: FrameSpec) -> dict[str, str]:
         """The networks to choose from for frames of a spec, by tag, fastest first; one without a budget."""
@@ -180,7 +188,7 @@ class DenoiseUpscale(Pass):
         if not (self.strength and self._fresh):
             return {}
         known = {"exposure": np.array(self._exposure, np.float64), f"{NETWORK}{self._used}": np.array(1, np.int64)}
-        return known | self._cameras.kept() | self._history.kept()
+        return known | self._cameras.kept() | self._history.kept() | self._part_history.kept()
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)
@@ -191,6 +199,7 @@ class DenoiseUpscale(Pass):
             self._used = next(iter(key.removeprefix(NETWORK) for key in history if key.startswith(NETWORK)), "")
             self._history.use(self._ready.models[self._used])
             self._history.recall(history)
+            self._part_history.recall(history)
             self._cameras.recall(history)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
@@ -200,6 +209,7 @@ class DenoiseUpscale(Pass):
             colour = self._encode_network(commands, frame, ready)
         else:
             colour = ready.plain.encode(commands, frame)
+            ready.layers.resample(commands, frame, colour)
         frame.set(Role.COLOUR, colour)
         ready.carried.encode(commands, frame)
         for role in (*PLANES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
@@ -214,7 +224,9 @@ class DenoiseUpscale(Pass):
         if ready.strength and cells is not None and not cells.any():
             spared.begin(0.0, False, False)
             self._fresh = False
-            return ready.strength.plain.encode(commands, frame)
+            plain = ready.strength.plain.encode(commands, frame)
+            ready.layers.resample(commands, frame, plain)
+            return plain
         band = None if cells is None else ready.frames.layout(cells)
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
@@ -228,12 +240,15 @@ class DenoiseUpscale(Pass):
         if ready.reflections:
             change = self._cameras.step(frame, keep and not still, spared.unfollowed)
             planes = ready.reflections.encode(commands, frame, change, planes)
-        colour = ready.frames.encode(commands, planes, params, keep, still, band)
+        layers, written = ready.layers.begin(commands, frame, planes, params, keep)
+        colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
         self._fresh, self._exposure = not frame.lost, frame.exposure
+        rows = ready.frames.rows(band)
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
-        if not ready.strength:
-            return colour
-        return ready.strength.encode(commands, frame, colour, ready.frames.rows(band), spared.unblended)
+        if ready.strength:
+            colour = ready.strength.encode(commands, frame, colour, rows, spared.unblended)
+        ready.layers.finish(commands, frame, denoised, colour, ready.restore, ready.strength, rows)
+        return colour
 
     def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray | None:
         """Where the frame's strength is not 0, as squares of 4 pixels; None where that is not known, or where the
@@ -245,6 +260,15 @@ class DenoiseUpscale(Pass):
 
     def _is_still(self, frame: ResidentFrame) -> bool:
         return Role.MOTION in frame.given and not frame.given[Role.MOTION].any()
+
+    def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
+        """Names of the parts; FrameError for one that a frame lacks."""
+        names = tuple(part.name for part in self._parts)
+        for name in names:
+            if name not in spec.part_names:
+                held = ", ".join(spec.part_names) or "none"
+                raise FrameError(f"{spec.source or 'frame'}: no part '{name}': its parts are {held}")
+        return names
 
     def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
         notes = [f"stays {self.size} where frames change their size"] if self.size else []

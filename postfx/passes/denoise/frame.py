@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 
 from postfx.caching import LRUCache
-from postfx.frame import FrameSpec, Role
+from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise.layout import HIDDEN
 from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.kernels.denoise.prepare import SCALE
@@ -16,9 +17,10 @@ from postfx.kernels.denoise.reactive import SPREAD_MASK
 from postfx.passes.denoise.history import History, Reflections, can_follow
 from postfx.passes.denoise.inputs import Carried, Planes, Reactive
 from postfx.passes.denoise.models import grid_of
-from postfx.passes.denoise.network import Graph
+from postfx.passes.denoise.network import Graph, Layer
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.output import Plain, Restore, Strength
+from postfx.passes.denoise.parts import Layers, PartHistory
 from postfx.passes.denoise.tiling import (
     GAIN,
     Band,
@@ -39,8 +41,8 @@ from postfx.passes.denoise.tiling import (
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
 MOST_PLACES = 64
-OUT = ("output", "next_history")
-"""What has output size; the rest has render size."""
+OUT = ("output", "next_history", "light")
+"""How the names of what has output size begin; the rest has render size."""
 CHANNELS = {"output": 3, "next_history": 3, "next_state": 4 + HIDDEN, "next_depth": 1}
 
 
@@ -50,20 +52,24 @@ class Assembly:
     def __init__(self, device: Device, frame: Sizes) -> None:
         self._device, self._frame = device, frame
         self._stacks: dict[str, Tensor] = {}
-        self._made: tuple[int, int, int] | None = None
+        self._made: tuple[int, int, int, tuple[str, ...]] | None = None
         self._slots: list[dict[str, Tensor]] = []
         self._places: dict[tuple[Band, Rows, bool], dict[str, Tensor]] = {}
-        self._tables = {name: ArgumentTable(device.compute_state(ASSEMBLE)) for name in CHANNELS}
+        self._state = device.compute_state(ASSEMBLE)
+        self._tables: dict[str, ArgumentTable] = {}
 
-    def slots(self, tiles: Sequence[Tile]) -> list[dict[str, Tensor]]:
-        """Where each of a band's tiles writes, by the kernels' names."""
+    def slots(self, tiles: Sequence[Tile], targets: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
+        """Where each of a band's tiles writes what the frame's targets are made of, by the kernels' names."""
         window = tiles[0].window
         slots: list[dict[str, Tensor]] = [{} for _ in tiles]
-        key = len(tiles), window.rows, window.columns
+        names = _put_together(targets)
+        key = len(tiles), window.rows, window.columns, names
         if key == self._made:
             return self._slots
-        for name, channels in CHANNELS.items():
-            size = (window.out.rows, window.out.columns) if name in OUT else (window.rows, window.columns)
+        self._tables = {name: ArgumentTable(self._state) for name in names}
+        for name in names:
+            channels = CHANNELS.get(name, 3)
+            size = (window.out.rows, window.out.columns) if name.startswith(OUT) else (window.rows, window.columns)
             one = size[0] * size[1] * channels
             stack = self._stacks.get(name)
             if stack is None or stack.shape[0] < len(tiles) * one:
@@ -83,18 +89,20 @@ class Assembly:
         exact = all(row * frame.height == at * frame.h for row, at in zip(rows, out_rows, strict=True))
         if len(band.tiles) > 1 or window.columns < frame.w or rows != kept or not exact:
             return None
-        return {name: rows_of(targets[name], out_rows if name in OUT else rows) for name in CHANNELS}
+        return {name: rows_of(targets[name], out_rows if name.startswith(OUT) else rows)
+                for name in _put_together(targets)}
 
     def encode(self, commands: CommandBuffer, band: Band, targets: dict[str, Tensor], kept: Rows) -> None:
         """Record the work that puts a band's tiles into the frame's tensors: its own rows into the output, the rows
-        `kept` into what the next frame reads."""
+        `kept` into what the next frame reads, and beside layers into the output, too, which they read."""
+        layered = any(name.startswith("light") for name in self._tables)
         with commands.compute_encoder("assemble") as encoder:
             encoder.barrier(after="compute", before="compute")
             for name, table in self._tables.items():
-                rows = band.own if name == "output" else kept
-                for binding, tensor in self._place(band, rows, name in OUT).items():
+                rows, out = band.own if name == "output" and not layered else kept, name.startswith(OUT)
+                for binding, tensor in self._place(band, rows, out).items():
                     table[binding] = tensor
-                table["picture"] = rows_of(targets[name], self._sized(rows, name in OUT))
+                table["picture"] = rows_of(targets[name], self._sized(rows, out))
                 encoder.dispatch(table.state, table)
 
     def _place(self, band: Band, rows: Rows, out: bool) -> dict[str, Tensor]:
@@ -139,6 +147,11 @@ class Assembly:
     def _enlarged(self, row: int, column: int = 0) -> tuple[int, int]:
         """Output pixels before a render pixel."""
         return row * self._frame.height // self._frame.h, column * self._frame.width // self._frame.w
+
+
+def _put_together(targets: Mapping[str, Tensor]) -> tuple[str, ...]:
+    """Names of what tiles write."""
+    return (*CHANNELS, *(name for name in targets if name.startswith(("light ", "next_part "))))
 
 
 MOST_GRAPHS = 4
@@ -201,13 +214,16 @@ class Frames:
         return band_of(self._sizes, boxes, shape, self._halo)
 
     def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray, keep: bool,
-               still: bool, band: Band | None = None) -> Tensor:
+               still: bool, band: Band | None = None, layers: Sequence[Layer] = (),
+               written: Mapping[str, Tensor] = MappingProxyType({})) -> Tensor:
         """Record one frame, or the tiles of one, outside of whose rows the output is undefined; returns the output
         colour tensor.
 
         Args:
             keep: whether the frame has a history.
             still: whether it shows what the last one showed, where it did.
+            layers: what is filtered beside the picture.
+            written: where they are written, by the kernels' names, and perhaps the output.
         """
         self._history.turn(commands, (self._sizes.h, self._sizes.w), keep)
         self._common["params"].upload(params)
@@ -221,14 +237,14 @@ class Frames:
                 self._spread["next_reactive"] = self._history.next["next_reactive"]
                 encoder.dispatch(self._spread.state, self._spread)
         seen = {**planes, **self._common, **self._history.last}
-        targets = {"output": self._output, **self._history.next}
+        targets = {"output": self._output, **self._history.next, **written}
         masked = keep and self._reactive
-        kept = self._history.cover(band.held if band else (0, self._sizes.h))
+        kept = self._history.cover(band.held if band and not layers else (0, self._sizes.h))
         if band is None and self._whole:
-            self._whole.encode(commands, self._window, self.model, seen | targets, keep and not still, masked)
+            self._whole.encode(commands, self._window, self.model, seen | targets, keep and not still, masked, layers)
         for some in [band] if band else self._bands:
-            self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own)
-        return self._output
+            self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own, layers)
+        return targets["output"]
 
     def rows(self, band: Band | None) -> Rows:
         """The rows of the output that hold something, of a frame or the tiles of one."""
@@ -240,14 +256,14 @@ class Frames:
         return window.rows, window.columns
 
     def _encode_tiles(self, commands: CommandBuffer, band: Band, seen: Mapping[str, Tensor],
-                      targets: dict[str, Tensor], masked: bool, kept: Rows) -> None:
+                      targets: dict[str, Tensor], masked: bool, kept: Rows, layers: Sequence[Layer]) -> None:
         window = band.tiles[0].window
         graph, direct = self._graphs[window.rows, window.columns], self._assembly.direct(band, targets, kept)
         if direct:
-            graph.encode(commands, window, self.model, {**seen, **direct}, True, masked)
+            graph.encode(commands, window, self.model, {**seen, **direct}, True, masked, layers)
             return
-        for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles), strict=True):
-            graph.encode(commands, tile.window, self.model, {**seen, **slot}, True, masked)
+        for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles, targets), strict=True):
+            graph.encode(commands, tile.window, self.model, {**seen, **slot}, True, masked, layers)
         self._assembly.encode(commands, band, targets, kept)
 
     def _make(self, shape: Shape) -> Shape:
@@ -279,10 +295,12 @@ class ReadyPlain(Ready):
 
     Attributes:
         plain: the input, resampled.
+        layers: parts of the picture.
     """
 
-    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, parts: Sequence[Part]) -> None:
         super().__init__(device, spec, output)
+        self.layers = Layers(device, spec, output, parts, False, PartHistory(device, output, ()))
         self.plain = Plain(device, spec, output)
 
 
@@ -297,10 +315,12 @@ class ReadyNetwork(Ready):
         reflections: where frames have what it needs, else None.
         restore: at render size only, else None.
         strength: None where all of the picture is fully denoised.
+        layers: parts of the picture, and alpha.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str], history: History,
-                 guided: bool, strength: float, mask: ReactiveOption) -> None:
+                 guided: bool, strength: float, mask: ReactiveOption, parts: Sequence[Part], alpha: bool,
+                 part_history: PartHistory) -> None:
         super().__init__(device, spec, output)
         sizes = Sizes(spec.height, spec.width, *output, grid_of(models.values()))
         self.models = models
@@ -311,3 +331,4 @@ class ReadyNetwork(Ready):
         self.restore = Restore(device, output) if output == (spec.height, spec.width) else None
         full = strength == 1 and not spec.has(Role.STRENGTH)
         self.strength = None if full else Strength(device, spec, output, strength)
+        self.layers = Layers(device, spec, output, parts, alpha and spec.has(Role.ALPHA), part_history)

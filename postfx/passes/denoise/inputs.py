@@ -43,11 +43,19 @@ class Resampler:
         Args:
             parts: rows to make, each in a tensor of the result's size; none: all rows, in `output`.
         """
+        self.aim(jitter, out_jitter)
+        self.run(encoder, image, parts)
+
+    def aim(self, jitter: tuple[float, float], out_jitter: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Once a frame: its images have samples at these places."""
         for axis, tensor in enumerate((self._rows, self._columns)):
             size, out_size = self._size[axis], self._out_size[axis]
             shift = jitter[1 - axis] - out_jitter[1 - axis] * size / out_size
             at = positions(size, out_size, shift)
             tensor.upload(np.rint(at) if self._nearest else at)
+
+    def run(self, encoder: ComputeEncoder, image: Tensor, parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
+        """Record the work for an image, of several that are sampled at the same places."""
         self._table["image"] = image
         for output, rows in parts or [(self.output, (0, self._out_size.height))]:
             if rows[0] < rows[1]:
@@ -122,12 +130,15 @@ class Carried:
         self._nothing: Tensor | None = None
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
-        """Record the work; the frame's planes are then those of the output's size."""
+        """Record the work; the frame's planes are then those of the output's size. Alpha that was replaced already is
+        left alone."""
         given = frame.given_guides if self._overlay_is_guide else frame.given
         if Role.LATER in frame.guides:
             frame.set(Role.LATER, frame.guides[Role.LATER])
         blank = Role.OVERLAY in given and not given[Role.OVERLAY].any()
         for role, resampler in self._resamplers.items():
+            if role is Role.ALPHA and role not in frame.given:
+                continue
             plane, jitter = self._source(role, frame)
             if role is Role.OVERLAY and blank:
                 frame.set(role, self._zeros(), blank=True)

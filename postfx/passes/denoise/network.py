@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -22,10 +23,11 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
     opened_shape,
 )
+from postfx.kernels.denoise.parts import ACCUMULATE_PART, REFLECT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, means_size
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_LIGHT, UPSAMPLE_UNSCALED
 from postfx.kernels.kernel import Kernel
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.tiling import LEVELS, Window
@@ -193,6 +195,22 @@ MOST_PLACES = 64
 """Windows of a graph's size whose places are kept on the device."""
 
 
+@dataclass
+class Layer:
+    """What a window's filters run on beside the picture.
+
+    Attributes:
+        name: they write 'light NAME', and 'next_part NAME' unless the layer is the picture itself.
+        tensors: what they read, by their bindings. Without a 'part' the picture's radiance is enlarged once more;
+            without albedos the part has the picture's reflectance.
+        alone: whether it has no history in this frame, though the picture may have one.
+    """
+
+    name: str
+    tensors: dict[str, Tensor]
+    alone: bool
+
+
 class Graph:
     """Pipeline states, tensors and argument tables for windows of one size.
 
@@ -207,6 +225,7 @@ class Graph:
         dims = free_dimensions(window.padded)
         networks = {model: load_network(device, model, dims) for model in models}
         self._tables: dict[str, ArgumentTable] = {}
+        self._layer_tables: dict[str, ArgumentTable] = {}
         self._places: dict[Window, dict[str, dict[str, Tensor]]] = {}
         between = cache(self._new)  # of several networks only one runs in a frame
         self._heads = {model: self._heads_of(state, between) for model, state in networks.items()}
@@ -218,8 +237,8 @@ class Graph:
                           for model, state in networks.items()}
 
     def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Mapping[str, Tensor],
-               moves: bool, masked: bool) -> None:
-        """Record the work on a window of this graph's size.
+               moves: bool, masked: bool, layers: Sequence[Layer] = ()) -> None:
+        """Record the work on a window of this graph's size, on the picture and then on each of the layers.
 
         Args:
             tensors: the frame's planes, history and what there is one of in a frame, and what is to be written, by the
@@ -233,7 +252,7 @@ class Graph:
         keep = self._made["keep"] if masked else tensors["keep"]
         end, doubts = self._ends[model], model in self._doubting
         known = {"warped": warped, "keep": keep, "means": self._means if doubts else self._no_means}
-        self._bind({**tensors, **known}, self._place(window), self._heads[model])
+        self._bind(self._tables, {**tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             self._run(encoder, "dilate", *("means",) * doubts)
@@ -250,6 +269,39 @@ class Graph:
         with commands.compute_encoder("upsample") as encoder:
             encoder.barrier(after="compute", before="compute")
             self._run(encoder, f"upsample {end}")
+        for layer in layers:
+            self._encode_layer(commands, layer, window, model, {**tensors, "keep": keep}, moves)
+
+    def _encode_layer(self, commands: CommandBuffer, layer: Layer, window: Window, model: str,
+                      tensors: Mapping[str, Tensor], moves: bool) -> None:
+        """Record the work on a layer, after the picture's."""
+        if not self._layer_tables:
+            self._make_layer_tables()
+        accumulates, reflects = "part" in layer.tensors, "diffuse_albedo" in layer.tensors
+        moves = (moves and not layer.alone) or window != Window.whole(window.frame)
+        known = {**tensors, **layer.tensors, "light": tensors[f"light {layer.name}"]}
+        known["warped"] = self._made["warped part"] if moves else layer.tensors["history"]
+        known["radiance"] = self._made["part radiance"] if accumulates else self._shaded(model)
+        known["factor"] = self._made["part factor" if reflects else "factor"]
+        known |= self._nothing if layer.alone else {"past": self._made["past"]}
+        if accumulates:
+            known["next_part"] = tensors[f"next_part {layer.name}"]
+        self._bind(self._layer_tables, known, self._place(window), self._heads[model])
+        before = ("history",) * moves + ("reflectance",) * reflects
+        filters = [(name,) for name in (*self._filter_order, "remodulate")] if accumulates else []
+        with commands.compute_encoder("parts") as encoder:
+            encoder.barrier(after="compute", before="compute")
+            for names in (before, *filters):
+                self._run(encoder, *names, tables=self._layer_tables)
+                encoder.barrier()
+            self._run(encoder, "upsample", tables=self._layer_tables)
+
+    def _shaded(self, model: str) -> Tensor:
+        """The picture's radiance with the reflectance of the render size."""
+        end = self._ends[model]
+        radiance = self._radiance[end]
+        size = (3, *radiance.shape[1:])
+        return radiance if end == PLAIN else radiance.view("radiance", size, math.prod(size))
 
     def _end_of(self, model: str) -> str:
         frame = self._window.frame
@@ -286,44 +338,68 @@ class Graph:
 
     def _make_tables(self, fine: Tensor) -> None:
         level = self._window.level
-        levels = [self._new(f"level {i}", (4, *level(i))) for i in range(LEVELS + 1)]
-        filtered = [self._new(f"filtered {i}", (3, *level(i))) for i in range(LEVELS + 1)]
+        levels = self._levels = [self._new(f"level {i}", (4, *level(i))) for i in range(LEVELS + 1)]
+        filtered = self._filtered = [self._new(f"filtered {i}", (3, *level(i))) for i in range(LEVELS + 1)]
+        self._mixed = [self._new(f"mixed {i}", (3, *level(i))) for i in range(LEVELS)]
+        self._radiance: dict[str, Tensor] = {}
         made = self._made | self._seen | {"fine": fine, "level": levels[0], "filtered": filtered[0]}
         self._looks = ("features", "guides", "trust") if self._guided else ("features",)
         for name, kernel in (("dilate", DILATE), ("history", HISTORY),
                              ("features", FEATURE), ("accumulate", ACCUMULATE)):
-            self._table(name, kernel, **made)
+            self._table(self._tables, name, kernel, **made)
         for end in set(self._ends.values()):
             size = (3 if end == PLAIN else 6, self._window.rows + 2, self._window.columns + 2)
-            radiance = self._new(f"radiance {end}", size)
+            radiance = self._radiance[end] = self._new(f"radiance {end}", size)
             for name, kernel in zip(("remodulate", "upsample"), ENDS[end], strict=True):
-                self._table(f"{name} {end}", kernel, **made, radiance=radiance)
+                self._table(self._tables, f"{name} {end}", kernel, **made, radiance=radiance)
         if self._doubting:
-            self._table("means", MEANS, means=self._means)
+            self._table(self._tables, "means", MEANS, means=self._means)
         if self._reactive:
-            self._table("keep", KEEP, **made)
+            self._table(self._tables, "keep", KEEP, **made)
         if self._guided:
-            self._table("guides", GUIDE, **made)
-            self._table("trust", TRUST, **made)
-        self._filter_order = ["accumulate", *(f"pool {i}" for i in range(1, LEVELS + 1))]
-        for i in range(1, LEVELS + 1):
-            self._table(f"pool {i}", POOL, finer=levels[i - 1], level=levels[i])
-        for i in range(LEVELS, -1, -1):
-            mixed = levels[i]
-            if i < LEVELS:
-                mixed = self._new(f"mixed {i}", (3, *level(i)))
-                self._table(f"mix {i}", MIX_LEVELS, coarse=filtered[i + 1], level=levels[i], mixed=mixed)
-                self._filter_order.append(f"mix {i}")
-            self._table(f"filter {i}", FILTER, mixed=mixed, filtered=filtered[i])
-            self._filter_order.append(f"filter {i}")
+            self._table(self._tables, "guides", GUIDE, **made)
+            self._table(self._tables, "trust", TRUST, **made)
+        self._filter_order = ["accumulate", *self._make_pyramid(self._tables, levels)]
 
-    def _table(self, name: str, kernel: Kernel, **tensors: Tensor) -> None:
+    def _make_layer_tables(self) -> None:
+        """What layers need, which share the picture's memory but for what it is still needed for."""
+        rows, columns, out = self._window.rows, self._window.columns, self._window.out
+        accumulated = self._new("part level 0", self._levels[0].shape)
+        self._made |= {"warped part": self._new("warped part", (out.rows, out.columns, 3)),
+                       "part radiance": self._new("part radiance", (3, rows + 2, columns + 2)),
+                       "part factor": self._new("part factor", (rows, columns, 3))}
+        self._nothing = {"past": self._given("no past", np.zeros((rows, columns, 4), np.float32)),
+                         "keep": self._given("keep nothing", np.zeros((1, 1, 1), np.float32))}
+        tables, heads = self._layer_tables, next(iter(self._heads.values()))
+        made = {"moved": self._made["moved"], "fine": heads["fine"]}
+        self._table(tables, "reflectance", REFLECT)
+        self._table(tables, "accumulate", ACCUMULATE_PART, **made, level=self._levels[0], part_level=accumulated)
+        self._table(tables, "history", HISTORY, **made, warped=self._made["warped part"])
+        self._make_pyramid(tables, [accumulated, *self._levels[1:]])
+        self._table(tables, "remodulate", REMODULATE, filtered=self._filtered[0])
+        self._table(tables, "upsample", UPSAMPLE_LIGHT, **made)
+
+    def _make_pyramid(self, tables: dict[str, ArgumentTable], levels: Sequence[Tensor]) -> list[str]:
+        """Tables of the filters from accumulated colour to filtered colour; returns their order."""
+        filtered, order = self._filtered, [f"pool {i}" for i in range(1, LEVELS + 1)]
+        for i in range(1, LEVELS + 1):
+            self._table(tables, f"pool {i}", POOL, finer=levels[i - 1], level=levels[i])
+        for i in range(LEVELS, -1, -1):
+            mixed = levels[i] if i == LEVELS else self._mixed[i]
+            if i < LEVELS:
+                self._table(tables, f"mix {i}", MIX_LEVELS, coarse=filtered[i + 1], level=levels[i], mixed=mixed)
+                order.append(f"mix {i}")
+            self._table(tables, f"filter {i}", FILTER, mixed=mixed, filtered=filtered[i])
+            order.append(f"filter {i}")
+        return order
+
+    def _table(self, tables: dict[str, ArgumentTable], name: str, kernel: Kernel, **tensors: Tensor) -> None:
         """An argument table for a kernel, with those of the tensors that it names."""
         table = ArgumentTable(self._device.compute_state(kernel))
         for binding in kernel.reads + kernel.writes:
             if binding in tensors:
                 table[binding] = tensors[binding]
-        self._tables[name] = table
+        tables[name] = table
 
     def _place(self, window: Window) -> dict[str, dict[str, Tensor]]:
         """What tells the kernels of a window: tensors by their bindings' names for each table of the pyramid, and
@@ -340,10 +416,10 @@ class Graph:
         tensor.upload(array)
         return tensor
 
-    def _bind(self, tensors: Mapping[str, Tensor], places: Mapping[str, Mapping[str, Tensor]],
-              heads: Mapping[str, Tensor]) -> None:
-        """Bind what changes from window to window and from frame to frame."""
-        for name, table in self._tables.items():
+    def _bind(self, tables: Mapping[str, ArgumentTable], tensors: Mapping[str, Tensor],
+              places: Mapping[str, Mapping[str, Tensor]], heads: Mapping[str, Tensor]) -> None:
+        """Bind what changes from window to window, from frame to frame and from layer to layer."""
+        for name, table in tables.items():
             known = {**tensors, **places.get(name, places[""])}
             if name.startswith(("filter ", "mix ")):
                 known["heads"] = heads["fine" if name[-1] == "0" else f"level{name[-1]}"]
@@ -351,9 +427,10 @@ class Graph:
                 if binding.name in known:
                     table[binding.name] = known[binding.name]
 
-    def _run(self, encoder: ComputeEncoder, *names: str) -> None:
+    def _run(self, encoder: ComputeEncoder, *names: str, tables: Mapping[str, ArgumentTable] | None = None) -> None:
+        tables = self._tables if tables is None else tables
         for name in names:
-            encoder.dispatch(self._tables[name].state, self._tables[name])
+            encoder.dispatch(tables[name].state, tables[name])
 
 
 def _places(window: Window) -> dict[str, dict[str, np.ndarray]]:

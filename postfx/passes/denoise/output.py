@@ -24,6 +24,7 @@ class Restore:
     jittered ones, whose samples do not lie where the result's pixels do."""
 
     def __init__(self, device: Device, size: Size) -> None:
+        self._device = device
         new, between = device.heap.tensor, device.heap.transient
         tiles = -(-size.height // TILE), -(-size.width // TILE)
         self._params, self._evidence = new("restore params", (4,)), new("evidence", (1,))
@@ -51,6 +52,15 @@ class Restore:
                 encoder.dispatch(table.state, table)
                 encoder.barrier()
         return self._output
+
+    def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor, output: Tensor) -> Tensor:
+        """Record the same work on a part of the picture, after that on the picture: it gets back what that one got."""
+        tensors = {"colour": noisy, "denoised": denoised, "detail": self._tensors["detail"], "output": output}
+        table = ArgumentTable(self._device.compute_state(RESTORE), tensors)
+        with commands.compute_encoder("restore") as encoder:
+            encoder.barrier(after="compute", before="compute")
+            encoder.dispatch(table.state, table)
+        return output
 
     def _table(self, device: Device, kernel: Kernel) -> ArgumentTable:
         names = kernel.reads + kernel.writes
@@ -94,7 +104,7 @@ class Strength:
                unblended: Callable[[], None]) -> Tensor:
         """Record the blend of the frame's own colour with the denoised one in `rows`, all others have no strength;
         returns the colour. Where the strength is 1 everywhere that is the denoised one: `unblended` is told."""
-        if self._is_full(frame):
+        if self.is_full(frame):
             unblended()
             return denoised
         others = (0, rows[0]), (rows[1], self._output.shape[0])
@@ -110,5 +120,21 @@ class Strength:
             encoder.dispatch(self._table.state, self._table)
         return self._output
 
-    def _is_full(self, frame: ResidentFrame) -> bool:
+    def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
+                    rows: Rows, plain: Resampler, output: Tensor) -> Tensor:
+        """Record the same work on a part of the picture, after that on the picture; `plain` resamples parts."""
+        others = (0, rows[0]), (rows[1], output.shape[0])
+        blended = {"plain": plain.output, "denoised": denoised, "strength": self._strength, "output": output}
+        table = ArgumentTable(self._table.state, {"amount": self._amount})
+        for name, tensor in blended.items():
+            table[name] = rows_of(tensor, rows)
+        with commands.compute_encoder("strength") as encoder:
+            encoder.barrier(after="compute", before="compute")
+            plain.run(encoder, noisy, [(plain.output, rows), *((output, some) for some in others)])
+            encoder.barrier()
+            encoder.dispatch(table.state, table)
+        return output
+
+    def is_full(self, frame: ResidentFrame) -> bool:
+        """Whether a frame is denoised fully, whatever it could have said."""
         return self._is_whole and Role.STRENGTH in frame.given and bool((frame.given[Role.STRENGTH] >= 1).all())

@@ -1,0 +1,105 @@
+// Reflectance of a part that has another one than the picture: diffuse_albedo and specular_albedo (h, w, 3), part_rows
+// (th,), part_columns (tw,) -> factor (th, tw, 3).
+extern "C" __global__ void denoise_reflectance(View diffuse_albedo, View specular_albedo, View part_rows,
+                                               View part_columns, View factor) {
+    const int width = factor.size[1];
+    PIXEL(width, factor.size[0]);
+    const Colour found = demodulation(diffuse_albedo, specular_albedo, int(part_rows.at[y]), int(part_columns.at[x]));
+    float* const to = factor.at + 3 * (size_t(y) * width + x);
+    to[0] = found.r;
+    to[1] = found.g;
+    to[2] = found.b;
+}
+
+// Running mean of a part of the picture by the picture's weights: part (h, w, 3), coding (3,), factor (th, tw, 3),
+// past (th, tw, 4), moved (th, tw, 2), last_part (h, w, 3), fine (1, 80, hp, wp), window (8,),
+// next_state (th, tw, 12), level (4, hp, wp) -> next_part (th, tw, 3), part_level (4, hp, wp).
+__device__ inline float recalled(const float* last, const size_t (&from)[4], int c, float tx, float ty) {
+    const float top = last[from[0] + c] + (last[from[1] + c] - last[from[0] + c]) * tx;
+    const float bottom = last[from[2] + c] + (last[from[3] + c] - last[from[2] + c]) * tx;
+    return top + (bottom - top) * ty;
+}
+
+extern "C" __global__ void denoise_accumulate_part(View part, View coding, View factor, View past, View moved, View last_part, View fine, View window,
+                                                   View next_state, View level, View next_part, View part_level) {
+    const int height = part_level.size[1], width = part_level.size[2];
+    PIXEL(width, height);
+    const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
+    float* const to = part_level.at + here;
+    const Window place = window_of(window);
+    const int h = part.size[0], w = part.size[1];
+    const int v = place.top + y, u = place.left + x;
+    const bool kept = y < past.size[0] && x < past.size[1];
+    const size_t pixel = size_t(y) * past.size[1] + x;
+    if (!kept || v >= h || u >= w) {
+        for (int c = 0; c < 4; c++) to[c * plane] = 0.0f;
+        for (int c = 0; c < 3 && kept; c++) next_part.at[3 * pixel + c] = 0.0f;
+        return;
+    }
+    const float* const divisor = factor.at + 3 * pixel;
+    const float count = past.at[4 * pixel + 3], share = 1.0f / (fmaxf(count, 0.0f) + 1.0f);
+    const float alpha = share + (1.0f - share) * fine.at[DISTRUST * plane + here];
+    const bool held = count > 0.0f, is_known = next_state.at[12 * pixel + 3] > 0.0f;
+    const float px = held ? fminf(fmaxf(u + moved.at[2 * pixel], 0.0f), float(w - 1)) : 0.0f;
+    const float py = held ? fminf(fmaxf(v + moved.at[2 * pixel + 1], 0.0f), float(h - 1)) : 0.0f;
+    const int left = int(px), upper = int(py), right = min(left + 1, w - 1), lower = min(upper + 1, h - 1);
+    const size_t from[4] = {3 * (size_t(upper) * w + left), 3 * (size_t(upper) * w + right),
+                            3 * (size_t(lower) * w + left), 3 * (size_t(lower) * w + right)};
+    const float* const values = part.at + 3 * (size_t(v) * w + u);
+    for (int c = 0; c < 3; c++) {
+        const float value = clamped(values[c], -MAX_FLOAT, MAX_FLOAT);
+        const float now = fminf(fmaxf(value - coding.at[0], 0.0f) * coding.at[1] / divisor[c], coding.at[2]);
+        const float before = held ? recalled(last_part.at, from, c, px - left, py - upper) : now;
+        const float mixed = held ? before + (now - before) * alpha : now;
+        const float mean = mixed <= MAX_FLOAT ? mixed : now;
+        to[c * plane] = mean;
+        next_part.at[3 * pixel + c] = is_known ? mean : 0.0f;
+    }
+    to[3 * plane] = level.at[3 * plane + here];
+}
+
+// Parts as parts of the picture: parts (n, H, W, 3), whole and picture (H, W, 3), complete (1,) -> balanced (n, H, W, 3).
+extern "C" __global__ void denoise_balance(View parts, View whole, View picture, View complete, View balanced) {
+    const int count = parts.size[0], height = parts.size[1], width = parts.size[2];
+    PIXEL(width, height);
+    const size_t stride = 3 * size_t(height) * width, pixel = 3 * (size_t(y) * width + x);
+    const bool alone = complete.at[0] > 0.0f;
+    for (int c = 0; c < 3; c++) {
+        float total = 0.0f;
+        for (int k = 0; k < count; k++) total += parts.at[k * stride + pixel + c];
+        const float light = alone ? total : fmaxf(total, whole.at[pixel + c]);
+        const float inverse = 1.0f / fmaxf(light, 1e-30f), equal = alone ? 1.0f / float(count) : 0.0f;
+        for (int k = 0; k < count; k++) {
+            const size_t at = k * stride + pixel + c;
+            balanced.at[at] = (light > 1e-30f ? parts.at[at] * inverse : equal) * picture.at[pixel + c];
+        }
+    }
+}
+
+// A plane from what was filtered: filtered (H, W, 3), decoding (5,): factor, shift, bounds, whether vectors get length 1
+// -> plane (H, W, c).
+__device__ inline void decode(const View& filtered, const View& decoding, const View& plane, int y, int x) {
+    const int channels = plane.size[2];
+    const size_t pixel = size_t(y) * plane.size[1] + x;
+    const float* const by = decoding.at;
+    float* const to = plane.at + channels * pixel;
+    float square = 0.0f;
+    for (int c = 0; c < channels; c++) {
+        to[c] = fminf(fmaxf(filtered.at[3 * pixel + c] * by[0] + by[1], by[2]), by[3]);
+        square += to[c] * to[c];
+    }
+    if (by[4] <= 0.0f) return;
+    const float scale = square > 1e-12f ? 1.0f / sqrtf(square) : 0.0f;
+    for (int c = 0; c < channels; c++) to[c] *= scale;
+}
+
+extern "C" __global__ void denoise_decode(View filtered, View decoding, View plane) {
+    PIXEL(plane.size[1], plane.size[0]);
+    decode(filtered, decoding, plane, y, x);
+}
+
+// The same for planes of one channel, of which three were filtered.
+extern "C" __global__ void denoise_decode_one(View filtered, View decoding, View plane) {
+    PIXEL(plane.size[1], plane.size[0]);
+    decode(filtered, decoding, plane, y, x);
+}

@@ -1,0 +1,424 @@
+"""Parts of the picture, such as light groups, and alpha: what filters the picture filters them, too."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from postfx.errors import FrameError
+from postfx.frame import FrameSpec, Part, Role
+from postfx.kernels.denoise.layout import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
+from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
+from postfx.kernels.image import RESAMPLE, positions
+from postfx.passes.base import ResidentFrame
+from postfx.passes.denoise.history import Room
+from postfx.passes.denoise.inputs import Resampler
+from postfx.passes.denoise.network import Layer
+from postfx.passes.denoise.options import Size
+from postfx.passes.denoise.output import Restore, Strength
+from postfx.passes.denoise.tiling import Rows, Shape
+from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
+
+WHOLE, ALPHA_LAYER = "whole picture", "alpha of the picture"
+"""Names of layers: the picture filtered like its parts, beside parts that are not all of it; and alpha."""
+NEAR = 2e-3
+"""Parts are all of the picture if their sum differs by less than this share of its light."""
+STEP = 8
+"""Every so many rows are looked at for that."""
+LARGEST = float(np.finfo(np.float32).max)
+BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "alpha": (0.0, 1.0), "mist": (0.0, 1.0)}
+"""Of the values of planes by kind; those of others begin at 0 and have no end."""
+SIGNED = ("normal", "position")
+"""Kinds of planes with values below 0."""
+MOVING = ("position",)
+"""Kinds whose values are filtered within a range that each frame has of its own, so they have no history."""
+REFLECTANCE = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+SURFACES = dict(zip(("diffuse", "specular"), REFLECTANCE, strict=True))
+"""Reflectance that light is divided by while it is filtered, by kind: the picture's for 'light', nothing for others."""
+
+
+def checked_parts(parts: Sequence[Part | str]) -> tuple[Part, ...]:
+    """The option `parts`: names alone stand for light. FrameError for a name that is there twice."""
+    found = tuple(Part(part) if isinstance(part, str) else part for part in parts)
+    names = [part.name for part in found]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise FrameError(f"part '{twice[0]}' is named twice: a part is of one kind and one group")
+    return tuple(sorted(found, key=lambda part: (not part.is_light, part.group)))
+
+
+class LayerHistory:
+    """The last output of a layer, and what was accumulated, in two sets used in turn."""
+
+    def __init__(self, device: Device, name: str, output: Size, outputs: Sequence[Tensor] = ()) -> None:
+        self._device = device
+        self._outputs = list(outputs) or [_zeros(device, f"last {name}", (*output, 3)) for _ in range(2)]
+        self._rooms: list[Room] = []
+        self._size: Shape = (0, 0)
+        self.known = False
+
+    def turn(self, commands: CommandBuffer, size: Shape, keep: bool) -> bool:
+        """Begin a frame of a render size; returns whether the layer has a history in it."""
+        keep = keep and self.known
+        self._outputs.reverse()
+        self._rooms.reverse()
+        before, old = self._rooms[0].of(self._size) if self._rooms else {}, self._size
+        self._size, self.known = size, True
+        if not self._rooms or size[0] * size[1] > self._rooms[0].pixels:
+            self._rooms = [Room(self._device, size[0] * size[1], {"last_part": 3}) for _ in range(2)]
+        elif size != old:
+            self._rooms.reverse()
+        if keep and before and size != old:
+            self._resize(commands, before["last_part"])
+        return keep
+
+    def follow(self) -> None:
+        """Another layer that shares the memory of the outputs has begun a frame, and this one is not run in it."""
+        self._outputs.reverse()
+
+    @property
+    def last(self) -> dict[str, Tensor]:
+        """What the frame before left, by the kernels' names."""
+        return {"history": self._outputs[0], **self._rooms[0].of(self._size)}
+
+    @property
+    def next(self) -> tuple[Tensor, Tensor]:
+        """Where this frame leaves its output and what it accumulates."""
+        return self._outputs[1], self._rooms[1].of(self._size)["last_part"]
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """Between two frames: what the last one left; nothing where it left nothing."""
+        if not self.known or not self._rooms:
+            return {}
+        output, part = self.next
+        return {"output": output.content(), "part": part.content()}
+
+    def recall(self, kept: Mapping[str, np.ndarray]) -> None:
+        """Between two frames: take what was `kept` for what the last one left."""
+        self.known = bool(kept)
+        if self.known:
+            self._size = kept["part"].shape[0], kept["part"].shape[1]
+            self._rooms = [Room(self._device, self._size[0] * self._size[1], {"last_part": 3}) for _ in range(2)]
+            for tensor, name in zip(self.next, ("output", "part"), strict=True):
+                tensor.upload(kept[name])
+
+    def _resize(self, commands: CommandBuffer, before: Tensor) -> None:
+        rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
+                         zip(("at_rows", "at_columns"), before.shape, self._size, strict=False))
+        table = ArgumentTable(self._device.compute_state(RESAMPLE), {
+            "image": before, "rows": rows, "columns": columns, "output": self.last["last_part"]})
+        with commands.compute_encoder("resize") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            encoder.dispatch(table.state, table)
+
+
+class PartHistory:
+    """The histories of all layers, which go on where frames change their size.
+
+    The outputs of light are in one tensor, behind the picture's own, group by group.
+    """
+
+    def __init__(self, device: Device, output: Size, parts: Sequence[Part]) -> None:
+        self._device, self._output = device, output
+        lights = [part.name for part in parts if part.is_light]
+        self.stacks = [_zeros(device, "parts", (len(lights) + 1, *output, 3)) for _ in range(2)] if lights else []
+        self.layers: dict[str, LayerHistory] = {}
+        for i, name in enumerate([WHOLE, *lights] if lights else []):
+            self.layers[name] = LayerHistory(device, name, output, [one_of(stack, i) for stack in self.stacks])
+
+    def layer(self, name: str) -> LayerHistory:
+        """The history of a layer, made when it is first asked for."""
+        if name not in self.layers:
+            self.layers[name] = LayerHistory(self._device, name, self._output)
+        return self.layers[name]
+
+    def turn(self) -> None:
+        """Begin a frame."""
+        self.stacks.reverse()
+
+    def forget(self) -> None:
+        """Between two frames: nothing is known of the last one."""
+        for layer in self.layers.values():
+            layer.known = False
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """Between two frames: what the last one left, by 'part NAME of a layer'."""
+        return {f"part {key} of {name}": array for name, layer in self.layers.items()
+                for key, array in layer.kept().items()}
+
+    def recall(self, kept: Mapping[str, np.ndarray]) -> None:
+        """Between two frames: take what was `kept` for what the last one left."""
+        self.forget()
+        found: dict[str, dict[str, np.ndarray]] = {}
+        for key, array in kept.items():
+            if key.startswith("part "):
+                kind, _, name = key.removeprefix("part ").partition(" of ")
+                found.setdefault(name, {})[kind] = array
+        for name, arrays in found.items():
+            self.layer(name).recall(arrays)
+
+
+@dataclass
+class Group:
+    """Parts that add up to the picture or to some of it, and where they are in the stack."""
+
+    first: int
+    names: list[str] = field(default_factory=list)
+
+
+class Layers:
+    """All that is filtered beside the picture, of frames of one spec.
+
+    Every frame goes through `begin`, the windows' kernels, and `finish`; or through `resample`.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, parts: Sequence[Part], alpha: bool,
+                 history: PartHistory) -> None:
+        self._device, self._spec, self._output, self._history = device, spec, output, history
+        self._parts = {part.name: part for part in parts}
+        if alpha:
+            self._parts[ALPHA_LAYER] = Part(ALPHA_LAYER, "mist")
+        self._channels = dict(spec.parts)
+        self._render = Size(spec.height, spec.width)
+        self._groups = _groups_of(parts)
+        self._places = {name: i for i, name in enumerate(
+            [WHOLE, *(name for group in self._groups for name in group.names)])}
+        new = device.heap.tensor
+        self._params, self._exposed, self._exposure = new("part params", (4,)), new("whole params", (4,)), 1.0
+        self._nothing = _zeros(device, "no reflectance", (*self._render, 3) if self._parts else (1,))
+        self._made: dict[str, Tensor] = {}
+        self._codings = {name: new(f"coding {name}", (3,)) for name in self._parts}
+        self._decodings = {name: new(f"decoding {name}", (5,)) for name in self._parts}
+        self._complete = {group.first: new("complete", (1,)) for group in self._groups}
+        self._plain = Resampler(device, "plain part", Role.COLOUR, self._render, output)
+        self._runs: list[str] = []
+        self._raw: dict[str, Tensor] = {}
+
+    def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
+              keep: bool) -> tuple[list[Layer], dict[str, Tensor]]:
+        """What the kernels run on, and where they write, by 'light NAME' and the like; the picture's output is among
+        it where there is light."""
+        self._plain.aim(frame.jitter)
+        self._exposure = float(params[EXPOSURE])
+        self._params.upload([1.0, *params[JITTER_X:GAIN], 1.0])
+        self._exposed.upload([*params[:GAIN], 1.0])
+        self._history.turn()
+        self._runs = self._needed(frame)
+        runs, targets = [], {}
+        for name in list(self._history.layers):
+            if name not in self._runs and self._is_light(name):
+                self._history.layers[name].follow()
+        for name in self._runs:
+            history = self._history.layer(name)
+            fresh = history.turn(commands, self._render, keep)
+            output, part = history.next
+            tensors = {"params": self._exposed if name == WHOLE else self._params, "history": history.last["history"]}
+            if name != WHOLE:
+                tensors |= {"last_part": history.last["last_part"], **self._inputs(name, frame, planes)}
+                targets[f"next_part {name}"] = part
+            targets[f"light {name}"] = (
+                one_of(self._stack("blended"), self._places[name]) if self._is_light(name) else output)
+            runs.append(Layer(name, tensors, not fresh or self._kind(name) in MOVING))
+        if self._history.stacks:
+            targets["output"] = one_of(self._history.stacks[1], 0)
+            self._history.layers[WHOLE].known = True
+        return runs, targets
+
+    def finish(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, picture: Tensor,
+               restore: Restore | None, strength: Strength | None, rows: Rows) -> None:
+        """Record what makes the frame's parts and alpha of what the kernels wrote.
+
+        Args:
+            denoised: the picture as the network made it.
+            picture: as it leaves, with detail given back and blended with the input in `rows`.
+        """
+        for group in self._groups:
+            whole = one_of(self._stack("blended"), 0) if WHOLE in self._runs else denoised
+            self._balance(commands, group, self._stack("blended"), whole, denoised, self._history.stacks[1])
+        restoring = restore is not None and restore.acts_on(frame)
+        blending = strength is not None and not strength.is_full(frame)
+        values = {}
+        for name in self._runs:
+            if name == WHOLE:
+                continue
+            value = self._history.layer(name).next[0]
+            if not self._is_light(name):
+                value = self._decoded(commands, name, value)
+            if restore and restoring and self._kind(name) not in SIGNED:
+                place = self._between(f"restored {name}", 3) if blending else self._finished(name)
+                value = restore.encode_part(commands, self._raw[name], value, place)
+            if strength and blending:
+                value = strength.encode_part(commands, self._raw[name], value, rows, self._plain,
+                                             self._finished(name))
+            values[name] = value
+        self._leave_all(commands, frame, values, picture, restoring or blending)
+
+    def resample(self, commands: CommandBuffer, frame: ResidentFrame, picture: Tensor) -> None:
+        """Record what only brings the parts to output size, where the picture is nothing else, either."""
+        for group in self._groups:
+            self._complete[group.first].upload([float(_is_complete(frame, group.names))])
+        self._plain.aim(frame.jitter)
+        values = {}
+        for name in self._parts:
+            if name != ALPHA_LAYER:
+                values[name] = self._finished(name)
+                with commands.compute_encoder("plain") as encoder:
+                    encoder.barrier(after=("compute", "machine-learning"), before="compute")
+                    self._plain.run(encoder, self._three(name, frame), [(values[name], (0, self._output.height))])
+        self._leave_all(commands, frame, values, picture, True)
+
+    def _leave_all(self, commands: CommandBuffer, frame: ResidentFrame, values: Mapping[str, Tensor], picture: Tensor,
+                   changed: bool) -> None:
+        """Put layers into the frame, light so that it adds up to a picture that was `changed` once more."""
+        for group in self._groups if changed else ():
+            self._balance(commands, group, self._stack("finished"), picture, picture, self._stack("balanced"))
+        for name, value in values.items():
+            again = changed and self._is_light(name)
+            self._leave(commands, frame, name, one_of(self._stack("balanced"), self._places[name]) if again else value)
+
+    def _needed(self, frame: ResidentFrame) -> list[str]:
+        """The layers of this frame: alpha only where it is neither 0 nor 1, the whole picture only beside parts that
+        are not all of it."""
+        found = []
+        for group in self._groups:
+            complete = _is_complete(frame, group.names)
+            self._complete[group.first].upload([float(complete)])
+            found += [] if complete or WHOLE in found else [WHOLE]
+        found += [name for name in self._parts if name != ALPHA_LAYER]
+        return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and _is_noisy(frame) else [])
+
+    def _inputs(self, name: str, frame: ResidentFrame, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        self._raw[name] = self._three(name, frame)
+        low, high = self._range(name, frame)
+        scale = 1.0 if (low, high) == (0.0, 1.0) else 1 / max(high - low, 1e-30)
+        self._codings[name].upload([low, scale, MAX_COLOUR / self._exposure])
+        bounds = BOUNDS.get("alpha" if name == ALPHA_LAYER else self._kind(name), (0.0, LARGEST))
+        self._decodings[name].upload([1 / scale, low, *bounds, float(self._kind(name) == "normal")])
+        found = {"part": self._raw[name], "coding": self._codings[name]}
+        if self._kind(name) == "light":
+            return found
+        own = SURFACES.get(self._kind(name))
+        return found | {str(role): planes[str(role)] if role is own else self._nothing for role in REFLECTANCE}
+
+    def _three(self, name: str, frame: ResidentFrame) -> Tensor:
+        """A layer's values with three channels, as the kernels have them."""
+        if name != ALPHA_LAYER and self._channels[name] == 3:
+            return frame.parts[name]
+        given = frame.given[Role.ALPHA] if name == ALPHA_LAYER else frame.given_parts[name]
+        return self._device.wrap(f"{name}, three times", np.repeat(given, 3, axis=2))
+
+    def _range(self, name: str, frame: ResidentFrame) -> tuple[float, float]:
+        """What a layer's values are filtered between."""
+        if self._kind(name) == "normal":
+            return -1.0, 1.0
+        if self._kind(name) not in MOVING:
+            return 0.0, 1.0
+        given = frame.given_parts[name]
+        finite = given[np.isfinite(given)]
+        return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+
+    def _balance(self, commands: CommandBuffer, group: Group, parts: Tensor, whole: Tensor, picture: Tensor,
+                 balanced: Tensor) -> None:
+        count = len(group.names)
+        table = ArgumentTable(self._device.compute_state(BALANCE), {
+            "parts": some_of(parts, group.first, count), "whole": whole, "picture": picture,
+            "complete": self._complete[group.first], "balanced": some_of(balanced, group.first, count)})
+        with commands.compute_encoder("balance") as encoder:
+            encoder.barrier(after="compute", before="compute")
+            encoder.dispatch(table.state, table)
+
+    def _stack(self, name: str) -> Tensor:
+        """Pictures of the whole and of all light within a frame, in the order of the history's."""
+        if name not in self._made:
+            shape = (len(self._places), *self._output, 3)
+            self._made[name] = self._device.heap.transient(f"{name} parts", shape)
+        return self._made[name]
+
+    def _decoded(self, commands: CommandBuffer, name: str, filtered: Tensor) -> Tensor:
+        output = self._between(f"decoded {name}", 3)
+        table = ArgumentTable(self._device.compute_state(DECODE), {
+            "filtered": filtered, "decoding": self._decodings[name], "plane": output})
+        with commands.compute_encoder("decode") as encoder:
+            encoder.barrier(after="compute", before="compute")
+            encoder.dispatch(table.state, table)
+        return output
+
+    def _leave(self, commands: CommandBuffer, frame: ResidentFrame, name: str, value: Tensor) -> None:
+        """Put a layer into the frame."""
+        if name != ALPHA_LAYER and self._channels[name] == value.shape[2]:
+            frame.parts[name] = value
+            return
+        output = self._between(f"output {name}", 1)
+        identity = self._device.wrap("as it is", np.array([1, 0, -LARGEST, LARGEST, 0], np.float32))
+        table = ArgumentTable(self._device.compute_state(DECODE_ONE), {
+            "filtered": value, "decoding": identity, "plane": output})
+        with commands.compute_encoder("decode") as encoder:
+            encoder.barrier(after="compute", before="compute")
+            encoder.dispatch(table.state, table)
+        if name == ALPHA_LAYER:
+            frame.set(Role.ALPHA, output)
+        else:
+            frame.parts[name] = output
+
+    def _finished(self, name: str) -> Tensor:
+        """Where a layer is written that is given detail back, or blended with the input."""
+        if self._is_light(name):
+            return one_of(self._stack("finished"), self._places[name])
+        return self._between(f"finished {name}", 3)
+
+    def _between(self, name: str, channels: int) -> Tensor:
+        """A picture within a frame."""
+        if name not in self._made:
+            self._made[name] = self._device.heap.transient(name, (*self._output, channels))
+        return self._made[name]
+
+    def _is_light(self, name: str) -> bool:
+        return name == WHOLE or (name in self._parts and self._parts[name].is_light)
+
+    def _kind(self, name: str) -> str:
+        return self._parts[name].kind if name in self._parts else "light"
+
+
+def _groups_of(parts: Sequence[Part]) -> list[Group]:
+    groups: dict[str, Group] = {}
+    for i, part in enumerate(part for part in parts if part.is_light):
+        groups.setdefault(part.group, Group(i + 1)).names.append(part.name)
+    return list(groups.values())
+
+
+def _is_complete(frame: ResidentFrame, names: Sequence[str]) -> bool:
+    """Whether parts add up to the picture, by every eighth row."""
+    colour = frame.given.get(Role.COLOUR)
+    if colour is None:
+        return False
+    seen = colour[::STEP]
+    total = sum((frame.given_parts[name][::STEP] for name in names), np.zeros_like(seen))
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart, light = np.abs(total - seen), np.abs(seen)
+    valid = np.isfinite(apart)
+    return bool(apart[valid].sum(dtype=np.float64) <= NEAR * light[valid].sum(dtype=np.float64))
+
+
+def _is_noisy(frame: ResidentFrame) -> bool:
+    """Whether alpha is anywhere neither 0 nor 1."""
+    alpha = frame.given.get(Role.ALPHA)
+    return alpha is not None and bool(((alpha > 0) & (alpha < 1)).any())
+
+
+def one_of(stack: Tensor, i: int) -> Tensor:
+    """A picture of a stack (n, height, width, 3); no copy."""
+    return stack.view(f"{stack.name} {i}", stack.shape[1:], i * stack.shape[1] * stack.shape[2] * stack.shape[3])
+
+
+def some_of(stack: Tensor, first: int, count: int) -> Tensor:
+    """Pictures of a stack, likewise."""
+    one = stack.shape[1] * stack.shape[2] * stack.shape[3]
+    return stack.view(f"{stack.name} from {first}", (count, *stack.shape[1:]), first * one)
+
+
+def _zeros(device: Device, name: str, shape: tuple[int, ...]) -> Tensor:
+    tensor = device.heap.tensor(name, shape)
+    tensor.fill(0)
+    return tensor

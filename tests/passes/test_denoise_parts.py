@@ -1,0 +1,186 @@
+"""Parts of the picture, and alpha, through the denoiser: their sum is the picture, which does not change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postfx.errors import FrameError
+from postfx.frame import Frame, Part, Role
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from postfx.system import PROCESS
+from tests.passes.denoise_frames import guided, noisy
+
+NAMES = ("key", "fill", "rim")
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    return Device("cpu", threads=2)
+
+
+def lit(number: int, height: int = 37, width: int = 50) -> Frame:
+    """A frame with three light groups that add up to its colour; the last one is dark on the left."""
+    frame = noisy(number, height, width)
+    shares = np.random.default_rng([7, number]).random((3, height, width, 3), np.float32)
+    shares[2, :, : width // 2] = 0
+    shares /= shares.sum(0)
+    frame.parts = {name: frame[Role.COLOUR] * share for name, share in zip(NAMES, shares, strict=True)}
+    return frame
+
+
+def upscaler(device: Device, **options) -> Pipeline:
+    return Pipeline([DenoiseUpscale(**{"model": "s.fp32", "scale": 2, **options})], device, exposure=0.5)
+
+
+def assert_adds_up(frame: Frame, names: tuple[str, ...] = NAMES) -> None:
+    picture = frame[Role.COLOUR]
+    np.testing.assert_allclose(sum(frame.parts[name] for name in names), picture, rtol=1e-5, atol=1e-6)
+    assert all(frame.parts[name].min() >= 0 for name in names)
+
+
+def masked(frame: Frame, value: float) -> Frame:
+    strength = np.zeros((*frame[Role.COLOUR].shape[:2], 1), np.float32)
+    strength[8:20, 8:40] = value
+    return replace(frame, planes={**frame.planes, Role.STRENGTH: strength})
+
+
+KINDS = {
+    "2x": ({}, lambda frame: frame),
+    "1.5x": ({"scale": 1.5}, lambda frame: frame),
+    "1x, detail given back": ({"scale": 1}, lambda frame: replace(frame, jitter=(0.0, 0.0), samples=256)),
+    "guides": ({}, lambda frame: guided(frame, 74, 100)),
+    "strength 0.5": ({"strength": 0.5}, lambda frame: frame),
+    "strength 0": ({"strength": 0.0}, lambda frame: frame),
+    "a mask": ({}, lambda frame: masked(frame, 0.7)),
+    "a mask of nothing": ({}, lambda frame: masked(frame, 0.0)),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_parts_add_up_to_the_picture_which_is_the_same_without_them(kind: str, device: Device) -> None:
+    options, change = KINDS[kind]
+    with_parts, without = upscaler(device, parts=NAMES, **options), upscaler(device, **options)
+    for frame in map(change, map(lit, (1, 2, 3))):
+        found = with_parts(frame)
+        np.testing.assert_array_equal(found[Role.COLOUR], without(frame)[Role.COLOUR])
+        assert_adds_up(found)
+
+
+def test_a_still_frame_and_a_cut(device: Device) -> None:
+    pipeline = upscaler(device, parts=NAMES)
+    for number in (1, 2, 3):
+        frame = lit(number)
+        frame.planes[Role.MOTION][:] = 0
+        assert_adds_up(pipeline(replace(frame, reset=number == 3)))
+
+
+def test_some_parts_are_what_they_are_among_all(device: Device) -> None:
+    """The rest of the picture, which nobody asked for, is left to it: in the first frame, and by its history."""
+    all_of_it, some = upscaler(device, parts=NAMES), upscaler(device, parts=NAMES[:2])
+    for frame in map(lit, (1, 2, 3)):
+        whole, found = all_of_it(frame), some(frame)
+        for name in NAMES[:2]:
+            np.testing.assert_allclose(found.parts[name], whole.parts[name], rtol=2e-3, atol=1e-4)
+        assert "rim" not in found.parts
+
+
+@pytest.mark.parametrize("way", ["a memory budget", "a mask"])
+def test_tiles_give_the_same(way: str, device: Device) -> None:
+    """The network works on windows: all of the frame in turn, or around what is not left as it is."""
+    size = (200, 320) if way == "a memory budget" else (300, 420)
+    tiles = Device("cpu", 2, memory=PROCESS + (150 << 20)) if way == "a memory budget" else device
+    whole, tiled = upscaler(device, parts=NAMES), upscaler(tiles, parts=NAMES)
+    for frame in (lit(number, *size) for number in (1, 2)):
+        wanted, found = whole(frame), tiled(frame if tiles is not device else masked(frame, 1.0))
+        assert_adds_up(found)
+        inner = slice(24, 32), slice(24, 64)
+        for name in NAMES:
+            np.testing.assert_allclose(found.parts[name][inner], wanted.parts[name][inner], rtol=0.02, atol=0.01)
+    assert tiles is not device or "network outside of" in str(tiled.explain())
+
+
+def test_history_goes_on_after_a_stop_and_when_frames_change_their_size(device: Device) -> None:
+    options = {"parts": NAMES, "scale": None, "size": (100, 74)}
+    pipeline, again = upscaler(device, **options), upscaler(device, **options)
+    frames = [lit(number, *size) for number, size in enumerate(((37, 50), (40, 54), (37, 50)), 1)]
+    for frame in frames[:2]:
+        assert_adds_up(pipeline(frame))
+    again.recall(frames[1], {name: array.copy() for name, array in pipeline.history().items()})
+    found, resumed = pipeline(frames[2]), again(frames[2])
+    assert_adds_up(found)
+    assert all(np.array_equal(resumed.parts[name], found.parts[name]) for name in NAMES)
+
+
+def test_each_part_has_a_history_of_its_own(device: Device) -> None:
+    """Noise that comes and goes is averaged: a still part differs less from frame to frame than its input."""
+    pipeline, parts = upscaler(device, parts=NAMES), []
+    for number in range(1, 6):
+        frame = lit(number)
+        frame.planes = {**lit(1).planes, Role.COLOUR: frame[Role.COLOUR], Role.MOTION: 0 * frame[Role.MOTION]}
+        parts.append(pipeline(frame).parts["key"])
+    alone = upscaler(device, parts=NAMES)(replace(frame, reset=True)).parts["key"]
+    assert np.abs(parts[-1] - parts[-2]).mean() < 0.7 * np.abs(alone - parts[-2]).mean()
+
+
+def test_planes_are_filtered_at_output_size_and_keep_their_meaning(device: Device) -> None:
+    frame = lit(1)
+    frame.parts = {"n": frame[Role.NORMAL], "p": 9 * frame[Role.NORMAL] - 3, "mist": frame[Role.ROUGHNESS]}
+    found = upscaler(device, parts=[Part("n", "normal"), Part("p", "position"), Part("mist", "mist")])(frame).parts
+    np.testing.assert_allclose(np.linalg.norm(found["n"], axis=2), 1, atol=1e-5)
+    assert found["p"].min() >= frame.parts["p"].min() and found["p"].max() <= frame.parts["p"].max()
+    assert found["mist"].shape == (74, 100, 1) and 0 <= found["mist"].min() <= found["mist"].max() <= 1
+    assert abs(found["p"].mean() - frame.parts["p"].mean()) < 0.2
+
+
+def test_fog_is_filtered_without_the_reflectance_of_what_lies_behind(device: Device) -> None:
+    frame = lit(1)
+    fog = np.full_like(frame[Role.COLOUR], 0.3)
+    frame.planes[Role.COLOUR] = frame[Role.COLOUR] + fog
+    frame.parts["fog"] = fog
+    parts = upscaler(device, parts=[*NAMES, Part("fog", "scatter")])(frame)
+    assert_adds_up(parts, (*NAMES, "fog"))
+    as_light = upscaler(device, parts=[*NAMES, Part("fog", "light")])(frame)
+    assert parts.parts["fog"].std() < 0.6 * as_light.parts["fog"].std()
+
+
+def test_alpha_is_denoised_where_it_is_noisy_and_left_alone_where_it_is_clean(device: Device) -> None:
+    frame = lit(1)
+    noise = np.random.default_rng(3).random((37, 50, 1), np.float32)
+    noisy_alpha = replace(frame, planes={**frame.planes, Role.ALPHA: (0.6 > noise) * (0.5 + 0.5 * noise)})
+    clean = replace(frame, planes={**frame.planes, Role.ALPHA: (noise > 0.5).astype(np.float32)})
+    denoised, resampled = upscaler(device), upscaler(device, alpha=False)
+    assert np.array_equal(denoised(clean)[Role.ALPHA], resampled(clean)[Role.ALPHA])
+    found, plain = denoised(noisy_alpha)[Role.ALPHA], resampled(noisy_alpha)[Role.ALPHA]
+    assert found.shape == (74, 100, 1) and 0 <= found.min() and found.max() <= 1
+    assert found.std() < 0.5 * plain.std() and abs(found.mean() - noisy_alpha[Role.ALPHA].mean()) < 0.05
+
+
+def test_the_plan_shows_parts_and_a_missing_one_is_named(device: Device) -> None:
+    pipeline = upscaler(device, parts=NAMES)
+    plan = pipeline.explain(lit(1).spec)
+    assert plan.parts == ("fill", "key", "rim") and "parts   fill, key, rim" in str(plan)
+    assert plan.as_dict()["parts"] == ["fill", "key", "rim"]
+    frame = lit(1)
+    del frame.parts["fill"]
+    with pytest.raises(FrameError, match="no part 'fill': its parts are key, rim"):
+        pipeline(frame)
+    with pytest.raises(FrameError, match="'key' is named twice"):
+        DenoiseUpscale(parts=["key", Part("key", "diffuse")])
+    with pytest.raises(FrameError, match="unknown kind 'glow': use light"):
+        Part("key", "glow")
+    with pytest.raises(FrameError, match=r"part 'key' of frame 1 has shape \(3, 3, 3\)"):
+        replace(lit(1), parts={"key": np.zeros((3, 3, 3), np.float32)})
+
+
+def test_values_that_no_file_should_hold_do_not_spread(device: Device) -> None:
+    pipeline = upscaler(device, parts=NAMES)
+    frame = lit(1)
+    frame.parts["key"][3, 4], frame.parts["key"][9, 9], frame.parts["fill"][5, 5] = np.nan, np.inf, -4
+    for current in (frame, lit(2)):
+        found = pipeline(current)
+        assert all(np.isfinite(part).all() and part.min() >= 0 for part in found.parts.values())

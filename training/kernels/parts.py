@@ -1,0 +1,97 @@
+"""The compute kernels of the picture's parts as torch modules with the kernels' own bindings: exported to ONNX.
+
+See ``postfx.kernels.denoise.parts`` for what they are for.
+"""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from training import ops
+from training.denoise import model as network
+from training.denoise.model import DISTRUST, IMPORTANCE, KERNEL, MAX_FLOAT
+from training.kernels.denoise import Window, part, shares, to_image, to_picture
+
+DARKEST = 1e-30
+
+
+class Reflect(nn.Module):
+    """albedos (h, w, 3), part_rows (th,), part_columns (tw,) -> factor (th, tw, 3)."""
+
+    def forward(self, diffuse_albedo: Tensor, specular_albedo: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        at = rows.long(), columns.long()
+        return to_picture(ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at)))
+
+
+class AccumulatePart(nn.Module):
+    """part (h, w, 3), coding (3,), factor (th, tw, 3), past (th, tw, 4), moved, last_part (h, w, 3), fine, window,
+    next_state (th, tw, 12), level (4, hp, wp) -> next_part (th, tw, 3), part_level (4, hp, wp)."""
+
+    def forward(self, values: Tensor, coding: Tensor, factor: Tensor, past: Tensor,
+                moved: Tensor, last_part: Tensor, fine: Tensor, window: Tensor, next_state: Tensor,
+                level: Tensor) -> tuple[Tensor, Tensor]:
+        place = Window.of(window)
+        (th, tw), at, valid = past.shape[:2], place.held(past), to_image(place.valid(past))
+        known = ops.sanitise(ops.pick(to_image(values), *at), -MAX_FLOAT, MAX_FLOAT)
+        coded = (known - coding[0]).clamp(min=0) * coding[1]
+        now = torch.minimum(coded / to_image(factor), coding[2])
+        count = to_image(past)[:, 3:]
+        share = 1 / (count.clamp(min=0) + 1)
+        alpha = share + (1 - share) * fine[:, DISTRUST:IMPORTANCE, :th, :tw]
+        before = ops.warp(to_image(last_part), to_image(moved), place=at)
+        mean = torch.where(count > 0, before + (now - before) * alpha, now)
+        mean = torch.where(mean <= MAX_FLOAT, mean, now) * valid
+        kept = torch.where(to_image(next_state)[:, 3:4] > 0, mean, 0)
+        padded = F.pad(mean, (0, fine.shape[3] - tw, 0, fine.shape[2] - th))[0]
+        inside = F.pad(valid, (0, fine.shape[3] - tw, 0, fine.shape[2] - th))[0]
+        return to_picture(kept), torch.cat((padded, level[3:] * inside))
+
+
+class UpsampleLight(nn.Module):
+    """radiance (3, th + 2, tw + 2), fine, moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3), params,
+    window, keep -> light (out_th, out_tw, 3)."""
+
+    def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor, params: Tensor,
+                window: Tensor, keep: Tensor) -> Tensor:
+        frame = Window.of(window)
+        h, w = moved.shape[:2]
+        place = frame.outputs(warped)
+        at = frame.centres(place, moved)
+        held = ops.inside(frame.enlarged_motion(moved, at), place, (frame.height, frame.width))
+        known = ops.pick((to_image(past)[:, 3:] >= 0).to(moved.dtype), at.rows, at.columns)
+        weights = fine[:, KERNEL:network.BLEND, :h, :w].reshape(1, 9, 4, h, w)
+        now, _ = network.upsample_at(radiance[None, :, 1:1 + h, 1:1 + w], weights, params[None, 1:3], at)
+        now = torch.where(now <= MAX_FLOAT, now / params[0], 0)
+        phases = fine[:, network.BLEND:network.SHARPEN, :h, :w].reshape(1, 1, 4, h, w)
+        blend = network.interpolate_at(phases, at)
+        trust = held * known * shares(keep, at.rows, at.columns) * (1 - blend)
+        mixed = now + (to_image(warped) - now) * trust
+        return to_picture(torch.where(mixed <= MAX_FLOAT, mixed.clamp(min=0), now))
+
+
+class Balance(nn.Module):
+    """parts (n, H, W, 3), whole and picture (H, W, 3), complete (1,) -> balanced (n, H, W, 3)."""
+
+    def forward(self, parts: Tensor, whole: Tensor, picture: Tensor, complete: Tensor) -> Tensor:
+        total, alone = parts.sum(0), complete > 0
+        light = torch.where(alone, total, torch.maximum(total, whole))
+        equal = torch.where(alone, torch.ones_like(light) / parts.shape[0], 0)
+        return torch.where(light > DARKEST, parts / light.clamp(min=DARKEST), equal) * picture
+
+
+class Decode(nn.Module):
+    """filtered (H, W, 3), decoding (5,) -> plane (H, W, 3)."""
+
+    def forward(self, filtered: Tensor, decoding: Tensor) -> Tensor:
+        scale, shift, low, high, unit = decoding.unbind()
+        plane = torch.minimum(torch.maximum(filtered * scale + shift, low), high)
+        square = (plane * plane).sum(-1, keepdim=True)
+        length = torch.where(square > 1e-12, 1 / square.clamp(min=1e-12).sqrt(), 0)
+        return torch.where(unit > 0, plane * length, plane)
+
+
+class DecodeOne(Decode):
+    """The same -> plane (H, W, 1)."""
+
+    def forward(self, filtered: Tensor, decoding: Tensor) -> Tensor:
+        return super().forward(filtered[..., :1], decoding)
