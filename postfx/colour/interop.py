@@ -26,6 +26,7 @@ from postfx.colour.primaries import (
     to_xyz,
 )
 from postfx.errors import ColourError
+from postfx.files import make_printable
 
 Decode = Callable[[np.ndarray], np.ndarray]
 
@@ -94,6 +95,7 @@ def space_by_primaries(primaries: Chromaticities) -> ColourSpace:
 @cache
 def space_by_id(identifier: str) -> ColourSpace:
     """Colour space of an identifier. Raises ColourError for those of displays and for unknown ones."""
+    shown = make_printable(identifier)
     curve, _, rest = identifier.removeprefix(_OCIO).partition("_")
     key = rest.removesuffix("_scene")
     if identifier == "lin_ciexyzd65_scene":  # equal values are illuminant E here, not white
@@ -105,11 +107,11 @@ def space_by_id(identifier: str) -> ColourSpace:
         primaries = _PRIMARIES[key]
         return ColourSpace(identifier, matrix_between(primaries, REC709), primaries, f"lin_{key}_scene", decode)
     if identifier.endswith("_display"):
-        raise ColourError(f"colorInteropID '{identifier}' is a picture for a display, not light of a scene: give the "
+        raise ColourError(f"colorInteropID '{shown}' is a picture for a display, not light of a scene: give the "
                           "render before its view transform, or --colourspace if the header is wrong")
     if identifier.startswith(_OCIO) and (found := _space_by_ocio(identifier)):
         return found
-    raise ColourError(f"colorInteropID '{identifier}' is not known: say what the colours are with --colourspace "
+    raise ColourError(f"colorInteropID '{shown}' is not known: say what the colours are with --colourspace "
                       f"({', '.join(LINEAR_SPACES)}), or correct the header")
 
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from postfx.files import make_printable
 from postfx.frame import Role
 from postfx.io.image_file import ImageFile
 from postfx.io.profile import load_profile, profile_names
@@ -143,7 +144,7 @@ class ChannelIndex:
     def layers(self) -> list[str]:
         """First words of full names, each once."""
         names = [name for name, _ in self._everything.channels.values() if "." in name]
-        return list(dict.fromkeys(name.partition(".")[0] for name in names))
+        return list(dict.fromkeys(make_printable(name.partition(".")[0]) for name in names))
 
     def contents(self) -> list[str]:
         """What the files hold, layer by layer: 'albedo.R,G,B'."""
@@ -153,7 +154,7 @@ class ChannelIndex:
                 for name in part.channels:
                     layer, _, letter = name.rpartition(".")
                     layers.setdefault(layer or (part.name if len(file.parts) > 1 else ""), []).append(letter)
-        return [f"{layer}{'.' * bool(layer)}{','.join(letters)}" for layer, letters in layers.items()]
+        return [make_printable(f"{layer}{'.' * bool(layer)}{','.join(letters)}") for layer, letters in layers.items()]
 
     @cached_property
     def _everything(self) -> _Source:

@@ -44,13 +44,14 @@ class InputColours:
         """
         if self.declared:
             return space_by_primaries(self.declared)
-        if attributes.get(ACES) == 1:
+        flag = attributes.get(ACES)
+        if isinstance(flag, int) and flag == 1:
             return space_by_primaries(ACES2065_1)
         if not is_silent(attributes):
             return space_by_id(str(attributes[INTEROP]))
-        found = attributes.get(PRIMARIES)
-        if found is not None and np.size(found) == 8:
-            return space_by_primaries(round_to_known(tuple(map(float, np.ravel(found)))))
+        found = np.ravel(attributes.get(PRIMARIES, ()))
+        if found.size == 8 and found.dtype.kind in "if":
+            return space_by_primaries(round_to_known(tuple(map(float, found))))
         return space_by_primaries(REC709)
 
     def warnings(self, attributes: Mapping[str, Any]) -> list[str]:
@@ -79,7 +80,8 @@ class InputColours:
 
 def is_silent(attributes: Mapping[str, Any]) -> bool:
     """Whether a header has no identifier of a colour space."""
-    return str(attributes.get(INTEROP) or "") in SILENT
+    identifier = attributes.get(INTEROP)
+    return not isinstance(identifier, str) or identifier in SILENT
 
 
 def gather_attributes(own: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

@@ -5,7 +5,6 @@ The format: https://radsite.lbl.gov/radiance/refer/filefmts.pdf, "Pictures".
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,10 @@ STARTS = (b"#?RADIANCE", b"#?RGBE")
 MAX_HEADER = 64 << 10
 """Bytes within which the size has to stand."""
 _SIZE = re.compile(rb"\n([-+])([XY]) +(\d{1,9}) +([-+])([XY]) +(\d{1,9})\n")
+
+
+_MOST = 1e15
+"""What no number of a header may reach."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ def parse_header(start: bytes, path: Path) -> RadianceHeader:
             primaries = tuple(_numbers(value, 8, line, path))
         elif key == "FORMAT" and value.strip() == "32-bit_rle_xyze":
             raise ReadError(f"{path}: holds CIE XYZ, which is not read: turn it to RGB first, with 'ra_xyze -r -u'")
-    if not (np.isfinite(exposure).all() and (exposure > 0).all()):
+    if not ((exposure > 1 / _MOST) & (exposure < _MOST)).all():
         raise ReadError(f"{path}: broken file: its header says that it was multiplied by {exposure.min():g}; correct "
                         "EXPOSURE and COLORCORR")
     signs = {found[2]: found[1], found[5]: found[4]}
@@ -86,7 +89,7 @@ def _numbers(value: str, count: int, line: str, path: Path) -> np.ndarray:
         numbers = np.array([float(word) for word in value.split()])
     except ValueError:
         numbers = np.empty(0)
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+    if len(numbers) != count or not all(abs(numbers) < _MOST):
         words = "a number" if count == 1 else f"{count} numbers"
         raise ReadError(f"{path}: broken file: '{line[:60]}' is not {words}; correct its header")
     return numbers

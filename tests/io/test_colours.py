@@ -11,6 +11,7 @@ import pytest
 from postfx.colour.primaries import ACES2065_1, ACESCG, REC709
 from postfx.errors import ColourError
 from postfx.frame import Frame, Role
+from postfx.io.colours import InputColours
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import write_frame
 
@@ -103,6 +104,12 @@ def test_aces_files_say_it_by_their_flag(write_parts, ramp, tmp_path) -> None:
     header = oiio.ImageBuf(str(write_frame(tmp_path / "b.exr", native, keep=True))).spec()
     np.testing.assert_allclose(header.getattribute("chromaticities"), ACES2065_1, atol=1e-6)
     assert header.getattribute("acesImageContainerFlag") is None
+
+
+def test_headers_of_another_type_say_nothing() -> None:
+    for header in ({"colorInteropID": np.ones(3)}, {"colorInteropID": 7}, {"acesImageContainerFlag": np.ones(2)},
+                   {"chromaticities": ("a",) * 8}, {"chromaticities": (1.0,) * 7}, {"chromaticities": "long"}):
+        assert InputColours().space(header).is_rec709
 
 
 def test_the_colours_part_says_it(write_parts, ramp) -> None:

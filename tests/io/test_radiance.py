@@ -52,6 +52,8 @@ def test_exposures_are_taken_out_and_primaries_are_used(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("lines", "kind", "message"), [
     ("EXPOSURE=0\n", "rgbe", "multiplied by 0; correct EXPOSURE"),
+    ("EXPOSURE=1e10\nEXPOSURE=1e10\n", "rgbe", "multiplied by 1e\\+20; correct EXPOSURE"),
+    ("EXPOSURE=nan\n", "rgbe", "'EXPOSURE=nan' is not a number"),
     ("EXPOSURE=bright\n", "rgbe", "'EXPOSURE=bright' is not a number"),
     ("PRIMARIES=1 2 3\n", "rgbe", "'PRIMARIES=1 2 3' is not 8 numbers"),
     ("", "xyze", "holds CIE XYZ, which is not read: turn it to RGB first"),

@@ -11,6 +11,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -240,7 +241,8 @@ class ExrContainer:
         if offsets.min() < self._table:
             firsts = np.cumsum([0, *self.counts])
             begin = self._table + 8 * len(offsets)
-            for part, place, offset in walk_chunks(self._file, begin, self.size, self.headers, self.several):
+            chunks = walk_chunks(self._file, begin, self.size, self.headers, self.several)
+            for part, place, offset in islice(chunks, len(offsets)):
                 offsets[firsts[part] + place] = offset
         if offsets.min() < self._table:
             raise ReadError("some of its pixels are missing")

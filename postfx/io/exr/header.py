@@ -188,7 +188,7 @@ def _header(file: BinaryIO, may_end: bool) -> Header | None:
         kind = _name(file)
         (size,) = _take(file, "<i")
         if size < 0 or file.tell() + size > MAX_HEADERS:
-            raise ReadError(f"its header claims {size} bytes for '{text(name)}'")
+            raise ReadError(f"its header claims {size} bytes for {ascii(text(name))}")
         attributes[text(name)] = Attribute(text(kind), _exactly(file, size))
     if not attributes and may_end:
         return None

@@ -81,7 +81,7 @@ def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
     """Put attributes into an image's spec with the EXR types they had; values of other types are left out."""
     for name, value in attributes.items():
         kind = _NAMED_TYPES.get(name) or _type_of(value)
-        with suppress(TypeError, ValueError):  # not what its name promises, or text that is none
+        with suppress(TypeError, ValueError, RuntimeError):  # not what its name promises, or text that is none
             if kind == "rational":
                 value = Fraction(value).limit_denominator(1001).as_integer_ratio()
             if kind:
