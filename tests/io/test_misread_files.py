@@ -51,6 +51,13 @@ def test_chromaticities_on_a_line(collection: Path, capsys) -> None:
     assert main(["inspect", str(path), "--colourspace", "rec709"]) < 2
 
 
+def test_inspect_says_that_chromaticities_cannot_be(write_parts, capsys) -> None:
+    channels = {"rgb": {name: PICTURE[..., place] for place, name in enumerate("RGB")}}
+    path = write_parts("zeros.exr", channels, chromaticities=(0.0,) * 8)
+    assert main(["inspect", str(path)]) == 2
+    assert "zeros.exr: chromaticities (0, 0, 0, 0, 0, 0, 0, 0) span no colours" in capsys.readouterr().err
+
+
 def test_encoded_colours(collection: Path) -> None:
     light = np.where(PICTURE <= 0.04045, PICTURE / 12.92, ((PICTURE + 0.055) / 1.055) ** 2.4)
     np.testing.assert_allclose(read(collection / "interop_srgb.exr")[Role.COLOUR], light, atol=1e-4)
