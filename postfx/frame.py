@@ -94,9 +94,11 @@ OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)
 """Planes that may come at output size, which is what makes them guides."""
 
 
-PART_KINDS = ("light", "diffuse", "specular", "scatter", "albedo", "normal", "position", "mist", "shadow", "ao")
+PART_KINDS = ("light", "diffuse", "specular", "scatter", "albedo", "normal", "position", "mist", "shadow", "ao",
+              "factor")
 """Meanings of a part. Light is added up to the picture: with all of the reflectance in it, the diffuse or the specular
-one, or none (fog, emission, a background). The others are no light and add up to nothing."""
+one, or none (fog, emission, a background). The others are no light and add up to nothing. A factor is what files divide
+parts by: it is not filtered, only brought to the output's size."""
 ADDITIVE = PART_KINDS[:4]
 
 
@@ -258,6 +260,19 @@ class ColourSource:
     pixels: Mapping[tuple[int, str], int] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class PartSource:
+    """How a part is stored in the file that it was read from, and is written again.
+
+    Attributes:
+        channels: full names there.
+        factor: name of the part that it is divided by there, as Cycles divides light by the colour of surfaces.
+    """
+
+    channels: tuple[str, ...]
+    factor: str | None = None
+
+
 @dataclass(eq=False, repr=False)
 class Frame:
     """One image of a sequence: planes of one size, perhaps guides at output size, and what the passes must know.
@@ -284,6 +299,7 @@ class Frame:
         guide_source: file that the guides were read from, or None.
         parts: name -> array (height, width, 1 or 3) of a part of the picture, such as a light group, in radiance like
             the colour; or of another plane that is to be denoised with it.
+        part_sources: name of a part -> how files store it.
 
     Two frames are equal when all of that is, NaN being equal to NaN; only the files that they come from may differ.
     `print` shows a table of the planes, and a notebook the picture as well.
@@ -309,6 +325,7 @@ class Frame:
     guide_source: str | None = None
     colour_source: ColourSource | None = None
     parts: dict[str, np.ndarray] = field(default_factory=dict)
+    part_sources: dict[str, PartSource] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.planes:
@@ -425,7 +442,7 @@ class Frame:
         return f"{self.number} ({source})" if source else str(self.number)
 
 
-_ORIGIN = ("source", "guide_source", "colour_source")
+_ORIGIN = ("part_sources", "source", "guide_source", "colour_source")
 """Fields of a frame that tell where it was read from."""
 
 _PICTURE = 640

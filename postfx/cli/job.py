@@ -43,7 +43,7 @@ from postfx.cuts import CutDetector
 from postfx.errors import PostfxError, WriteError
 from postfx.exposure import APPLIED, SMOOTH, USED, ExposureMeter, SmoothExposure, colours_of, measure
 from postfx.files import WriteBehind, read_ahead, read_patiently
-from postfx.frame import Frame, Role
+from postfx.frame import Frame, Part, Role
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.io.writer import Existing, OutputFiles, write_frame
@@ -92,10 +92,11 @@ class Job:
         self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
                                     **self._values("denoiser")) if both_ways else None
         self._run_up = make_run_up(arguments, self.sequence, cuts)
+        self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
+        self._parts = self._found_parts()
         passes, left_out = self._passes(denoising, self._backwards is not None)
         self.left_out += left_out
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up)
-        self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
         with self.sequence.open(self.first) as files:
             self.left_out += explain_overlay(arguments, files)
             spec = files.spec()
@@ -347,12 +348,23 @@ class Job:
         if denoising is None:
             left_out.append(Skipped("denoise_upscale", "--no-denoise"))
         else:
-            passes.append(create("denoise_upscale", **denoising))
+            passes.append(create("denoise_upscale", **denoising, **({"parts": self._parts} if self._parts else {})))
         passes += [create("both_ways")] if both_ways else []
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
         shown, not_shown = display_passes(self.outputs is not None and self.outputs.display, **self._values("look"))
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=not shown)
         return passes + shown, left_out + not_shown
+
+    def _found_parts(self) -> tuple[Part, ...]:
+        """Parts of the picture that --aov and --aov-denoise ask for; none where the output cannot hold them."""
+        if self.sequence.parts is None:
+            return ()
+        if (self.outputs is not None and self.outputs.display) or any(self._values("look").values()):
+            self.left_out.append(Skipped("parts of the picture", "they are light of the scene, the output is not"))
+            self.sequence.parts = None
+            return ()
+        with self.sequence.open(self.first) as files:
+            return tuple(found.part for found in files.parts.values())
 
     def _resampling(self) -> dict[str, Any]:
         """Options of a denoiser that only resamples, to the plan's size."""

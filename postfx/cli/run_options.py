@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 # Modules that load NumPy or the runtime are imported inside functions: --help must not wait for them.
 
 
+_WITHOUT_PARTS = {"--both-ways": "{flag} denoises parts that only look back, --both-ways makes a picture of both ways: "
+                                 "give one of them"}
 _FOR_DENOISER = {"--no-denoise": "{flag} is for the denoiser, which --no-denoise leaves out: give one of them"}
 
 
@@ -91,7 +93,9 @@ def explain_kept(arguments: argparse.Namespace, files: FrameFiles, size: tuple[i
         return "", []
     colour = files.match(Role.COLOUR)
     planes = [files.layout.planes[role] for role in (Role.COLOUR, Role.ALPHA) if role in files.layout.planes]
-    touched = {(channel.part.index, channel.name) for match in planes for channel in match.channels}
+    parts = (found.channels for found in files.parts.values())
+    touched = {(channel.part.index, channel.name) for channels in (*(match.channels for match in planes), *parts)
+               for channel in channels}
     others = {(part.index, name) for part in colour.channels[0].file.parts for name in part.channels} - touched
     count = f"{len(others)} other channel{'s' * (len(others) != 1)}"
     if not others:
@@ -202,6 +206,17 @@ PASSES = Section("passes", (
            help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, 'auto' for sky and "
            "misses that are free of noise, and 'converged:0.01' for what its variance says to have at most 1 %% of "
            "error, or 'converged:256spp'; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id"),
+    Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov", excludes={**_FOR_DENOISER, **_WITHOUT_PARTS},
+           help="parts of the picture to denoise with it, so that they still add up to it: light groups and passes by "
+           "name, like 'key,fill,rim', or auto for those that the renderer's profile knows; written into the EXR "
+           "under their names (docs/parts.md)"),
+    Option(flag="--aov-denoise", metavar="KIND=LAYER,...", sets="sequence.aov_denoise",
+           excludes={**_FOR_DENOISER, **_WITHOUT_PARTS},
+           help="other layers to denoise by the picture's filters, each with its kind, like 'normal=N,mist=Mist': "
+           "albedo, normal, position, mist, shadow or ao; ids and Cryptomattes are never filtered"),
+    Option(flag="--no-alpha-denoise", sets="denoiser.alpha", convert=lambda leave: not leave, excludes=_FOR_DENOISER,
+           help="only resample alpha; else it is denoised with the picture in frames where it is anywhere neither 0 "
+           "nor 1"),
     TONEMAP,
     NO_TONEMAP,
     DISPLAY,

@@ -131,6 +131,16 @@ class ChannelIndex:
                 return list(dict.fromkeys(found))
         return []
 
+    def layers_like(self, name: str, whole: bool = False) -> list[str]:
+        """Layers by full name, or else the end of it unless only the `whole` name counts, * matching anything."""
+        names = [full for full, _ in self._everything.channels.values()]
+        layers = list(dict.fromkeys(full.rpartition(".")[0] or full for full in names))
+        for pattern in (name,) if whole else (name, f"*.{name}", f"*_{name}"):
+            found = [layer for layer in layers if fnmatchcase(layer.lower(), pattern.lower())]
+            if found:
+                return found
+        return []
+
     def before(self, ending: str) -> list[str]:
         """What stands before this ending in full names, each once, '' included."""
         ending = ending.lower()

@@ -20,6 +20,7 @@ from postfx.io.convert import Camera, DepthOption, convert, fill_value
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Header, Layout, Match, make_layout
 from postfx.io.masks import LeftAlone
+from postfx.io.parts import PartOptions, find_parts, read_parts
 from postfx.io.profile import load_profile
 from postfx.io.windows import AREA, Window
 from postfx.masks.entries import Entry
@@ -222,6 +223,7 @@ class FrameFiles:
         guides: planes at output size, or None.
         alone: what is left as it is, or None.
         area: rectangle that the planes of the frame's size cover, or None without any.
+        parts: layers that are parts of the picture, by name, of those that were asked for.
     """
 
     def __init__(
@@ -236,6 +238,7 @@ class FrameFiles:
         area: Area | None = None,
         layer: str | None = None,
         view: str | None = None,
+        parts: PartOptions | None = None,
     ) -> None:
         self._stack, self._without = ExitStack(), without
         self._layer, self._view = layer, view
@@ -253,6 +256,8 @@ class FrameFiles:
                 self.guides = self._own_guides(guides, profile, depth)
             if Role.OVERLAY in self.layout.planes or (self.guides and Role.OVERLAY in self.guides.planes):
                 take_opaque_colour(self.layout, self._index)
+            self.parts = find_parts(parts, self._index, self.layout, str(self.path), self.match(Role.COLOUR).size) \
+                if parts else {}
             self.alone = LeftAlone(leave, self._index, self.layout, self.path, strict) if leave else None
         except BaseException:
             self._stack.close()
@@ -278,7 +283,8 @@ class FrameFiles:
         width, height = self.match(Role.COLOUR).size
         guides = self.guides.spec() if self.guides else None
         planes = (*self.layout.planes, *self._made())
-        return FrameSpec(width, height, planes, guides=guides, source=str(self.path))
+        parts = {name: len(part.channels) for name, part in self.parts.items()}
+        return FrameSpec(width, height, planes, guides=guides, source=str(self.path), parts=parts)
 
     def read(
         self,
@@ -304,7 +310,11 @@ class FrameFiles:
         if alone:
             strength = alone.strength(planes, scratch)
             planes = {role: strength if role is Role.STRENGTH else planes[role] for role in wanted}
-        return self._frame(number, planes, guide_planes, next(iter(matches.values())).channels[0])
+        frame = self._frame(number, planes, guide_planes, next(iter(matches.values())).channels[0])
+        if self.parts and Role.COLOUR in planes:
+            frame.parts = read_parts(self.parts)
+            frame.part_sources = {name: part.source for name, part in self.parts.items()}
+        return frame
 
     def guide(self, role: Role) -> Match:
         """Where a guide is; MissingPlaneError when it is not there at output size."""
@@ -441,7 +451,14 @@ class FrameFiles:
         if not are_together(channels):
             return None
         names = tuple(channel.name for channel in channels)
-        return ColourSource(channels[0].part.index, names, self.layout.attributes, self._renders(), self._in_pixels())
+        return ColourSource(channels[0].part.index, names, self.layout.attributes, self._renders() | self._own_parts(),
+                            self._in_pixels())
+
+    def _own_parts(self) -> frozenset[tuple[int, str]]:
+        """Part and name of the channels in the colour's file that are parts of the picture, which replaces them."""
+        file = self.layout.planes[Role.COLOUR].channels[0].file
+        channels = (channel for found in self.parts.values() for channel in found.channels)
+        return frozenset((channel.part.index, channel.name) for channel in channels if channel.file is file)
 
     def _renders(self) -> frozenset[tuple[int, str]]:
         """Part and name of all channels in the colour's file that a profile takes for the colour, with their alpha."""

@@ -43,6 +43,12 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
     miss = 0.0                           # depth: value of pixels that hit nothing
     clamp = [0, 1]
     enable = "where the renderer switches this plane on"
+
+    [[part]]                             # layers that add up to the picture, for --aov
+    names = ["RGBA_*", "{layer}Emission"]  # * stands for the name of a light group
+    kind = "light"                       # light, diffuse, specular or scatter: see docs/parts.md
+    group = "light groups"               # the layers of one group add up to the picture
+    factor = "{layer}Diffuse Color"      # the layer that they are stored divided by
 """
 
 from __future__ import annotations
@@ -58,7 +64,7 @@ from typing import Any, NamedTuple
 
 from postfx.errors import ProfileError
 from postfx.files import read_text
-from postfx.frame import ROLES, Role
+from postfx.frame import ADDITIVE, ROLES, Role
 
 
 class Kind(NamedTuple):
@@ -101,7 +107,8 @@ PATTERNS = Kind("a table of regular expressions",
                 lambda value: isinstance(value, dict) and all(map(_is_pattern, value.values())))
 
 PROFILE = {"name": TEXT, "title": TEXT, "extends": TEXT, "source": TEXT, "marker": TEXT, "detect": TABLES,
-           "header": TABLE, "camera": TABLE, "plane": TABLES}
+           "header": TABLE, "camera": TABLE, "plane": TABLES, "part": TABLES}
+PART = {"names": TEXTS, "kind": TEXT, "group": TEXT, "factor": TEXT}
 CAMERA = {"fov_x": NUMBER, "near": NUMBER, "far": DISTANCE, "column_vectors": YES_NO, "max_velocity": LENGTH,
           "shutter": LENGTH}
 DETECT = {"header": PATTERNS, "channels": TEXTS, "without": TEXTS}
@@ -162,6 +169,16 @@ class PlaneRule:
 
 
 @dataclass(frozen=True)
+class PartRule:
+    """Which layers are parts of the picture."""
+
+    names: tuple[str, ...]
+    kind: str = "light"
+    group: str = ""
+    factor: str = ""
+
+
+@dataclass(frozen=True)
 class DetectRule:
     """Conditions that must all hold for a file to be of a profile."""
 
@@ -181,6 +198,7 @@ class Profile:
     detect: tuple[DetectRule, ...] = ()
     header: dict[str, tuple[str, ...]] = field(default_factory=dict, hash=False)
     planes: tuple[PlaneRule, ...] = ()
+    parts: tuple[PartRule, ...] = ()
     fov_x: float | None = None
     near: float | None = None
     far: float | None = None
@@ -244,6 +262,7 @@ def _parse(table: dict[str, Any], path: Path) -> Profile:
         detect=tuple(_detect(rule, path) for rule in table.get("detect", [])),
         header={key: own.get(key, ()) + base.header.get(key, ()) for key in HEADER_KEYS},
         planes=tuple(_plane({"source": source, **rule}, path) for rule in table.get("plane", [])) + base.planes,
+        parts=tuple(_part(rule, path) for rule in table.get("part", [])) + base.parts,
         fov_x=camera.get("fov_x", base.fov_x),
         near=camera.get("near", base.near),
         far=camera.get("far", base.far),
@@ -260,6 +279,16 @@ def _check_choices(table: Mapping[str, Any], keys: Iterable[str], path: Path, wh
         if table.get(key, allowed[0]) not in allowed:
             known = ", ".join(filter(None, allowed))
             raise ProfileError(f"{path}: {where}: {key} = {table[key]!r}: use one of {known}")
+
+
+def _part(table: dict[str, Any], path: Path) -> PartRule:
+    where = f"[[part]] names = {table.get('names')!r}"
+    check(table, PART, path, where)
+    if not table.get("names"):
+        raise ProfileError(f"{path}: {where}: give the names of layers")
+    if table.get("kind", "light") not in ADDITIVE:
+        raise ProfileError(f"{path}: {where}: kind = {table['kind']!r}: use one of {', '.join(ADDITIVE)}")
+    return PartRule(**{**table, "names": tuple(table["names"])})
 
 
 def _detect(table: dict[str, Any], path: Path) -> DetectRule:

@@ -13,6 +13,7 @@ from postfx.frame import Frame, Role
 from postfx.io.colours import parse_colourspace
 from postfx.io.convert import parse_depth
 from postfx.io.frame_reader import Area, FrameFiles
+from postfx.io.parts import parse_parts
 from postfx.io.pattern import Source, format_frames, locate, parse_frames
 from postfx.io.windows import scaled_windows
 from postfx.masks.entries import Coverage, parse_leave
@@ -35,6 +36,7 @@ class Sequence:
         warnings: what was odd about the files read so far, each once.
         leave: what is left as it is.
         left_alone: how much of the frames read so far that is.
+        parts: which layers are read as parts of the picture; may be replaced.
     """
 
     def __init__(
@@ -52,8 +54,11 @@ class Sequence:
         without: Iterable[Role] = (),
         layer: str | None = None,
         view: str | None = None,
+        aov: str | None = None,
+        aov_denoise: str | None = None,
     ) -> None:
         self._scratch = scratch
+        self.parts = parse_parts(aov, aov_denoise)
         self._layer, self._view = layer, view
         self.pattern, named = locate(source)
         self.profile = profile
@@ -169,7 +174,7 @@ class Sequence:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
         guides, strict = self.guide_files(number), not self._named
         files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self.without,
-                           self._area, self._layer, self._view)
+                           self._area, self._layer, self._view, self.parts)
         self._layer = self._layer or files.layout.chosen_layer
         self._area = self._area or files.area
         self._named = True  # a thing that was found need not be in every frame

@@ -86,7 +86,7 @@ def write_frame(
 
     EXR holds linear light: a display-encoded frame is decoded, in its display's primaries, and 1 is white. The input's
     windows are scaled to the frame's size, and its useful header attributes kept. Beside scene-linear colour also an
-    overlay that was not composited, as a layer of that name.
+    overlay that was not composited, as a layer of that name, and the frame's parts, under the names that they had.
 
     Other files hold code values within the display window; 8 bits are dithered. They are tagged with the display that
     they are for, see `postfx.io.encode`. Linear frames are clipped to 0..1 there and encoded as sRGB, so tone-map them
@@ -152,7 +152,7 @@ def _linear_pixels(frame: Frame, half: bool) -> Pixels:
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
         colour = light_of(colour, display) if display else colour
-        pixels = _with_layer(_with_alpha(colour, frame, rows), frame, rows)
+        pixels = _with_parts(_with_layer(_with_alpha(colour, frame, rows), frame, rows), frame, rows)
         return halves(pixels) if half else pixels
 
     return convert
@@ -190,6 +190,36 @@ def _with_layer(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
     return np.concatenate([pixels, frame[Role.OVERLAY][rows]], axis=2) if _has_layer(frame) else pixels
 
 
+def _with_parts(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
+    found = [_stored_part(frame, name, rows) for name in _written_parts(frame)]
+    return np.concatenate([pixels, *found], axis=2) if found else pixels
+
+
+def _stored_part(frame: Frame, name: str, rows: slice) -> np.ndarray:
+    """A part as its file stores it: divided by its factor, 0 where that is 0."""
+    part, source = frame.parts[name][rows], frame.part_sources.get(name)
+    if source is None or source.factor is None or source.factor not in frame.parts:
+        return part
+    factor = frame.parts[source.factor][rows]
+    stored = np.zeros_like(part)
+    np.divide(part, factor, out=stored, where=factor > 0)
+    return stored
+
+
+def _written_parts(frame: Frame) -> tuple[str, ...]:
+    """Parts that are written: beside light of the scene, which they add up to."""
+    return tuple(sorted(frame.parts)) if frame.encoding == "scene-linear" else ()
+
+
+def _part_channels(frame: Frame) -> tuple[str, ...]:
+    names: list[str] = []
+    for name in _written_parts(frame):
+        source, count = frame.part_sources.get(name), frame.parts[name].shape[2]
+        letters = ("V",) if count == 1 else ("R", "G", "B")
+        names += source.channels if source else tuple(f"{name}.{letter}" for letter in letters)
+    return tuple(names)
+
+
 def _has_layer(frame: Frame) -> bool:
     """Whether the overlay is written: it cannot be composited with light of a display."""
     return Role.OVERLAY in frame and frame.encoding == "scene-linear"
@@ -199,7 +229,7 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) 
     channels, shown = pixels.shape[2], is_display_format(path)
     window = windows.display if shown else windows.data
     spec = oiio.ImageSpec(window.width, window.height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
-    layer = OVERLAY_LAYER if _has_layer(frame) and not shown else ()
+    layer = (OVERLAY_LAYER if _has_layer(frame) and not shown else ()) + (() if shown else _part_channels(frame))
     spec.channelnames = ("R", "G", "B", "A")[: channels - len(layer)] + layer
     display = _display_of(frame)
     if shown:

@@ -30,6 +30,8 @@ STEP = 8
 LARGEST = float(np.finfo(np.float32).max)
 BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "alpha": (0.0, 1.0), "mist": (0.0, 1.0)}
 """Of the values of planes by kind; those of others begin at 0 and have no end."""
+FACTOR = "factor"
+"""Kind of a plane that is only brought to the output's size."""
 SIGNED = ("normal", "position")
 """Kinds of planes with values below 0."""
 MOVING = ("position",)
@@ -253,6 +255,7 @@ class Layers:
                 value = strength.encode_part(commands, self._raw[name], value, rows, self._plain,
                                              self._finished(name))
             values[name] = value
+        values |= {name: self._resampled(commands, frame, name) for name in self._parts if self._kind(name) == FACTOR}
         self._leave_all(commands, frame, values, picture, restoring or blending)
 
     def resample(self, commands: CommandBuffer, frame: ResidentFrame, picture: Tensor) -> None:
@@ -263,11 +266,15 @@ class Layers:
         values = {}
         for name in self._parts:
             if name != ALPHA_LAYER:
-                values[name] = self._finished(name)
-                with commands.compute_encoder("plain") as encoder:
-                    encoder.barrier(after=("compute", "machine-learning"), before="compute")
-                    self._plain.run(encoder, self._three(name, frame), [(values[name], (0, self._output.height))])
+                values[name] = self._resampled(commands, frame, name)
         self._leave_all(commands, frame, values, picture, True)
+
+    def _resampled(self, commands: CommandBuffer, frame: ResidentFrame, name: str) -> Tensor:
+        output = self._finished(name)
+        with commands.compute_encoder("plain") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            self._plain.run(encoder, self._three(name, frame), [(output, (0, self._output.height))])
+        return output
 
     def _leave_all(self, commands: CommandBuffer, frame: ResidentFrame, values: Mapping[str, Tensor], picture: Tensor,
                    changed: bool) -> None:
@@ -286,7 +293,7 @@ class Layers:
             complete = _is_complete(frame, group.names)
             self._complete[group.first].upload([float(complete)])
             found += [] if complete or WHOLE in found else [WHOLE]
-        found += [name for name in self._parts if name != ALPHA_LAYER]
+        found += [name for name in self._parts if name != ALPHA_LAYER and self._kind(name) != FACTOR]
         return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and _is_noisy(frame) else [])
 
     def _inputs(self, name: str, frame: ResidentFrame, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -1,0 +1,155 @@
+"""Parts of the picture in a frame's files: light groups, passes and other planes, by a profile or by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from postfx.errors import MissingPlaneError, OptionError
+from postfx.frame import PART_KINDS, Part, PartSource
+from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
+from postfx.io.layout import Layout
+
+AUTO = "auto"
+COLOURS, VECTORS = (("R", "G", "B"),), (("X", "Y", "Z"), ("R", "G", "B"))
+NUMBERS = (("V",), ("Z",), ("Y",), ("A",), ("X",), ("R",), ("",))
+LETTERS = {"normal": VECTORS, "position": VECTORS, "albedo": COLOURS}
+"""Channels of planes by kind, best first; others have three of colour or one."""
+PLANES = tuple(kind for kind in PART_KINDS[4:] if kind != "factor")
+"""Kinds that `--aov-denoise` takes."""
+NEVER = ("crypto", "uint", "id", "index", "mask")
+"""Words that begin or end the names of layers whose values are no amounts: means of them mean nothing."""
+
+
+@dataclass(frozen=True)
+class PartOptions:
+    """What is asked for.
+
+    Attributes:
+        names: layers of light, 'auto' for those that a profile knows.
+        planes: layer -> kind of planes that are no light.
+    """
+
+    names: tuple[str, ...] = ()
+    planes: tuple[tuple[str, str], ...] = ()
+
+
+def parse_parts(aov: str | None, planes: str | None) -> PartOptions | None:
+    """Options of texts: 'key,fill' or 'auto', and 'normal=N,mist=Mist'; None without any.
+
+    Raises OptionError for a kind of planes that is not known, and for ids.
+    """
+    if aov is None and planes is None:
+        return None
+    names = tuple(word.strip() for word in (aov or "").split(",") if word.strip())
+    found = []
+    for entry in (planes or "").split(","):
+        kind, _, layer = (word.strip() for word in entry.partition("="))
+        if not entry.strip():
+            continue
+        if kind not in PLANES or not layer:
+            raise OptionError(f"--aov-denoise {entry.strip()}: give KIND=LAYER, with KIND one of {', '.join(PLANES)}")
+        if _is_id(layer):
+            raise OptionError(f"--aov-denoise {entry.strip()}: '{layer}' holds ids, whose means are other ids: they "
+                              "are never filtered")
+        found.append((layer, kind))
+    return PartOptions(names, tuple(found))
+
+
+def _is_id(layer: str) -> bool:
+    words = layer.lower().replace("_", " ").replace(".", " ").split()
+    return any(word.startswith(NEVER[0]) or word in NEVER for word in words)
+
+
+@dataclass(frozen=True)
+class FoundPart:
+    """A part that is in the files: what it is, its channels, and the part that it is stored divided by."""
+
+    part: Part
+    channels: tuple[Channel, ...]
+    factor: str | None = None
+
+    @property
+    def source(self) -> PartSource:
+        """How it is named there."""
+        return PartSource(tuple(channel.name for channel in self.channels), self.factor)
+
+
+def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: str,
+               size: tuple[int, int]) -> dict[str, FoundPart]:
+    """The parts by the names of their layers, of those that have the colour's size.
+
+    Raises MissingPlaneError for a layer that is not there.
+    """
+    found: dict[str, FoundPart] = {}
+    for name in options.names:
+        matches = _by_profile(index, layout, "*" if name == AUTO else name)
+        layers = [] if matches or name == AUTO else index.layers_like(name)
+        for layer in layers:
+            if channels := _channels(index, layer, COLOURS):
+                matches[layer] = FoundPart(Part(layer, "light", "named"), channels)
+        if not matches:
+            raise _missing(name, index, layout, path)
+        found |= {layer: part for layer, part in matches.items() if layer not in found}
+    for name, kind in options.planes:
+        for layer in index.layers_like(name)[:1] or [name]:
+            channels = _channels(index, layer, LETTERS.get(kind, (*COLOURS, *NUMBERS)))
+            if not channels:
+                raise _missing(name, index, layout, path)
+            found[layer] = FoundPart(Part(layer, kind), channels)
+    return {name: part for name, part in found.items() if _size(part.channels) == size}
+
+
+def _by_profile(index: ChannelIndex, layout: Layout, name: str) -> dict[str, FoundPart]:
+    """Parts that the profile knows, of which `name` is the layer, or what stands for * in it; '*' for all."""
+    found: dict[str, FoundPart] = {}
+    for rule in layout.profile.parts:
+        for pattern in (one.replace("{layer}", layout.layer) for one in rule.names):
+            wanted = pattern.replace("*", name)
+            given = (name.lower(), f"{layout.layer}{name}".lower())
+            if "*" not in pattern and name != "*" and pattern.lower() not in given:
+                continue
+            for layer in index.layers_like(wanted, whole=True):
+                channels = _channels(index, layer, COLOURS)
+                if channels and layer not in found:
+                    factor = rule.factor.replace("{layer}", layout.layer)
+                    divided = _factor(index, factor, found) if factor else None
+                    found[layer] = FoundPart(Part(layer, rule.kind, rule.group), channels, divided)
+    return found
+
+
+def _factor(index: ChannelIndex, name: str, found: dict[str, FoundPart]) -> str | None:
+    """The layer that parts are divided by, added to those found."""
+    for layer in index.layers_like(name, whole=True)[:1]:
+        if channels := _channels(index, layer, COLOURS):
+            found.setdefault(layer, FoundPart(Part(layer, "factor"), channels))
+            return layer
+    return None
+
+
+def _channels(index: ChannelIndex, layer: str, letters: Iterable[tuple[str, ...]]) -> tuple[Channel, ...] | None:
+    named = ([f"{layer}.{letter}" if letter else layer for letter in some] for some in letters)
+    found = (index.find(names, are_together) for names in named)
+    return next(filter(None, found), None)
+
+
+def _size(channels: tuple[Channel, ...]) -> tuple[int, int]:
+    area = channels[0].part.area
+    return area.width, area.height
+
+
+def _missing(name: str, index: ChannelIndex, layout: Layout, path: str) -> MissingPlaneError:
+    held = "; ".join(index.contents()[:16]) or "nothing"
+    if name == AUTO:
+        return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of its layers as parts "
+                                 f"of the picture: name them (--aov key,fill); it holds {held}")
+    return MissingPlaneError(f"{path}: no layer '{name}' for --aov: it holds {held}")
+
+
+def read_parts(found: Mapping[str, FoundPart]) -> dict[str, np.ndarray]:
+    """Parts (height, width, 1 or 3) at render size, in radiance: what is stored divided is multiplied again."""
+    pixels = read_channels({channel: 0.0 for part in found.values() for channel in part.channels})
+    stored = {name: np.stack([pixels[channel] for channel in part.channels], axis=-1) for name, part in found.items()}
+    return {name: stored[name] * stored[part.factor] if part.factor else stored[name] for name, part in found.items()}

@@ -1,0 +1,133 @@
+"""Parts of the picture in files: found by profile or name, multiplied and divided as the renderer does, written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from postfx.cli.main import main
+from postfx.errors import MissingPlaneError, OptionError
+from postfx.frame import Role
+from postfx.io.parts import parse_parts
+from postfx.io.sequence import Sequence
+from tests.passes.denoise_frames import noisy
+
+SIZE = 24, 32
+
+
+def write(path: Path, layers: dict[str, np.ndarray]) -> Path:
+    """A float EXR of layers; '' is the picture."""
+    pixels = np.concatenate(list(layers.values()), axis=2).astype(np.float32)
+    spec = oiio.ImageSpec(SIZE[1], SIZE[0], pixels.shape[2], oiio.FLOAT)
+    letters = {3: "RGB", 1: "V"}
+    spec.channelnames = [f"{name}.{letter}" if name else letter
+                         for name, plane in layers.items() for letter in letters[plane.shape[2]]]
+    image = oiio.ImageOutput.create(str(path))
+    assert image.open(str(path), spec) and image.write_image(pixels), image.geterror()
+    image.close()
+    return path
+
+
+def read(path: Path) -> dict[str, np.ndarray]:
+    """Every channel of all parts; of several of one name the first."""
+    found: dict[str, np.ndarray] = {}
+    image = oiio.ImageInput.open(str(path))
+    part = 0
+    while image.seek_subimage(part, 0):
+        pixels = image.read_image(part, 0, 0, image.spec().nchannels, oiio.FLOAT)
+        for i, name in enumerate(image.spec().channelnames):
+            found.setdefault(name, pixels[..., i])
+        part += 1
+    image.close()
+    return found
+
+
+def layer(channels: dict[str, np.ndarray], name: str) -> np.ndarray:
+    return np.stack([channels[f"{name}.{letter}" if name else letter] for letter in "RGB"], axis=-1)
+
+
+@pytest.fixture
+def cycles(tmp_path: Path) -> Path:
+    """A frame as Cycles stores it: light is divided by the colours of surfaces, two light groups, fog."""
+    random = np.random.default_rng(0)
+    light = {name: random.random((*SIZE, 3), np.float32) ** 3 for name in ("dd", "di", "gd", "gi", "fog", "glow")}
+    diffuse, glossy = 0.8 * random.random((*SIZE, 3), np.float32), np.full((*SIZE, 3), 0.04, np.float32)
+    diffuse[:6] = 0  # nothing diffuse there: Cycles stores 0
+    light["dd"][:6] = light["di"][:6] = 0
+    picture = ((light["dd"] + light["di"]) * diffuse + (light["gd"] + light["gi"]) * glossy + light["fog"]
+               + light["glow"])
+    view = "ViewLayer."
+    return write(tmp_path / "in.0001.exr", {
+        f"{view}Combined": picture, f"{view}Diffuse Direct": light["dd"], f"{view}Diffuse Indirect": light["di"],
+        f"{view}Diffuse Color": diffuse, f"{view}Glossy Direct": light["gd"], f"{view}Glossy Indirect": light["gi"],
+        f"{view}Glossy Color": glossy, f"{view}Volume Direct": light["fog"], f"{view}Emission": light["glow"],
+        f"{view}Combined_key": 0.75 * picture, f"{view}Combined_fill": 0.25 * picture,
+        f"{view}Mist": random.random((*SIZE, 1), np.float32)})
+
+
+def test_cycles_passes_are_found_multiplied_denoised_and_divided_again(cycles: Path, tmp_path: Path) -> None:
+    sequence = Sequence(str(cycles), aov="auto", aov_denoise="mist=Mist")
+    with sequence.open(1) as files:
+        kinds = {name.removeprefix("ViewLayer."): (found.part.kind, found.part.group)
+                 for name, found in files.parts.items()}
+    assert kinds == {
+        "Combined_key": ("light", "light groups"), "Combined_fill": ("light", "light groups"),
+        "Diffuse Direct": ("diffuse", "passes"), "Diffuse Indirect": ("diffuse", "passes"),
+        "Diffuse Color": ("factor", ""), "Glossy Direct": ("specular", "passes"),
+        "Glossy Indirect": ("specular", "passes"), "Glossy Color": ("factor", ""),
+        "Volume Direct": ("scatter", "passes"),
+        "Emission": ("scatter", "passes"), "Mist": ("mist", "")}
+    frame = sequence.read(1)
+    np.testing.assert_allclose(sum(frame.parts[f"ViewLayer.{name}"] for name, (_, group) in kinds.items()
+                                   if group == "passes"), frame[Role.COLOUR], rtol=1e-5, atol=1e-6)
+    for scale in ("2", "1"):
+        output = tmp_path / f"out{scale}.0001.exr"
+        assert main(["run", str(cycles), "-o", str(output), "--aov", "auto", "--aov-denoise", "mist=Mist", "--scale",
+                     scale, "--model", "s", "--bits", "32"]) == 0
+        found = read(output)
+        picture, part = layer(found, ""), {name: layer(found, f"ViewLayer.{name}") for name in kinds if name != "Mist"}
+        assert picture.shape[0] == int(scale) * SIZE[0] == found["ViewLayer.Mist.V"].shape[0]
+        together = ((part["Diffuse Direct"] + part["Diffuse Indirect"]) * part["Diffuse Color"]
+                    + (part["Glossy Direct"] + part["Glossy Indirect"]) * part["Glossy Color"]
+                    + part["Volume Direct"] + part["Emission"])
+        assert abs(together.sum() - picture.sum()) < 2e-3 * picture.sum()
+        np.testing.assert_allclose(part["Combined_key"] + part["Combined_fill"], picture, rtol=1e-3, atol=1e-5)
+        assert part["Combined_key"].std() < 0.8 * (0.75 * frame[Role.COLOUR]).std()
+        assert min(plane.min() for plane in part.values()) >= 0
+
+
+def test_groups_by_name_and_what_is_not_there(cycles: Path) -> None:
+    with Sequence(str(cycles), aov="key, Combined_fill").open(1) as files:
+        assert set(files.parts) == {"ViewLayer.Combined_key", "ViewLayer.Combined_fill"}
+        assert files.parts["ViewLayer.Combined_key"].part.group == "light groups"
+    with pytest.raises(MissingPlaneError, match=r"in.0001.exr: no layer 'rim' for --aov: it holds ViewLayer.Combined"):
+        Sequence(str(cycles), aov="rim").open(1)
+
+
+def test_plain_layers_are_light_by_name(tmp_path: Path) -> None:
+    frame = noisy(1, *SIZE)
+    path = write(tmp_path / "a.exr", {"": frame[Role.COLOUR], "key": 0.5 * frame[Role.COLOUR]})
+    read_frame = Sequence(str(path), aov="key").read(1)
+    np.testing.assert_array_equal(read_frame.parts["key"], 0.5 * frame[Role.COLOUR])
+    with pytest.raises(MissingPlaneError, match="--aov auto: profile generic knows none of its layers"):
+        Sequence(str(path), aov="auto").open(1)
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ("glow=N", "KIND one of albedo, normal, position, mist, shadow, ao"), ("normal", "give KIND=LAYER"),
+    ("mist=CryptoObject00", "holds ids"), ("mist=object.id", "holds ids")])
+def test_kinds_are_checked_and_ids_are_never_filtered(text: str, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        parse_parts(None, text)
+
+
+def test_pictures_for_a_display_have_no_parts(cycles: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(cycles), "-o", str(tmp_path / "a.0001.png"), "--aov", "auto", "--explain"]) == 0
+    assert "parts of the picture: they are light of the scene" in capsys.readouterr().out
+    assert main(["run", str(cycles), "--aov", "key", "--explain"]) == 0
+    assert "parts   ViewLayer.Combined_key" in capsys.readouterr().out
+    assert main(["run", str(cycles), "-o", str(tmp_path / "a.exr"), "--aov", "key", "--both-ways"]) == 2
+    assert "--aov denoises parts that only look back" in capsys.readouterr().err

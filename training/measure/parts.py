@@ -1,0 +1,111 @@
+"""Light groups denoised with the picture, against Open Image Denoise on each alone, and graded after or before.
+
+python -m training.measure.parts SEQUENCE.npz [--model m] [--scales 1,2]
+
+SEQUENCE.npz holds, for frame i, `albedo{i}`, `normal{i}`, `depth{i}`, `motion{i}`, of each light group `NAME{i}`, and
+of the last frame references `ref{size}_NAME{i}`, where size is the width. Group lights add up to the picture. PSNR and
+sums are of the last frame; PSNR is of what is seen, every picture exposed as its reference.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from postfx.bench.baselines import HostKernels, Oidn
+from postfx.bench.metrics import grey_exposure, psnr
+from postfx.colour.curves import srgb_encode
+from postfx.frame import Frame, Role
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+
+GRADE = {"key": 2.0, "fill": 0.5}
+
+
+def load(path: Path) -> tuple[list[Frame], dict[str, dict[int, np.ndarray]]]:
+    """The frames, and of each group the references of the last one by their width."""
+    arrays = {name: array.astype(np.float32) for name, array in np.load(path).items()}
+    count = sum(name.startswith("albedo") for name in arrays)
+    names = sorted({name.split("_")[1].rstrip("0123456789") for name in arrays if name.startswith("ref")})
+    frames = []
+    for i in range(count):
+        parts = {name: arrays[f"{name}{i}"] for name in names}
+        planes = {Role.COLOUR: sum(parts.values()), Role.DIFFUSE_ALBEDO: arrays[f"albedo{i}"],
+                  Role.NORMAL: arrays[f"normal{i}"], Role.DEPTH: arrays[f"depth{i}"], Role.MOTION: arrays[f"motion{i}"]}
+        frames.append(Frame(planes, number=i, parts=parts, samples=4))
+    references: dict[str, dict[int, np.ndarray]] = {name: {} for name in names}
+    for key, array in arrays.items():
+        if key.startswith("ref"):
+            size, name = key.removeprefix("ref").split("_")
+            references[name.rstrip("0123456789")][int(size)] = array
+    return frames, references
+
+
+def graded(frame: Frame) -> Frame:
+    """The frame with its lights graded before."""
+    planes = {**frame.planes, Role.COLOUR: sum(GRADE.get(name, 1.0) * part for name, part in frame.parts.items())}
+    return Frame(planes, number=frame.number, samples=frame.samples)
+
+
+def seen(result: np.ndarray, reference: np.ndarray) -> float:
+    """PSNR of what is seen of a picture, exposed as its reference."""
+    exposure = grey_exposure(reference)
+    exposed = [exposure * np.maximum(light, 0) for light in (result, reference)]
+    return psnr(*(srgb_encode(light / (1 + light)) for light in exposed))
+
+
+def by_oidn(frame: Frame, light: np.ndarray, size: int, kernels: HostKernels) -> np.ndarray:
+    """A light denoised alone with the frame's planes, and enlarged."""
+    alone = Frame({**frame.planes, Role.COLOUR: light}, number=frame.number)
+    found = Oidn("high", "cpu", 2)(alone)
+    return found if found.shape[1] == size else kernels.enlarge(found, size, size, (0.0, 0.0))
+
+
+def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], model: str, scale: int) -> None:
+    """Print a row for each group, and how far sums and grades agree."""
+    names, device = list(references), Device("cpu")
+    size, kernels = scale * frames[0][Role.COLOUR].shape[1], HostKernels(device)
+    together = Pipeline([DenoiseUpscale(scale=scale, model=model, parts=names)], device)
+    alone = {name: Pipeline([DenoiseUpscale(scale=scale, model=model)], device) for name in names}
+    before = Pipeline([DenoiseUpscale(scale=scale, model=model)], device)
+    for frame in frames:
+        found = together(frame)
+        own = {name: alone[name](Frame({**frame.planes, Role.COLOUR: frame.parts[name]}, number=frame.number,
+                                       samples=frame.samples))[Role.COLOUR] for name in names}
+        picture_graded_before = before(graded(frame))[Role.COLOUR]
+    print(f"{scale}x {model} | part | input | with the picture | network on it alone | OIDN high on it alone |")
+    for name in names:
+        reference, part = references[name][size], frames[-1].parts[name]
+        plain = part if scale == 1 else kernels.enlarge(part, size, size, (0.0, 0.0))
+        row = [seen(light, reference) for light in (
+            plain, found.parts[name], own[name], by_oidn(frames[-1], part, size, kernels))]
+        print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in row) + " |")
+    picture, total = found[Role.COLOUR], sum(found.parts[name] for name in names)
+    whole = sum(references[name][size] for name in names)
+    print(f"picture {seen(picture, whole):.2f} dB; sum apart by {np.abs(total - picture).sum() / picture.sum():.2e} of "
+          f"the light; least value {min(part.min() for part in found.parts.values()):.1e}")
+    after = sum(GRADE.get(name, 1.0) * found.parts[name] for name in names)
+    wanted = sum(GRADE.get(name, 1.0) * references[name][size] for name in names)
+    oidn = sum(GRADE.get(name, 1.0) * by_oidn(frames[-1], frames[-1].parts[name], size, kernels) for name in names)
+    grade = ", ".join(f"{name} x{factor:g}" for name, factor in GRADE.items())
+    print(f"graded ({grade}): after {seen(after, wanted):.2f} dB, before {seen(picture_graded_before, wanted):.2f} dB, "
+          f"by OIDN's parts {seen(oidn, wanted):.2f} dB")
+
+
+def main() -> None:
+    """Measure as the command line says."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sequence", type=Path)
+    parser.add_argument("--model", default="m")
+    parser.add_argument("--scales", default="1,2")
+    arguments = parser.parse_args()
+    frames, references = load(arguments.sequence)
+    for scale in arguments.scales.split(","):
+        measure(frames, references, arguments.model, int(scale))
+
+
+if __name__ == "__main__":
+    main()
