@@ -33,6 +33,7 @@ examples:
   postfx run shot/noisy.####.exr -o out/clean.####.exr --run-up 16
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --aov key,fill,rim
   postfx run shot/adaptive.####.exr -o out/clean.####.exr --leave converged:0.01
   postfx run shot/noisy.####.exr -o out/clean.####.exr --scale 1 --on-error copy
   postfx run poster.exr -o out/ --memory 4G
