@@ -1,4 +1,4 @@
-"""What all exports to ONNX share: one clean file a model, a card beside it, and a check against torch."""
+"""Shared parts of all exports to ONNX: one clean file a model, a card beside it, and a check against torch."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of optional 
 OPSET = 20  # the first with 5-D GridSample
 MODELS = Path(__file__).resolve().parent.parent / "models"
 LARGE = 1024  # smaller weights are not worth a cast
-PARITY = 1e-3  # largest difference to torch that is let through, relative to the largest value
+PARITY = 1e-3  # largest accepted difference to torch, relative to the largest value
 
 
 class ParityError(RuntimeError):
@@ -89,7 +89,7 @@ def export_kernel(kernel: Kernel, module: nn.Module, sizes: Mapping[str, int], f
 
 
 def strip(model: onnx.ModelProto) -> None:
-    """Remove stack traces and other notes that the exporter leaves."""
+    """Remove the exporter's stack traces and notes."""
     del model.metadata_props[:]
     del model.graph.metadata_props[:]
     del model.graph.value_info[:]
@@ -99,7 +99,7 @@ def strip(model: onnx.ModelProto) -> None:
 
 
 def store_half(graph: onnx.GraphProto) -> None:
-    """Keep weights that half precision holds exactly as such, half the file; a session casts them once, as it loads."""
+    """Store weights in half precision if it holds them exactly: half the file. A session casts them on loading."""
     casts = []
     for weight in graph.initializer:
         values = onnx.numpy_helper.to_array(weight)
@@ -166,7 +166,7 @@ RECIPE = {"base": str, "steps": list, "differs": list, "not recorded": list, "sc
 
 
 def check_recipe(recipe: object) -> str | None:
-    """What is wrong with a card's recipe, None where nothing is; `training.remake` tells what it holds."""
+    """What is wrong with a card's recipe, or None; `training.remake` explains its keys."""
     if not isinstance(recipe, dict):
         return "no recipe: an object with 'steps' is expected"
     for key, value in recipe.items():
@@ -180,7 +180,7 @@ def check_recipe(recipe: object) -> str | None:
 
 
 def known_recipe(card: Path) -> dict[str, Any]:
-    """The recipe of a card that is about to be written again, as a part of it; empty where it has none."""
+    """{"recipe": ...} of a card that is about to be replaced, or {} if it has none."""
     recipe = json.loads(card.read_text()).get("recipe") if card.exists() else None
     return {"recipe": recipe} if recipe else {}
 
@@ -191,9 +191,9 @@ def read_quality(path: str | None) -> dict[str, Any]:
 
 
 def parser(doc: str | None, tag: str) -> argparse.ArgumentParser:
-    """Command line that all exports share."""
+    """Command line shared by all exports."""
     made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("checkpoint", type=Path, nargs="?", help="left out: only the kernels are exported")
+    made.add_argument("checkpoint", type=Path, nargs="?", help="without one, only the kernels are exported")
     made.add_argument("--tag", default=tag, help=f"name of the model among its kind; default: {tag}")
     made.add_argument("--quality", help="JSON of measured quality, kept in the card")
     made.add_argument("--models", type=Path, default=MODELS, help="folder to write to")

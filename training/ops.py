@@ -1,7 +1,7 @@
 """Differentiable image operations of the denoised upscaler, NCHW, float32.
 
-They are the source of truth for the compute kernels in ``postfx/kernels``: the portable ONNX kernels are exported
-from here and the compiled ones are held to them by parity tests. Pixel centres lie at integer coordinates.
+They define the compute kernels in ``postfx/kernels``: the portable ONNX kernels are exported from here, and parity
+tests hold the compiled ones to them. Pixel centres lie at integer coordinates.
 """
 import torch
 import torch.nn.functional as F
@@ -12,7 +12,7 @@ from postfx.kernels.denoise.layout import MAX_COLOUR
 
 TAPS = 5
 TINY = float(layout.TINY)
-MAX_SPAN = 4  # pixels that one pixel of a picture up to 3 times as small touches, along a line
+MAX_SPAN = 4  # pixels along a line that one pixel of a picture up to 3 times smaller touches
 
 
 def sanitise(values: Tensor, low: float, high: float) -> Tensor:
@@ -52,7 +52,7 @@ def dilate_motion(motion: Tensor, depth: Tensor) -> Tensor:
 
 
 def depth_scale(depth: Tensor) -> Tensor:
-    """Harmonic mean depth of what was hit, (N, 1, 1, 1); 1 where nothing was."""
+    """Harmonic mean depth of all hits, (N, 1, 1, 1); 1 if there are none."""
     hit = (depth > 0) & (depth < 1e9)
     near = torch.where(hit, 1 / depth.clamp(min=1e-6), torch.zeros_like(depth)).sum((1, 2, 3), keepdim=True)
     hits = hit.to(depth.dtype).sum((1, 2, 3), keepdim=True)

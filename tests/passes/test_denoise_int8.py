@@ -32,7 +32,7 @@ from training.denoise.int8 import (  # noqa: E402
     Range,
     activations,
     convolutions,
-    rounded,
+    round_compensated,
     unfold_half,
     value,
 )
@@ -113,9 +113,9 @@ def test_frames_for_a_network_for_1x_are_not_enlarged(small_models: Path, clips:
 def test_zero_is_kept_exactly_and_ranges_ignore_what_is_rare() -> None:
     for low, high in ((-1.0, 2.0), (0.0, 3.0), (0.5, 1.0), (-2.0, -1.0)):
         kept = Range.of(low, high)
-        assert kept.rounded(np.zeros(1)) == 0
+        assert kept.decode(np.zeros(1)) == 0
         ends = np.array([min(low, 0), max(high, 0)])
-        np.testing.assert_allclose(kept.rounded(ends), ends, atol=kept.scale)
+        np.testing.assert_allclose(kept.decode(ends), ends, atol=kept.scale)
     values = np.append(np.random.default_rng(0).random(1_000_000), 10)
     assert best_range(values).scale * 255 < 7
 
@@ -127,9 +127,10 @@ def test_rounding_makes_up_for_itself() -> None:
     reads = random.normal(0, 1, (4000, 6)) @ random.normal(0, 1, (6, 36)) + 0.1 * random.normal(0, 1, (4000, 36))
     moments = reads.T @ reads / len(reads)
     error = {name: np.square(reads @ (kept.factors * kept.steps[:, None] - weights).T).mean()
-             for name, kept in (("alone", rounded(weights, 0 * moments)), ("together", rounded(weights, moments)))}
+             for name, kept in (("alone", round_compensated(weights, 0 * moments)),
+                                ("together", round_compensated(weights, moments)))}
     assert error["together"] < 0.2 * error["alone"]
-    kept = rounded(weights, 0 * moments)
+    kept = round_compensated(weights, 0 * moments)
     assert (kept.factors == np.rint(kept.factors)).all() and np.abs(kept.factors).max() == LIMIT
     assert (np.abs(kept.factors * kept.steps[:, None] - weights) <= 0.501 * kept.steps[:, None]).all()
 
@@ -164,7 +165,7 @@ def test_a_channel_of_bias_alone_keeps_its_value(small_models: Path) -> None:
     for one in convolutions(model.graph, quantise.LAYERS):
         moments, held = Moments.of(one), value(model.graph, one.input[1])
         moments.add(np.random.default_rng(0).random((1, held.shape[1], 16, 16), np.float32))
-        kept[one.input[1]] = moments.rounded(held)
+        kept[one.input[1]] = moments.round_weights(held)
     graph = quantised(model, quantise.LAYERS, ranges, kept).graph
     small = {w.name: numpy_helper.to_array(w) for w in graph.initializer}
     name = node.input[2]

@@ -113,7 +113,7 @@ def draw_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Gener
 
 # A clip -------------------------------------------------------------------------------------------------------------
 
-REPLACED = 4  # mirrors and faces of glass that planes see through, in the clips that replace primary surfaces
+REPLACED = 4  # mirrors and faces of glass that the planes see through, in clips with primary surface replacement
 AVERAGED = ("diffuse_albedo", "specular_albedo", "normal", "roughness")
 
 
@@ -121,8 +121,8 @@ AVERAGED = ("diffuse_albedo", "specular_albedo", "normal", "roughness")
 class ClipOptions:
     """Sizes and counts; `scales` and `scale_chances` say how often each upscaling factor is drawn.
 
-    A reference takes as many samples as bring its error after x/(1+x) to about `reference_error`, within half and
-    four times `reference_spp`. Noisy renders have 1 to `even_spp` samples a pixel, evenly in stops, where it is given.
+    References take the samples that bring their error after x/(1+x) to about `reference_error`, between half and four
+    times `reference_spp`. With `even_spp`, noisy renders have 1 to that many samples a pixel, evenly in stops.
     """
 
     width: int = 128
@@ -140,7 +140,7 @@ class ClipOptions:
 
 def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes, seed: int,
               index: int) -> tuple[np.ndarray, list[dict], dict]:
-    """Reference (T, H, W, 3), variants and facts, as `save_clip` takes them; the same for the same seed and index."""
+    """Reference (T, H, W, 3), variants and facts for `save_clip`; the same seed and index give the same clip."""
     rng = np.random.default_rng([seed, index])
     drafted, built, path, gain, look = _scene(tracer, options, maps, real, rng)
     description = drafted.description
@@ -180,8 +180,8 @@ def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera
                 frame: int, gain: float, rng: np.random.Generator, steps: int = 0) -> dict[str, np.ndarray]:
     """Colour and planes (H, W, C) of one noisy frame; `cameras` are this frame's and the previous one's.
 
-    Offline styles average the planes over the samples as renderers do, but depth is the first sample's, and so is
-    motion with the box filter (an average of both sides of an edge would belong to neither).
+    Offline styles average the planes over the samples as renderers do. Depth, and motion with the box filter, are the
+    first sample's: an average across an edge would belong to neither side.
     """
     film = film_of(size, style.offsets(frame, size[0] * size[1], rng))
     colour = tracer.noisy(built.scene, cameras[0], size[0] / size[1], film, style.spp, _seed(rng))
@@ -199,7 +199,7 @@ def guide_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera
 
 def plane_images(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int],
                  style: Style, film: Film, steps: int = 0) -> dict[str, np.ndarray]:
-    """Planes (H, W, C) of samples that lie as `style` says; one of real-time samples is enough, they lie together."""
+    """Planes (H, W, C) of samples placed as `style` says. Real-time samples share one place: one of them is enough."""
     spp = style.spp
     if style.kind == "realtime" and spp > 1:
         film, spp = film.first(spp), 1
@@ -217,7 +217,7 @@ def film_of(size: tuple[int, int], offsets: np.ndarray) -> Film:
 
 def _scene(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes,
            rng: np.random.Generator) -> tuple:
-    """Draw scenes until one has a view of use."""
+    """Draw scenes until one has a usable view."""
     while True:
         drafted = real.draft(rng, maps) if real and rng.random() < options.real_share else draft(rng, maps)
         built = BuiltScene(drafted.description)
@@ -231,14 +231,14 @@ def _scene(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealS
 
 def other_path(tracer: Tracer, built: BuiltScene, drafted: Draft, rng: np.random.Generator, width: int,
                gain: float) -> tuple[CameraPath, Probe] | None:
-    """Another view of a scene, to cut to, and a look from it; None where none is of use at this gain."""
+    """Another view of the same scene to cut to, with its probe; None if no view is usable at this gain."""
     found = choose_path(tracer, built, drafted.view, rng, width, drafted.near)
     return (found[0], found[2]) if found and 0.02 < gain * found[2].level() < 2 else None
 
 
 def _cut(tracer: Tracer, options: ClipOptions, drafted: Draft, built: BuiltScene, path: CameraPath, gain: float,
          rng: np.random.Generator) -> tuple[CameraPath | Cut, np.ndarray]:
-    """Few clips go on from another view; also where the history starts, (T,) uint8."""
+    """Let a few clips cut to another view. Also returns where the history starts, (T,) uint8."""
     reset = first_only(options.frames)
     if rng.random() >= options.cut_share or options.frames < 2:
         return path, reset
@@ -256,7 +256,7 @@ def _path_facts(path: CameraPath | Cut) -> dict:
 
 
 def _affordable(wanted: float, options: ClipOptions, rng: np.random.Generator) -> bool:
-    """Most scenes whose references would stay noisy are dropped."""
+    """Whether to keep a scene: most of those whose references would stay noisy are dropped."""
     return wanted < 4 * options.reference_spp or rng.random() < 0.25
 
 

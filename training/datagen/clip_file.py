@@ -6,12 +6,12 @@ Keys: `reference` (T, H, W, 3) float16 linear Rec.709; for each noisy variant v 
 `v{v}_depth` (T, h, w) float32 along the view axis, misses 1e10; `v{v}_motion` (T, h, w, 2) float32, previous minus
 current position in noisy pixels, x right, y down, without jitter; `v{v}_jitter` (T, 2) float32, sample position minus
 0.5, x right, y down; `v{v}_spp` int; `v{v}_style` 'realtime', 'box' or 'blackman-harris'.
-`half` (T, H, W, 3), where it is there, is the half of the reference's samples that noisy renders with `v{v}_half` true,
-which were made of the other half, are compared with.
+`half` (T, H, W, 3) is optional: one half of the reference's samples. Noisy renders with `v{v}_half` true were made from
+the other half, and are compared with this one.
 Guides, the first-hit planes at output size: `guide_diffuse_albedo`, `guide_specular_albedo`, `guide_normal`
 (T, H, W, 3), `guide_roughness` (T, H, W), `guide_depth` (T, H, W), all float16; depth is the base-2 logarithm of the
-depth within 1e-4..1e10, so that it fits. `guide_jitter` (T, 2) float32 in output pixels: where in the pixel the one
-sample lies, minus 0.5, or 0 where the planes are means over samples spread over the pixel (depth is the first one's).
+depth within 1e-4..1e10, so that it fits. `guide_jitter` (T, 2) float32 in output pixels: position of the one sample in
+the pixel, minus 0.5, or 0 if the planes average samples spread over the pixel (depth is the first sample's).
 `reset` (T,) uint8: 1 where history starts, at the first frame and after a cut (there motion has no meaning); files
 without it have no cuts.
 Also `scale` float, `seed` int, `scene` str, `meta` str (JSON: cameras, field of view, filter, gain, samples).
@@ -50,12 +50,12 @@ def first_only(frames: int) -> np.ndarray:
 
 
 def half_depth(depth: np.ndarray) -> np.ndarray:
-    """Depth as guides keep it: float16 base-2 logarithm, within DEPTH_RANGE."""
+    """Depth in the form that guides are stored in: float16 base-2 logarithm, within DEPTH_RANGE."""
     return np.log2(np.clip(depth, *DEPTH_RANGE)).astype(np.float16)
 
 
 def guide_depth(stored: np.ndarray) -> np.ndarray:
-    """Depth float32 from what `half_depth` keeps; misses become 1e10 again."""
+    """Depth float32, the inverse of `half_depth`; misses become 1e10 again."""
     depth = np.exp2(stored.astype(np.float32))
     return np.where(stored >= half_depth(np.float32(DEPTH_RANGE[1])), np.float32(DEPTH_RANGE[1]), depth)
 
@@ -75,8 +75,8 @@ def exposure_of(colour: np.ndarray, key: float = 0.18, block: int = 4) -> float:
 def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: dict) -> None:
     """Write a clip atomically.
 
-    `variants` holds the planes by name plus jitter, spp, style; `facts` scale, seed, ... and, if there are any, guides
-    by name plus jitter.
+    `variants` hold the planes by name plus jitter, spp and style; `facts` hold scale, seed, scene, meta and perhaps
+    guides by name plus jitter.
     """
     arrays = {"reference": to_half(reference)}
     if "half" in facts:

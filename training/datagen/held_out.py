@@ -19,7 +19,7 @@ from training.datagen.scenes.views import Probe, choose_path, probe
 from training.datagen.tracing import Film, Tracer
 
 # Traits of a view ---------------------------------------------------------------------------------------------------
-# What a held-out view is to show, and whether it does. Import after Mitsuba's variant is set.
+# Traits that a held-out view can be asked to show, and tests for them. Import after Mitsuba's variant is set.
 
 Planes = dict[str, np.ndarray]
 GRID, UNIT = 64, 256  # points a side that are looked at, and the width of an image whose pixels motion counts
@@ -30,7 +30,7 @@ FLICKER = 1.15  # least quotient of brightest and darkest frame
 
 @dataclass(frozen=True)
 class Trait:
-    """`has` tells whether a scene may show it, `shows` which of the first hits (N, C planes) do."""
+    """`has`: whether a scene may show it; `shows`: which of the first hits (N, C planes) do."""
 
     has: Callable[[Description], bool]
     shows: Callable[[Planes], np.ndarray] | None = None
@@ -64,12 +64,12 @@ TRAITS = {
 
 
 def shows_enough(look: Probe) -> bool:
-    """Whether a view has edges to tell methods apart by, and is not dark in large parts."""
+    """Whether a view has enough edges to tell methods apart, and is not mostly dark."""
     return look.edges() >= EDGES and (look.luminance < 0.003 * look.luminance.mean()).mean() <= DARK
 
 
 def shows(tracer: Tracer, built: BuiltScene, path: CameraPath, trait: str, frames: int, seed: int) -> bool:
-    """Whether a trait is seen: in the middle frame, or, of a flickering light, by the level of the frames."""
+    """Whether a view shows a trait: in its middle frame or, for a flickering light, by the frames' brightness."""
     middle = frames // 2
     if trait == "flicker":
         return _flickers(tracer, built, path, frames, seed)
@@ -81,7 +81,7 @@ def shows(tracer: Tracer, built: BuiltScene, path: CameraPath, trait: str, frame
 
 
 def _flickers(tracer: Tracer, built: BuiltScene, path: CameraPath, frames: int, seed: int) -> bool:
-    """By the two frames between which the light changes most, seen from one place."""
+    """Whether the light flickers: compares the two frames that differ most, from one place."""
     strengths = np.array([[glow(t) for glow in built.description.glows] for t in range(frames)])
     light = max(range(strengths.shape[1]), key=lambda k: np.ptp(strengths[:, k]))
     levels = []
@@ -99,7 +99,7 @@ FIRST_SEED = 9000
 
 @dataclass(frozen=True)
 class Kind:
-    """What a view is to be: of a family, showing one of TRAITS within its frames, and cut at one of them.
+    """A wanted view: its family, the trait that its frames must show, and the frame of a cut.
 
     Families are 'interior', 'room', 'product' and 'outdoor'.
     """
@@ -112,9 +112,9 @@ class Kind:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A scene, the path of its camera, the gain that gives its frames a sensible brightness, and how noisy they are.
+    """A scene, its camera path, a gain that gives its frames a sensible brightness, and how noisy it is.
 
-    `samples` a pixel bring a reference to the error that was asked for.
+    `samples` a pixel bring a reference to the requested error.
     """
 
     name: str
@@ -129,8 +129,8 @@ def held_out_view(tracer: Tracer, seed: int, width: int, error: float, most_samp
                   kind: Kind | None = None) -> HeldOut:
     """The view of a seed; the same for the same arguments.
 
-    Views are passed over whose references would need more than `most_samples` samples a pixel for a root mean square
-    error of `error` after x/(1+x). `width` of the noisy frames sets the speed of the camera. Raises ValueError for a
+    Skips views whose references would need more than `most_samples` samples a pixel for a root mean square error of
+    `error` after x/(1+x). `width` of the noisy frames sets the speed of the camera. Raises ValueError for a
     seed that training may use.
     """
     if seed < FIRST_SEED:
@@ -152,7 +152,7 @@ def _fits(drafted: Draft, kind: Kind) -> bool:
 
 def _view(tracer: Tracer, drafted: Draft, rng: np.random.Generator, width: int, error: float,
           kind: Kind) -> HeldOut | None:
-    """A view of a scene; None where none is of use."""
+    """A view of a scene; None if none is usable."""
     built = BuiltScene(drafted.description)
     built.move(3.5, 2.5)
     chosen = choose_path(tracer, built, drafted.view, rng, width, drafted.near)

@@ -69,7 +69,7 @@ def main() -> None:
 
 
 def of_halves(render: Callable[[int], np.ndarray], exposure: float) -> np.ndarray:
-    """Mean (H, W, 3) of the independent renders 0 and 1; prints its noise: half the difference of both, as PSNR."""
+    """Mean (H, W, 3) of the independent renders 0 and 1. Prints its noise, half their difference, as PSNR."""
     first, second = render(0), render(1)
     noise = psnr(shown(first, exposure), shown(second, exposure)) + 20 * np.log10(2)
     print(f"reference with noise of {noise:.1f} dB PSNR", flush=True)

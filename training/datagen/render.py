@@ -2,9 +2,9 @@
 
     python -m training.datagen.render --out DIR --clips N --gpus 0,1,2,3 ...
 
-Clips that are there already are kept, so that the same command goes on where an earlier one ended. A worker that dies
-or hangs is started again; the clip it had goes to DIR/failed.txt and is left out from then on (delete the file to try
-again). What workers say goes to DIR/worker.K.log. SIGTERM and Ctrl-C end the job at once, without broken files.
+Existing clips are kept, so the same command continues an earlier one. A worker that dies or hangs is restarted; its
+clip goes into DIR/failed.txt and is skipped from then on (delete the file to try again). DIR/worker.K.log has the
+messages of worker K. SIGTERM and Ctrl-C end the job at once and leave no broken files.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pathlib import Path
 
 from training.datagen.render_worker import add_options, clip_path
 
-GIVE_UP = 3  # deaths of a worker without a clip in between
+GIVE_UP = 3  # deaths of a worker in a row, without a clip between them
 
 
 @dataclass
@@ -54,10 +54,10 @@ def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[s
 
 
 def add_farm(parser: argparse.ArgumentParser) -> None:
-    """What a Farm is told."""
+    """Add the options of a Farm."""
     parser.add_argument("--out", type=Path, required=True, help="folder for clip.NNNNN.npz")
-    parser.add_argument("--clips", type=int, required=True, help="clips of the whole job, of earlier commands too")
-    parser.add_argument("--gpus", default="0", help="numbers of the GPUs, with commas between")
+    parser.add_argument("--clips", type=int, required=True, help="clips of the whole job, existing ones included")
+    parser.add_argument("--gpus", default="0", help="numbers of the GPUs, comma-separated")
     parser.add_argument("--processes-per-gpu", type=int, default=8)
     parser.add_argument("--minutes", type=float, default=1e9, help="start no clip after this time")
     parser.add_argument("--clip-minutes", type=float, default=5, help="a clip that takes longer is given up")
@@ -65,7 +65,7 @@ def add_farm(parser: argparse.ArgumentParser) -> None:
 
 
 def worker_command(module: str, args: argparse.Namespace, handed: list[str], *words: str) -> list[str]:
-    """How to start a worker: a module, words such as its command, and the options that are handed on by name."""
+    """Command line of a worker: a module, its command if it has several, and the options to hand on, by name."""
     values = {name: getattr(args, name) for name in handed}
     options = [f"--{name.replace('_', '-')}={value}" for name, value in values.items() if value is not None]
     return [sys.executable, "-m", module, *words, "--listen", f"--out={args.out}", f"--clips={args.clips}", *options]
@@ -97,7 +97,7 @@ class Farm:
         self._events.put((None, None, ""))
 
     def run(self) -> bool:
-        """Until all is made, the time is up or `stop`; False when workers could not work."""
+        """Work until all clips are made, the time is up or `stop` is called. False if workers kept failing."""
         for worker in self._workers:
             self._start(worker)
         reported = time.monotonic()
@@ -117,7 +117,7 @@ class Farm:
         return self._ended or all(worker.deaths < GIVE_UP for worker in self._workers)
 
     def _start(self, worker: Worker) -> None:
-        """A new process with its first clip, or none where there is nothing left to do."""
+        """Start a new process with its first clip, if any is left."""
         worker.process, worker.clip, worker.ready = None, None, False
         if not self._todo or self._late() or worker.deaths >= GIVE_UP:
             return
@@ -136,7 +136,7 @@ class Farm:
         self._events.put((worker, process, ""))
 
     def _next(self, worker: Worker) -> None:
-        """Hand out a clip; without one the worker ends by itself."""
+        """Hand out a clip. When none is left, the worker ends by itself."""
         worker.clip = None
         try:
             if self._todo and not self._late():
@@ -146,7 +146,7 @@ class Farm:
             else:
                 worker.process.stdin.close()
         except BrokenPipeError:
-            pass  # it has died; the end of its output follows and says so
+            pass  # it has died: the end of its output follows
 
     def _answer(self, worker: Worker, line: str) -> None:
         if not line:
@@ -162,7 +162,7 @@ class Farm:
             self._next(worker)
 
     def _died(self, worker: Worker) -> None:
-        """Start a worker again; the clip that it died of is left out, one that it never began goes back."""
+        """Restart a worker. The clip that it died of is skipped; one that it never began goes back to the queue."""
         self._sweep(worker.process.pid)
         clip, reason = worker.clip, f"exit status {worker.process.returncode}, see worker.{worker.number}.log"
         if clip is not None:
@@ -190,12 +190,12 @@ class Farm:
             self._sweep(process.pid)
 
     def _count_untold(self) -> None:
-        """Clips that were handed out at the end, and are there all the same."""
+        """Count clips that were finished without an answer."""
         untold = [worker.clip for worker in self._workers if worker.clip is not None]
         self.made += sum(clip_path(self._args.out, clip).exists() for clip in untold)
 
     def _sweep(self, pid: int) -> None:
-        """Remove what a killed worker had half written."""
+        """Remove the unfinished file of a killed worker."""
         for partial in self._args.out.glob(f".clip.*.{pid}.partial.npz"):
             partial.unlink()
 
@@ -221,7 +221,7 @@ class Farm:
 
 
 def run(args: argparse.Namespace, command: list[str]) -> int:
-    """Let a farm work until all is made; the exit code."""
+    """Run a farm; returns the exit code."""
     args.out.mkdir(parents=True, exist_ok=True)
     farm = Farm(args, command)
     for number in (signal.SIGTERM, signal.SIGINT):

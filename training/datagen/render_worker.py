@@ -2,8 +2,8 @@
 
     python -m training.datagen.render_worker --out DIR --clips N [--start K --stride M] ...
 
-Clip number n depends on --seed and n only, existing files are skipped, so any number of processes can share the work:
-give each the same --clips and --stride, and its own --start. `training.datagen.render` does that for all GPUs of a
+Clip n depends only on --seed and n, and existing files are skipped, so any number of processes can share the work:
+give all the same --clips and --stride, and each its own --start. `training.datagen.render` does that for all GPUs of a
 machine.
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 
 
 def add_options(parser: argparse.ArgumentParser) -> list[str]:
-    """What a clip is made of; the names of the options, for those who hand them on."""
+    """Add the options of a clip; returns their names, for those who hand them on."""
     before = {action.dest for action in parser._actions}
     parser.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
     parser.add_argument("--real", type=Path, help="folder of converted scenes and environments/")
@@ -30,7 +30,7 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
     parser.add_argument("--height", type=int, default=128, help="noisy height")
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--variants", type=int, default=3, help="noisy renders of the same frames")
-    parser.add_argument("--reference-spp", type=int, default=128, help="half to four times of it are taken, by noise")
+    parser.add_argument("--reference-spp", type=int, default=128, help="half to four times as many are taken, by noise")
     parser.add_argument("--reference-error", type=float, default=0.015, help="wanted error after x/(1+x)")
     parser.add_argument("--even-spp", type=int, metavar="N", help="samples a pixel of noisy renders are drawn evenly in"
                         " stops from 1 to N (default: mostly 1 to 8)")
@@ -50,7 +50,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
 
 
 def add_share(parser: argparse.ArgumentParser) -> None:
-    """Which clips are this process's; `work` reads it."""
+    """Add the options that say which clips this process makes; `work` reads them."""
     parser.add_argument("--out", type=Path, required=True, help="folder for clip.NNNNN.npz")
     parser.add_argument("--clips", type=int, required=True, help="clips of the whole job")
     parser.add_argument("--start", type=int, default=0, help="first clip of this process")
@@ -70,7 +70,7 @@ def light_paths(reference: np.ndarray, variants: list[dict], facts: dict) -> int
 
 
 def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
-    """A function from a clip's number to what `save_clip` takes."""
+    """A function from a clip's number to the arguments of `save_clip`."""
     if args.blender:
         return cycles_maker(args)
     import mitsuba as mi
@@ -93,7 +93,7 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
 
 
 def cycles_maker(args: argparse.Namespace) -> Callable[[int], tuple]:
-    """The same by Cycles; `--real` is the folder of glTF scenes, panoramas and pages."""
+    """The same with Cycles; `--real` is the folder of glTF scenes, panoramas and pages."""
     from training.datagen.cycles.clips import Blender, CyclesOptions, make_clip
 
     fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
@@ -104,7 +104,7 @@ def cycles_maker(args: argparse.Namespace) -> Callable[[int], tuple]:
 
 
 def numbers(args: argparse.Namespace) -> Iterator[int]:
-    """The clips of this process that are not there yet."""
+    """Numbers of the clips that this process has yet to make."""
     if args.listen:
         yield from (int(line) for line in iter(sys.stdin.readline, ""))
         return
@@ -117,7 +117,7 @@ def numbers(args: argparse.Namespace) -> Iterator[int]:
 
 
 def work(args: argparse.Namespace, make: Callable[[int], tuple[str, int]]) -> int:
-    """Make the clips of this process. `make` writes one; it tells what that shows, and its count of camera samples."""
+    """Make the clips of this process. `make` writes one and returns its description and its count of camera samples."""
     args.out.mkdir(parents=True, exist_ok=True)
     if args.listen:
         print(json.dumps({"ready": True}), flush=True)

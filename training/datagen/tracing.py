@@ -13,14 +13,14 @@ from training.datagen.scenes.materials import palette
 from training.datagen.scenes.motion import Camera
 
 # Paths of light -----------------------------------------------------------------------------------------------------
-# Primary surface replacement: through mirrors and glass to the surface that is seen in them.
+# Primary surface replacement: through mirrors and glass to the surface seen in them.
 
-FLAT = 1e-3  # change of the normal along the texture coordinates below which a mirror counts as flat
+FLAT = 1e-3  # a mirror whose normal changes less than this along the texture coordinates is flat
 
 
 @dataclass
 class Image:
-    """An affine map of world space, rows (3) and offset: from where things are to where a flat mirror shows them."""
+    """An affine map of world space, rows (3) and offset: from a thing to its image in a flat mirror."""
 
     x: mi.Vector3f
     y: mi.Vector3f
@@ -33,8 +33,8 @@ class Image:
     def point(self, p: mi.Point3f) -> mi.Vector3f:
         return self.linear(mi.Vector3f(p)) + self.offset
 
-    def mirrored(self, p: mi.Point3f, n: mi.Vector3f, mirror: mi.Bool) -> Image:
-        """After one more mirror, a plane through `p` with unit normal `n`."""
+    def mirror(self, p: mi.Point3f, n: mi.Vector3f, mirror: mi.Bool) -> Image:
+        """The map after one more mirror, a plane through `p` with unit normal `n`."""
         n = dr.select(mirror, mi.Vector3f(n), 0)
         distance = dr.dot(mi.Vector3f(p), n)
         along = self.linear(n)
@@ -44,7 +44,7 @@ class Image:
 
 @dataclass
 class Path:
-    """What a camera ray has become: the ray to the replaced surface and how that surface is seen.
+    """A camera ray after mirrors and glass: the ray to the replaced surface, and how that surface appears.
 
     `tint` is the reflectance so far, `length` the way to the ray's origin, `now` and `before` the images in this frame
     and in the previous one; `curved` tells of bent mirrors, whose images are not mapped: there `surface`, the previous
@@ -98,7 +98,7 @@ def _step(scene: mi.Scene, path: Path, properties: mi.Float, motions: Motions) -
     return Path(
         dr.select(on, onward.o, path.origin), dr.select(on, onward.d, path.direction),
         dr.select(on, path.tint * tint, path.tint), path.length + dr.select(on, si.t, 0),
-        path.now.mirrored(si.p, normal, mirror), path.before.mirrored(moved, turned, mirror), path.curved | bent,
+        path.now.mirror(si.p, normal, mirror), path.before.mirror(moved, turned, mirror), path.curved | bent,
         dr.select(first, moved, path.surface), steps, on & (steps > 0))
 
 
@@ -126,7 +126,7 @@ class Film:
 
 
 class Tracer:
-    """Holds the integrator and what keeps kernels equal between scenes; one a process."""
+    """Holds the integrator and everything that keeps kernels the same between scenes; one a process."""
 
     def __init__(self, depth: int = 6) -> None:
         self._integrator = mi.load_dict({"type": "path", "max_depth": depth})
@@ -267,7 +267,7 @@ def _properties(table: mi.Float, row: mi.UInt32, active: mi.Bool) -> tuple:
 
 def _previous_point(path: Path, first: mi.RayDifferential3f, way: mi.Vector3f, hit: mi.Bool, point: mi.Point3f,
                     moved: mi.Point3f) -> mi.Vector3f:
-    """Where what a ray shows was in the previous frame: a point of world space, or a direction for misses.
+    """Previous position of whatever a ray shows: a point of world space, or a direction for misses.
 
     What flat mirrors show was mirrored before as well, by the mirrors of that time. Glass shifts what is behind it by
     as much as now. Bent mirrors and glass take their own motion.

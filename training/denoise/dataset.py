@@ -60,7 +60,7 @@ class Batch:
 
     ``keep`` (T, N, 1, 1, 1) is 0 where history does not continue. Lists of T motions (N, 2, h, w): ``inverse``, to the
     next frame, for clips that also run backwards; ``static``, as if nothing but the camera moved; ``true_motion``,
-    where that of the frames may be false.
+    if the motion of the frames may be false.
     """
 
     frames: list[Inputs]
@@ -244,7 +244,7 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
 
 
 def target(clip: Clip, variant: int) -> Tensor:
-    """What a noisy render is compared with: samples that it does not hold itself."""
+    """The reference of a noisy render: samples that are not in the render itself."""
     return clip.half if clip.halved[variant] else clip.reference
 
 
@@ -324,7 +324,7 @@ class Augment:
         return self._drop_planes(falsify_motion(batch, self.false_motion) if self.false_motion else batch)
 
     def _converge(self, stack: Stack) -> Stack:
-        """Move some colours towards the reference, where samples are spread over the pixel as the reference's are."""
+        """Move some colours towards the reference, if their samples are spread over the pixel like the reference's."""
         planes, reference = stack.planes, stack.reference
         h, w = planes.shape[-2:]
         chosen = (torch.rand_like(stack.exposure) < self.clean) & stack.spread[:, None, None, None]
@@ -333,7 +333,7 @@ class Augment:
         return replace(stack, planes=torch.cat((torch.lerp(planes[:, :, :3], mean, share), planes[:, :, 3:]), 2))
 
     def _drop_planes(self, batch: Batch) -> Batch:
-        """Files do not always have every plane: leave some out, for the whole clip, as the reader would fill them."""
+        """Leave out some planes for a whole clip, filled in as the reader does: files may lack planes."""
         entries, device = batch.keep.shape[1], batch.keep.device
         lost = {name: torch.zeros(entries, 1, 1, 1, dtype=torch.bool, device=device) for name in ABSENT}
         for names, chance in LOSSES:
@@ -376,7 +376,7 @@ def ellipse(centre: Tensor, radius: Tensor, h: int, w: int) -> Tensor:
 
 
 def _without(planes: Inputs | Guides, lost: dict[str, Tensor]) -> Inputs | Guides:
-    """The planes with what stands in for the lost ones, in the entries where they are lost; guides likewise."""
+    """The planes with stand-ins in the entries that lost them; guides likewise."""
     changed = {f.name: torch.where(lost[f.name], ABSENT[f.name], getattr(planes, f.name))
                for f in fields(planes) if f.name in lost}
     guides = getattr(planes, "guides", None)

@@ -4,9 +4,9 @@
     python -m training.denoise.fp16 denoise_upscale.m.guides
     python -m training.denoise.fp16 denoise_upscale.m.1x
 
-The exported network keeps its weights in half precision and casts them; here the arithmetic is in half precision, too,
-and the weights are references into the other file (ONNX external data), which therefore has to lie beside this one.
-Its inputs are packed and its heads raw (see below); all that touches colour stays float32. On a CPU nothing is gained.
+The exported network stores its weights in half precision and casts them. Here the arithmetic is in half precision, too,
+and the weights are references into that file (ONNX external data), which must lie beside this one. Inputs are packed
+and heads raw (see below); everything that touches colour stays float32. A CPU gains nothing by it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ CHANNELS_FIRST, CHANNELS_LAST = (0, 3, 1, 2), (0, 2, 3, 1)
 
 
 def halve(model: onnx.ModelProto) -> onnx.ModelProto:
-    """From a network as `export` writes it, with weights in half precision and a cast, the same one for GPUs."""
+    """The GPU form of a network as `export` writes it, with weights in half precision and a cast."""
     model = onnx.ModelProto.FromString(model.SerializeToString())
     graph = model.graph
     alike = alike_of(graph)
@@ -58,7 +58,7 @@ def halve(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def alike_of(graph: GraphProto) -> set[str]:
-    """Outputs that are constants: heads that are the same at all pixels. They stay float32."""
+    """Names of constant outputs: heads that are the same at all pixels. They stay float32."""
     return {value.name for value in graph.output} & {weight.name for weight in graph.initializer}
 
 
@@ -68,7 +68,7 @@ def computed_levels(graph: GraphProto) -> int:
 
 
 def _use_stored_weights(graph: GraphProto) -> None:
-    """Nodes read weights as they are stored; the casts go."""
+    """Let nodes read weights as they are stored, without casts."""
     weights = {weight.name for weight in graph.initializer}
     casts = [node for node in graph.node if node.op_type == "Cast" and node.input[0] in weights]
     renamed = {cast.output[0]: cast.input[0] for cast in casts}
@@ -79,7 +79,7 @@ def _use_stored_weights(graph: GraphProto) -> None:
 
 
 def _narrow(graph: GraphProto, kept: set[str]) -> None:
-    """What is left in float32, but for some and for the scales of a Resize, which have to be."""
+    """Store the remaining float32 weights in half precision, except some and the scales of a Resize."""
     kept = kept | {name for node in graph.node if node.op_type == "Resize" for name in node.input[1:]}
     for weight in graph.initializer:
         if weight.data_type == TensorProto.FLOAT and weight.name not in kept:
@@ -87,7 +87,7 @@ def _narrow(graph: GraphProto, kept: set[str]) -> None:
 
 
 def _join_features(graph: GraphProto) -> None:
-    """One convolution of all features in place of those of their parts and the sum."""
+    """Replace the convolutions of the features' two parts and their sum by one convolution."""
     first, last = (next(node for node in graph.node if part in node.input) for part in FEATURE_PARTS)
     total = next(node for node in graph.node if {*first.output, *last.output} == {*node.input})
     weights = [_array(_weight(graph, node.input[1])) for node in (first, last)]
@@ -99,7 +99,7 @@ def _join_features(graph: GraphProto) -> None:
 
 
 def _leave_raw(graph: GraphProto, head: str) -> onnx.ValueInfoProto:
-    """Add what a head's convolution gives, channels last, without its activation; returns the new output."""
+    """Add the output of a head's convolution, channels last, without activation; returns the new output."""
     made = {name: node for node in graph.node for name in node.output}
     fine = head == PHASED_FINE
     inputs, weight, bias = (_phases if fine else _last_convolution)(graph, head, made)
@@ -120,7 +120,7 @@ def _last_convolution(graph: GraphProto, head: str, made: dict[str, NodeProto]) 
 
 
 def _phases(graph: GraphProto, head: str, made: dict[str, NodeProto]) -> tuple[str, np.ndarray, np.ndarray]:
-    """The same for the fine head, of which all channels of a phase come after those of another."""
+    """The same for the fine head, whose channels are grouped by phase."""
     inputs, weight, bias = _last_convolution(graph, head, made)
     rows = np.arange(len(bias)).reshape(-1, 4).T.ravel()
     return inputs, weight[rows], bias[rows]
@@ -138,7 +138,7 @@ def _take_packed(graph: GraphProto, name: str, channels: int) -> onnx.ValueInfoP
 
 
 def _drop_unused(graph: GraphProto) -> None:
-    """Nodes and weights that no output needs."""
+    """Remove nodes and weights that no output needs."""
     needed, kept = {value.name for value in graph.output}, []
     for node in reversed(graph.node):
         if needed.intersection(node.output):
@@ -172,7 +172,7 @@ TOLERANCE = 0.01
 
 
 def share_weights(model: onnx.ModelProto, file: Path) -> None:
-    """Replace weights that a file beside the model's holds, byte for byte, by references to it."""
+    """Replace weights by references to a file beside the model's that holds the same bytes."""
     content = file.read_bytes()
     for weight in model.graph.initializer:
         offset, length = content.find(weight.raw_data), len(weight.raw_data)
@@ -213,16 +213,16 @@ def _listed(values: Iterable[onnx.ValueInfoProto], align: int) -> dict[str, Any]
 def difference(model: onnx.ModelProto, wanted: onnx.ModelProto, size: tuple[int, int] = (64, 96)) -> float:
     """Largest difference of two networks' heads relative to the largest value; raises ParityError above TOLERANCE.
 
-    On the CPU, which computes half precision in float32: rounding inside the network is not part of it.
+    Measured on the CPU, which computes half precision in float32: rounding inside the network is not included.
     """
     random = np.random.default_rng(0)
     reads = {value.name: random.random((1, value.type.tensor_type.shape.dim[1].dim_value, *size), np.float32) * 2 - 0.5
              for value in wanted.graph.input}
     whole = {"features": np.concatenate([reads[part] for part in FEATURE_PARTS], 1), **reads}
     packed = {f"{PACKED}{name}": pack(value) for name, value in whole.items() if name not in FEATURE_PARTS}
-    found = [opened(name.removeprefix(RAW), head) if name.startswith(RAW) else head
+    found = [open_head(name.removeprefix(RAW), head) if name.startswith(RAW) else head
              for name, head in _run(model, packed).items()]
-    exact = [opened_phases(head) if name == PHASED_FINE else head for name, head in _run(wanted, reads).items()]
+    exact = [open_phases(head) if name == PHASED_FINE else head for name, head in _run(wanted, reads).items()]
     worst = max(relative_error(mine[:, :value.shape[1]], value) for mine, value in zip(found, exact, strict=True))
     if not worst <= TOLERANCE:
         raise ParityError(f"half precision differs by {worst:.2g} of the largest value: the limit is {TOLERANCE:g}")
@@ -230,14 +230,14 @@ def difference(model: onnx.ModelProto, wanted: onnx.ModelProto, size: tuple[int,
 
 
 def pack(planes: np.ndarray) -> np.ndarray:
-    """What a network in half precision reads for planes (1, channels, height, width)."""
+    """Planes (1, channels, height, width) in the layout that a network in half precision reads."""
     _, channels, height, columns = planes.shape
     packed = np.empty((1, height, columns, width(channels)), np.float16)
     PACK.rows(0, height, planes, packed)
     return packed
 
 
-def opened(name: str, raw: np.ndarray) -> np.ndarray:
+def open_head(name: str, raw: np.ndarray) -> np.ndarray:
     """A head from a raw one."""
     heads = np.empty(opened_shape(name, *raw.shape[1:3]), np.float32)
     kernel = OPEN_FINE if name == "fine" else OPEN
@@ -245,7 +245,7 @@ def opened(name: str, raw: np.ndarray) -> np.ndarray:
     return heads
 
 
-def opened_phases(phased: np.ndarray) -> np.ndarray:
+def open_phases(phased: np.ndarray) -> np.ndarray:
     """The fine head in float32 from its phases."""
     fine = np.empty(opened_shape("fine", *phased.shape[2:]), np.float32)
     OPEN_PHASED.rows(0, fine.shape[2], phased, fine)
@@ -261,7 +261,7 @@ def _run(model: onnx.ModelProto, reads: Mapping[str, np.ndarray]) -> dict[str, n
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name", help="model of the folder, as denoise_upscale.m or denoise_upscale.m.1x")
-    parser.add_argument("--models", type=Path, default=MODELS, metavar="FOLDER", help="where it is, and to write to")
+    parser.add_argument("--models", type=Path, default=MODELS, metavar="FOLDER", help="where it is, and where to write")
     return parser
 
 

@@ -17,7 +17,7 @@ from onnx import NodeProto, TensorProto, helper, numpy_helper
 from postfx.passes.denoise.network import CODING, FEATURE_PARTS, PHASED_FINE, PRODUCTS, SCALING, STORED, stored_channels
 
 # Small steps of a graph ---------------------------------------------------------------------------------------------
-# Small steps that rewriting ONNX graphs is made of.
+# Small steps for rewriting ONNX graphs.
 
 FIRST_TO_LAST, LAST_TO_FIRST = (0, 2, 3, 1), (0, 3, 1, 2)
 """Axes of channels brought to the end, and back."""
@@ -36,14 +36,14 @@ def constant(graph: onnx.GraphProto, name: str, array: np.ndarray) -> None:
 
 
 def value(graph: onnx.GraphProto, name: str) -> np.ndarray:
-    """A constant's, which may be kept in half precision with a cast."""
+    """Values of a constant, which may be stored in half precision with a cast."""
     cast = next((node for node in graph.node if node.op_type == "Cast" and node.output[0] == name), None)
     stored = cast.input[0] if cast else name
     return numpy_helper.to_array(next(weight for weight in graph.initializer if weight.name == stored))
 
 
 def prune(graph: onnx.GraphProto) -> None:
-    """Leave what outputs need."""
+    """Keep only nodes and weights that outputs need."""
     needed, nodes = {value.name for value in graph.output}, []
     for one in reversed(graph.node):
         if needed & set(one.output):
@@ -56,17 +56,17 @@ def prune(graph: onnx.GraphProto) -> None:
 
 
 def replace(graph: onnx.GraphProto, nodes: list[NodeProto]) -> None:
-    """Give a graph these nodes alone, some of which may be its own."""
+    """Replace all nodes of a graph; some of the new ones may be its own."""
     nodes = [NodeProto.FromString(one.SerializeToString()) for one in nodes]
     del graph.node[:]
     graph.node.extend(nodes)
 
 
 # Rounding -----------------------------------------------------------------------------------------------------------
-# Rounding of a convolution's weights to integers, each making up for those before it.
+# Round a convolution's weights to integers, each compensating the errors of those before it.
 #
-# That is Frantar et al., "GPTQ" (2022): what rounding one weight changes in the sums is taken from the weights that are
-# not yet rounded, by the second moments of what the convolution reads.
+# Frantar et al., "GPTQ" (2022): the change of the sums by rounding one weight is subtracted from the weights not yet
+# rounded, using the second moments of the convolution's input.
 
 LIMIT = 63
 """Greatest integer: 7 bits, because x86 processors without VNNI add two products in 16 bits and saturate."""
@@ -79,14 +79,14 @@ SHARES = (1.0, 0.9, 0.8, 0.7, 0.6)
 
 
 class Rounded(NamedTuple):
-    """Weights as integers in the shape of the weights, and what a step of each output channel stands for, float32."""
+    """Integer weights, in the shape of the weights, and the step of each output channel, float32."""
 
     factors: np.ndarray
     steps: np.ndarray
 
 
 class Moments:
-    """Mean products of the values that a convolution adds up: over its window and the channels that it reads."""
+    """Mean products of a convolution's inputs, over its window and channels."""
 
     def __init__(self, side: int, pad: int, stride: int) -> None:
         self._side, self._pad, self._stride = side, pad, stride
@@ -94,12 +94,12 @@ class Moments:
 
     @classmethod
     def of(cls, convolution: NodeProto) -> Moments:
-        """For a square one, as far from every border."""
+        """For a square convolution, with the same padding on all sides."""
         facts = {fact.name: list(fact.ints) for fact in convolution.attribute}
         return cls(*(facts[name][0] for name in ("kernel_shape", "pads", "strides")))
 
     def add(self, planes: np.ndarray) -> None:
-        """Note some places of what it reads, (1, C, h, w)."""
+        """Add some places of its input (1, C, h, w)."""
         padded = np.pad(planes[0], ((0, 0), *2 * [(self._pad, self._pad)]))
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * (self._side,), (1, 2))
         windows = windows[:, ::self._stride, ::self._stride]
@@ -107,13 +107,13 @@ class Moments:
         some = windows[:, rows, columns].transpose(1, 0, 2, 3).reshape(PATCHES, -1).astype(np.float32)
         self._sum = self._sum + some.T @ some / PATCHES
 
-    def rounded(self, weight: np.ndarray) -> Rounded:
+    def round_weights(self, weight: np.ndarray) -> Rounded:
         """The convolution's weights (outputs, C, side, side) in integers."""
-        factors, steps = rounded(weight.reshape(len(weight), -1), np.float64(self._sum))
+        factors, steps = round_compensated(weight.reshape(len(weight), -1), np.float64(self._sum))
         return Rounded(factors.reshape(weight.shape), steps)
 
 
-def rounded(weights: np.ndarray, moments: np.ndarray, limit: int = LIMIT) -> Rounded:
+def round_compensated(weights: np.ndarray, moments: np.ndarray, limit: int = LIMIT) -> Rounded:
     """Integers up to `limit` for weights (outputs, inputs), by least squared error of the sums.
 
     Args:
@@ -135,7 +135,7 @@ def rounded(weights: np.ndarray, moments: np.ndarray, limit: int = LIMIT) -> Rou
 
 
 def _compensated(left: np.ndarray, upper: np.ndarray, step: np.ndarray, limit: int) -> np.ndarray:
-    """Rounds one column after the other; what each leaves is taken from those behind it."""
+    """Round column by column; each one's error is compensated by the columns behind it."""
     found = np.empty_like(left)
     for i in range(left.shape[1]):
         found[:, i] = np.clip(np.rint(left[:, i] / step), -limit, limit)
@@ -148,24 +148,24 @@ def _compensated(left: np.ndarray, upper: np.ndarray, step: np.ndarray, limit: i
 
 ACTIVATION_LEVELS = 255
 BIAS_LIMIT = 2**30
-SAME_RANGE = ("MaxPool", "Resize")  # what they give are values that they were given
+SAME_RANGE = ("MaxPool", "Resize")  # their outputs are values of their inputs
 
 
 class Range(NamedTuple):
-    """How a tensor is kept in 8 bits: value = scale * (stored - zero)."""
+    """Coding of a tensor in 8 bits: value = scale * (stored - zero)."""
 
     scale: float
     zero: int
 
     @classmethod
     def of(cls, low: float, high: float) -> Range:
-        """Covers low..high and zero, which is exact: borders are filled with it."""
+        """A range over low..high that holds zero exactly, as borders are filled with zeros."""
         low, high = min(low, 0.0), max(high, 0.0)
         scale = max((high - low) / ACTIVATION_LEVELS, 1e-12)
         return cls(scale, round(-low / scale))
 
-    def rounded(self, values: np.ndarray) -> np.ndarray:
-        """What is left of values."""
+    def decode(self, values: np.ndarray) -> np.ndarray:
+        """Values after coding and decoding."""
         stored = np.clip(np.rint(values / self.scale) + self.zero, 0, ACTIVATION_LEVELS)
         return (stored - self.zero) * self.scale
 
@@ -189,9 +189,9 @@ def convolutions(graph: onnx.GraphProto, layers: Collection[str]) -> list[NodePr
 
 
 def activations(graph: onnx.GraphProto, layers: Collection[str]) -> dict[str, str]:
-    """Tensors to keep in 8 bits: what the convolutions read and write, and what comes from that by copying.
+    """Tensors to store in 8 bits: inputs and outputs of the convolutions, and copies of them.
 
-    Each with the tensor whose range it takes: itself, or the one that it is a copy of.
+    Each maps to the tensor whose range it takes: itself, or the one that it copies.
     """
     activated = {node.input[0]: node.output[0] for node in graph.node if node.op_type == "Relu"}
     found = {}
@@ -226,7 +226,7 @@ def quantise(model: onnx.ModelProto, layers: Collection[str], ranges: Mapping[st
 
 
 class _Rewriter:
-    """Takes nodes in order and gives those of the quantised graph."""
+    """Turns nodes, in order, into those of the quantised graph."""
 
     def __init__(self, graph: onnx.GraphProto, ranges: Mapping[str, Range], rounded: Mapping[str, Rounded]) -> None:
         self.nodes: list[NodeProto] = []
@@ -247,7 +247,7 @@ class _Rewriter:
             self.keep(name)
 
     def keep(self, name: str) -> None:
-        """Keep a tensor in 8 bits, if it has a range: whoever reads it later reads what is left of it."""
+        """Store a tensor in 8 bits, if it has a range; later nodes read the decoded values."""
         if name in self._ranges:
             scale, zero = self._ranges[name]
             self._store(f"{name}_scale", np.float32(scale))
@@ -258,7 +258,7 @@ class _Rewriter:
             self._kept[name] = f"{name}_kept"
 
     def _keep_constant(self, name: str) -> None:
-        """Keep what is added to a tensor in 8 bits: a sum is in integers where both of its parts are."""
+        """Store the constant of a sum in 8 bits: a sum is in integers if both parts are."""
         values = numpy_helper.to_array(self.weights.pop(name))
         scale, zero = Range.of(float(values.min()), float(values.max()))
         stored = [f"{name}_quantised", f"{name}_scale", f"{name}_zero"]
@@ -273,7 +273,7 @@ class _Rewriter:
         factors, scale = self._rounded[node.input[1]]
         weight = numpy_helper.to_array(self.weights.pop(node.input[1]))
         bias = numpy_helper.to_array(self.weights.pop(node.input[2])) if len(node.input) > 2 else None
-        if bias is not None:  # a channel that has hardly any weight: its bias must still fit
+        if bias is not None:  # a channel with hardly any weight: its bias must still fit
             wider = np.maximum(scale, np.abs(bias) / (read * BIAS_LIMIT)).astype(np.float32)
             factors = np.where((wider > scale)[:, None, None, None], weight / wider[:, None, None, None], factors)
             scale = wider
@@ -302,7 +302,7 @@ def show(model: onnx.ModelProto, names: Iterable[str]) -> onnx.ModelProto:
 
 
 # Integer forms ------------------------------------------------------------------------------------------------------
-# Forms of a quantised network that ONNX Runtime computes in less time than those that quantise nodes give it.
+# Forms of a quantised network that ONNX Runtime computes faster than plain quantise nodes.
 #
 # Enlarging by repeated pixels copies 8-bit values, channels last, as the convolutions around it keep them. Heads are
 # products of 8-bit values, summed in 32 bits: a kernel scales and activates them (`postfx.kernels.denoise.network_io`),
@@ -338,7 +338,7 @@ def in_integers(model: onnx.ModelProto, weights: Mapping[str, Rounded], stem: St
 
 
 def facts(model: onnx.ModelProto) -> dict[str, Any]:
-    """What a card tells of such a model's inputs and outputs."""
+    """Inputs and outputs of such a model, for its card."""
     found = {"outputs": _listed(model.graph.output, "denoise_products")}
     for weight in model.graph.initializer:
         if weight.name in found["outputs"]:
@@ -354,7 +354,7 @@ def _listed(values: Iterable[onnx.ValueInfoProto], kernels: str) -> dict[str, An
 
 
 def _repeat(graph: onnx.GraphProto, resize: NodeProto) -> None:
-    """Every pixel of 8 bits twice as wide and as high, in place of a node that enlarges."""
+    """Replace a node that enlarges by repeating 8-bit pixels twice along both axes."""
     name, source = resize.output[0], resize.input[0].removesuffix(KEPT) + QUANTISED
     made: list[NodeProto] = []
     shape = node(made, "Shape", [source], f"{name}_shape")
@@ -375,7 +375,7 @@ def _repeat(graph: onnx.GraphProto, resize: NodeProto) -> None:
 
 
 def heads(graph: onnx.GraphProto) -> dict[str, NodeProto]:
-    """Outputs and the convolutions that give their logits; none of those that are constants."""
+    """Output -> the convolution of its logits; constant outputs have none."""
     makers = {output: one for one in graph.node for output in one.output}
     found = {}
     for output in (one for one in graph.output if one.name in makers):
@@ -387,7 +387,7 @@ def heads(graph: onnx.GraphProto) -> dict[str, NodeProto]:
 
 
 def _multiply(graph: onnx.GraphProto, output: str, convolution: NodeProto, weights: Rounded) -> None:
-    """A product of 8-bit values in place of a convolution of single pixels and what follows it."""
+    """Replace a 1x1 convolution and everything after it by a product of 8-bit values."""
     name, source = "fine" if output == PHASED_FINE else output, convolution.input[0].removesuffix(KEPT)
     constant(graph, f"{name}_factors", (weights.factors[:, :, 0, 0] + MIDDLE).astype(np.uint8))
     scaling = np.stack([weights.steps * value(graph, f"{source}_scale"), value(graph, convolution.input[2])])
@@ -422,8 +422,8 @@ def _signed(graph: onnx.GraphProto, source: str, channels: int) -> list[NodeProt
 # The stem -----------------------------------------------------------------------------------------------------------
 # The first convolution of a quantised network: it reads features as 8-bit codes (`postfx.kernels.denoise.network_io`).
 #
-# Channels have ranges of their own, so the weights of one output channel differ by much more than 7 bits hold well:
-# only rounding that makes up for itself (`rounded`) leaves as much as float32 does.
+# Channels have their own ranges, so the weights of one output channel differ by more than 7 bits hold well: only
+# compensated rounding (`round_compensated`) is as good as float32.
 
 MOST = 255
 LIGHT, ALBEDO = (0.0, 5.5), (0.0, 1.25)
@@ -437,14 +437,14 @@ LIMITS = {
 
 
 class Coding(NamedTuple):
-    """What a channel is multiplied by, and the code of zero; both (C,)."""
+    """Factor and code of zero of each channel, both (C,)."""
 
     scale: np.ndarray
     zero: np.ndarray
 
     @classmethod
     def of(cls, name: str) -> Coding:
-        """That of some planes, with the channels that fill them up."""
+        """Coding of some planes, padding channels included."""
         low, high = LIMITS[name].T
         signed = low < 0
         scale = np.where(signed, (MOST // 2) / high, MOST / high)
@@ -453,14 +453,14 @@ class Coding(NamedTuple):
         return cls(*(np.pad(values, filled).astype(np.float32) for values in (scale, zero)))
 
     def codes(self, planes: np.ndarray) -> np.ndarray:
-        """Codes less that of zero, of planes (1, C, h, w): float32, with the channels that fill them up."""
+        """Codes minus that of zero of planes (1, C, h, w): float32, padding channels included."""
         scale, zero = (x[:, None, None] for x in self)
         planes = np.pad(planes, ((0, 0), (0, len(self.scale) - planes.shape[1]), (0, 0), (0, 0)))
         return np.clip(np.floor(planes * scale + zero + np.float32(0.5)), 0, MOST) - zero
 
 
 class Stem:
-    """The first convolution of a float network, over all the planes that it reads.
+    """The first convolution of a float network, over all planes that it reads.
 
     Attributes:
         names: of the planes, 'features' and 'guides' or the first alone.
@@ -488,7 +488,7 @@ class Stem:
         return np.pad(weight, ((0, 0), (0, more), (0, 0), (0, 0))) / np.where(scale, scale, 1)[:, None, None]
 
     def add(self, reads: Mapping[str, np.ndarray]) -> None:
-        """Note what a run of the float network reads."""
+        """Add the inputs of a run of the float network."""
         planes = {"features": np.concatenate([reads[part] for part in FEATURE_PARTS], 1), **reads}
         codes = np.concatenate([self._coding[name].codes(planes[name]) for name in self.names], 1)
         self._moments.add(codes)
@@ -511,7 +511,7 @@ class Stem:
 
     def _convolution(self, graph: onnx.GraphProto) -> list[NodeProto]:
         """Nodes that give 'stem' of the stored planes; codes of zero are taken off by the bias."""
-        factors, steps = self._moments.rounded(self._weights)
+        factors, steps = self._moments.round_weights(self._weights)
         zero = np.concatenate([self._coding[name].zero for name in self.names])
         offset = np.rint(self._bias / steps) - (factors * zero[:, None, None]).sum((1, 2, 3))
         made: list[NodeProto] = []

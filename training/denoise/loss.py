@@ -1,4 +1,4 @@
-"""What the upscaler is trained to minimise, in the display curve that quality is scored on."""
+"""The loss of the upscaler, in the display curve that quality is scored on."""
 
 import math
 from dataclasses import replace
@@ -14,9 +14,9 @@ from training.denoise.dataset import Batch
 from training.denoise.model import DenoiseUpscale, Inputs, empty_state
 
 # Perceived difference -----------------------------------------------------------------------------------------------
-# How different two pictures look, differentiable: the colour part of FLIP (Andersson et al. 2020).
+# Differentiable perceived difference: the colour part of FLIP (Andersson et al. 2020).
 #
-# Both are filtered as the eye does at a distance, brought to Lab with less chroma where it is dark (Hunt), and
+# Both pictures are filtered as by the eye at a distance, converted to Lab with less chroma where it is dark (Hunt), and
 # compared by HyAB; an exponent of 0.7 lets small differences count.
 
 DENSITY = 67.0  # pixels a degree
@@ -24,22 +24,22 @@ DENSITY = 67.0  # pixels a degree
 # weight of two Gaussians.
 BANDS = (0.0047, 0.0053, (34.1 * 0.04 + 13.5 * 0.025) / (34.1 + 13.5))
 TO_XYZ = ((0.4123908, 0.3575843, 0.1804808), (0.2126390, 0.7151687, 0.0721923), (0.0193308, 0.1191948, 0.9505322))
-EXPONENT, SCALE = 0.7, 0.95 / (0.4 * 41.2760)  # 41.276: what green and blue, the farthest colours, differ by
+EXPONENT, SCALE = 0.7, 0.95 / (0.4 * 41.2760)  # 41.276: difference of green and blue, the farthest colours
 SOFT = 1.0  # Lab units; no kink at 0, where noise of the reference would hold the result at its median
 LAB_KNEE = 6 / 29
 _MATRIX = np.array(TO_XYZ) / np.sum(TO_XYZ, 1, keepdims=True)
 FORTH, BACK = _MATRIX.tolist(), np.linalg.inv(_MATRIX).tolist()  # linear RGB -> XYZ over that of white, and back
 
 
-def turned(matrix: list[list[float]], image: Tensor) -> Tensor:
+def apply_matrix(matrix: list[list[float]], image: Tensor) -> Tensor:
     """``matrix`` (3, 3) times each pixel of (N, 3, H, W)."""
     x, y, z = image.unbind(1)
     return torch.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix], 1)
 
 
 def filters(size: int, device: torch.device) -> Tensor:
-    """(3, size, size): what a line of pixels is multiplied by to pass each band of the contrast sensitivity, a
-    Gaussian; its edge pixels repeat."""
+    """(3, size, size): matrices that filter a line of pixels by each band of the contrast sensitivity, a Gaussian; edge
+    pixels repeat."""
     lines = []
     for band in BANDS:
         sigma = math.sqrt(band / 2) / math.pi * DENSITY
@@ -52,15 +52,15 @@ def filters(size: int, device: torch.device) -> Tensor:
     return torch.stack(lines)
 
 
-def seen(display: Tensor) -> Tensor:
+def perceive(display: Tensor) -> Tensor:
     """sRGB code values (N, 3, H, W) in [0, 1] -> filtered Lab, chroma by the hundredth of the lightness."""
-    x, y, z = turned(FORTH, rgb_to_linear_rgb(display)).unbind(1)
+    x, y, z = apply_matrix(FORTH, rgb_to_linear_rgb(display)).unbind(1)
     opponent, (height, width) = torch.stack((y, x - y, y - z), 1), display.shape[-2:]
     with torch.autocast(display.device.type, enabled=False):  # eight bits are too few
         passed = filters(height, display.device) @ opponent @ filters(width, display.device).mT
     y, red, blue = passed.unbind(1)
-    linear = turned(BACK, torch.stack((red + y, y, y - blue), 1)).clamp(0, 1)
-    value = turned(FORTH, linear)
+    linear = apply_matrix(BACK, torch.stack((red + y, y, y - blue), 1)).clamp(0, 1)
+    value = apply_matrix(FORTH, linear)
     root = torch.where(value > LAB_KNEE**3, value.clamp(min=LAB_KNEE**3) ** (1 / 3), value / (3 * LAB_KNEE**2) + 4 / 29)
     x, y, z = root.unbind(1)
     lightness = 116 * y - 16
@@ -70,7 +70,7 @@ def seen(display: Tensor) -> Tensor:
 
 def difference(output: Tensor, reference: Tensor) -> Tensor:
     """Mean FLIP of two pictures of sRGB code values (N, 3, H, W), without its attention to edges."""
-    change = seen(output) - seen(reference)
+    change = perceive(output) - perceive(reference)
     chroma = (change[:, 1:].square().sum(1) + 1e-6).sqrt()
     distance = change[:, 0].abs() + chroma
     return SCALE * (distance.square() + SOFT**2).pow(EXPONENT / 2).mean()
@@ -81,8 +81,8 @@ def difference(output: Tensor, reference: Tensor) -> Tensor:
 COARSE = (4, 8, 16)  # output pixels
 KNEE, COARSE_KNEE = 0.02, 0.005  # code values
 LIGHT_CELL, LIGHT_MOST, LIGHT_FLOOR, LIGHT_KNEE, LIGHT = 16, 1000.0, 0.05, 0.05, 0.5
-SEEN = 0.5  # weight of how different pictures look
-NOISY, MOST_SCALE = 0.2, 8.0  # the display-encoded error of an input whose frames count once, and how much they may
+SEEN = 0.5  # weight of the perceived difference
+NOISY, MOST_SCALE = 0.2, 8.0  # input error (display-encoded) of frames that count once, and the most that frames count
 
 
 def display(exposed: Tensor) -> Tensor:
@@ -103,8 +103,7 @@ def huber(error: Tensor, knee: float) -> Tensor:
 
 def frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
     """Error of two display-encoded pictures, times ``scale`` (N, 1, 1, 1): by value, squared (what PSNR counts), of
-    gradients, of coarser pictures, where blotches are what is left of it, and, not scaled, as the eye sees it (what
-    FLIP counts)."""
+    gradients, of coarser pictures, where blotches remain, and, unscaled, as the eye sees it (what FLIP counts)."""
     error = (output - reference) * scale
     edges = sum(change.abs().mean() for change in gradient(error))
     blotches = sum(huber(F.avg_pool2d(error, size), COARSE_KNEE) for size in COARSE)
@@ -138,28 +137,28 @@ def reproject_reference(reference: Tensor, motion: Tensor) -> Tensor:
 
 
 def even_scale(colour: Tensor, reference: Tensor) -> Tensor:
-    """(N, 1, 1, 1): what errors of display-encoded pictures are multiplied by, so that frames of many samples count as
-    those of few: ``NOISY`` by the error of the input ``colour`` (N, 3, h, w), 1 to ``MOST_SCALE``."""
+    """(N, 1, 1, 1): factor on errors of display-encoded pictures that lets frames of many samples count like frames of
+    few: ``NOISY`` by the error of the input ``colour`` (N, 3, h, w), 1 to ``MOST_SCALE``."""
     error = colour - F.adaptive_avg_pool2d(reference, colour.shape[-2:])
     return (NOISY / error.square().mean((1, 2, 3), keepdim=True).sqrt().clamp(min=1e-6)).clamp(1, MOST_SCALE)
 
 
 def psnr(output: Tensor, reference: Tensor) -> Tensor:
-    """Decibels of two display-encoded pictures, a value a batch entry."""
+    """PSNR in dB of two display-encoded pictures, a value for each batch entry."""
     return -10 * torch.log10((output - reference).square().flatten(1).mean(1) + 1e-12)
 
 
 # Loss of a clip -----------------------------------------------------------------------------------------------------
 # The loss of clips that run through the recurrent step, forwards or both ways.
 
-OWN = 0.5  # share of the two directions' own losses in that of clips run both ways; the rest is the blend's
+OWN = 0.5  # share of the two directions' own losses for clips run both ways; the rest is the blend's
 
 Scores = tuple[Tensor, Tensor, Tensor]  # loss, and without gradient PSNR and flicker
 
 
 class Truth:
-    """What the frames of a clip should show, how that moves, and by what errors are multiplied: 1, or if clips are to
-    count ``even``, the more the less noise their input has."""
+    """References of a clip, their motion, and the factors on errors: 1 or, if clips count ``even``, the larger the less
+    noise the input has."""
 
     def __init__(self, batch: Batch, even: bool = False):
         self.references = batch.references
@@ -231,6 +230,6 @@ class ClipLoss(nn.Module):
 
 
 def backwards(batch: Batch) -> tuple[list[Inputs], list[Tensor]]:
-    """The frames from last to first, with motion to the frame after, and where history goes on there."""
+    """The frames from last to first with motion to the next frame, and where history continues."""
     frames = [replace(inputs, motion=motion) for inputs, motion in zip(batch.frames, batch.inverse, strict=True)]
     return frames[::-1], [torch.zeros_like(batch.keep[0]), *batch.keep[1:].flip(0)]

@@ -1,16 +1,16 @@
-"""Find channels and levels of a denoiser's network that do nothing: train such channels anew, cut such levels.
+"""Find channels and levels of a denoiser's network that do nothing: restart such channels, cut such levels.
 
     python -m training.denoise.prune channels run/checkpoint.pt --clips clips                  # a table of layers
     python -m training.denoise.prune channels run/checkpoint.pt --clips clips -o revived.pt    # for train --start
     python -m training.denoise.prune levels denoise_upscale.m --clips clips                    # cuts them
 
-channels: a ReLU that is 0 for every input passes no gradient back, so what feeds it never learns again. Such channels
-get random incoming weights and outgoing weights of zero: the network computes what it did, and both sides can learn.
+channels: a ReLU that is 0 for every input passes no gradient back, so its weights never learn again. Such channels get
+random incoming weights and outgoing weights of zero: the network computes the same as before, and both sides can learn.
 
 levels: a coarse level whose convolutions on the way up are never active passes nothing on to finer levels, and its own
-filters are the same everywhere; those of coarser ones hardly weigh. The network goes without such levels, its filters
-are the means of what they were, and its pictures stay what they were. Run `training.denoise.fp16` and
-`training.denoise.quantise` after it.
+filters are the same everywhere; those of coarser levels hardly weigh. Such levels are removed and their filters
+replaced by their means; the pictures stay the same. Run `training.denoise.fp16` and `training.denoise.quantise`
+afterwards.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _readers(config: TrunkConfig, block: str, number: int) -> tuple[list[str], b
 
 
 def table(active: Mapping[str, Tensor]) -> str:
-    """Lines that tell how many channels of each layer are active."""
+    """Lines with the number of active channels of each layer."""
     return "\n".join(f"{name:10} {int(channels.sum()):4} of {channels.numel():4} active"
                      for name, channels in active.items())
 
@@ -127,13 +127,13 @@ class Means:
         self._runs = 0
 
     def add(self, module: nn.Module, inputs: object, heads: tuple[Tensor, ...]) -> None:
-        """Note what a trunk gives; a forward hook."""
+        """Add the outputs of a trunk; a forward hook."""
         means = [level.mean((0, 2, 3)) for level in heads[1:]]
         self._sums = [a + b for a, b in zip(self._sums, means, strict=True)] if self._sums else means
         self._runs += 1
 
     def logits(self, level: int) -> Tensor:
-        """What would give them, of a level counted from 0: (1, C, 1, 1)."""
+        """Logits of these means, (1, C, 1, 1), of a level counted from 0."""
         return logits_of((self._sums[level] / self._runs)[None, :, None, None])
 
 
@@ -155,12 +155,12 @@ def cut(config: TrunkConfig, weights: Mapping[str, Tensor], first: int, means: M
 
 
 def _plain(weights: Mapping[str, Tensor]) -> set[str]:
-    """Names of weights in the trunk, but for those that stand for cut levels."""
+    """Names of the trunk's weights, except those that stand for cut levels."""
     names = {name.removeprefix(PREFIX) for name in weights}
     return {name for name in names if name != "rest" and not name.startswith("alike.")}
 
 
-def looked_at(model: DenoiseUpscale, batches: Iterable[Batch]) -> tuple[dict[str, Tensor], Means]:
+def observe(model: DenoiseUpscale, batches: Iterable[Batch]) -> tuple[dict[str, Tensor], Means]:
     """Active channels and the heads' means over some clips."""
     means = Means()
     hook = model.trunk.register_forward_hook(means.add)
@@ -171,7 +171,7 @@ def looked_at(model: DenoiseUpscale, batches: Iterable[Batch]) -> tuple[dict[str
 
 
 def prune_levels(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
-    """Cut the levels that a model makes no use of, and write it again with its card."""
+    """Cut the levels that a model does not use, and write it again with its card."""
     path = args.models / f"{args.name}.onnx"
     facts, weights, ending = json.loads(path.with_suffix(".json").read_text()), weights_of(path), parted(args.name)[1]
     config = TrunkConfig.from_dict(facts["config"])
@@ -181,10 +181,10 @@ def prune_levels(args: argparse.Namespace, parser: argparse.ArgumentParser) -> N
     clips = [clip for clip in found if ending != UNSCALED or clip.reference.shape[-2:] == clip.planes.shape[-2:]]
     if not clips:
         parser.error(f"{args.clips} holds no clips for {args.name}: training.datagen.render writes them")
-    active, means = looked_at(model.eval(), (to_batch(collate([clip], [0])) for clip in clips))
+    active, means = observe(model.eval(), (to_batch(collate([clip], [0])) for clip in clips))
     first = first_unused(config, active)
     if first is None:
-        print(f"{args.name} makes use of all its levels: nothing is cut")
+        print(f"{args.name} uses all its levels: nothing is cut")
         return
     trunk = cut(config, weights, first, means)
     notes = {key: value for key, value in facts["training"].items() if key != "script"}
@@ -202,10 +202,10 @@ def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     channels = commands.add_parser("channels", help="find channels that are never active")
-    channels.add_argument("checkpoint", type=Path, help="as training.denoise.train leaves it")
+    channels.add_argument("checkpoint", type=Path, help="checkpoint.pt of training.denoise.train")
     channels.add_argument("--most", type=int, default=40, help="clips to look at (default: 40)")
     channels.add_argument("-o", "--output", type=Path, help="where to write the checkpoint with another start")
-    levels = commands.add_parser("levels", help="cut levels that nothing comes from")
+    levels = commands.add_parser("levels", help="cut levels that pass nothing on")
     levels.add_argument("name", help="float32 model of the library, as denoise_upscale.m or denoise_upscale.m.1x")
     levels.add_argument("-o", "--models", type=Path, default=MODELS, help="where the model is read and written")
     for command in (channels, levels):

@@ -4,9 +4,9 @@
     python -m training.denoise.quantise denoise_upscale.m.guides --clips 'shot/noisy.####.exr'
     python -m training.denoise.quantise denoise_upscale.m.1x --clips FOLDER_OF_CLIPS
 
-Runs the network over the frames with its history, notes what its layers compute, rounds activations to 8 bits where
-that loses least, and compares the pictures of both variants. Needs no checkpoint. A few dozen numbers, the ranges
-of tensors, are all that is taken from the frames.
+Runs the network over the frames with its history, records the outputs of its layers, picks the 8-bit ranges with the
+least error, and compares the pictures of both variants. Needs no checkpoint. Only the ranges of tensors, a few dozen
+numbers, are taken from the frames.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from training.denoise.int8 import (
 from training.export import MODELS, known_recipe, store_half, write_card
 
 # Calibration --------------------------------------------------------------------------------------------------------
-# What a float network computes in runs over frames: ranges to keep its tensors in, and moments to round weights by.
+# Statistics of a float network over frames: ranges of its tensors, and moments to round its weights by.
 
 SAMPLED = 4096
 """Values of a tensor that are noted of each frame."""
@@ -58,11 +58,11 @@ are then 1.4 dB further from float32 (`m` and `s`, held-out frames); with 1, ext
 
 
 class Calibration:
-    """Notes the runs of a float32 network.
+    """Collects statistics of runs of a float32 network.
 
     Args:
-        tensors: names whose ranges are wanted.
-        convolutions: nodes whose weights are to be rounded.
+        tensors: names of tensors to find ranges of.
+        convolutions: nodes whose weights will be rounded.
         stem: rounded as well, if any.
     """
 
@@ -79,7 +79,7 @@ class Calibration:
         self._random = np.random.default_rng(0)
 
     def add(self, reads: Mapping[str, np.ndarray]) -> None:
-        """Note a run with these inputs."""
+        """Add a run with these inputs."""
         values = {**reads, **dict(zip(self._computed, self._session.run(None, dict(reads)), strict=True))}
         for name, seen in self._seen.items():
             flat = values[name].ravel()
@@ -95,15 +95,15 @@ class Calibration:
 
     def weights(self) -> dict[str, Rounded]:
         """Weights of the convolutions in integers, by name."""
-        return {name: moments.rounded(value(self._graph, name)) for name, moments in self._moments.items()}
+        return {name: moments.round_weights(value(self._graph, name)) for name, moments in self._moments.items()}
 
 
 def best_range(values: np.ndarray) -> Range:
-    """The part of the range of values that leaves the least error when it is kept in 8 bits."""
+    """The part of the values' range that has the least error in 8 bits."""
     counts, edges = np.histogram(values, 16384)
     middles = (edges[:-1] + edges[1:]) / 2
     tried = [Range.of(share * values.min(), share * values.max()) for share in SHARES]
-    return min(tried, key=lambda kept: (counts * np.abs(kept.rounded(middles) - middles) ** POWER).sum())
+    return min(tried, key=lambda kept: (counts * np.abs(kept.decode(middles) - middles) ** POWER).sum())
 
 
 # The command --------------------------------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ class Shot(NamedTuple):
 
 
 class WatchedDevice(Device):
-    """A CPU that runs one given network whatever a pass asks for, and shows what it reads to `look`."""
+    """A CPU device that runs one given network, whatever a pass asks for, and shows its inputs to `look`."""
 
     def __init__(self, library: Library, name: str, look: Look) -> None:
         super().__init__("cpu")
@@ -143,11 +143,11 @@ class WatchedDevice(Device):
         run = prepare(tensors)
         reads = {b.name: t.host_view() for b, t in zip(state.bindings, tensors, strict=True) if b.access == "read"}
 
-        def looked() -> None:
+        def watch() -> None:
             self._look(reads)
             run()
 
-        return looked
+        return watch
 
 
 def shots(source: str, ending: str) -> Iterator[Shot]:
@@ -159,7 +159,7 @@ def shots(source: str, ending: str) -> Iterator[Shot]:
     found, guided, unscaled = 0, ending == GUIDED, ending == UNSCALED
     clips = sorted(Path(source).glob("[!.]*.npz")) if Path(source).is_dir() else []
     for clip in map(load_clip, clips):
-        if guided and ("guide_jitter" not in clip or clip["scale"] == 1):  # which has no use for guides
+        if guided and ("guide_jitter" not in clip or clip["scale"] == 1):  # guides are not read there
             continue
         for variant in range(clip["variants"]):
             frames = [_frame(clip, variant, t, guided) for t in range(len(clip["reference"]))]
@@ -205,7 +205,7 @@ def variant_name(name: str, precision: str) -> str:
 
 
 def layers_of(graph: onnx.GraphProto, name: str) -> list[str]:
-    """The modules of a network that are quantised, as 'up.0'."""
+    """Modules of a network to quantise, as 'up.0'."""
     size, ending = name.split(".")[1], parted(name)[1]
     kept = FINE.get(size, ()) if ending == UNSCALED else ()
     found = dict.fromkeys(".".join(node.input[1].split(".")[:2]) for node in convolutions(graph, LAYERS))
@@ -229,14 +229,14 @@ def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[st
     path = folder / f"{variant_name(name, PRECISION)}.onnx"
     path.write_bytes(small.SerializeToString(deterministic=True))
     card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION}
-    for other in ("quality", "parity", "recipe"):  # measured in float32; of the float32 network
+    for other in ("quality", "parity", "recipe"):  # they belong to the float32 network
         card.pop(other, None)
     card |= known_recipe(path.with_suffix(".json"))
     known, found = library.card(name).get("outputs", {}), facts(small)
     found["outputs"] = {output: known.get(output, told) for output, told in found["outputs"].items()}
     card |= {"made_from": {"name": name, "sha256": library.card(name).get("sha256")},
              **found, "int8_layers": len(quantised) + (stem is not None)}
-    write_card(path, card)  # which says what is constant
+    write_card(path, card)  # the card says which outputs are constant
     after = pictures(shots(source, ending), Library(folder), path.stem)
     card["difference"] = {**difference(after, before), "frames": len(before)}
     write_card(path, card)

@@ -110,7 +110,7 @@ def runs_both_ways(step: int, share: float) -> bool:
     return math.floor((step + 1) * share) > math.floor(step * share)
 
 
-def directed(batch: Batch, both: bool) -> Batch:
+def set_direction(batch: Batch, both: bool) -> Batch:
     """The batch for ``both`` directions, or for forwards only."""
     return batch if both else replace(batch, inverse=None)
 
@@ -151,7 +151,7 @@ def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, both: b
     reset, even, loss.reset, loss.even = loss.reset, loss.even, 0.0, False
     results = []
     for clips in by_size(pool.validation, 8):
-        batch = directed(to_batch(collate(clips, [0] * len(clips))), both)
+        batch = set_direction(to_batch(collate(clips, [0] * len(clips))), both)
         results.append(torch.stack(loss(batch)[1:]) * len(clips))
     loss.reset, loss.even = reset, even
     loss.model.load_state_dict(mine)
@@ -257,7 +257,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
         for group in optimiser.param_groups:
             group["lr"] = rate
         stack = pool.draw(args.batch, args.crop, args.seed + step, args.sparse_planes)
-        batch = directed(augment(stack), runs_both_ways(step, args.both_ways))
+        batch = set_direction(augment(stack), runs_both_ways(step, args.both_ways))
         results = gradient(batch)  # loss, PSNR, flicker
         norm = flat.finish(LARGEST_NORM, world > 1)
         optimiser.step()

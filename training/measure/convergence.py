@@ -5,9 +5,9 @@ python -m training.measure.convergence VIEW.npz -o RESULTS [--model s,m] [--scal
 VIEW.npz is of training.measure.equivalent_samples. The input of n samples a pixel is the mean of its first n images;
 so are its planes, as far as the view holds them (from there on its `mean_` planes). At scale 1 the reference is the
 view's. At scale 2 the input is every 2x2 pixels' mean, which has 4 n samples a pixel, and the reference stays as it is.
-Each input is the first frame of a sequence. PSNR is of what is seen, the reference's own noise taken out (see
-equivalent_samples). Writes RESULTS/convergence.csv, .json and .png, and tells by how much each method falls below its
-own input, at worst.
+Each input is the first frame of a sequence. PSNR is of displayed pictures, without the reference's own noise (see
+equivalent_samples). Writes RESULTS/convergence.csv, .json and .png, and prints how far each method falls below its own
+input, at worst.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FIELDS = ("scale", "samples", "method", "psnr", "gain")
 
 
 class Step(NamedTuple):
-    """Planes (h, w, C) of a frame and the samples a pixel that they are made of."""
+    """Planes (h, w, C) of a frame and their samples a pixel."""
 
     samples: int
     planes: dict[str, np.ndarray]
@@ -57,19 +57,19 @@ def steps(view: dict[str, np.ndarray], scale: int) -> Iterator[Step]:
 
 
 def _averaged(view: dict[str, np.ndarray], name: str, count: int) -> np.ndarray:
-    """A plane of so many samples a pixel; of all that the view has, where it does not hold as many one by one."""
+    """A plane averaged over so many samples a pixel, or the mean of all if the view holds fewer single ones."""
     known = f"mean_{name}" in view and count > len(view[name])
     return view[f"mean_{name}"] if known else view[name][:count].mean(0, dtype=np.float64)
 
 
 def shrunk(plane: np.ndarray, factor: int) -> np.ndarray:
-    """Mean over factor x factor pixels of (H, W, C); rows and columns that fill no pixel are cut."""
+    """Mean over factor x factor pixels of (H, W, C); incomplete rows and columns are cut."""
     h, w = plane.shape[0] // factor, plane.shape[1] // factor
     return plane[: h * factor, : w * factor].reshape(h, factor, w, factor, -1).mean((1, 3))
 
 
 def methods(args: argparse.Namespace, scale: int, size: tuple[int, int]) -> dict[str, Callable[[Any], np.ndarray]]:
-    """Method -> what turns a frame into a picture of `size` (height, width); the input itself comes first."""
+    """Method -> function from a frame to a picture of `size` (height, width); the input itself comes first."""
     import postfx
     from postfx.bench.methods import OTHERS, Method, make
 
@@ -101,7 +101,7 @@ def measure(view: dict[str, np.ndarray], args: argparse.Namespace) -> list[dict[
 
 
 def worst(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """A line for each scale and method: where it gains least over its input."""
+    """A line for each scale and method: its least gain over the input."""
     for scale, method in dict.fromkeys((row["scale"], row["method"]) for row in rows if row["method"] != INPUT):
         own = [row for row in rows if (row["scale"], row["method"]) == (scale, method)]
         low = min(own, key=lambda row: row["gain"])

@@ -6,9 +6,9 @@ python -m training.measure.equivalent_samples measure VIEW.npz -o RESULTS [--mod
 `render` makes independent images of one sample a pixel of a held-out view, the means of the first 1, 2, 3, ... of them,
 and a reference of two independent halves. `measure` traces the error of those means, which is how this view really
 converges (nothing is assumed of its form), runs the network at its own size, on the first frame, without history, on
-several of the single images, and finds where the curve crosses its error. The reference's own noise, known from its
-halves, is taken out of every error. Errors are mean squares of what is seen (exposed, x/(1+x), sRGB), and relMSE of
-linear light without the worst 0.1 % of the pixels. Writes RESULTS/equivalent_samples.json and .png.
+several of the single images, and finds where the curve crosses the network's error. The reference's own noise, known
+from its halves, is taken out of every error. Errors are mean squares of displayed pictures (exposed, x/(1+x), sRGB),
+and relMSE of linear light without the worst 0.1 % of the pixels. Writes RESULTS/equivalent_samples.json and .png.
 
 VIEW.npz: `reference_a`, `reference_b` (H, W, 3), the halves; `counts` (P,) and `means` (P, H, W, 3); of the K single
 images that the network sees, `colour`, `diffuse_albedo`, `specular_albedo`, `normal`, `roughness`, `depth`, `motion`
@@ -46,7 +46,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     render.add_argument("--samples", type=int, default=2048, help="images of one sample a pixel")
     render.add_argument("--inputs", type=int, default=8, help="how many of them the network will see")
     render.add_argument("--half-spp", type=int, default=8192, help="samples a pixel of each half of the reference")
-    render.add_argument("--reference-error", type=float, default=0.006, help="of the reference; other views are passed")
+    render.add_argument("--reference-error", type=float, default=0.006, help="of the reference; others are skipped")
     measure = commands.add_parser("measure", help="find the equivalent sample count")
     measure.add_argument("view", type=Path, help="file that 'render' wrote")
     measure.add_argument("-o", "--results", type=Path, required=True)
@@ -97,7 +97,7 @@ def render(args: argparse.Namespace) -> None:
 
 
 def many_planes(tracer: Any, view: Any, camera: Any, size: tuple[int, int], samples: int) -> dict[str, np.ndarray]:
-    """Planes (H, W, C) that renderers average over the samples of a pixel, of at least so many samples."""
+    """Planes (H, W, C) that renderers average over samples, here over at least so many."""
     from training.datagen.clip import AVERAGED, Style, film_of, plane_images
 
     style, passes = Style("box", min(samples, AT_ONCE), np.zeros((1, 2), np.float32)), -(-samples // AT_ONCE)
@@ -116,13 +116,13 @@ def prefix_counts(most: int) -> list[int]:
 
 
 def load_view(path: Path) -> dict[str, np.ndarray]:
-    """Everything in a view's file, by name."""
+    """All arrays of a view's file, by name."""
     with np.load(path) as file:
         return {name: file[name] for name in file.files}
 
 
 class Errors:
-    """Errors against a reference of two independent halves, whose noise is taken out. Images are (H, W, 3)."""
+    """Errors against a reference of two independent halves, without its noise. Images are (H, W, 3)."""
 
     def __init__(self, half_a: np.ndarray, half_b: np.ndarray, exposure: float) -> None:
         self._exposure, self._mean = exposure, (half_a + half_b) / 2
@@ -143,7 +143,7 @@ class Errors:
         return float(pixels[: int(pixels.size * TRIMMED)].mean())
 
 
-def crossing(counts: np.ndarray, curve: np.ndarray, error: float) -> float | None:
+def find_crossing(counts: np.ndarray, curve: np.ndarray, error: float) -> float | None:
     """Count at which a curve of errors first comes down to `error`, interpolated in log-log; None when it never does.
 
     An error above the whole curve gives the first count.
@@ -171,7 +171,7 @@ def measure(args: argparse.Namespace) -> None:
     for name, pictures in _pictures(view, args).items():
         found = [errors(picture) for picture in pictures]
         mean = {key: float(np.mean([entry[key] for entry in found])) for key in MEASURES}
-        counts = {key: crossing(view["counts"], curves[key], mean[key]) for key in MEASURES}
+        counts = {key: find_crossing(view["counts"], curves[key], mean[key]) for key in MEASURES}
         results[name] = {"error": mean, "equivalent_samples": counts, "images": len(pictures)}
     facts = {"view": str(args.view), **json.loads(str(view["facts"])), "exposure": exposure,
              "reference_noise": errors.noise, "counts": view["counts"].tolist(),
@@ -185,7 +185,7 @@ def measure(args: argparse.Namespace) -> None:
 
 
 def _pictures(view: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str, list[np.ndarray]]:
-    """Method -> its results for the single images, each taken as the first frame of a sequence."""
+    """Method -> results for the single images, each as the first frame of a sequence."""
     import postfx
     from postfx.bench.baselines import Oidn
     from postfx.frame import Role

@@ -2,7 +2,7 @@
 
     python -m training.measure.kinds score CLIPS [--models m,s] [--json FILE]     a table by kind
     python -m training.measure.kinds score CLIPS --log training/runs.jsonl --run NAME [--models m]
-    python -m training.measure.kinds pack CLIPS FOLDER                            a small set of them, for tests
+    python -m training.measure.kinds pack CLIPS FOLDER                            a small set for tests
 
 CLIPS holds .npz files of `training.datagen.render --blender ...`, drawn with seeds from 9000 on. Pictures are compared
 after exposure, x/(1+x) and the sRGB curve, in the second half of the frames. The squared error is the mean of the
@@ -144,7 +144,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("command", choices=("score", "pack"))
     parser.add_argument("clips", type=Path)
     parser.add_argument("folder", type=Path, nargs="?", help="pack: where the small set goes")
-    parser.add_argument("--models", default="m", help="tags of networks, with commas between")
+    parser.add_argument("--models", default="m", help="tags of networks, comma-separated")
     parser.add_argument("--json", type=Path, help="write all rows there")
     parser.add_argument("--log", type=Path, metavar="FILE", help="table of training runs to note the mean gains in")
     parser.add_argument("--run", metavar="NAME", help="the run of --log that made these networks")

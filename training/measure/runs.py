@@ -93,13 +93,13 @@ def cells(run: Mapping[str, Any]) -> list[str]:
     batch = f"{gpus} x {run['batch'] // gpus}" if gpus and run.get("batch") else "?"
     kinds = "; ".join(f"{kind} " + ", ".join(f"{network} {gain:+.2f}" for network, gain in gains.items())
                       for kind, gains in sorted((run.get("kinds") or {}).items()))
-    return [str(run["run"]), shown(run.get("date")), shown(run.get("start")), told or "defaults",
-            shown(run.get("clips")), batch, shown(run.get("steps")), shown(run.get("minutes")),
-            shown(run.get("validation_psnr"), "{:.2f}"), "?" if flicker is None else f"{1000 * flicker:.1f}",
+    return [str(run["run"]), cell(run.get("date")), cell(run.get("start")), told or "defaults",
+            cell(run.get("clips")), batch, cell(run.get("steps")), cell(run.get("minutes")),
+            cell(run.get("validation_psnr"), "{:.2f}"), "?" if flicker is None else f"{1000 * flicker:.1f}",
             kinds, run.get("outcome") or ""]
 
 
-def shown(value: object, form: str = "{}") -> str:
+def cell(value: object, form: str = "{}") -> str:
     return "?" if value is None else form.format(value)
 
 

@@ -1,4 +1,4 @@
-"""What a look must never do, measured on charts: tint greys, turn ramps round, band, flip hues, make haloes.
+"""Faults that a look must not have, measured on charts: tinted greys, reversed ramps, banding, flipped hues, haloes.
 
 A `Render` takes exposed scene-linear Rec.709 (H,W,3) float32 to sRGB code values (H,W,3) in [0, 1]. Code values are
 given in steps of 8 bits, colour differences in Delta E ITP (ITU-R BT.2124) of a display whose white is 100 cd/m2.
@@ -34,7 +34,7 @@ EDGE_STOPS, EDGE_REACH = 6.0, 0.25  # of the step, and how near to it counts, in
 
 
 def chroma(codes: np.ndarray) -> np.ndarray:
-    """Delta E ITP of sRGB code values (..., 3) to the grey of the same intensity."""
+    """Delta E ITP of sRGB code values (..., 3) from the grey of the same intensity."""
     return 720 * np.hypot(*np.moveaxis(to_itp(codes, SRGB)[..., 1:], -1, 0))
 
 
@@ -91,15 +91,15 @@ def _swing(render: Render, height: int = 256, width: int = 512) -> float:
 
 
 # Flicker ------------------------------------------------------------------------------------------------------------
-# How steady a look holds a moving picture: its change from frame to frame, followed by the motion.
+# How steady a look is in motion: its change from frame to frame along the motion.
 
 Maker = Callable[[Frame], np.ndarray]
 """A clean frame, exposed, in order; the first is marked as a beginning -> sRGB code values (H,W,3)."""
 SPARSE = 4  # pixels to the next that an exposure is fitted to, along both axes
-STOPS = 6.0  # the farthest that an exposure is searched
+STOPS = 6.0  # largest exposure that is tried
 
 
-def exposed(folder: Path) -> Iterator[Frame]:
+def exposed_frames(folder: Path) -> Iterator[Frame]:
     """Clean frames of a folder's `reference.####.exr`, exposed as the run-time's meter would."""
     meter = ExposureMeter("auto")
     for number, clean in enumerate(read_sequence(str(folder / "reference.####.exr"))):
@@ -112,7 +112,7 @@ def motions(folder: Path) -> Iterator[np.ndarray]:
 
 
 def nearest_exposure(view: View, light: list[np.ndarray], shown: list[np.ndarray]) -> float:
-    """Stops before a view that bring it nearest to what a look made of a sequence: least squares of code values.
+    """Stops before a view that bring it nearest to a look's pictures of a sequence: least squares of code values.
 
     light: frames of exposed scene-linear (H,W,3); shown: the look's code values of them. One number for all frames.
     """
@@ -133,7 +133,7 @@ def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, dict
         curve flickers by as much as it shows of a render's noise and detail, so by as much as it has of contrast.
     """
     before, sums, count = {}, {name: np.zeros(2) for name in looks}, 0
-    for frame, motion in zip(exposed(folder), motions(folder), strict=False):
+    for frame, motion in zip(exposed_frames(folder), motions(folder), strict=False):
         now = {name: make(frame) for name, make in looks.items()}
         if before:
             height, width = frame[Role.COLOUR].shape[:2]

@@ -35,7 +35,7 @@ from postfx.passes.tonemap import ToneMap, find_model, shaper
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from training.measure.quality_report.document import Block, compose, number, parse, table
-from training.tonemap.checks import SRGB, STEPS, Render, exposed, flicker, greys, halo, nearest_exposure, sweep
+from training.tonemap.checks import SRGB, STEPS, Render, exposed_frames, flicker, greys, halo, nearest_exposure, sweep
 from training.tonemap.looks import Look, exact_target, look_from
 from training.tonemap.model import default_shaper, look_up, shape
 from training.tonemap.pairs import fit_cube
@@ -43,7 +43,7 @@ from training.tonemap.pictures import find_pictures, shrink
 from training.tonemap.views import View, bake, exact_view
 
 # The report ---------------------------------------------------------------------------------------------------------
-# What was measured of looks, as tables and pictures of docs/tonemap.md.
+# Measurements of looks as tables and pictures of docs/tonemap.md.
 
 TILE, GAP, LOUD = 200, 4, 8.0  # height of a tile and the gap, in pixels; factor of the errors shown
 MOST = 5  # pictures in a strip
@@ -54,7 +54,7 @@ def pictures_table(found: Found, look: str) -> str:
     """Figures of each picture."""
     heads = ["picture", "PSNR (dB)", "SSIM", "FLIP", "Delta E ITP"]
     rows = found[look]["pictures"].items()
-    return table(heads, ([named(name, row), number(row["psnr"], ".1f"), number(row["ssim"], ".3f"),
+    return table(heads, ([row_name(name, row), number(row["psnr"], ".1f"), number(row["ssim"], ".3f"),
                           number(row["flip"], ".3f"), number(row["delta_e_itp"], ".2f")] for name, row in rows))
 
 
@@ -73,7 +73,7 @@ def _means(pictures: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def checks_table(found: Found) -> str:
-    """What charts show."""
+    """Figures of the charts."""
     heads = ["look", "grey chroma", "fall", "rough", "halo", "hue flips", "in range"]
     keys = ("chroma", "fall", "rough", "halo")
     return table(heads, ([f"`{look}`", *(number(one["checks"][key], ".2f") for key in keys),
@@ -82,7 +82,7 @@ def checks_table(found: Found) -> str:
 
 
 def flicker_table(found: Found) -> str:
-    """How steady sequences are: flicker of a look and of what it is measured by, and contrast of the first two."""
+    """Flicker of each look and of its yardsticks on sequences, and contrast of the first two."""
     heads = ["look", "sequence", "look", "nearest static curve", "its mean held still", "its view alone",
              "pipeline, frame by frame", "nearest cube", "contrast", "of the static curve"]
     keys = ("look", "static", "still", "view", "pipeline", "cube")
@@ -95,7 +95,7 @@ def _figure(figures: dict[str, float] | None, key: str) -> str:
     return number(figures[key], ".2f") if figures else "-"
 
 
-def named(name: str, row: dict[str, Any]) -> str:
+def row_name(name: str, row: dict[str, Any]) -> str:
     return name.replace("_", " ") + ("" if row["held_out"] else " (trained on)")
 
 
@@ -105,7 +105,7 @@ MAKERS: dict[str, Callable[..., str]] = {
 
 
 def write_report(doc: Path, found: Found) -> None:
-    """Replace the tables of a document; those of looks that were not measured stay."""
+    """Replace the tables of a document; looks that were not measured keep theirs."""
     parts, made = parse(doc.read_text(encoding="utf-8"), doc, MAKERS), {}
     for block in (part for part in parts if isinstance(part, Block)):
         if all(look in found for look in block.arguments):
@@ -136,7 +136,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 class Mapper:
-    """A look as the run-time computes it; what it is called with comes out of a pipeline of its own size.
+    """A look as the run-time computes it, for pictures of any size.
 
     keep: part of the last grid that is kept while the light stays as it is; None as the look's card says.
     """
@@ -158,13 +158,13 @@ class Mapper:
             self._pipelines[size] = Pipeline(passes, self._device, exposure=0.0, cuts="none")
         return self._pipelines[size](frame)[Role.COLOUR].copy()
 
-    def kept(self, frame: Frame) -> np.ndarray:
+    def smooth_state(self, frame: Frame) -> np.ndarray:
         """The smoothed grid (1,16,16,8,12), or exposure (3,) as `postfx.kernels.tonemap` has it, of the next frame of a
         sequence, exposed already."""
         self.follow(frame)
         return self._pipelines[frame[Role.COLOUR].shape].passes[0].history()["held"].copy()
 
-    def held(self, kept: np.ndarray) -> Render:
+    def hold(self, kept: np.ndarray) -> Render:
         """The look with a grid or an exposure that does not change."""
         library, model = find_model(self._tag)
         constants, numbers = self._device.pipeline_state(library, model).constants, shaper(library, model)
@@ -199,7 +199,7 @@ def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, 
     the look's own gain; pipeline: the look's definition, frame by frame. Of what a network made, too: still: its mean,
     held; cube: the colour cube that is nearest to what the look made of the sequence.
     """
-    frames = list(exposed(folder))
+    frames = list(exposed_frames(folder))
     light, shown = [frame[Role.COLOUR] for frame in frames], [mapper.follow(frame) for frame in frames]
     static = nearest_exposure(look.view, light, shown)
     renders: dict[str, Render] = {
@@ -208,7 +208,7 @@ def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, 
         "pipeline": lambda rgb: exact_target(rgb, look),
     }
     if not look.is_global:
-        renders["still"] = mapper.held(np.mean([mapper.kept(frame) for frame in frames], 0))
+        renders["still"] = mapper.hold(np.mean([mapper.smooth_state(frame) for frame in frames], 0))
         renders["cube"] = nearest_cube(look.view, light, shown)
     makers = {name: lambda frame, render=render: render(frame[Role.COLOUR]) for name, render in renders.items()}
     figures = flicker(folder, {"look": mapper.follow} | makers, "view")
@@ -218,12 +218,12 @@ def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, 
 
 def nearest_cube(view: View, light: list[np.ndarray], shown: list[np.ndarray]) -> Render:
     """The static colour cube that is nearest, by least squares, to what a look made of frames."""
-    pairs = np.concatenate([shaped(x)[0].flatten(1).T.numpy() for x in light]), np.concatenate(shown).reshape(-1, 3)
-    cube = torch.from_numpy(fit_cube(*pairs, bake(view)))
-    return lambda rgb: look_up(shaped(rgb), cube)[0].permute(1, 2, 0).numpy()
+    colours = np.concatenate([shape_picture(x)[0].flatten(1).T.numpy() for x in light])
+    cube = torch.from_numpy(fit_cube(colours, np.concatenate(shown).reshape(-1, 3), bake(view)))
+    return lambda rgb: look_up(shape_picture(rgb), cube)[0].permute(1, 2, 0).numpy()
 
 
-def shaped(rgb: np.ndarray) -> torch.Tensor:
+def shape_picture(rgb: np.ndarray) -> torch.Tensor:
     """Exposed scene-linear (H,W,3) as the cube takes it: (1,3,H,W)."""
     return shape(torch.from_numpy(rgb).permute(2, 0, 1)[None], *default_shaper())
 
@@ -258,8 +258,8 @@ def frames_of_step(mapper: Mapper, picture: np.ndarray, stops: float) -> int:
     """Frames until a tenth of the way is left, in code values, from what the look would make of the changed light with
     its last grid or exposure to what it makes of it without a past. At most LONGEST."""
     stepped = picture * np.float32(2.0**stops)
-    wanted, last = mapper(stepped), mapper.kept(_frame(picture, 0))
-    way = np.abs(mapper.held(last)(stepped) - wanted).mean()
+    wanted, last = mapper(stepped), mapper.smooth_state(_frame(picture, 0))
+    way = np.abs(mapper.hold(last)(stepped) - wanted).mean()
     for count in range(1, LONGEST):
         if np.abs(mapper.follow(_frame(stepped, count)) - wanted).mean() <= LEFT * way:
             return count

@@ -25,7 +25,7 @@ CHARTS = 0.12  # share of views that are made from nothing
 
 
 class Source(Protocol):
-    """What can be trained on."""
+    """Something to train on."""
 
     random: np.random.Generator
 
@@ -34,7 +34,7 @@ class Source(Protocol):
 
 
 class Views:
-    """Endless batches of views of pictures, each with what a look makes of it."""
+    """Endless batches of views of pictures, each with the look's result."""
 
     def __init__(
         self, pictures: Pictures, look: Look, cube: torch.Tensor, device: torch.device, seed: int = 1
@@ -144,7 +144,7 @@ class Views:
         return lamps
 
     def _synthetic(self, shape: tuple[int, int]) -> torch.Tensor:
-        """Gradients over up to 16 stops with coloured regions: what photographs seldom hold."""
+        """Gradients over up to 16 stops with coloured regions, which photographs seldom hold."""
         ramp = self._noise(shape, int(self.random.integers(2, 8))) * self.uniform(0.5, 4)
         colour = self._noise(shape, int(self.random.integers(2, 8)), 3) * self.uniform(0.1, 2.5)
         stops = ramp + colour

@@ -3,8 +3,8 @@
     out = view(2 ** gain * local(key(rgb)))
 
 `key` is an automatic exposure that keeps dark scenes dark and bright ones bright, `local` an operator on local
-contrast, `view` a colour pipeline; each may be absent but the last. A look with neither is global: its cube is the
-whole of it, and there is nothing for the network to do. With `key` alone there is one number to be learnt.
+contrast, `view` a colour pipeline; all but the last are optional. A look with only a view is global: its cube is all of
+it, and there is nothing for a network to learn. With `key` alone there is one number to learn.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class Look:
 
     @property
     def is_exposure(self) -> bool:
-        """Whether one exposure for a picture is all that there is before the view."""
+        """Whether the look is one exposure for a picture, then the view."""
         return self.local is None and self.key
 
 

@@ -23,7 +23,7 @@ from postfx.kernels.tonemap import BROKEN, JUMP, LAG, MOST, MOST_STOPS, RELEASE
 # Cubes --------------------------------------------------------------------------------------------------------------
 # The shaper and the colour cube of the tone mapper, in torch: (N,3,H,W) colour, cubes (size,size,size,3) red first.
 #
-# `shape` and `look_up` are the definitions of `postfx.kernels.colour` and `postfx.kernels.colour`.
+# `shape` and `look_up` define kernels of `postfx.kernels.colour`.
 
 MID_GREY = 0.18
 BLACK = 2.0**-16  # added to luminance before its logarithm
@@ -144,7 +144,7 @@ def borrow(grid: torch.Tensor, low: torch.Tensor, guide: torch.Tensor) -> torch.
     (N,3,256,256) a cell has at a level.
 
     Beside an edge the matrices of the darker side reach into cells that have nothing dark, and those of the brighter
-    side the other way: without a pixel to be right for, they are anything, and what is looked up between is a halo.
+    side the other way: without pixels to fit they are arbitrary, and looking up between them makes a halo.
     Formula: normalised convolution, Knutsson and Westin 1993, over 3x3 cells.
     """
     share = F.avg_pool2d(level_weights(guide_of_copy(F.avg_pool2d(low, FOURTH), guide)), SIDE // FOURTH // CELLS)

@@ -89,7 +89,7 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Lesson:
-    """A look, its view's cube (size,size,size,3), and what the pipeline makes of the held-out pictures."""
+    """A look, its view's cube (size,size,size,3), and the pipeline's results for the held-out pictures."""
 
     look: Look
     cube: torch.Tensor
@@ -160,7 +160,7 @@ def collect(
 
 
 def files(patterns: Iterable[str]) -> list[str]:
-    """Files of patterns; ends the program where one fits nothing."""
+    """Files of patterns; ends the program if a pattern matches none."""
     found = {pattern: sorted(glob.glob(pattern)) for pattern in patterns}
     for pattern in (pattern for pattern, paths in found.items() if not paths):
         raise SystemExit(f"{pattern}: no such file")
@@ -178,7 +178,7 @@ def held_among(stems: Sequence[str], names: Iterable[str]) -> set[str]:
 
 
 def charts() -> dict[str, np.ndarray]:
-    """What to measure with where there are no pictures."""
+    """Charts that stand in for held-out pictures if there are none."""
     return {"chart": hue_chart(), "ramp": ramp(512)}
 
 
@@ -214,7 +214,7 @@ def _clip_frames(folder: str, limit: int) -> list[np.ndarray]:
 
 
 def lesson(look: Look, pictures: Pictures) -> Lesson:
-    """Bake a look and ask its pipeline about the held-out pictures."""
+    """Bake a look and run its pipeline on the held-out pictures."""
     wanted = {name: exact_target(rgb.astype(np.float32), look) for name, rgb in pictures.held.items()}
     return Lesson(look, torch.from_numpy(bake(look.view)), wanted)
 

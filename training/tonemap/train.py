@@ -103,8 +103,8 @@ def options() -> argparse.ArgumentParser:
     source.add_argument("--lut", metavar="FILE", help="look-up table, as --tonemap takes it: FILE,input=SPACE")
     source.add_argument("--target", metavar="LOOK", help="a built-in look, or a .toml file that describes one")
     source.add_argument("--set", metavar="NPZ", help="packed by training.tonemap.pictures; its look of this tag")
-    parser.add_argument("--display", help="of --ocio")
-    parser.add_argument("--view", help="of --ocio")
+    parser.add_argument("--display", help="display or view of --ocio")
+    parser.add_argument("--view", help="display or view of --ocio")
     parser.add_argument("--look", default="", help="of --ocio, instead of the view's own looks")
     parser.add_argument("--source", default="", help="the config's name of linear Rec.709")
     parser.add_argument("--pictures", nargs="*", default=[], help="HDR photographs (patterns) to learn on")
@@ -116,8 +116,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--minutes", type=float, help=f"default: {GPU_MINUTES:g} on a GPU, {CPU_MINUTES:g} on a CPU")
     parser.add_argument("--batch", type=int, help="views a step; default: 16 on a GPU, 4 on a CPU")
     parser.add_argument("--rate", type=float, help=f"default: {RATE:g}, or {FINE_RATE:g} to fine-tune on a CPU")
-    parser.add_argument("--scale", type=float, help="of the training pictures; default 1 on a GPU, 0.5 on a CPU")
-    parser.add_argument("--views", type=int, default=VIEWS, help="that an exposure is learnt from, in as many steps")
+    parser.add_argument("--scale", type=float, help="factor on the size of views; default: 1 on a GPU, 0.5 on a CPU")
+    parser.add_argument("--views", type=int, default=VIEWS,
+                        help="views that an exposure is learnt from, in as many steps (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--every", type=float, default=30.0, help="seconds between measurements")
     parser.add_argument("-o", "--out", type=Path, help="folder for all results; default: runs/TAG")
@@ -135,7 +136,7 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
 
 
 def recipe_of(args: argparse.Namespace, on_gpu: bool) -> Recipe:
-    """What was asked for, or what suits the machine."""
+    """The recipe of the options, with defaults that suit the machine."""
     return Recipe(
         seconds=60 * (args.minutes or (GPU_MINUTES if on_gpu else CPU_MINUTES)),
         batch=args.batch or (16 if on_gpu else 4),

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 from tests.training.small_denoiser import small_model  # noqa: E402
 from training.denoise.dataset import Batch  # noqa: E402
 from training.denoise.model import DenoiseUpscale, Inputs, TrunkConfig, empty_state  # noqa: E402
-from training.denoise.prune import active_channels, cut, first_unused, looked_at, revive, table  # noqa: E402
+from training.denoise.prune import active_channels, cut, first_unused, observe, revive, table  # noqa: E402
 
 CONFIG = TrunkConfig((16, 16, 16, 16), 2)
 KILLED = ("down.0.0", "down.1.0", "down.1.2", "down.3.2", "up.2.0", "up.2.2", "up.0.2")
@@ -101,7 +101,7 @@ def model_with(silent: tuple[str, ...]) -> DenoiseUpscale:
 
 def test_a_silent_level_and_those_behind_it_are_cut(batch):
     model = model_with(("up.2.2",))
-    active, means = looked_at(model, [batch])
+    active, means = observe(model, [batch])
     assert first_unused(WIDE, active) == 2
     smaller = DenoiseUpscale(trunk=cut(WIDE, model.state_dict(), 2, means))
     assert smaller.config.widths == WIDE.widths[:2] and smaller.trunk.align == 4
@@ -113,8 +113,8 @@ def test_a_silent_level_and_those_behind_it_are_cut(batch):
 def test_what_was_cut_can_be_cut_again(batch):
     """Further down, and filters stay what they are."""
     model = model_with(("up.2.2", "up.1.2"))
-    once = DenoiseUpscale(trunk=cut(WIDE, model.state_dict(), 2, looked_at(model, [batch])[1]))
-    active, means = looked_at(once.eval(), [batch])
+    once = DenoiseUpscale(trunk=cut(WIDE, model.state_dict(), 2, observe(model, [batch])[1]))
+    active, means = observe(once.eval(), [batch])
     assert first_unused(once.config, active) == 1
     twice = DenoiseUpscale(trunk=cut(once.config, once.state_dict(), 1, means))
     wanted, found = outputs(model, batch), outputs(twice.eval(), batch)
@@ -123,10 +123,10 @@ def test_what_was_cut_can_be_cut_again(batch):
 
 
 def test_the_finest_of_several_silent_levels_is_found(batch):
-    active, _ = looked_at(model_with(("up.2.2", "up.1.2")), [batch])
+    active, _ = observe(model_with(("up.2.2", "up.1.2")), [batch])
     assert first_unused(WIDE, active) == 1
 
 
 def test_a_network_that_uses_all_its_levels_is_left_alone(batch):
-    active, _ = looked_at(model_with(()), [batch])
+    active, _ = observe(model_with(()), [batch])
     assert first_unused(WIDE, active) is None

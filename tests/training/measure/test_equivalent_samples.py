@@ -1,4 +1,4 @@
-"""Equivalent sample counts: the curve, the crossing, and the noise of the reference."""
+"""Equivalent sample counts: the curve, the find_crossing, and the noise of the reference."""
 
 import argparse
 import json
@@ -9,7 +9,7 @@ import pytest
 
 for module in ("flip_evaluator", "skimage", "matplotlib"):
     pytest.importorskip(module, reason="needs the extra 'bench'")
-from training.measure.equivalent_samples import Errors, crossing, measure, prefix_counts  # noqa: E402
+from training.measure.equivalent_samples import Errors, find_crossing, measure, prefix_counts  # noqa: E402
 
 
 def test_counts_rise_to_the_most():
@@ -18,11 +18,11 @@ def test_counts_rise_to_the_most():
     assert prefix_counts(2) == [1, 2] and prefix_counts(1) == [1]
 
 
-def test_the_crossing_is_interpolated_in_logarithms():
+def test_the_find_crossing_is_interpolated_in_logarithms():
     counts = np.array([1, 4, 16, 64])
-    assert crossing(counts, 8.0 / counts, 1.0) == pytest.approx(8)
-    assert crossing(counts, 8.0 / counts**0.5, 2.0) == pytest.approx(16)
-    assert crossing(counts, 8.0 / counts, 100.0) == 1 and crossing(counts, 8.0 / counts, 0.01) is None
+    assert find_crossing(counts, 8.0 / counts, 1.0) == pytest.approx(8)
+    assert find_crossing(counts, 8.0 / counts**0.5, 2.0) == pytest.approx(16)
+    assert find_crossing(counts, 8.0 / counts, 100.0) == 1 and find_crossing(counts, 8.0 / counts, 0.01) is None
 
 
 def images(rng, count, size=(64, 96)):

@@ -246,4 +246,4 @@ def test_numbers(value, form, text):
 @pytest.mark.parametrize(("name", "text"), [("m-int8-guides-alone", "postfx m int8 with guides, no history"),
                                             ("oidn-high-accumulated", "OIDN high + accumulation"), ("l", "postfx l")])
 def test_names(name, text):
-    assert document.titled(name) == text
+    assert document.method_title(name) == text

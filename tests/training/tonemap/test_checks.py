@@ -75,7 +75,7 @@ def test_shipped_looks_pass(tag: str) -> None:
 def test_what_was_kept_of_a_sequence_stays_as_it_was(tag: str) -> None:
     """Two frames later, too: the pass writes into the memory of the first one's."""
     mapper, light = Mapper(tag), ramp(64)
-    kept = [mapper.kept(Frame({Role.COLOUR: light * gain}, number)) for number, gain in enumerate((1, 4, 16))]
-    first = Mapper(tag).kept(Frame({Role.COLOUR: light}, 0))
+    kept = [mapper.smooth_state(Frame({Role.COLOUR: light * gain}, number)) for number, gain in enumerate((1, 4, 16))]
+    first = Mapper(tag).smooth_state(Frame({Role.COLOUR: light}, 0))
     np.testing.assert_array_equal(kept[0], first)
     assert np.abs(kept[2] - first).max() > 1e-3

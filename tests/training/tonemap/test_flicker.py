@@ -12,7 +12,7 @@ pytest.importorskip("PyOpenColorIO")
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 
 from postfx.frame import Frame, Role  # noqa: E402
-from training.tonemap.checks import contrast, exposed, flicker, nearest_exposure  # noqa: E402
+from training.tonemap.checks import contrast, exposed_frames, flicker, nearest_exposure  # noqa: E402
 from training.tonemap.evaluate import (  # noqa: E402
     LONGEST,
     Mapper,
@@ -69,7 +69,7 @@ def test_how_fast_light_is_followed_is_measured() -> None:
 @pytest.mark.parametrize("tag", ["local", "auto"])
 def test_looks_flicker_no_more_than_the_nearest_static_curve(shared_dir: Path, tag: str, name: str) -> None:
     folder, look, mapper = shared_dir / "sequences" / name, LOOKS[tag], Mapper(tag)
-    frames = list(exposed(folder))
+    frames = list(exposed_frames(folder))
     light, shown = [frame[Role.COLOUR] for frame in frames], [mapper.follow(frame) for frame in frames]
     stops = {"static": nearest_exposure(look.view, light, shown), "view": look.gain}
 

@@ -1,7 +1,7 @@
 """Clips that Blender's Cycles renders: a Blender process renders EXR files, and the project's own reader reads them.
 
-A clip has two drawn noisy renders, and where the scale is whole a third one for nothing: half of the reference's
-samples, averaged down to the render size. It is independent of the other half, which is what it is compared with.
+A clip has two noisy renders with drawn sample counts. At whole scales a third one comes for free: half of the
+reference's samples, averaged down to the render size and compared with the other, independent half.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from training.datagen.cycles.exchange import half_file, noisy_file, read_pass, v
 ROOT = Path(__file__).parents[3]
 START = "import sys; sys.path.insert(0, sys.argv[1]); from training.datagen.cycles.blender.worker import main; main()"
 NAMES = ("colour", "diffuse_albedo", "specular_albedo", "normal", "depth", "motion")
-NO_ROUGHNESS = 0.5  # what the reader's users fill in: Cycles writes none
+NO_ROUGHNESS = 0.5  # stands in for roughness, which Cycles does not write
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class CyclesOptions:
 
 
 class Blender:
-    """A Blender process that renders one clip after another. `python` runs Blender's Python with `bpy`."""
+    """A Blender process that renders one clip after another. `python` is a Python with the module `bpy`."""
 
     def __init__(self, python: Path, library: Path | None):
         self.library = library
@@ -52,7 +52,7 @@ class Blender:
         self._answer()
 
     def render(self, **request: object) -> dict:
-        """Facts of a rendered clip. Raises RuntimeError with what Blender says where it could not be made."""
+        """Facts of a rendered clip. Raises RuntimeError with Blender's message if it fails."""
         line = json.dumps({"library": self.library and str(self.library), **request})
         print(line, file=self.process.stdin, flush=True)
         answer = self._answer()
@@ -62,13 +62,13 @@ class Blender:
 
     def _answer(self) -> dict:
         for line in self.process.stdout:
-            if line.startswith("{"):  # Blender itself may have said something before
+            if line.startswith("{"):  # Blender itself may print other lines
                 return json.loads(line)
         raise RuntimeError(f"Blender ended with status {self.process.wait()}")
 
 
 def make_clip(blender: Blender, options: CyclesOptions, seed: int, index: int) -> tuple[np.ndarray, list[dict], dict]:
-    """Reference (T, H, W, 3), noisy renders and facts, as `save_clip` takes them; a seed and an index name a clip."""
+    """Reference (T, H, W, 3), noisy renders and facts for `save_clip`; the same seed and index give the same clip."""
     rng = np.random.default_rng([seed, index, 1])
     scale = float(rng.choice(options.scales, p=options.scale_chances))
     spp = [round(2 ** rng.uniform(0, np.log2(options.most_spp))) for _ in range(2)]
@@ -130,13 +130,13 @@ def read_motion(folder: Path, facts: dict, frames: int, render: dict, still: boo
 
 
 def read_planes(path: Path) -> dict[str, np.ndarray]:
-    """Planes (h, w, C) by name as the project's reader finds them."""
+    """Planes (h, w, C) by name, through the project's own reader."""
     frame, = postfx.read_sequence(str(path))
     return {role.value: np.asarray(values, np.float32) for role, values in frame.planes.items()}
 
 
 def shrink(render: dict[str, np.ndarray], scale: int) -> dict[str, np.ndarray]:
-    """A render averaged over `scale` x `scale` pixels; depth and motion are those of one of them, as samples are."""
+    """A render averaged over `scale` x `scale` pixels; depth and motion are picked from one of them, never mixed."""
     middle = scale // 2
     result = {}
     for name, values in render.items():

@@ -1,4 +1,4 @@
-"""From a description (meshes, materials, movers, lights) to a Mitsuba scene whose objects can be moved."""
+"""Build a Mitsuba scene with movable objects from a description (meshes, materials, movers, lights)."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Motions:
 class Part:
     """A mesh with a material, or with an emitted radiance (3,).
 
-    `mover`, `glow` and `bend` are indices into a Description's; what bends is displaced first and moved then.
+    `mover`, `glow` and `bend` are indices into the lists of a Description; a thing bends first and moves then.
     """
 
     mesh: Mesh
@@ -79,7 +79,7 @@ class Part:
 
 @dataclass
 class Description:
-    """Everything of a scene but the camera. Environment: a (H, W, 3) radiance image or None, turned about y.
+    """A scene without its camera. Environment: a (H, W, 3) radiance image or None, turned about y.
 
     Movers are functions of the frame to 4x4 matrices, glows to factors on a radiance, bends of vertices (N, 3) and
     the frame to vertices.
@@ -146,7 +146,7 @@ class BuiltScene:
         self.motions = self._motions(0.0, 0.0)
 
     def move(self, time: float, previous: float) -> None:
-        """Put every mover where it is at frame `time`, set lights; `motions` then leads back to frame `previous`."""
+        """Move things and set lights for frame `time`; `motions` then leads back to frame `previous`."""
         moved = [s for s in self._shapes if s.moves]
         for shape in moved:
             mesh = _posed(shape.source, shape.first, self.description, time)
@@ -178,7 +178,7 @@ class BuiltScene:
 
 
 def anchors(count: int = 96) -> list:
-    """Objects that keep the instance tables of compiled kernels at one length, so that scenes share kernels.
+    """Objects that keep the instance tables of compiled kernels at one length, so all scenes share kernels.
 
     Dr.Jit writes the highest instance number of each class into the kernel; these hold a high number in each.
     """
@@ -192,11 +192,11 @@ def anchors(count: int = 96) -> list:
 def _posed(source: Mesh, part: Part, description: Description, time: float) -> Mesh:
     """A part's mesh in the world at frame `time`."""
     mesh = source if part.bend is None else bend_mesh(source, description.bends[part.bend], time)
-    return mesh if part.mover is None else mesh.transformed(description.movers[part.mover](time))
+    return mesh if part.mover is None else mesh.transform(description.movers[part.mover](time))
 
 
 def _grouped(parts: list[Part]) -> list[list[Part]]:
-    """Parts that can be one shape: same mover, and same material or same emission. Few shapes trace faster."""
+    """Groups of parts that can be one shape: same mover, same material or emission. Few shapes trace faster."""
     groups: dict[tuple, list[Part]] = {}
     for part in parts:
         light = None if part.emission is None else tuple(part.emission)

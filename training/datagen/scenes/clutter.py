@@ -11,12 +11,12 @@ from training.datagen.scenes.meshes import Mesh, rotation, translation
 BOOKS = ("book1", "book2", "book3", "book4", "paper")
 
 
-def moved(thing: Thing, x: float, y: float, z: float, turn: float = 0.0) -> Thing:
+def place_at(thing: Thing, x: float, y: float, z: float, turn: float = 0.0) -> Thing:
     matrix = translation(x, y, z) @ rotation(Y, turn)
-    return [(mesh.transformed(matrix), slot) for mesh, slot in thing]
+    return [(mesh.transform(matrix), slot) for mesh, slot in thing]
 
 
-def turned(profile: np.ndarray, segments: int = 28) -> Mesh:
+def smooth_lathe(profile: np.ndarray, segments: int = 28) -> Mesh:
     """A smooth lathe through a few (radius, height) points, finely interpolated; sharp where points repeat."""
     runs, start = [], 0
     points = np.asarray(profile, float)
@@ -44,8 +44,8 @@ def book_row(rng: np.random.Generator, width: float, room: float, depth: float) 
         deep, inset, name = rng.uniform(0.7, 0.95) * depth, rng.uniform(0, 0.02), int(rng.integers(len(BOOKS)))
         if rng.random() < 0.05 and x < width - 0.16:
             lean = rotation(np.array([0, 0, 1.0]), rng.uniform(0.1, 0.3))
-            book = solids.boxes([-thick, 0, -deep], [0, 0.9 * tall, -inset]).transformed(lean)
-            parts.append((book.transformed(translation(x - book.vertices[:, 0].min(), -book.vertices[:, 1].min(), 0)),
+            book = solids.boxes([-thick, 0, -deep], [0, 0.9 * tall, -inset]).transform(lean)
+            parts.append((book.transform(translation(x - book.vertices[:, 0].min(), -book.vertices[:, 1].min(), 0)),
                           BOOKS[name]))
             x += np.ptp(book.vertices[:, 0]) + 0.002
             continue
@@ -66,7 +66,7 @@ def book_pile(rng: np.random.Generator) -> Thing:
         turn = rotation(Y, rng.normal(0, 0.15))
         cover = solids.boxes([[-w, y, -d], [-w, y + thick - 0.003, -d]], [[w, y + 0.003, d], [w, y + thick, d]])
         pages = solids.boxes([-w + 0.004, y + 0.003, -d + 0.004], [w - 0.003, y + thick - 0.003, d - 0.004])
-        parts += [(cover.transformed(turn), str(rng.choice(BOOKS[:4]))), (pages.transformed(turn), "paper")]
+        parts += [(cover.transform(turn), str(rng.choice(BOOKS[:4]))), (pages.transform(turn), "paper")]
         y += thick
     return parts
 
@@ -74,8 +74,8 @@ def book_pile(rng: np.random.Generator) -> Thing:
 def bottle(rng: np.random.Generator) -> Thing:
     r, h = rng.uniform(0.025, 0.05), rng.uniform(0.15, 0.33)
     neck, shoulder = rng.uniform(0.25, 0.5) * r, rng.uniform(0.5, 0.75)
-    body = turned([[0, 0], [0.9 * r, 0], [0.9 * r, 0], [r, 0.01], [r, shoulder * h], [0.8 * r, (shoulder + 0.08) * h],
-                   [neck, (shoulder + 0.2) * h], [neck, h], [neck, h], [0, h]])
+    body = smooth_lathe([[0, 0], [0.9 * r, 0], [0.9 * r, 0], [r, 0.01], [r, shoulder * h],
+                         [0.8 * r, (shoulder + 0.08) * h], [neck, (shoulder + 0.2) * h], [neck, h], [neck, h], [0, h]])
     return [(body, str(rng.choice(["glass", "ceramic", "gloss"])))]
 
 
@@ -86,18 +86,18 @@ def tumbler(rng: np.random.Generator) -> Thing:
     base = [[0, 0], [0.8 * r, 0], [0.8 * r, 0], [0.7 * r, 0.004], [0.005, 0.008], [0.005, foot]] if foot else [[0, 0]]
     cup = [[0.85 * r, foot + 0.002], [r, foot + 0.6 * h], [r, foot + h], [r, foot + h], [r - wall, foot + h],
            [r - wall, foot + h], [r - wall, foot + 0.6 * h], [0.8 * r, foot + 0.01], [0, foot + 0.008]]
-    return [(turned(base + cup), str(rng.choice(["glass", "ceramic", "metal"])))]
+    return [(smooth_lathe(base + cup), str(rng.choice(["glass", "ceramic", "metal"])))]
 
 
 def bowl(rng: np.random.Generator) -> Thing:
     r, h = rng.uniform(0.08, 0.17), rng.uniform(0.03, 0.11)
-    shape = turned([[0, 0], [0.4 * r, 0], [0.4 * r, 0], [0.75 * r, 0.35 * h], [r, h], [r, h], [r - 0.006, h],
+    shape = smooth_lathe([[0, 0], [0.4 * r, 0], [0.4 * r, 0], [0.75 * r, 0.35 * h], [r, h], [r, h], [r - 0.006, h],
                     [0.72 * r, 0.4 * h], [0.4 * r, 0.01], [0, 0.008]])
     made: Thing = [(shape, str(rng.choice(["ceramic", "gloss", "wood"])))]
     for _ in range(int(rng.choice([0, 0, 3, 6]))):
         size = rng.uniform(0.03, 0.04)
-        fruit = meshes.sphere(size, 20).transformed(translation(*rng.normal(0, 0.3 * r, 3) * [1, 0, 1]))
-        made.append((fruit.transformed(translation(0, 0.5 * h + size, 0)), str(rng.choice(["leaf", "accent"]))))
+        fruit = meshes.sphere(size, 20).transform(translation(*rng.normal(0, 0.3 * r, 3) * [1, 0, 1]))
+        made.append((fruit.transform(translation(0, 0.5 * h + size, 0)), str(rng.choice(["leaf", "accent"]))))
     return made
 
 
@@ -106,17 +106,17 @@ def vase(rng: np.random.Generator) -> Thing:
     radii = r * (0.75 + 0.35 * np.sin(np.linspace(0.3, rng.uniform(2.5, 5.5), 9) + rng.uniform(-0.4, 0.4)))
     line = np.stack([radii, np.linspace(0, h, 9)], 1)
     inside = np.stack([np.maximum(radii[::-1] - 0.005, 0.003), np.linspace(h, 0.02, 9)], 1)
-    body = turned([[0, 0], line[0], *line, line[-1], inside[0], *inside])
+    body = smooth_lathe([[0, 0], line[0], *line, line[-1], inside[0], *inside])
     made: Thing = [(body, str(rng.choice(["ceramic", "gloss"])))]
     if rng.random() < 0.5:
         for _ in range(int(rng.integers(3, 12))):
             lean = rotation(rng.normal(0, 1, 3) * [1, 0, 1] + [0, 0, 1e-3], rng.uniform(0, 0.4))
             tall = rng.uniform(0.2, 0.5)
-            stem = meshes.cylinder(0.0025, tall, 5).transformed(lean)
+            stem = meshes.cylinder(0.0025, tall, 5).transform(lean)
             bloom = meshes.sphere(rng.uniform(0.012, 0.03), 12)
-            made.append((stem.transformed(translation(0, 0.8 * h, 0)), "leaf"))
+            made.append((stem.transform(translation(0, 0.8 * h, 0)), "leaf"))
             tip = (lean @ np.array([0, tall, 0, 1]))[:3] + [0, 0.8 * h, 0]
-            made.append((bloom.transformed(translation(*tip)), str(rng.choice(["accent", "paper"]))))
+            made.append((bloom.transform(translation(*tip)), str(rng.choice(["accent", "paper"]))))
     return made
 
 
@@ -126,22 +126,23 @@ def lamp(rng: np.random.Generator, floor: bool = False) -> Thing:
     r, h = rng.uniform(0.1, 0.22), rng.uniform(0.14, 0.28)
     top = r * rng.uniform(0.4, 1.0)
     shade = [meshes.lathe(np.array([r - k, top - k]), np.array([0, h]), 36) for k in (0.0, 0.004)]
-    rims = [meshes.torus(size, 0.004, 36, 6).transformed(translation(0, y, 0)) for size, y in ((r, 0), (top, h))]
-    base = turned([[0, 0], [0.5 * r, 0], [0.5 * r, 0], [0.5 * r, 0.015], [0.02, 0.03], [0.008, 0.06], [0.008, tall]])
+    rims = [meshes.torus(size, 0.004, 36, 6).transform(translation(0, y, 0)) for size, y in ((r, 0), (top, h))]
+    base = smooth_lathe([[0, 0], [0.5 * r, 0], [0.5 * r, 0], [0.5 * r, 0.015], [0.02, 0.03], [0.008, 0.06],
+                         [0.008, tall]])
     if not floor and rng.random() < 0.6:
         radii = rng.uniform(0.02, 0.09, 6)
         body = np.stack([radii, np.linspace(0, 0.85 * tall, 6)], 1)
-        base = turned([[0, 0], *body, [0.006, 0.9 * tall], [0.006, tall]])
+        base = smooth_lathe([[0, 0], *body, [0.006, 0.9 * tall], [0.006, tall]])
     lift = translation(0, tall - 0.3 * h, 0)
     return [(base, str(rng.choice(["metal", "ceramic", "wood"]))),
-            (meshes.merge([*shade, *rims]).transformed(lift), "shade")]
+            (meshes.merge([*shade, *rims]).transform(lift), "shade")]
 
 
 def screen(rng: np.random.Generator) -> Thing:
     """A monitor or television on a foot, facing +z."""
     w = rng.uniform(0.25, 0.5)
     h = 0.6 * w
-    body = solids.rounded([-w, 0.1, -0.015], [w, 0.1 + 2 * h, 0.015], 0.008)
+    body = solids.rounded_box([-w, 0.1, -0.015], [w, 0.1 + 2 * h, 0.015], 0.008)
     foot = solids.boxes([[-0.02, 0, -0.04], [-0.12, 0, -0.1]], [[0.02, 0.14, -0.015], [0.12, 0.01, 0.08]])
     glass = solids.face(-w + 0.01, 0.11, w - 0.01, 0.09 + 2 * h, 0.0155)
     return [(meshes.merge([body, foot]), "dark"), (glass, "gloss_dark")]
@@ -149,21 +150,22 @@ def screen(rng: np.random.Generator) -> Thing:
 
 def jar(rng: np.random.Generator) -> Thing:
     r, h = rng.uniform(0.035, 0.07), rng.uniform(0.08, 0.22)
-    lid = turned([[r, h], [1.05 * r, h], [1.05 * r, h], [1.05 * r, h + 0.015], [0.3 * r, h + 0.025], [0.01, h + 0.05]])
-    body = turned([[0, 0], [r, 0], [r, 0], [r, h], [r, h], [0, h]])
+    lid = smooth_lathe([[r, h], [1.05 * r, h], [1.05 * r, h], [1.05 * r, h + 0.015], [0.3 * r, h + 0.025],
+                        [0.01, h + 0.05]])
+    body = smooth_lathe([[0, 0], [r, 0], [r, 0], [r, h], [r, h], [0, h]])
     return [(body, str(rng.choice(["ceramic", "gloss", "book2"]))), (lid, "wood")]
 
 
 def tray(rng: np.random.Generator) -> Thing:
-    return [(solids.folded(rng, rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.3), int(rng.integers(1, 5))), "cloth")]
+    return [(solids.folded_stack(rng, rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.3), int(rng.integers(1, 5))), "cloth")]
 
 
 def plates(rng: np.random.Generator) -> Thing:
     r, made = rng.uniform(0.09, 0.14), []
     for k in range(int(rng.integers(1, 7))):
-        plate = turned([[0, 0], [0.6 * r, 0.001], [r, 0.018], [r, 0.018], [r - 0.004, 0.021], [0.6 * r, 0.006],
+        plate = smooth_lathe([[0, 0], [0.6 * r, 0.001], [r, 0.018], [r, 0.018], [r - 0.004, 0.021], [0.6 * r, 0.006],
                         [0, 0.005]])
-        made.append((plate.transformed(translation(0, 0.008 * k, 0)), "ceramic"))
+        made.append((plate.transform(translation(0, 0.008 * k, 0)), "ceramic"))
     return made
 
 
@@ -185,12 +187,12 @@ def arrange(rng: np.random.Generator, x0: float, x1: float, z0: float, z1: float
             inside = np.all(spot - 0.7 * reach > [x0, z0]) and np.all(spot + 0.7 * reach < [x1, z1])
             if inside and all(np.hypot(*(spot - other)) > reach + size for other, size in taken):
                 taken.append((spot, reach))
-                made += moved(thing, spot[0], y + 5e-4, spot[1], rng.uniform(-0.4, 0.4))
+                made += place_at(thing, spot[0], y + 5e-4, spot[1], rng.uniform(-0.4, 0.4))
                 break
     return made
 
 
-def framed(rng: np.random.Generator, width: float, height: float, slot: str) -> Thing:
+def picture_frame(rng: np.random.Generator, width: float, height: float, slot: str) -> Thing:
     """A picture in a moulded frame about the origin, on the plane z = 0; `slot` is the picture's, over its whole."""
     rim = solids.frame_profile(rng, rng.uniform(0.02, 0.08), rng.uniform(0.015, 0.05))
     corners = solids.rectangle(-width / 2, -height / 2, width / 2, height / 2)

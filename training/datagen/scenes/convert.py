@@ -42,7 +42,7 @@ def _walk(document: dict, buffers: list[bytes], index: int, parent: np.ndarray, 
     world = parent @ _matrix(node)
     if "mesh" in node:
         for primitive in document["meshes"][node["mesh"]]["primitives"]:
-            mesh = _primitive(document, buffers, primitive).transformed(world)
+            mesh = _primitive(document, buffers, primitive).transform(world)
             shapes.append((mesh, f"m{primitive['material']}", None))
     for child in node.get("children", []):
         _walk(document, buffers, child, world, shapes)
@@ -175,7 +175,7 @@ def load_xml(path: Path) -> tuple[list[tuple[Mesh, str, list | None]], dict[str,
 
 def _rectangle(shape: mi.Shape) -> Mesh:
     matrix = np.array(mi.traverse(shape)["to_world"].matrix).reshape(4, 4)
-    return quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]).transformed(matrix)
+    return quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]).transform(matrix)
 
 
 def write(name: str, loaded: tuple, folder: Path, source: Path) -> None:
@@ -219,7 +219,7 @@ def y_up(loaded: tuple) -> tuple:
     shapes, materials, cameras = loaded
     turn = np.eye(4)[[0, 2, 1, 3]] * np.array([[1], [1], [-1], [1]])
     cameras = [{key: (turn[:3, :3] @ point).tolist() for key, point in camera.items()} for camera in cameras]
-    return [(m.transformed(turn), name, e) for m, name, e in shapes], materials, cameras
+    return [(m.transform(turn), name, e) for m, name, e in shapes], materials, cameras
 
 
 def main() -> None:

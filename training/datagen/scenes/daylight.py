@@ -1,4 +1,4 @@
-"""Light of interiors: what stands outside their windows. Bright sheets, or an environment that shines in."""
+"""Light of interiors: bright sheets outside their windows, or an environment that shines in."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from training.datagen.scenes.shell import House, Side
 
 
 def light(house: House, maps: Environments, calm: bool) -> None:
-    """Windows first; few rooms have lamps as well."""
+    """Light a house through its windows; a few get lamps as well."""
     rng = house.rng
     lit = [side for side in house.sides if any(hole.kind == "window" for hole in side.holes)]
     every = [*lit, *house.far_windows]
@@ -54,7 +54,7 @@ def _sheets(house: House, sides: list[Side], gap: float) -> None:
     dim = bright * rng.uniform(0.15, 0.7) * lights.tint(rng, 0.03)
     for start, end, radiance in ((0.0, cut, dim), (cut, 1.0, bright)):
         if end > start:
-            made = [mesh.transformed(side.matrix) for side in sides
+            made = [mesh.transform(side.matrix) for side in sides
                     for mesh in _sheet(side, house.style.thick, gap, start, end)]
             house.d.emit(meshes.merge(made), radiance)
     for side in sides:
@@ -88,7 +88,7 @@ def _before_windows(house: House, side: Side, gap: float) -> None:
 
 
 def outside_only(image: np.ndarray, turn: float, outward: np.ndarray) -> np.ndarray:
-    """An environment (H, W, 3) without the directions from which no window is lit, so that samples are not lost there.
+    """An environment (H, W, 3), black where no window sees it, so that no samples are wasted there.
 
     `turn` is its turn about y in degrees, `outward` (N, 3) are the normals of the windows' outer sides. A margin of
     about two texels stays.

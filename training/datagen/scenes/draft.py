@@ -1,4 +1,4 @@
-"""What procedural scenes share: a draft with its views, a pool of materials, placed and moving things."""
+"""Parts shared by procedural scenes: a draft with its views, a pool of materials, placed and moving things."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from training.datagen.scenes import foliage, furniture, lights, meshes, textures
 from training.datagen.scenes.build import Description
-from training.datagen.scenes.materials import Material, polished, random_material
+from training.datagen.scenes.materials import Material, polished_metal, random_material
 from training.datagen.scenes.motion import object_path, random_bend
 
 View = tuple[np.ndarray, np.ndarray]
@@ -45,11 +45,11 @@ def draft_thing(rng: np.random.Generator, kinds: tuple = furniture.OBJECTS) -> f
 def place(d: Description, thing: furniture.Thing, slots: dict[str, int], matrix: np.ndarray, uv: float,
           bend: int | None = None) -> None:
     for mesh, slot in thing:
-        d.add(mesh.transformed(matrix).scaled_uvs(uv), slots[slot], bend=bend)
+        d.add(mesh.transform(matrix).scaled_uvs(uv), slots[slot], bend=bend)
 
 
 def fine(thing: furniture.Thing) -> bool:
-    """Whether it has vertices enough to bend."""
+    """Whether a thing has enough vertices to bend."""
     return sum(len(mesh.vertices) for mesh, _ in thing) > 300
 
 
@@ -62,7 +62,7 @@ def moving_thing(d: Description, rng: np.random.Generator, thing: furniture.Thin
     height = max(mesh.vertices[:, 1].max() for mesh, _ in thing)
     kind = rng.choice(["slide", "turn", "tumble", "both"])
     if rng.random() < 0.2:
-        shiny, kind = d.material(polished(rng)), rng.choice(["turn", "tumble"])
+        shiny, kind = d.material(polished_metal(rng)), rng.choice(["turn", "tumble"])
         slots = {name: shiny for name in slots}
     speed = 0.02 * metre * np.exp(rng.normal(0, 0.9)) * (kind in ("slide", "both", "tumble"))
     spin = float(np.clip(rng.normal(0, 0.12), -0.4, 0.4)) * (kind != "slide")
@@ -77,25 +77,25 @@ def moving_thing(d: Description, rng: np.random.Generator, thing: furniture.Thin
         d.bends.append(random_bend(rng, np.array([0, -lift, 0]), height, any(slot == "leaf" for _, slot in thing)))
         bend = len(d.bends) - 1
     for mesh, slot in thing:
-        d.add(mesh.transformed(meshes.translation(0, -lift, 0)).scaled_uvs(uv), slots[slot], mover, bend)
+        d.add(mesh.transform(meshes.translation(0, -lift, 0)).scaled_uvs(uv), slots[slot], mover, bend)
 
 
 def add_glowing(d: Description, rng: np.random.Generator, home: np.ndarray, power: float) -> None:
     """A thing that shines itself, like a neon sign or a paper lamp; at times it moves."""
     things = (furniture.ball, furniture.ring, furniture.ring, furniture.lump, furniture.pillar)
-    thing = furniture.resized(furniture.pick(rng, things), rng.uniform(0.2, 0.7))
+    thing = furniture.resize(furniture.pick(rng, things), rng.uniform(0.2, 0.7))
     mesh = meshes.merge([mesh for mesh, _ in thing])
     mover, matrix = None, meshes.translation(*home)
     if rng.random() < 0.4:
         d.movers.append(object_path(home, rng.normal(0, 0.03, 3) * [1, 0.3, 1], rng.normal(0, 1, 3), 0.1))
         mover, matrix = len(d.movers) - 1, np.eye(4)
-    d.emit(mesh.transformed(matrix), lights.tint(rng, 0.6) * power, mover)
+    d.emit(mesh.transform(matrix), lights.tint(rng, 0.6) * power, mover)
 
 
 def add_moving(d: Description, rng: np.random.Generator, home: np.ndarray, metre: float) -> None:
     """Add a random moving thing with materials of its own; `metre` is the length of a metre in the scene's units."""
     pool = Pool(d, rng, 2, gloss=0.4, metal=0.3)
-    thing = furniture.resized(furniture.pick(rng), metre * rng.uniform(0.3, 0.9))
+    thing = furniture.resize(furniture.pick(rng), metre * rng.uniform(0.3, 0.9))
     moving_thing(d, rng, thing, pool.slots(), home, float(rng.choice([1, 3])) / metre, metre)
 
 

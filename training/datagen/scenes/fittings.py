@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from training.datagen.scenes import clutter, foliage, meshes, solids
-from training.datagen.scenes.clutter import arrange, book_row, moved
+from training.datagen.scenes.clutter import arrange, book_row, place_at
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.joinery import panel_grid
 from training.datagen.scenes.meshes import rotation, translation
@@ -28,7 +28,8 @@ def bookcase(rng: np.random.Generator) -> Thing:
     for y in heights[:-1]:
         kind = rng.random()
         if kind < 0.65:
-            made += moved(book_row(rng, (2 * w - 2 * t) * rng.uniform(0.5, 1), gap, d - 0.03), -w + t, y + t, d - 0.02)
+            books = book_row(rng, (2 * w - 2 * t) * rng.uniform(0.5, 1), gap, d - 0.03)
+            made += place_at(books, -w + t, y + t, d - 0.02)
         elif kind < 0.92:
             made += arrange(rng, -w + t, w - t, 0.02, d, y + t, 8, most=gap)
     return made + arrange(rng, -w, w, 0.02, d, h, int(rng.integers(0, 4)), most=0.5)
@@ -49,10 +50,10 @@ def cabinet(rng: np.random.Generator, width: float | None = None, height: float 
         x0 = -w + 2 * w * k / columns
         for door in panel_grid(x0 + 0.002, plinth + 0.004, x0 + 2 * w / columns - 0.002, h - 0.004, 1, count, 0.004):
             (a, b), (c, e) = door[0], door[2]
-            parts.append(solids.rounded([a, b, d - 0.002], [c, e, d + 0.018], 0.003, 2))
+            parts.append(solids.rounded_box([a, b, d - 0.002], [c, e, d + 0.018], 0.003, 2))
             if not plain and min(c - a, e - b) > 0.14:
                 ring = solids.moulding(solids.rectangle(a + 0.04, b + 0.03, c - 0.04, e - 0.03), profile, closed=True)
-                parts.append(ring.transformed(translation(0, 0, d + 0.018)))
+                parts.append(ring.transform(translation(0, 0, d + 0.018)))
             grip = (np.array([(a + c) / 2, (b + e) / 2]) if count > 1 else
                     np.array([c - 0.035 if k % 2 == 0 else a + 0.035, e - 0.12 if plinth < 0.5 else b + 0.12]))
             handles += _handle(knob, count > 1, grip, d + 0.018)
@@ -61,18 +62,18 @@ def cabinet(rng: np.random.Generator, width: float | None = None, height: float 
 
 def _handle(knob: bool, flat: bool, grip: np.ndarray, z: float) -> list:
     if knob:
-        return [meshes.sphere(0.013, 16).transformed(translation(grip[0], grip[1], z + 0.02)),
-                meshes.cylinder(0.005, 0.02, 8).transformed(translation(grip[0], grip[1], z) @ rotation(X, np.pi / 2))]
+        return [meshes.sphere(0.013, 16).transform(translation(grip[0], grip[1], z + 0.02)),
+                meshes.cylinder(0.005, 0.02, 8).transform(translation(grip[0], grip[1], z) @ rotation(X, np.pi / 2))]
     turn = rotation(np.array([0, 0, 1.0]), 0.0 if flat else np.pi / 2)
     arc = np.array([[-6, 0, 0], [-6, 0, 2.5], [-5, 0, 3], [5, 0, 3], [6, 0, 2.5], [6, 0, 0]]) / 100
-    return [foliage.tube(arc, 0.0045, 8).transformed(translation(grip[0], grip[1], z) @ turn)]
+    return [foliage.tube(arc, 0.0045, 8).transform(translation(grip[0], grip[1], z) @ turn)]
 
 
 def sideboard(rng: np.random.Generator) -> Thing:
     """A chest with things on it."""
     w, h, d = rng.uniform(0.8, 1.8), rng.uniform(0.45, 1.0), rng.uniform(0.35, 0.5)
     made = cabinet(rng, w, h, d)
-    top = solids.rounded([-w / 2 - 0.015, h, 0], [w / 2 + 0.015, h + 0.025, d + 0.03], 0.008)
+    top = solids.rounded_box([-w / 2 - 0.015, h, 0], [w / 2 + 0.015, h + 0.025, d + 0.03], 0.008)
     return [*made, (top, "wood"), *arrange(rng, -w / 2, w / 2, 0.03, d, h + 0.025, int(rng.integers(2, 7)))]
 
 
@@ -80,7 +81,7 @@ def wardrobe(rng: np.random.Generator) -> Thing:
     w, h, d = rng.uniform(0.8, 2.0), rng.uniform(1.8, 2.2), rng.uniform(0.5, 0.62)
     crown = solids.cornice_profile(rng, 0.06, 0.08)[:, ::-1]
     made = cabinet(rng, w, h, d)
-    rim = solids.moulding([[-w / 2, h - 0.05], [w / 2, h - 0.05]], crown[::-1]).transformed(translation(0, 0, d))
+    rim = solids.moulding([[-w / 2, h - 0.05], [w / 2, h - 0.05]], crown[::-1]).transform(translation(0, 0, d))
     return [*made, (rim, made[0][1])]
 
 
@@ -89,7 +90,7 @@ def kitchen(rng: np.random.Generator) -> Thing:
     w, h, d = rng.uniform(1.8, 3.4), 0.88, 0.6
     slot = str(rng.choice(["trim", "lacquer", "wood"]))
     made = cabinet(rng, w, h, d - 0.03, slot, 0.1)
-    made.append((solids.rounded([-w / 2, h, 0], [w / 2, h + 0.04, d + 0.02], 0.006), "counter"))
+    made.append((solids.rounded_box([-w / 2, h, 0], [w / 2, h + 0.04, d + 0.02], 0.006), "counter"))
     made += tiles(rng, -w / 2, h + 0.04, w / 2, h + 0.6)
     made += arrange(rng, -w / 2, w / 2, 0.06, d - 0.05, h + 0.04, int(rng.integers(4, 12)), most=0.5)
     x = rng.uniform(-0.3, 0.3) * w
@@ -97,10 +98,10 @@ def kitchen(rng: np.random.Generator) -> Thing:
     made.append((foliage.tube(np.array(spout), 0.011, 12), "metal"))
     half = w * rng.uniform(0.3, 0.5)
     if rng.random() < 0.5:
-        made += moved(cabinet(rng, half, 0.7, 0.33, slot, 0.0), half / 2 - w / 2, h + 0.6, 0)
+        made += place_at(cabinet(rng, half, 0.7, 0.33, slot, 0.0), half / 2 - w / 2, h + 0.6, 0)
     for y in (h + 0.65, h + 1.0):
         x0 = half - w / 2 + 0.05
-        made.append((solids.rounded([x0, y, 0.0], [w / 2, y + 0.03, 0.25], 0.004), "wood"))
+        made.append((solids.rounded_box([x0, y, 0.0], [w / 2, y + 0.03, 0.25], 0.004), "wood"))
         made += arrange(rng, x0, w / 2, 0.02, 0.25, y + 0.03, 9, (clutter.jar, clutter.plates, clutter.tumbler,
                                                                   clutter.bottle, clutter.bowl), 0.3)
     return made
@@ -148,12 +149,12 @@ def _bevelled(rng: np.random.Generator, corners: np.ndarray, z: float) -> meshes
 def desk(rng: np.random.Generator) -> Thing:
     """A table with a screen, papers and a lamp, and drawers at one side."""
     w, d, h = rng.uniform(1.1, 1.8), rng.uniform(0.6, 0.8), rng.uniform(0.7, 0.76)
-    made: Thing = [(solids.rounded([-w / 2, h - 0.03, 0.02], [w / 2, h, d], 0.006), "wood")]
+    made: Thing = [(solids.rounded_box([-w / 2, h - 0.03, 0.02], [w / 2, h, d], 0.006), "wood")]
     feet = np.array([[x, 0, z] for x in (-w / 2 + 0.02, w / 2 - 0.06) for z in (0.05, d - 0.07)])
     made.append((solids.boxes(feet, feet + [0.04, h - 0.03, 0.04]), str(rng.choice(["metal", "trim", "wood"]))))
-    made += moved(cabinet(rng, 0.4, h - 0.05, d - 0.15), w / 2 - 0.3, 0, 0.05)
+    made += place_at(cabinet(rng, 0.4, h - 0.05, d - 0.15), w / 2 - 0.3, 0, 0.05)
     if rng.random() < 0.7:
-        made += moved(clutter.screen(rng), rng.uniform(-0.3, 0) * w, h, 0.22, rng.normal(0, 0.15))
+        made += place_at(clutter.screen(rng), rng.uniform(-0.3, 0) * w, h, 0.22, rng.normal(0, 0.15))
         made += _keyboard(rng, -0.1 * w, h, 0.55 * d)
     return made + arrange(rng, 0, w / 2, 0.05, d, h, 3) + arrange(rng, -w / 2, -0.2 * w, 0.3, d, h, 3)
 
@@ -162,7 +163,7 @@ def _keyboard(rng: np.random.Generator, x: float, y: float, z: float) -> Thing:
     i, j = (g.ravel() for g in np.meshgrid(np.arange(14), np.arange(5)))
     low = np.stack([x + 0.0315 * i - 0.22, 0 * i + y + 0.012, z + 0.025 * j], 1)
     keys = solids.boxes(low, low + [0.027, 0.006, 0.021])
-    return [(solids.rounded([x - 0.23, y + 0.001, z - 0.01], [x + 0.23, y + 0.013, z + 0.135], 0.005), "dark"),
+    return [(solids.rounded_box([x - 0.23, y + 0.001, z - 0.01], [x + 0.23, y + 0.013, z + 0.135], 0.005), "dark"),
             (keys, str(rng.choice(["dark", "paper"])))]
 
 
@@ -170,10 +171,10 @@ def towel_rail(rng: np.random.Generator) -> Thing:
     """A rail with towels over it."""
     w, y, z = rng.uniform(0.4, 0.8), rng.uniform(0.9, 1.4), 0.08
     lying = rotation(np.array([0, 0, 1.0]), -np.pi / 2)
-    bar = meshes.cylinder(0.009, w, 12).transformed(translation(-w / 2, y, z) @ lying)
+    bar = meshes.cylinder(0.009, w, 12).transform(translation(-w / 2, y, z) @ lying)
     ends = solids.boxes([[-w / 2, y - 0.01, 0], [w / 2 - 0.01, y - 0.01, 0]], [[-w / 2 + 0.01, y + 0.01, z],
                                                                             [w / 2, y + 0.01, z]])
     made: Thing = [(meshes.merge([bar, ends]), "metal")]
-    towel = solids.draped(rng, 0.04, 0.6 * w, rng.uniform(0.25, 0.55), 0.0, 0.003)
-    made.append((towel.transformed(translation(0, y + 0.012, z) @ rotation(Y, np.pi / 2)), "cloth"))
+    towel = solids.drape(rng, 0.04, 0.6 * w, rng.uniform(0.25, 0.55), 0.0, 0.003)
+    made.append((towel.transform(translation(0, y + 0.012, z) @ rotation(Y, np.pi / 2)), "cloth"))
     return made

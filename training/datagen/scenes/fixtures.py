@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from training.datagen.scenes import clutter, foliage, meshes, solids
-from training.datagen.scenes.clutter import arrange, moved, turned
+from training.datagen.scenes.clutter import arrange, place_at, smooth_lathe
 from training.datagen.scenes.fittings import cabinet
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.meshes import Mesh, rotation, translation
@@ -26,11 +26,11 @@ def fireplace(rng: np.random.Generator) -> Thing:
     pilasters = [solids.moulding(solids.rectangle(x - 0.3 * (w - a), 0.12, x + 0.02, b - 0.02),
                                  solids.frame_profile(rng, 0.02, 0.012), closed=True) for x in (-a - 0.12, w - 0.05)]
     crown = solids.moulding([[-w, h - 0.14], [w, h - 0.14]], solids.cornice_profile(rng, 0.12, 0.1)[::-1, ::-1])
-    front = meshes.merge([surround, *pilasters, crown]).transformed(translation(0, 0, d))
-    shelf = solids.rounded([-w - 0.08, h, 0], [w + 0.08, h + 0.045, d + 0.14], 0.012)
+    front = meshes.merge([surround, *pilasters, crown]).transform(translation(0, 0, d))
+    shelf = solids.rounded_box([-w - 0.08, h, 0], [w + 0.08, h + 0.045, d + 0.14], 0.012)
     made: Thing = [(meshes.merge([body, front, shelf]), str(rng.choice(["trim", "panel", "counter"])))]
     made.append((solids.face(-a, 0, a, b, 0.004), "soot"))
-    made.append((solids.rounded([-w - 0.1, 0, d], [w + 0.1, 0.03, d + 0.35], 0.008), "counter"))
+    made.append((solids.rounded_box([-w - 0.1, 0, d], [w + 0.1, 0.03, d + 0.35], 0.008), "counter"))
     grate = [foliage.tube(np.array([[x, 0.03, d - 0.02], [x, 0.45 * b, d + 0.02]]), 0.006, 8)
              for x in np.linspace(-0.8 * a, 0.8 * a, 11)]
     rail = foliage.tube(np.array([[-0.85 * a, 0.45 * b, d + 0.02], [0.85 * a, 0.45 * b, d + 0.02]]), 0.009, 8)
@@ -42,16 +42,16 @@ def radiator(rng: np.random.Generator) -> Thing:
     """Ribs on two pipes."""
     count, h, pitch = int(rng.integers(8, 26)), rng.uniform(0.4, 0.8), rng.uniform(0.045, 0.08)
     thick, x = pitch * rng.uniform(0.5, 0.9), pitch * (np.arange(count) - (count - 1) / 2)
-    ribs = [solids.rounded([a - thick / 2, 0.12, 0.04], [a + thick / 2, 0.12 + h, 0.14], 0.45 * thick) for a in x]
-    pipes = [meshes.cylinder(0.018, pitch * count, 14).transformed(
+    ribs = [solids.rounded_box([a - thick / 2, 0.12, 0.04], [a + thick / 2, 0.12 + h, 0.14], 0.45 * thick) for a in x]
+    pipes = [meshes.cylinder(0.018, pitch * count, 14).transform(
         translation(-pitch * count / 2, y, 0.09) @ rotation(Z, -np.pi / 2)) for y in (0.17, 0.07 + h)]
-    valve = meshes.cylinder(0.012, 0.18, 12).transformed(translation(pitch * count / 2 + 0.01, 0, 0.09))
+    valve = meshes.cylinder(0.012, 0.18, 12).transform(translation(pitch * count / 2 + 0.01, 0, 0.09))
     return [(meshes.merge([*ribs, *pipes, valve]), str(rng.choice(["trim", "trim", "metal"])))]
 
 
 def _shell(outer: np.ndarray, squash: float) -> Mesh:
     """A turned vessel stretched along x."""
-    return turned(outer, 48).transformed(np.diag([squash, 1, 1, 1.0]))
+    return smooth_lathe(outer, 48).transform(np.diag([squash, 1, 1, 1.0]))
 
 
 def bath(rng: np.random.Generator) -> Thing:
@@ -59,10 +59,10 @@ def bath(rng: np.random.Generator) -> Thing:
     r, h, stretch = rng.uniform(0.34, 0.42), rng.uniform(0.5, 0.62), rng.uniform(1.9, 2.3)
     line = [[0, 0.04], [0.6 * r, 0.04], [0.8 * r, 0.1], [0.95 * r, 0.6 * h], [1.02 * r, h - 0.01], [1.04 * r, h],
             [r, h + 0.012], [0.93 * r, h - 0.01], [0.85 * r, 0.6 * h], [0.7 * r, 0.18], [0.5 * r, 0.13], [0, 0.12]]
-    tub = _shell(np.array(line), stretch).transformed(translation(0, 0, 1.1 * r))
-    foot = solids.rounded([-0.9 * r, 0, 0.5 * r], [0.9 * r, 0.06, 1.7 * r], 0.01)
+    tub = _shell(np.array(line), stretch).transform(translation(0, 0, 1.1 * r))
+    foot = solids.rounded_box([-0.9 * r, 0, 0.5 * r], [0.9 * r, 0.06, 1.7 * r], 0.01)
     spout = np.array([[0, 0, 0.05], [0, h + 0.25, 0.05], [0, h + 0.3, 0.1], [0, h + 0.28, 0.2], [0, h + 0.22, 0.22]])
-    cloth_on = clutter.moved(clutter.tray(rng), -0.9 * r * stretch / 1.3, h + 0.01, 1.1 * r)
+    cloth_on = clutter.place_at(clutter.tray(rng), -0.9 * r * stretch / 1.3, h + 0.01, 1.1 * r)
     return [(meshes.merge([tub, foot]), "porcelain"), (foliage.tube(spout, 0.013, 12), "metal"),
             *(cloth_on if rng.random() < 0.2 else [])]
 
@@ -73,8 +73,8 @@ def basin(rng: np.random.Generator) -> Thing:
     r = 0.4 * d
     line = [[0, 0], [0.4 * r, 0], [0.85 * r, 0.06], [r, 0.13], [r, 0.14], [0.96 * r, 0.14], [0.8 * r, 0.06], [0, 0.02]]
     made = cabinet(rng, w, h, d, plinth=float(rng.choice([0.1, 0.35])))
-    made.append((solids.rounded([-w / 2 - 0.01, h, 0], [w / 2 + 0.01, h + 0.025, d + 0.03], 0.008), "counter"))
-    made.append((_shell(np.array(line), 1.25).transformed(translation(0, h + 0.025, 0.55 * d)), "porcelain"))
+    made.append((solids.rounded_box([-w / 2 - 0.01, h, 0], [w / 2 + 0.01, h + 0.025, d + 0.03], 0.008), "counter"))
+    made.append((_shell(np.array(line), 1.25).transform(translation(0, h + 0.025, 0.55 * d)), "porcelain"))
     spout = np.array([[0, h + 0.02, 0.04], [0, h + 0.24, 0.04], [0, h + 0.28, 0.08], [0, h + 0.26, 0.18]])
     made.append((foliage.tube(spout, 0.011, 12), "metal"))
     side = (-w / 2, -1.4 * r) if rng.random() < 0.5 else (1.4 * r, w / 2)
@@ -84,10 +84,10 @@ def basin(rng: np.random.Generator) -> Thing:
 
 def toilet(rng: np.random.Generator) -> Thing:
     line = [[0, 0], [0.13, 0], [0.12, 0.15], [0.17, 0.33], [0.19, 0.39], [0.19, 0.41], [0.05, 0.425], [0, 0.425]]
-    bowl = _shell(np.array(line), 1.0).transformed(translation(0, 0, 0.45) @ np.diag([1, 1, 1.3, 1.0]))
-    tank = solids.rounded([-0.19, 0.4, 0.0], [0.19, 0.78, 0.17], 0.03, 4)
-    lid = solids.rounded([-0.2, 0.78, -0.0], [0.2, 0.81, 0.18], 0.012)
-    neck = solids.rounded([-0.1, 0.0, 0.02], [0.1, 0.4, 0.4], 0.04, 4)
+    bowl = _shell(np.array(line), 1.0).transform(translation(0, 0, 0.45) @ np.diag([1, 1, 1.3, 1.0]))
+    tank = solids.rounded_box([-0.19, 0.4, 0.0], [0.19, 0.78, 0.17], 0.03, 4)
+    lid = solids.rounded_box([-0.2, 0.78, -0.0], [0.2, 0.81, 0.18], 0.012)
+    neck = solids.rounded_box([-0.1, 0.0, 0.02], [0.1, 0.4, 0.4], 0.04, 4)
     return [(meshes.merge([bowl, tank, lid, neck]), "porcelain")]
 
 
@@ -102,7 +102,7 @@ def baluster(rng: np.random.Generator, height: float) -> Mesh:
     y = np.linspace(0, height, 9)
     radii = rng.uniform(0.008, 0.026, 9)
     radii[[0, 1, -2, -1]] = 0.018
-    return turned(np.stack([radii, y], 1), 14)
+    return smooth_lathe(np.stack([radii, y], 1), 14)
 
 
 def rail_between(rng: np.random.Generator, foot: np.ndarray, end: np.ndarray, post: Mesh, height: float,
@@ -111,7 +111,7 @@ def rail_between(rng: np.random.Generator, foot: np.ndarray, end: np.ndarray, po
     count = max(2, round(float(np.linalg.norm((end - foot)[[0, 2]])) / pitch))
     places = foot + (end - foot) * ((np.arange(count) + 0.5) / count)[:, None]
     rail = foliage.tube(np.array([foot, (foot + end) / 2, end]) + [0, height, 0], rng.uniform(0.02, 0.032), 14)
-    return [*(post.transformed(translation(*place)) for place in places), rail]
+    return [*(post.transform(translation(*place)) for place in places), rail]
 
 
 def stairs(rng: np.random.Generator, rise: float, steps: int, width: float) -> Thing:
@@ -124,7 +124,7 @@ def stairs(rng: np.random.Generator, rise: float, steps: int, width: float) -> T
     k = np.arange(steps)
     zero = 0 * k
     nose = width + 0.02
-    treads = [solids.rounded([go * i - 0.025, h * (i + 1) - 0.035, 0], [go * (i + 1), h * (i + 1), nose], 0.012)
+    treads = [solids.rounded_box([go * i - 0.025, h * (i + 1) - 0.035, 0], [go * (i + 1), h * (i + 1), nose], 0.012)
               for i in k]
     made: Thing = [(meshes.merge(treads), "wood")]
     if closed:
@@ -140,8 +140,8 @@ def stairs(rng: np.random.Generator, rise: float, steps: int, width: float) -> T
     bars = rail_between(rng, foot, end, baluster(rng, high), high, rng.uniform(0.09, 0.16))
     made.append((meshes.merge(bars[:-1]), str(rng.choice(["trim", "metal", "wood"]))))
     made.append((bars[-1], "wood"))
-    newel = solids.rounded([-0.045, 0, -0.045], [0.045, high + 0.25, 0.045], 0.008)
-    return [*made, (newel.transformed(translation(0.3 * go, 0, width - 0.05)), "trim")]
+    newel = solids.rounded_box([-0.045, 0, -0.045], [0.045, high + 0.25, 0.045], 0.008)
+    return [*made, (newel.transform(translation(0.3 * go, 0, width - 0.05)), "trim")]
 
 
 def _plate(line: np.ndarray, z0: float, z1: float) -> Mesh:
@@ -177,7 +177,7 @@ def rack(rng: np.random.Generator) -> Thing:
             for _ in range(int(rng.integers(1, 8))):
                 if x + size > w - 0.05 or points[:, 1].max() > room:
                     break
-                made += moved(kind, x + size / 2, y + 5e-4, d - 0.17, rng.normal(0, 0.06))
+                made += place_at(kind, x + size / 2, y + 5e-4, d - 0.17, rng.normal(0, 0.06))
                 x += size
             x += rng.uniform(0.02, 0.1)
     return made
@@ -194,8 +194,8 @@ def boxes_pile(rng: np.random.Generator) -> Thing:
     for _ in range(int(rng.integers(1, 4))):
         w, h, d = size * rng.uniform(0.7, 1), size * rng.uniform(0.6, 1.2), size * rng.uniform(0.7, 1)
         turn = rotation(Y, rng.normal(0, 0.2))
-        body = solids.boxes([-w, y, -d], [w, y + h, d]).transformed(turn)
-        flap = solids.boxes([-w, y + h, -d], [w, y + h + 0.004, -0.02]).transformed(turn)
+        body = solids.boxes([-w, y, -d], [w, y + h, d]).transform(turn)
+        flap = solids.boxes([-w, y + h, -d], [w, y + h + 0.004, -0.02]).transform(turn)
         made += [(body, "card"), (flap, "card")]
         y, size = y + h + 0.004, 0.85 * size
-    return clutter.moved(made, 0, 0, 0.5)
+    return clutter.place_at(made, 0, 0, 0.5)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from training.datagen.scenes import meshes, solids
-from training.datagen.scenes.clutter import turned
+from training.datagen.scenes.clutter import smooth_lathe
 from training.datagen.scenes.furniture import Thing
 from training.datagen.scenes.meshes import Mesh
 
@@ -132,7 +132,7 @@ def leafy_tree(rng: np.random.Generator) -> list:
 def wires(rng: np.random.Generator) -> list:
     """Hanging cables between two poles."""
     span, tall = rng.uniform(0.6, 1.5), rng.uniform(0.8, 1.8)
-    parts = [(meshes.cylinder(0.02, tall, 8).transformed(meshes.translation(x, 0, 0)), "second") for x in (-span, span)]
+    parts = [(meshes.cylinder(0.02, tall, 8).transform(meshes.translation(x, 0, 0)), "second") for x in (-span, span)]
     for _ in range(int(rng.integers(3, 12))):
         t, sag, y = np.linspace(-1, 1, 20), rng.uniform(0, 0.4), rng.uniform(0.4, 1.0) * tall
         line = np.stack([span * t, y - sag * (1 - t**2), np.full(20, rng.normal(0, 0.05))], 1)
@@ -211,9 +211,9 @@ def curved_leaves(root: np.ndarray, heading: np.ndarray, length: np.ndarray, wid
 def _pot(rng: np.random.Generator, radius: float) -> tuple[Thing, float]:
     h = radius * rng.uniform(1.2, 2.2)
     low = rng.uniform(0.6, 1.0) * radius
-    wall = turned([[0, 0], [low, 0], [low, 0], [radius, h], [radius, h], [0.9 * radius, h], [0.9 * radius, h],
+    wall = smooth_lathe([[0, 0], [low, 0], [low, 0], [radius, h], [radius, h], [0.9 * radius, h], [0.9 * radius, h],
                    [0.88 * radius, 0.88 * h]], 40)
-    soil = turned([[0.9 * radius, 0.9 * h], [0.4 * radius, 0.92 * h], [0, 0.92 * h]], 24)
+    soil = smooth_lathe([[0.9 * radius, 0.9 * h], [0.4 * radius, 0.92 * h], [0, 0.92 * h]], 24)
     return [(wall, str(rng.choice(["ceramic", "pot", "gloss"]))), (soil, "soil")], 0.9 * h
 
 
@@ -235,7 +235,7 @@ def rosette(rng: np.random.Generator) -> Thing:
     leaves = curved_leaves(root, heading, length * rng.uniform(0.7, 1.1, count), rng.uniform(0.04, 0.09),
                            0.0 if upright else min(rng.uniform(0.2, 0.7), most), rng.uniform(0, 0.5))
     if stem:
-        made.append((meshes.cylinder(0.02, stem, 14).transformed(meshes.translation(0, top - 0.02, 0)), "wood"))
+        made.append((meshes.cylinder(0.02, stem, 14).transform(meshes.translation(0, top - 0.02, 0)), "wood"))
     return [*made, (leaves, "leaf")]
 
 

@@ -1,4 +1,4 @@
-"""Furnishing of interiors: what stands along walls and in the middle, what hangs, what moves; nothing overlaps."""
+"""Furnishing of interiors: things along walls, in the middle, hanging and moving, none overlapping."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Maker = Callable[[np.random.Generator], Thing]
 
 @dataclass(frozen=True)
 class Kind:
-    """What stands along the walls and in the middle of a kind of room, and how many of each."""
+    """Furniture of a kind of room: things along the walls and in the middle, and how many of each."""
 
     walls: tuple[Maker, ...]
     middle: tuple[Maker, ...]
@@ -153,7 +153,7 @@ def _pictures(house: House, side: Side, a: float, b: float) -> None:
     count = int(rng.integers(1, 4)) if b - a > 1.5 else 1
     size = np.minimum(rng.uniform(0.25, 0.8, 2), [(b - a) / count - 0.1, 0.85])
     for x in a + (np.arange(count) + 0.5) * (b - a) / count:
-        picture, spot = clutter.framed(rng, *size, "art"), side.matrix @ translation(x, y, 0.02)
+        picture, spot = clutter.picture_frame(rng, *size, "art"), side.matrix @ translation(x, y, 0.02)
         if _clear(house, spot[:3, 3], 0.5 * size[0], y - 0.5 * size[1]):
             house.put(picture, spot)
     house.sights.append((side.matrix @ np.array([(a + b) / 2, y, 0, 1]))[:3])
@@ -166,12 +166,12 @@ def _beams(house: House) -> None:
     y = h if not house.pitch else h + house.pitch * w / 2 * rng.uniform(0.5, 0.75)
     reach = w / 2 if not house.pitch else w / 2 - (y - h) / house.pitch
     for z in np.arange(-depth / 2 + 0.4, depth / 2 - 0.2, rng.uniform(0.6, 1.4)):
-        made.append(solids.rounded([-reach, y - 2.2 * size, z - size], [reach, y - 0.001, z + size], 0.01))
+        made.append(solids.rounded_box([-reach, y - 2.2 * size, z - size], [reach, y - 0.001, z + size], 0.01))
     house.put([(meshes.merge(made), str(rng.choice(["wood", "trim"])))], np.eye(4))
 
 
-def moving(house: House) -> None:
-    """Some rooms have a thing that moves."""
+def add_moving_thing(house: House) -> None:
+    """Let a thing move in some rooms."""
     rng, (w, _, depth) = house.rng, house.size
     for _ in range(int(rng.choice([0, 1, 2], p=[0.6, 0.28, 0.12]))):
         roles = rng.choice(["gloss", "accent", "pattern", "metal", "leaf", "lacquer"], 4)

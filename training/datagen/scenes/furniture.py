@@ -17,7 +17,7 @@ Y = np.array([0.0, 1.0, 0.0])
 
 
 def _at(mesh: Mesh, x: float, y: float, z: float) -> Mesh:
-    return mesh.transformed(translation(x, y, z))
+    return mesh.transform(translation(x, y, z))
 
 
 def table(rng: np.random.Generator) -> Thing:
@@ -79,7 +79,7 @@ def stack(rng: np.random.Generator) -> Thing:
     y = 0.0
     for _ in range(int(rng.integers(3, 8))):
         w, h, d = rng.uniform(0.1, 0.35), rng.uniform(0.03, 0.15), rng.uniform(0.1, 0.3)
-        piece = meshes.box([-w, 0, -d], [w, h, d]).transformed(rotation(Y, rng.uniform(-0.5, 0.5)))
+        piece = meshes.box([-w, 0, -d], [w, h, d]).transform(rotation(Y, rng.uniform(-0.5, 0.5)))
         parts.append((_at(piece, 0, y, 0), str(rng.choice(["main", "second", "third"]))))
         y += h
     return parts
@@ -87,7 +87,7 @@ def stack(rng: np.random.Generator) -> Thing:
 
 def ring(rng: np.random.Generator) -> Thing:
     major, tube = rng.uniform(0.2, 0.45), rng.uniform(0.03, 0.15)
-    turned = meshes.torus(major, tube).transformed(rotation(np.array([1.0, 0, 0.3]), rng.uniform(0, 1.6)))
+    turned = meshes.torus(major, tube).transform(rotation(np.array([1.0, 0, 0.3]), rng.uniform(0, 1.6)))
     return [(_at(turned, 0, -turned.vertices[:, 1].min(), 0), "main")]
 
 
@@ -110,7 +110,7 @@ def rods(rng: np.random.Generator) -> Thing:
     for _ in range(int(rng.integers(6, 24))):
         rod = meshes.cylinder(rng.uniform(0.003, 0.015), rng.uniform(0.5, 1.4), 8)
         lean = rotation(np.array([rng.normal(), 0.01, rng.normal()]), rng.uniform(0, 0.5))
-        parts.append((_at(rod.transformed(lean), *(rng.uniform(-0.3, 0.3, 3) * [1, 0, 1])), "main"))
+        parts.append((_at(rod.transform(lean), *(rng.uniform(-0.3, 0.3, 3) * [1, 0, 1])), "main"))
     return parts
 
 
@@ -120,11 +120,11 @@ def slats(rng: np.random.Generator) -> Thing:
     parts: Thing = []
     tilt = rotation(np.array([1.0, 0, 0]), rng.uniform(0, 1.2))
     for y in np.linspace(0.03, h, count):
-        piece = meshes.box([-w, -0.3 * h / count, -0.006], [w, 0.3 * h / count, 0.006]).transformed(tilt)
+        piece = meshes.box([-w, -0.3 * h / count, -0.006], [w, 0.3 * h / count, 0.006]).transform(tilt)
         parts.append((_at(piece, 0, y, 0), "main"))
     parts += [(meshes.box([x - 0.015, 0, -0.015], [x + 0.015, h, 0.015]), "second") for x in (-w, w)]
     upright = rng.random() < 0.4
-    return [(m.transformed(translation(0, w, 0) @ rotation(np.array([0, 0, 1.0]), np.pi / 2)) if upright else m, s)
+    return [(m.transform(translation(0, w, 0) @ rotation(np.array([0, 0, 1.0]), np.pi / 2)) if upright else m, s)
             for m, s in parts]
 
 
@@ -135,7 +135,7 @@ def plant(rng: np.random.Generator) -> Thing:
     for _ in range(int(rng.integers(25, 120))):
         size, turn = rng.uniform(0.05, 0.14), rng.uniform(0, 6.3)
         leaf = meshes.quad([-0.4 * size, 0, 0], [0.8 * size, 0, 0], [0, 0.3 * size, size])
-        leaf = leaf.transformed(rotation(Y, turn) @ rotation(np.array([1.0, 0, 0.2]), rng.uniform(-1.2, 0.6)))
+        leaf = leaf.transform(rotation(Y, turn) @ rotation(np.array([1.0, 0, 0.2]), rng.uniform(-1.2, 0.6)))
         reach = rng.uniform(0.02, 0.3)
         leaves.append(_at(leaf, reach * np.sin(turn), rng.uniform(0.3, 0.9) - 0.5 * reach, reach * np.cos(turn)))
     parts.append((meshes.merge(leaves), "leaf"))
@@ -147,7 +147,7 @@ def tree(rng: np.random.Generator) -> Thing:
     size = rng.uniform(0.04, 0.1)
     centres = rng.normal(0, 0.3, (int(rng.integers(150, 500)), 3)) * [1, 0.8, 1] + [0, 1.5, 0]
     leaves = [
-        _at(meshes.quad([-size, -size, 0], [2 * size, 0, 0], [0, size, 0]).transformed(
+        _at(meshes.quad([-size, -size, 0], [2 * size, 0, 0], [0, size, 0]).transform(
             rotation(rng.normal(0, 1, 3), rng.uniform(0, 3))), *centre) for centre in centres
     ]
     return [(trunk, "second"), (meshes.merge(leaves), "leaf")]
@@ -158,10 +158,10 @@ def wheel(rng: np.random.Generator) -> Thing:
     radius, count = rng.uniform(0.3, 0.5), int(rng.integers(5, 14))
     parts: Thing = [(meshes.torus(radius, 0.04), "main"), (meshes.sphere(0.07, 24), "second")]
     for angle in np.arange(count) * 2 * np.pi / count:
-        spoke = meshes.cylinder(0.012, radius, 8).transformed(rotation(np.array([0, 0, 1.0]), np.pi / 2))
-        parts.append((spoke.transformed(rotation(Y, angle)), "second"))
+        spoke = meshes.cylinder(0.012, radius, 8).transform(rotation(np.array([0, 0, 1.0]), np.pi / 2))
+        parts.append((spoke.transform(rotation(Y, angle)), "second"))
     stand = translation(0, radius + 0.04, 0) @ rotation(np.array([1.0, 0, 0]), np.pi / 2)
-    return [(m.transformed(stand), slot) for m, slot in parts]
+    return [(m.transform(stand), slot) for m, slot in parts]
 
 
 FURNITURE: tuple[Callable[[np.random.Generator], Thing], ...] = (
@@ -174,6 +174,6 @@ def pick(rng: np.random.Generator, kinds: tuple = OBJECTS) -> Thing:
     return kinds[int(rng.integers(len(kinds)))](rng)
 
 
-def resized(thing: Thing, factor: float) -> Thing:
+def resize(thing: Thing, factor: float) -> Thing:
     matrix = np.diag([factor, factor, factor, 1.0])
-    return [(mesh.transformed(matrix), slot) for mesh, slot in thing]
+    return [(mesh.transform(matrix), slot) for mesh, slot in thing]

@@ -64,7 +64,7 @@ def interior(rng: np.random.Generator, maps: Environments) -> Draft:
         furnishing.stairs(house)
     furnishing.furnish(house, kind)
     furnishing.hang(house)
-    furnishing.moving(house)
+    furnishing.add_moving_thing(house)
     daylight.light(house, maps, calm=rng.random() < 0.5)
     return Draft(d, lambda r: _view(house, r), 0.25)
 
@@ -103,7 +103,7 @@ def _windows(rng: np.random.Generator, glazed: float, width: float, sill: float,
 
 
 def _view(house: House, rng: np.random.Generator) -> View:
-    """From a free place at the height of eyes: across the room, or at something from near."""
+    """A view from a free place at eye height: across the room, or close to something."""
     w, _, depth = house.size
     reach = rng.uniform(0.7, 2.5)
     for _ in range(40):

@@ -1,4 +1,4 @@
-"""Walls of interiors and what joiners make: windows with bars, doors, skirtings, panels, blinds.
+"""Walls of interiors and their joinery: windows with bars, doors, skirtings, panels, blinds.
 
 Everything is made in a wall's own frame: x along the wall from 0 to its width, y up, z into the room with the wall's
 face at 0. Things as in furniture: lists of (mesh, slot).
@@ -38,7 +38,7 @@ class Opening:
 
 @dataclass(frozen=True)
 class Joinery:
-    """What all walls of a house share: profiles (K, 2), thickness of the walls, pattern of the windows' bars."""
+    """Style shared by all walls of a house: profiles (K, 2), wall thickness, pattern of the windows' bars."""
 
     skirting: np.ndarray
     architrave: np.ndarray
@@ -99,12 +99,12 @@ def window(rng: np.random.Generator, hole: Opening, style: Joinery, slot: str = 
     if transom is not None:
         parts.append(solids.boxes([hole.x0, transom, z], [hole.x1, transom + s, z + deep + 0.01]))
     made: Thing = [(meshes.merge(parts), slot)]
-    handle = solids.rounded([-0.01, -0.06, 0], [0.01, 0.06, 0.035], 0.009)
+    handle = solids.rounded_box([-0.01, -0.06, 0], [0.01, 0.06, 0.035], 0.009)
     place = (hole.x0 + s + inner / count - 0.02, hole.y0 + 0.45 * hole.height, z + deep)
-    made.append((handle.transformed(translation(*place)), "metal"))
+    made.append((handle.transform(translation(*place)), "metal"))
     if rng.random() < 0.7 and hole.y0 > 0.2:
         nose = rng.uniform(0.02, 0.09)
-        board = solids.rounded([hole.x0 - 0.05, hole.y0 - 0.035, -style.thick + 0.02],
+        board = solids.rounded_box([hole.x0 - 0.05, hole.y0 - 0.035, -style.thick + 0.02],
                                [hole.x1 + 0.05, hole.y0 + 0.004, nose], 0.015)
         made.append((board, slot))
     return made
@@ -127,7 +127,7 @@ def _sash(x0: float, y0: float, x1: float, y1: float, style: Joinery, z: float, 
     if low:
         parts.append(solids.boxes(low, high))
     bevel = np.array([[0, deep], [0.6 * b, 0.6 * deep], [0.6 * b, 0.3 * deep]])
-    rims = [solids.moulding(solids.rectangle(*corner), bevel, closed=True).transformed(translation(0, 0, z))
+    rims = [solids.moulding(solids.rectangle(*corner), bevel, closed=True).transform(translation(0, 0, z))
             for corner in ((x0 + s, y0 + s, x1 - s, y1 - s),)]
     return meshes.merge(parts + rims)
 
@@ -138,10 +138,10 @@ def blind(rng: np.random.Generator, hole: Opening, z: float) -> Thing:
     low = hole.y0 + hole.height * float(rng.choice([0.02, 0.3, 0.6]))
     heights = np.arange(low, hole.y1 - 0.05, pitch)
     half = np.array([hole.width / 2 - 0.02, 0.0015, 0.5 * pitch])
-    slat = solids.boxes(-half, half).transformed(rotation(X, rng.uniform(-1.1, 0.9)))
+    slat = solids.boxes(-half, half).transform(rotation(X, rng.uniform(-1.1, 0.9)))
     middle = (hole.x0 + hole.x1) / 2
-    slats = [slat.transformed(translation(middle, y, z)) for y in heights]
-    cords = [meshes.cylinder(0.002, hole.y1 - low, 6).transformed(translation(hole.x0 + f * hole.width, low, z))
+    slats = [slat.transform(translation(middle, y, z)) for y in heights]
+    cords = [meshes.cylinder(0.002, hole.y1 - low, 6).transform(translation(hole.x0 + f * hole.width, low, z))
              for f in (0.2, 0.8)]
     rail = solids.boxes([[hole.x0 + 0.01, hole.y1 - 0.05, z - 0.03], [hole.x0 + 0.015, low - 0.03, z - 0.015]],
                         [[hole.x1 - 0.01, hole.y1, z + 0.03], [hole.x1 - 0.015, low - 0.01, z + 0.015]])
@@ -155,10 +155,10 @@ def leaf(rng: np.random.Generator, width: float, height: float, style: Joinery) 
     columns, rows = int(rng.integers(1, 3)), int(rng.integers(1, 5))
     rims = [solids.moulding(rectangle, style.panel, closed=True)
             for rectangle in panel_grid(margin, margin, width - margin, height - margin, columns, rows, margin)]
-    front = meshes.merge(rims).transformed(translation(0, 0, half))
-    back = meshes.merge(rims).transformed(translation(width, 0, -half) @ rotation(Y, np.pi))
-    grip = [meshes.sphere(0.027, 20).transformed(translation(width - 0.06, 0.45 * height, z)) for z in (-0.06, 0.06)]
-    stem = meshes.cylinder(0.01, 0.12, 12).transformed(translation(width - 0.06, 0.45 * height, -0.06)
+    front = meshes.merge(rims).transform(translation(0, 0, half))
+    back = meshes.merge(rims).transform(translation(width, 0, -half) @ rotation(Y, np.pi))
+    grip = [meshes.sphere(0.027, 20).transform(translation(width - 0.06, 0.45 * height, z)) for z in (-0.06, 0.06)]
+    stem = meshes.cylinder(0.01, 0.12, 12).transform(translation(width - 0.06, 0.45 * height, -0.06)
                                                        @ rotation(X, np.pi / 2))
     return [(meshes.merge([*parts, front, back]), "trim"), (meshes.merge([*grip, stem]), "metal")]
 
@@ -215,7 +215,7 @@ def _boards(rng: np.random.Generator, width: float, holes: list[Opening], style:
         edges = np.linspace(a, b, max(2, round((b - a) / pitch) + 1))
         low = [[x + 0.002, 0, 0.0] for x in edges[:-1]]
         made.append(solids.boxes(low, [[x - 0.002, style.wainscot, 0.012] for x in edges[1:]]))
-        made.append(solids.rounded([a, style.wainscot, 0], [b, style.wainscot + 0.03, 0.035], 0.01))
+        made.append(solids.rounded_box([a, style.wainscot, 0], [b, style.wainscot + 0.03, 0.035], 0.01))
     return [(meshes.merge(made), "panel")] if made else []
 
 

@@ -1,4 +1,4 @@
-"""Light: environment maps (measured or made up) and emissive surfaces. Only ratios matter; frames are gained later."""
+"""Light: environment maps (measured or made up) and emissive surfaces. Only ratios matter; frames get a gain later."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def set_environment(d: Description, rng: np.random.Generator, maps: Environments
 
 
 def _glow(d: Description, rng: np.random.Generator) -> int | None:
-    """Few lights flicker."""
+    """Let a few lights flicker."""
     if rng.random() > 0.12:
         return None
     d.glows.append(flicker(rng))
@@ -92,5 +92,5 @@ def panel(d: Description, rng: np.random.Generator, centre: np.ndarray, size: fl
 
 def bulb(d: Description, rng: np.random.Generator, centre: np.ndarray, radius: float, power: float,
          mover: int | None = None) -> None:
-    mesh = meshes.sphere(radius, 16).transformed(meshes.translation(*centre))
+    mesh = meshes.sphere(radius, 16).transform(meshes.translation(*centre))
     d.emit(mesh, tint(rng) * power / (4 * np.pi * radius**2), mover, _glow(d, rng))

@@ -1,4 +1,4 @@
-"""Materials: what the path tracer needs (a Mitsuba BSDF) and what the planes need (F0, albedo factor, roughness)."""
+"""Materials: a Mitsuba BSDF for the path tracer; F0, albedo factor and roughness for the planes."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def fresnel_conductor(eta: np.ndarray, k: np.ndarray) -> np.ndarray:
 
 
 def palette() -> list[mi.BSDF]:
-    """One BSDF of each kind. While they live, every scene compiles to the same kernels."""
+    """One BSDF of each kind. While they are alive, every scene compiles to the same kernels."""
     kinds = ("diffuse", "roughplastic", "roughconductor", "principled", "conductor")
     materials = [Material(kind, alpha=0.2) for kind in kinds] + [Material("dielectric", ior=ior) for ior in GLASSES]
     return [mi.load_dict(material.bsdf()) for material in materials]
@@ -104,7 +104,7 @@ def random_metal(rng: np.random.Generator, smooth: float = 0.15) -> Material:
     return Material("roughconductor", alpha=float(rng.uniform(0.08, 0.6) ** 2 + 0.005), eta=eta, k=k)
 
 
-def polished(rng: np.random.Generator) -> Material:
+def polished_metal(rng: np.random.Generator) -> Material:
     """A shiny metal whose highlights are sharp, seldom a mirror."""
     eta, k = METALS[str(rng.choice(list(METALS)))]
     if rng.random() < 0.2:

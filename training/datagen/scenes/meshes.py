@@ -16,7 +16,7 @@ class Mesh:
     uvs: np.ndarray
     faces: np.ndarray
 
-    def transformed(self, matrix: np.ndarray) -> Mesh:
+    def transform(self, matrix: np.ndarray) -> Mesh:
         """The mesh moved by a 4x4 matrix; normals follow the inverse transpose."""
         linear = matrix[:3, :3]
         normals = self.normals @ np.linalg.inv(linear)

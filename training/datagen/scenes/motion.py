@@ -86,7 +86,7 @@ class CameraPath:
 
 @dataclass(frozen=True)
 class Cut:
-    """Two camera paths after one another, the second from frame `frame` on."""
+    """Two camera paths in a row, the second from frame `frame` on."""
 
     before: CameraPath
     after: CameraPath
@@ -194,7 +194,7 @@ def pulse(base: np.ndarray, height: float, reach: float, rate: float, rng: np.ra
 
 
 def hanging(rng: np.random.Generator, top: float, height: float, normal: np.ndarray) -> Bend:
-    """Cloth that hangs from `top` and is moved by air along `normal` (3,), more at its foot; waves run through it."""
+    """Cloth hanging from `top` that air moves along `normal` (3,), more at its foot; waves run through it."""
     reach = float(np.clip(0.03 * np.exp(rng.normal(0, 0.7)), 0.004, 0.12))
     rate, phase, side = rng.uniform(0.15, 0.9), rng.uniform(0, 2 * np.pi), np.cross(normal, [0.0, 1, 0])
     along, down = rng.uniform(1.0, 5.0), rng.uniform(0.5, 3.0)

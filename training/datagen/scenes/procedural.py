@@ -38,7 +38,7 @@ def product(rng: np.random.Generator, maps: Environments) -> Draft:
             lights.panel(d, rng, centre, float(rng.choice([0.5, 1.5, 3.0])), rng.uniform(10, 60), mover)
     moving = int(rng.choice([0, 1, 2, 4], p=[0.3, 0.3, 0.25, 0.15]))
     for index in range(int(rng.integers(4, 13))):
-        thing = furniture.resized(draft_thing(rng), rng.uniform(0.5, 1.3))
+        thing = furniture.resize(draft_thing(rng), rng.uniform(0.5, 1.3))
         home = np.array([rng.normal(0, 0.8), 0, rng.normal(0, 0.8)])
         uv = float(rng.choice([0.5, 1, 2, 5]))
         if index < moving:
@@ -79,7 +79,7 @@ def outdoor(rng: np.random.Generator, maps: Environments) -> Draft:
         x, z = rng.normal(0, 2.5, 2)
         y = heights[int(np.clip((z + 12) / 24 * n, 0, n - 1)), int(np.clip((x + 12) / 24 * n, 0, n - 1))]
         thing = _outdoor_thing(rng, green)
-        thing = furniture.resized(thing, rng.uniform(0.5, 1.8))
+        thing = furniture.resize(thing, rng.uniform(0.5, 1.8))
         uv = float(rng.choice([0.5, 1, 2, 4]))
         if index < moving:
             moving_thing(d, rng, thing, pool.slots(), np.array([0.5 * x, y, 0.5 * z]), uv)

@@ -48,7 +48,7 @@ def _unpack(file: np.lib.npyio.NpzFile, index: int) -> Mesh:
 
 
 class RealScenes:
-    """The scenes of a folder; empty (false) where the folder is not given or holds none."""
+    """The scenes of a folder; empty (false) if no folder is given or it holds none."""
 
     def __init__(self, folder: Path | None) -> None:
         found = sorted(Path(folder).glob("*/scene.json")) if folder else []
@@ -79,7 +79,7 @@ class RealScenes:
 
 
 def _light(d: Description, scene: _Scene, rng: np.random.Generator, maps: Environments) -> None:
-    """An environment for open scenes; a lamp or two inside closed ones, more seldom where they have lights."""
+    """An environment for open scenes; a lamp or two in closed ones, less often if they have lights."""
     if scene.facts["open"]:
         lights.set_environment(d, rng, maps, False, gain=float(rng.uniform(1, 5)))
     if scene.facts["indoor"] and rng.random() < 0.6:

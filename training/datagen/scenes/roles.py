@@ -142,7 +142,7 @@ ROLES = {
 
 
 class Roles:
-    """A scene's material for each role, made when it is first asked for."""
+    """A scene's material for each role, made on first use."""
 
     def __init__(self, d: Description, rng: np.random.Generator) -> None:
         self._d, self._rng, self._known = d, rng, {}

@@ -154,7 +154,7 @@ def _furnish(d: Description, rng: np.random.Generator, pool: Pool, size: tuple) 
 
 
 # The room of samples/room ---------------------------------------------------------------------------------------------
-# Composed by hand, not among the scenes that clips are drawn from.
+# Composed by hand; clips are not drawn from it.
 
 SAMPLE_SIZE = (5.2, 2.8, 6.0)
 
@@ -208,16 +208,16 @@ def _furnish_sample(d: Description, rng: np.random.Generator, white: int, blue: 
     ]
     for make, home, turn, slots in things:
         for mesh, slot in make(rng):
-            d.add(mesh.transformed(translation(*home) @ rotation(furniture.Y, turn)), slots[slot])
+            d.add(mesh.transform(translation(*home) @ rotation(furniture.Y, turn)), slots[slot])
     for mesh, _ in furniture.vase(np.random.default_rng(2)):
-        d.add(mesh.transformed(translation(0.35, top, -0.95)), pot)
-    lamp = meshes.sphere(0.11, 24).transformed(translation(-0.3, top + 0.12, -1.0))
+        d.add(mesh.transform(translation(0.35, top, -0.95)), pot)
+    lamp = meshes.sphere(0.11, 24).transform(translation(-0.3, top + 0.12, -1.0))
     d.emit(lamp, np.array([60.0, 44.0, 24.0]))
     d.movers.append(object_path(np.array([0.85, 0.42, 0.2]), np.array([0.012, 0, 0.0]), np.array([0, 0.2, 1.0]), -0.06))
     wheel = furniture.wheel(np.random.default_rng(1))
     hub = 0.5 * max(mesh.vertices[:, 1].max() for mesh, _ in wheel)
     for mesh, slot in wheel:
-        d.add(mesh.transformed(translation(0, -hub, 0)), copper if slot == "main" else black, 0)
+        d.add(mesh.transform(translation(0, -hub, 0)), copper if slot == "main" else black, 0)
     for x, seed in ((0.2, 3), (1.1, 8)):
         art = d.material(Material("diffuse", textures.picture(np.random.default_rng(seed))))
         d.add(meshes.box([x - 0.36, 1.2, -3.0], [x + 0.36, 2.0, -2.97]), black)

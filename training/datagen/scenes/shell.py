@@ -50,7 +50,7 @@ class House:
 
     def put(self, thing: Thing, matrix: np.ndarray, mover: int | None = None, bend: int | None = None) -> None:
         for mesh, role in thing:
-            self.d.add(mesh.transformed(matrix), self.roles[role], mover, bend)
+            self.d.add(mesh.transform(matrix), self.roles[role], mover, bend)
 
     def headroom(self, x: float) -> float:
         """Height of the ceiling at x."""
@@ -80,7 +80,7 @@ def slope_frame(house: House, side: int) -> tuple[np.ndarray, float, float]:
 
 
 def build(house: House) -> None:
-    """Everything that is fixed, for the openings in `house.sides`."""
+    """Build everything fixed, with the openings in `house.sides`."""
     w, h, depth = house.size
     floor = meshes.quad([-w / 2, 0, depth / 2], [w, 0, 0], [0, 0, -depth]).scaled_uvs(house.rng.uniform(0.25, 0.7))
     house.put([(floor, "floor")], np.eye(4))
@@ -151,13 +151,13 @@ def _curtains(house: House, side: Side, hole: Opening) -> None:
     rng = house.rng
     low = 0.02 if rng.random() < 0.75 else hole.y0 - 0.1
     top, reach = min(hole.y1 + 0.15, side.height - 0.05), rng.uniform(0.2, 0.35) * hole.width
-    rail = meshes.cylinder(0.012, hole.width + 0.5, 14).transformed(
+    rail = meshes.cylinder(0.012, hole.width + 0.5, 14).transform(
         translation(hole.x0 - 0.25, top, 0.1) @ rotation(np.array([0, 0, 1.0]), -np.pi / 2))
     house.put([(rail, "metal")], side.matrix)
     for x in (hole.x0 - 0.2 + 0.3 * reach, hole.x1 + 0.2 - 0.3 * reach):
         if x - reach / 2 < 0.0 or x + reach / 2 > side.width:
             continue
-        mesh = solids.curtain(rng, reach, top - low).transformed(side.matrix @ translation(x, low, 0.1))
+        mesh = solids.curtain(rng, reach, top - low).transform(side.matrix @ translation(x, low, 0.1))
         bend = None
         if rng.random() < 0.35:
             house.d.bends.append(hanging(rng, mesh.vertices[:, 1].max(), top - low, side.matrix[:3, 2]))
@@ -168,7 +168,7 @@ def _curtains(house: House, side: Side, hole: Opening) -> None:
 def _door(house: House, side: Side, hole: Opening) -> None:
     """A leaf in the opening, flush with the wall, shut or ajar; some swing."""
     rng = house.rng
-    leaf = [(mesh.transformed(translation(0, -0.5 * hole.height, 0)), slot)
+    leaf = [(mesh.transform(translation(0, -0.5 * hole.height, 0)), slot)
             for mesh, slot in joinery.leaf(rng, hole.width, hole.height, house.style)]
     hinge = side.matrix @ translation(hole.x0, 0.5 * hole.height, -0.02)
     angle = 0.0 if rng.random() < 0.5 else -float(rng.uniform(0.15, 1.7))
@@ -201,7 +201,7 @@ def _behind(house: House, side: Side, hole: Opening) -> None:
              meshes.quad([a, top, z], [0, 0, -length], [b - a, 0, 0]),
              meshes.quad([a, 0, z], [0, 0, -length], [0, top, 0]), meshes.quad([b, 0, z], [0, top, 0], [0, 0, -length])]
     flipped = translation(a, 0, z) @ np.diag([1.0, 1, -1, 1])
-    house.put([(mesh.transformed(flipped), slot) for mesh, slot in front], side.matrix)
+    house.put([(mesh.transform(flipped), slot) for mesh, slot in front], side.matrix)
     house.put(list(zip(shell, ["floor", "ceiling", "wall", "wall"], strict=True)), side.matrix)
     house.put(joinery.faces(b - a, top, end, "wall"), side.matrix @ translation(a, 0, z - length))
 

@@ -30,7 +30,7 @@ def boxes(low: np.ndarray, high: np.ndarray) -> Mesh:
     return many(vertices, _UNIT.normals, uvs + low[:, :1, None], _UNIT.faces)
 
 
-def rounded(low: np.ndarray, high: np.ndarray, radius: float, steps: int = 3) -> Mesh:
+def rounded_box(low: np.ndarray, high: np.ndarray, radius: float, steps: int = 3) -> Mesh:
     """A box with round edges and corners; at most half as round as it is thin."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     half, centre = (high - low) / 2, (high + low) / 2
@@ -236,7 +236,7 @@ def _over_edge(s: np.ndarray, half: float, radius: float) -> tuple[np.ndarray, n
     return np.sign(s) * out, down
 
 
-def draped(rng: np.random.Generator, width: float, depth: float, hang: float, hang_z: float, crease: float) -> Mesh:
+def drape(rng: np.random.Generator, width: float, depth: float, hang: float, hang_z: float, crease: float) -> Mesh:
     """A cloth that lies on a block of width x depth about the origin, top at y = 0, and hangs down its sides.
 
     `hang` and `hang_z` are the lengths over its x and z edges, `crease` the height of its folds in metres.
@@ -256,13 +256,13 @@ def draped(rng: np.random.Generator, width: float, depth: float, hang: float, ha
     return sheet(np.stack([x, y, z], -1).transpose(1, 0, 2))
 
 
-def folded(rng: np.random.Generator, width: float, depth: float, layers: int) -> Mesh:
+def folded_stack(rng: np.random.Generator, width: float, depth: float, layers: int) -> Mesh:
     """A pile of folded cloths on y = 0."""
     parts, y = [], 0.0
     for _ in range(layers):
         thick = rng.uniform(0.02, 0.06)
         slip, size = rng.normal(0, 0.01, 2), np.array([width, depth]) * rng.uniform(0.85, 1, 2) / 2
-        parts.append(rounded([slip[0] - size[0], y, slip[1] - size[1]],
+        parts.append(rounded_box([slip[0] - size[0], y, slip[1] - size[1]],
                                     [slip[0] + size[0], y + thick, slip[1] + size[1]], 0.48 * thick))
         y += thick
     return meshes.merge(parts)

@@ -1,11 +1,11 @@
-"""Tables with what lies on them and chairs about them, hanging lamps. Things as in furniture."""
+"""Tables with things on them and chairs around them, hanging lamps. Things as in furniture."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from training.datagen.scenes import furniture, meshes, solids
-from training.datagen.scenes.clutter import arrange, moved, turned
+from training.datagen.scenes.clutter import arrange, place_at, smooth_lathe
 from training.datagen.scenes.furniture import Thing
 from training.datagen.scenes.meshes import Mesh, translation
 
@@ -17,8 +17,8 @@ def _legs(rng: np.random.Generator, w: float, d: float, h: float) -> Mesh:
         post = solids.boxes([-r, 0, -r], [r, h, r])
     else:
         radii = np.linspace(0.015, 0.03, 8) if rng.random() < 0.5 else rng.uniform(0.015, 0.045, 8)
-        post = turned(np.stack([radii, np.linspace(0, h, 8)], 1), 18)
-    return meshes.merge([post.transformed(translation(x, 0, z)) for x in (-w, w) for z in (-d, d)])
+        post = smooth_lathe(np.stack([radii, np.linspace(0, h, 8)], 1), 18)
+    return meshes.merge([post.transform(translation(x, 0, z)) for x in (-w, w) for z in (-d, d)])
 
 
 def table(rng: np.random.Generator, h: float, w: float, d: float, things: int) -> Thing:
@@ -28,14 +28,14 @@ def table(rng: np.random.Generator, h: float, w: float, d: float, things: int) -
     apron = solids.boxes([[-w + .05, h - .1, -d + .05], [-w + .05, h - .1, d - .07]],
                          [[w - .05, h - t, -d + .07], [w - .05, h - t, d - .05]])
     under = meshes.merge([_legs(rng, w - 0.06, d - 0.06, h - t), apron])
-    made: Thing = [(solids.rounded([-w, h - t, -d], [w, h, d], rng.uniform(0.003, 0.4 * t)), slot),
+    made: Thing = [(solids.rounded_box([-w, h - t, -d], [w, h, d], rng.uniform(0.003, 0.4 * t)), slot),
                    (under, str(rng.choice([slot, "wood", "trim"])))]
     return made + arrange(rng, -w, w, -d, d, h, things)
 
 
 def round_table(rng: np.random.Generator, h: float, r: float, things: int) -> Thing:
-    top = turned([[0, h - 0.03], [r - 0.01, h - 0.03], [r, h - 0.015], [r - 0.01, h], [r - 0.01, h], [0, h]], 56)
-    foot = turned([[0, 0], [0.5 * r, 0], [0.5 * r, 0.02], [0.06, 0.06], [0.035, 0.4 * h], [0.05, 0.7 * h],
+    top = smooth_lathe([[0, h - 0.03], [r - 0.01, h - 0.03], [r, h - 0.015], [r - 0.01, h], [r - 0.01, h], [0, h]], 56)
+    foot = smooth_lathe([[0, 0], [0.5 * r, 0], [0.5 * r, 0.02], [0.06, 0.06], [0.035, 0.4 * h], [0.05, 0.7 * h],
                    [0.1, h - 0.03]])
     half = r / np.sqrt(2)
     return [(meshes.merge([top, foot]), str(rng.choice(["wood", "trim", "counter"]))),
@@ -46,9 +46,9 @@ def coffee(rng: np.random.Generator) -> Thing:
     h, count = rng.uniform(0.3, 0.45), int(rng.integers(2, 7))
     if rng.random() < 0.4:
         r = rng.uniform(0.3, 0.5)
-        return moved(round_table(rng, h, r, count), 0, 0, r)
+        return place_at(round_table(rng, h, r, count), 0, 0, r)
     d = rng.uniform(0.25, 0.4)
-    return moved(table(rng, h, rng.uniform(0.4, 0.7), d, count), 0, 0, d)
+    return place_at(table(rng, h, rng.uniform(0.4, 0.7), d, count), 0, 0, d)
 
 
 def chair(rng: np.random.Generator) -> Thing:
@@ -82,9 +82,9 @@ def dining(rng: np.random.Generator) -> Thing:
         places = [(x, side * (d + 0.1), np.pi * (side > 0)) for x in along for side in (-1, 1)]
     for x, z, turn in places:
         if rng.random() < 0.85:
-            made += moved(kind, x + rng.normal(0, 0.04), 0, z + rng.normal(0, 0.05), turn + rng.normal(0, 0.15))
+            made += place_at(kind, x + rng.normal(0, 0.04), 0, z + rng.normal(0, 0.05), turn + rng.normal(0, 0.15))
     low = min(mesh.vertices[:, 2].min() for mesh, _ in made)
-    return moved(made, 0, 0, -low)
+    return place_at(made, 0, 0, -low)
 
 
 def pendant(rng: np.random.Generator) -> Thing:
@@ -95,7 +95,7 @@ def pendant(rng: np.random.Generator) -> Thing:
     if rng.random() < 0.3:
         t = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 9)
         line = np.stack([0.7 * r * np.cos(t) + 1e-4, 0.7 * r * np.sin(t) - drop + h], 1)
-    shade = turned(line, 40)
-    cord = meshes.cylinder(0.003, drop - h, 6).transformed(translation(0, h - drop, 0))
-    rose = turned([[0, -0.03], [0.05, -0.03], [0.06, 0]], 24)
+    shade = smooth_lathe(line, 40)
+    cord = meshes.cylinder(0.003, drop - h, 6).transform(translation(0, h - drop, 0))
+    rose = smooth_lathe([[0, -0.03], [0.05, -0.03], [0.06, 0]], 24)
     return [(meshes.merge([cord, rose]), "metal"), (shade, str(rng.choice(["metal", "shade", "ceramic", "gloss"])))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from training.datagen.scenes import meshes, solids
-from training.datagen.scenes.clutter import moved, turned
+from training.datagen.scenes.clutter import place_at, smooth_lathe
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.meshes import Mesh, rotation, translation
 
@@ -14,8 +14,8 @@ X = np.array([1.0, 0, 0])
 
 def _feet(rng: np.random.Generator, x: float, z0: float, z1: float, height: float) -> Mesh:
     r = rng.uniform(0.012, 0.03)
-    foot = turned([[0, 0], [0.6 * r, 0], [0.6 * r, 0], [r, height], [r, height], [0, height]], 16)
-    return meshes.merge([foot.transformed(translation(a, 0, b)) for a in (-x, x) for b in (z0, z1)])
+    foot = smooth_lathe([[0, 0], [0.6 * r, 0], [0.6 * r, 0], [r, height], [r, height], [0, height]], 16)
+    return meshes.merge([foot.transform(translation(a, 0, b)) for a in (-x, x) for b in (z0, z1)])
 
 
 def sofa(rng: np.random.Generator, seats: int | None = None) -> Thing:
@@ -24,23 +24,23 @@ def sofa(rng: np.random.Generator, seats: int | None = None) -> Thing:
     pitch, depth, high = rng.uniform(0.58, 0.75), rng.uniform(0.8, 1.0), rng.uniform(0.08, 0.18)
     arm, seat, top = rng.uniform(0.1, 0.24), rng.uniform(0.38, 0.46), rng.uniform(0.7, 0.95)
     w, soft = seats * pitch / 2, rng.uniform(0.03, 0.07)
-    hull = [solids.rounded([-w - arm, high, 0.0], [w + arm, seat - 0.14, depth - 0.03], 0.02),
-            solids.rounded([-w, high, 0.0], [w, top - 0.08, 0.22], soft)]
+    hull = [solids.rounded_box([-w - arm, high, 0.0], [w + arm, seat - 0.14, depth - 0.03], 0.02),
+            solids.rounded_box([-w, high, 0.0], [w, top - 0.08, 0.22], soft)]
     rest = seat + rng.uniform(0.12, 0.25)
-    hull += [solids.rounded([side - arm / 2, high, 0.0], [side + arm / 2, rest, depth], soft, 5)
+    hull += [solids.rounded_box([side - arm / 2, high, 0.0], [side + arm / 2, rest, depth], soft, 5)
              for side in (-w - arm / 2, w + arm / 2)]
     made: Thing = [(meshes.merge(hull), "fabric"),
                    (_feet(rng, w + arm - 0.06, 0.06, depth - 0.08, high + 0.01), "wood")]
     for k in range(seats):
         x = -w + (k + 0.5) * pitch
         made.append((_stuffed(rng, pitch, depth - 0.2, 0.17, (x, seat - 0.06, 0.22 + (depth - 0.2) / 2)), "fabric"))
-        back = solids.cushion(rng, pitch * 0.98, 0.52, 0.2).transformed(rotation(X, np.pi / 2 - 0.2))
-        made.append((back.transformed(translation(x, seat + 0.28, 0.3)), "fabric"))
+        back = solids.cushion(rng, pitch * 0.98, 0.52, 0.2).transform(rotation(X, np.pi / 2 - 0.2))
+        made.append((back.transform(translation(x, seat + 0.28, 0.3)), "fabric"))
     for _ in range(int(rng.integers(0, seats + 2))):
         made.append((_loose(rng, rng.uniform(-w + 0.2, w - 0.2), seat + 0.02, 0.44), str(rng.choice(CUSHIONS))))
     if rng.random() < 0.4:
-        throw = solids.draped(rng, arm + 0.04, 0.35, rng.uniform(0.15, 0.4), 0.0, 0.006)
-        made.append((throw.transformed(translation(w + arm / 2, rest + 0.004, 0.55 * depth)), "cloth"))
+        throw = solids.drape(rng, arm + 0.04, 0.35, rng.uniform(0.15, 0.4), 0.0, 0.006)
+        made.append((throw.transform(translation(w + arm / 2, rest + 0.004, 0.55 * depth)), "cloth"))
     return made
 
 
@@ -50,7 +50,7 @@ CUSHIONS = ("fabric2", "cloth", "accent", "fabric", "pattern")
 def _stuffed(rng: np.random.Generator, width: float, depth: float, thick: float, centre: tuple) -> Mesh:
     """A box cushion: round edges, a crown and a few soft creases."""
     half = np.array([width / 2 - 0.004, thick / 2, depth / 2])
-    mesh = solids.rounded(-half, half, 0.05, 6)
+    mesh = solids.rounded_box(-half, half, 0.05, 6)
     v = mesh.vertices
     crown = (1 - (v[:, 0] / half[0]) ** 2) * (1 - (v[:, 2] / half[2]) ** 2)
     lift = 0.03 * crown + 0.004 * solids.waves(rng, v[:, 0], v[:, 2], 0.25)
@@ -63,8 +63,8 @@ def _loose(rng: np.random.Generator, x: float, y: float, z: float) -> Mesh:
     size = rng.uniform(0.35, 0.5)
     mesh = solids.cushion(rng, size, size * rng.uniform(0.7, 1.0), rng.uniform(0.1, 0.18))
     tilt = rotation(Y, rng.normal(0, 0.25)) @ rotation(X, np.pi / 2 - rng.uniform(0.15, 0.5))
-    mesh = mesh.transformed(tilt @ rotation(Y, rng.normal(0, 0.12)))
-    return mesh.transformed(translation(x, y - mesh.vertices[:, 1].min(), z))
+    mesh = mesh.transform(tilt @ rotation(Y, rng.normal(0, 0.12)))
+    return mesh.transform(translation(x, y - mesh.vertices[:, 1].min(), z))
 
 
 def armchair(rng: np.random.Generator) -> Thing:
@@ -74,49 +74,49 @@ def armchair(rng: np.random.Generator) -> Thing:
 def bed(rng: np.random.Generator) -> Thing:
     """Head board, mattress, a duvet with folds, pillows, at times a folded blanket at the foot."""
     w, length, top = rng.uniform(0.5, 0.95), rng.uniform(1.95, 2.1), rng.uniform(0.42, 0.6)
-    made: Thing = [(solids.rounded([-w, 0.15, 0.08], [w, top - 0.2, length + 0.05], 0.02), "wood"),
-                   (solids.rounded([-w + 0.01, top - 0.21, 0.1], [w - 0.01, top, length + 0.03], 0.06, 4), "cloth"),
+    made: Thing = [(solids.rounded_box([-w, 0.15, 0.08], [w, top - 0.2, length + 0.05], 0.02), "wood"),
+                   (solids.rounded_box([-w + 0.01, top - 0.21, 0.1], [w - 0.01, top, length + 0.03], 0.06, 4), "cloth"),
                    (_feet(rng, w - 0.06, 0.15, length - 0.06, 0.16), "wood")]
     made += _head_board(rng, w, top)
     start = rng.uniform(0.45, 0.8)
-    duvet = solids.draped(rng, 2 * w + 0.04, length - start, rng.uniform(0.1, 0.32), 0.05, rng.uniform(0.008, 0.035))
-    made.append((duvet.transformed(translation(0, top + 0.03, start + 0.1 + (length - start) / 2)), "bedding"))
+    duvet = solids.drape(rng, 2 * w + 0.04, length - start, rng.uniform(0.1, 0.32), 0.05, rng.uniform(0.008, 0.035))
+    made.append((duvet.transform(translation(0, top + 0.03, start + 0.1 + (length - start) / 2)), "bedding"))
     for x in ((-0.5 * w, 0.5 * w) if w > 0.65 else (0.0,)):
         for layer in range(int(rng.integers(1, 3))):
             tilt = rotation(Y, rng.normal(0, 0.1)) @ rotation(X, -0.3 - 0.5 * layer)
-            pillow = solids.cushion(rng, min(0.85 * w, 0.72), 0.45, rng.uniform(0.14, 0.2)).transformed(tilt)
+            pillow = solids.cushion(rng, min(0.85 * w, 0.72), 0.45, rng.uniform(0.14, 0.2)).transform(tilt)
             spot = translation(x + rng.normal(0, 0.02), top + 0.08 + 0.1 * layer, 0.33 + 0.03 * layer)
-            made.append((pillow.transformed(spot), str(rng.choice(["bedding", "bedding", "pattern", "fabric2"]))))
+            made.append((pillow.transform(spot), str(rng.choice(["bedding", "bedding", "pattern", "fabric2"]))))
     if rng.random() < 0.5:
-        blanket = solids.draped(rng, 2 * w + 0.08, 0.5, rng.uniform(0.1, 0.4), 0.0, 0.012)
-        made.append((blanket.transformed(translation(0, top + 0.075, length - 0.3)), "fabric2"))
+        blanket = solids.drape(rng, 2 * w + 0.08, 0.5, rng.uniform(0.1, 0.4), 0.0, 0.012)
+        made.append((blanket.transform(translation(0, top + 0.075, length - 0.3)), "fabric2"))
     return made
 
 
 def _head_board(rng: np.random.Generator, w: float, top: float) -> Thing:
     high = top + rng.uniform(0.3, 0.7)
     if rng.random() < 0.4:
-        bars = [meshes.cylinder(0.01, high - 0.2, 10).transformed(translation(x, 0.2, 0.04))
+        bars = [meshes.cylinder(0.01, high - 0.2, 10).transform(translation(x, 0.2, 0.04))
                 for x in np.linspace(-w, w, int(rng.integers(7, 16)))]
-        rail = solids.rounded([-w - 0.02, high, 0.02], [w + 0.02, high + 0.04, 0.06], 0.015)
+        rail = solids.rounded_box([-w - 0.02, high, 0.02], [w + 0.02, high + 0.04, 0.06], 0.015)
         return [(meshes.merge([*bars, rail]), "metal")]
     if rng.random() < 0.5:
-        return [(solids.rounded([-w - 0.02, 0.1, 0.0], [w + 0.02, high, 0.08], 0.025), "wood")]
+        return [(solids.rounded_box([-w - 0.02, 0.1, 0.0], [w + 0.02, high, 0.08], 0.025), "wood")]
     count = int(rng.integers(3, 8))
     x = np.linspace(-w, w, count + 1)
-    pads = [solids.rounded([a, 0.3, 0.0], [b, high, 0.11], 0.045, 5) for a, b in zip(x[:-1], x[1:], strict=True)]
+    pads = [solids.rounded_box([a, 0.3, 0.0], [b, high, 0.11], 0.045, 5) for a, b in zip(x[:-1], x[1:], strict=True)]
     return [(meshes.merge(pads), "fabric")]
 
 
 def stool(rng: np.random.Generator) -> Thing:
     r, h = rng.uniform(0.16, 0.3), rng.uniform(0.35, 0.75)
-    seat = turned([[0, h], [r, h], [1.05 * r, h + 0.03], [r, h + 0.08], [0.6 * r, h + 0.1], [0, h + 0.1]], 40)
+    seat = smooth_lathe([[0, h], [r, h], [1.05 * r, h + 0.03], [r, h + 0.08], [0.6 * r, h + 0.1], [0, h + 0.1]], 40)
     leg, legs = meshes.cylinder(0.014, h / np.cos(0.15), 12), []
     for a in np.arange(4) * np.pi / 2 + 0.78:
         lean = rotation(np.array([np.sin(a), 0, -np.cos(a)]), -0.15)
-        legs.append(leg.transformed(translation(0.95 * r * np.cos(a), 0, r + 0.95 * r * np.sin(a)) @ lean))
+        legs.append(leg.transform(translation(0.95 * r * np.cos(a), 0, r + 0.95 * r * np.sin(a)) @ lean))
     slot = str(rng.choice(["wood", "metal"]))
-    return [(seat.transformed(translation(0, 0, r)), "fabric2"), (meshes.merge(legs), slot)]
+    return [(seat.transform(translation(0, 0, r)), "fabric2"), (meshes.merge(legs), slot)]
 
 
 def rug(rng: np.random.Generator) -> Thing:
@@ -131,4 +131,4 @@ def rug(rng: np.random.Generator) -> Thing:
         ends = [solids.boxes(np.stack([0 * at + min(e, e * 1.05), 0 * at, at], 1),
                              np.stack([0 * at + max(e, e * 1.05), 0 * at + 0.006, at + 0.007], 1)) for e in (-w, w)]
         made.append((meshes.merge(ends), "cloth"))
-    return moved(made, 0, 0.001, d)
+    return place_at(made, 0, 0.001, d)

@@ -1,4 +1,4 @@
-"""Choosing a view that shows something, how bright to make it, and how fast the camera goes."""
+"""Choose a view that shows something, its brightness, and the camera's speed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Probe:
         return self.depth < MISS_DEPTH / 2
 
     def problem(self, near: float) -> str | None:
-        """Why the view is of no use, or None."""
+        """Why the view is unusable, or None."""
         if self.hits.mean() < 0.4:
             return "mostly sky"
         if np.percentile(self.depth, 4) < near:
@@ -98,7 +98,7 @@ def image_speed(path: CameraPath, points: np.ndarray, width: int) -> float:
 
 def choose_path(tracer: Tracer, built: BuiltScene, view: Callable, rng: np.random.Generator, width: int,
                 near: float = 0.3, attempts: int = 8) -> tuple[CameraPath, float, Probe] | None:
-    """A camera path, the gain for its frames and a look from it, or None where no drawn view is of use."""
+    """A camera path, the gain for its frames and a probe from it, or None if no drawn view is usable."""
     for _ in range(attempts):
         eye, target = view(rng)
         movers = built.description.movers

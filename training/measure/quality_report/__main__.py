@@ -1,8 +1,8 @@
-"""Write what was measured into docs/quality.md: its tables and pictures.
+"""Write measurements into docs/quality.md: its tables and pictures.
 
 python -m training.measure.quality_report RESULTS [--doc docs/quality.md] [--images docs/images/quality] [--check]
 
-RESULTS holds what our own commands write:
+RESULTS holds the output of these commands:
 
     RESULTS/SEQUENCE/              postfx bench ... -o RESULTS/SEQUENCE
     RESULTS/SEQUENCE-ablations/    postfx bench ... --ablations (or in RESULTS/SEQUENCE, measured in one go)
@@ -11,8 +11,8 @@ RESULTS holds what our own commands write:
     RESULTS/convergence/           python -m training.measure.convergence VIEW -o RESULTS/convergence
     RESULTS/curves.png             python -m training.measure.runs curves RUN -o RESULTS/curves.png
 
-What stands between a line `<!-- table: NAME ARGUMENTS -->` and a line `<!-- end -->` is replaced; everything else is
-written by hand. Arguments are folders of RESULTS, so the document says which sequences it tells of, and in which order:
+Lines between `<!-- table: NAME ARGUMENTS -->` and `<!-- end -->` are replaced; everything else is written by hand.
+Arguments are folders of RESULTS, so the document itself chooses its sequences and their order:
 
     conditions SEQUENCE...         how they were measured
     gains SEQUENCE...              ours against the best of the others, figure by figure
@@ -29,8 +29,8 @@ written by hand. Arguments are folders of RESULTS, so the document says which se
     networks                       cards of models/*.json
     picture FILE WORDS...          RESULTS/FILE, made smaller, with WORDS for those who cannot see it
 
-A block whose data is missing stays as it is and is named on standard error. --check writes nothing and ends with 1 when
-a block or a picture differs from what was measured.
+A block whose data is missing stays as it is and is named on standard error. --check writes nothing and ends with 1 if a
+block or a picture is out of date.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
 
 
 def make(block: Block, results: Results, album: Album) -> str:
-    """A block's lines, each ended; raises Missing or ReportError."""
+    """Lines of a block; raises Missing or ReportError."""
     maker = album.add if block.name == "picture" else MAKERS[block.name]
     wanted = list(signature(maker).parameters.values())[1:]
     endless = any(parameter.kind is Parameter.VAR_POSITIONAL for parameter in wanted)

@@ -1,4 +1,4 @@
-"""The document: text written by hand, blocks between markers, and how tables, numbers and names read there."""
+"""The document: text written by hand, blocks between markers, and the form of tables, numbers and names."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from postfx.bench.methods import OTHERS, PRECISIONS
 # Errors ---------------------------------------------------------------------------------------------------------------
 
 class ReportError(Exception):
-    """The document or a file of the results is not as it must be; one line that names it."""
+    """The document or a file of results is invalid; the message is one line that names it."""
 
 
 class Missing(Exception):
-    """Data of a block was not measured; names the file."""
+    """Data of a block is missing; names the file."""
 
 
 # Blocks ---------------------------------------------------------------------------------------------------------------
@@ -28,7 +28,7 @@ CLOSE = re.compile(r"<!-- end -->\s*")
 
 @dataclass(frozen=True)
 class Block:
-    """What stands between two markers: its name and arguments, the first marker's line and the lines between them."""
+    """A block between two markers: name and arguments, the first marker's line and the lines between."""
 
     name: str
     arguments: tuple[str, ...]
@@ -70,7 +70,7 @@ def parse(text: str, path: Path, known: Collection[str]) -> list[str | Block]:
 
 
 def compose(parts: list[str | Block], made: dict[int, str]) -> str:
-    """The whole text, blocks replaced that were made, by the lines of their markers."""
+    """The whole text with new blocks put in, by the line of their markers."""
     return "".join(_text(part, made) if isinstance(part, Block) else part for part in parts)
 
 
@@ -91,7 +91,7 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def number(value: float | None, form: str, unit: str = "") -> str:
-    """A number, or a dash where it is not known; never '-0.00'."""
+    """A number, or a dash for None; never '-0.00'."""
     if value is None:
         return "-"
     sign = "+" if form.startswith("+") else ""
@@ -100,7 +100,7 @@ def number(value: float | None, form: str, unit: str = "") -> str:
 
 
 def bold(text: str, wanted: bool) -> str:
-    """Text, bold where wanted."""
+    """Text, bold on request."""
     return f"**{text}**" if wanted else text
 
 
@@ -109,7 +109,7 @@ def place(sequence: str) -> str:
     return sequence.replace("_", " ")
 
 
-def titled(name: str) -> str:
+def method_title(name: str) -> str:
     """A method's name for readers: 'm-int8-guides-alone' is 'postfx m int8 with guides, no history'."""
     known = {method.name: method.title for method in OTHERS}
     if name in known:

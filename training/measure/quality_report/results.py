@@ -1,4 +1,4 @@
-"""What was measured: figures from files, and small copies of the pictures that were drawn."""
+"""Measurements: figures from files, and small copies of pictures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Facts = dict[str, Any]
 
 
 class Results:
-    """A folder of results and one of models; every method raises Missing where there is no such file."""
+    """A folder of results and one of models; every method raises Missing if its file is not there."""
 
     def __init__(self, folder: Path, models: Path) -> None:
         self._folder, self._models = folder, models
@@ -85,7 +85,7 @@ PHOTOGRAPHS = "crops"
 
 
 class Album:
-    """Pictures that a document shows, kept until they are written."""
+    """Pictures of a document, collected before they are written."""
 
     def __init__(self, folder: Path, beside: Path) -> None:
         self._folder, self._beside = folder, beside
@@ -112,7 +112,7 @@ class Album:
         return [str(path) for path, made in paths.items() if not path.is_file() or path.read_bytes() != made]
 
     def write(self) -> None:
-        """Write all of them; others in the folder stay."""
+        """Write all pictures; others in the folder stay."""
         if self._made:
             self._folder.mkdir(parents=True, exist_ok=True)
         for name, made in self._made.items():

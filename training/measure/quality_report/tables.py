@@ -1,4 +1,4 @@
-"""The document's tables, each made of the results and the arguments of its marker."""
+"""The document's tables, each made from the results and its marker's arguments."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from training.measure.quality_report.document import (
     ReportError,
     bold,
     is_network,
+    method_title,
     number,
     place,
     table,
-    titled,
 )
 from training.measure.quality_report.results import Facts, Results
 from training.measure.validation.compare import FRAMEWISE
@@ -44,7 +44,7 @@ def methods(results: Results, name: str) -> str:
     """All figures of all methods, the best of each bold."""
     rows = sorted(offered(results.bench(name)["methods"]), key=lambda row: PARTS[row["family"]])
     best = {figure: _best(rows, figure) for figure in FORMS}
-    cells = [[titled(row["name"]), *(_figure(row, figure, best[figure]) for figure in FORMS)] for row in rows]
+    cells = [[method_title(row["name"]), *(_figure(row, figure, best[figure]) for figure in FORMS)] for row in rows]
     return table(["method", *NAMES.values()], cells)
 
 
@@ -58,17 +58,17 @@ def gains(results: Results, *names: str) -> str:
                 for facts in benches.values()]
         if None in best:
             raise Missing("a sequence was measured without other methods than ours")
-        told = [f"{_score(row, figure):{FORMS[figure]}} ({titled(row['name'])})" for row in best]
+        told = [f"{_score(row, figure):{FORMS[figure]}} ({method_title(row['name'])})" for row in best]
         rows.append([f"{NAMES[figure]}{', dB' if figure == 'psnr' else ''}", "best of the others", *told, ""])
         for network in networks:
             values = [_gain(facts, network, figure) for facts in benches.values()]
-            rows.append(["", titled(network), *(number(value, form, unit) for value in values),
+            rows.append(["", method_title(network), *(number(value, form, unit) for value in values),
                          _mean(values, form, unit)])
     return table(["figure", "method", *map(place, names), "mean"], rows)
 
 
 def frames(results: Results, *names: str) -> str:
-    """How many frames of each network have less PSNR than OIDN high's, and the frame where it is least above it."""
+    """How many frames of each network have less PSNR than OIDN high's, and the frame with the smallest lead."""
 
     def cell(facts: Facts, network: str) -> str:
         own, other = _row(facts, network), _row(facts, "oidn-high")
@@ -111,7 +111,7 @@ def front(results: Results, figure: str, *names: str) -> str:
         found = {name: _row(facts, method) for name, facts in benches.items()}
         if known[method]["alone"] and not any(method in found for found in fronts.values()):
             continue
-        rows.append([titled(method), *("-" if row is None else bold(
+        rows.append([method_title(method), *("-" if row is None else bold(
             f"{number(row['time'][time[name]], '.0f')} ms, {number(_score(row, figure), FORMS[figure])}",
             method in fronts[name]) for name, row in found.items())])
     return table(["method", *(f"{place(name)}: ms a frame, {NAMES[figure]}" for name in names)], rows)
@@ -125,13 +125,13 @@ def times(results: Results, name: str) -> str:
     for row in [row for row in offered(facts["methods"]) if not row["alone"]]:
         time = row["time"]
         span = f"{time['wall_ms_min']:.0f} to {time['wall_ms_max']:.0f}"
-        rows.append([titled(row["name"]), f"{time['wall_ms']:.0f}", span, f"{time['cpu_s']:.3f}",
+        rows.append([method_title(row["name"]), f"{time['wall_ms']:.0f}", span, f"{time['cpu_s']:.3f}",
                      *([number(time["gpu_ms"], ".2f")] if gpu else []), f"{time['peak_mb']:.0f}"])
     return table(["method", "ms a frame", "least to most", "CPU s", *(["GPU ms"] if gpu else []), "peak MB"], rows)
 
 
 def ablations(results: Results, model: str, *names: str) -> str:
-    """What a network loses without each plane: PSNR and flicker against the same with all."""
+    """Loss without each plane: PSNR and flicker against the same network with all planes."""
     found = {name: {entry["name"].removeprefix(f"{model}-without-"): entry for entry in results.ablations(name)
                     if entry["of"] == model} for name in names}
     empty = [name for name, entries in found.items() if not entries]
@@ -152,7 +152,7 @@ def _loss(entry: Facts | None) -> str:
 
 def _by_network(benches: dict[str, Facts], cell: Any) -> str:
     networks = dict.fromkeys(row["name"] for facts in benches.values() for row in facts["methods"] if is_network(row))
-    rows = [[titled(network), *(cell(facts, network) for facts in benches.values())] for network in networks]
+    rows = [[method_title(network), *(cell(facts, network) for facts in benches.values())] for network in networks]
     rows = [row for row in rows if set(row[1:]) != {"-"}]
     if not rows:
         raise Missing("the methods that it compares were not measured")
@@ -181,7 +181,7 @@ def _best(rows: list[Facts], figure: str) -> Facts | None:
 
 
 def _figure(row: Facts, figure: str, best: Facts | None) -> str:
-    """Bold where the best one's reads the same."""
+    """A figure, bold if it reads the same as the best one."""
     text = number(_score(row, figure), FORMS[figure])
     return bold(text, best is not None and text == number(_score(best, figure), FORMS[figure]))
 
@@ -275,7 +275,7 @@ def convergence(results: Results, *names: str) -> str:
 
 
 def networks(results: Results) -> str:
-    """What the cards of the networks tell of their size, their training and their validation."""
+    """Size, training and validation of the networks, from their cards."""
     rows = []
     for card in results.cards():
         config, training = card["config"], card["training"]
@@ -307,7 +307,7 @@ def _best_of_oidn(rows: list[Facts]) -> list[Facts]:
 
 
 def _cells(row: Facts) -> list[str]:
-    return [titled(row["method"]), *(number(row[key], form) for key, form in COMPARED.items())]
+    return [method_title(row["method"]), *(number(row[key], form) for key, form in COMPARED.items())]
 
 
 def _frames_below(rows: list[Facts], method: str) -> str:

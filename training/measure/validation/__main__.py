@@ -6,8 +6,8 @@ python -m training.measure.validation compare CLIPS -o RESULTS [--models m]     
 python -m training.measure.validation expand CLIPS FOLDER                            the clips as EXR sequences
 
 A clip is eight frames of a scene with references, 1x at 1 sample a pixel, 2x at 4 (as many light paths), 1.5x and 3x at
-1 to 8, all planes, and guides at output size (see clips.py). `render` writes CLIPS/clip.NNNNN.npz and goes on where it
-was ended; `training.datagen.render` tells of its options. `compare` runs what `postfx bench` runs on every render.
+1 to 8, all planes, and guides at output size (see clips.py). `render` writes CLIPS/clip.NNNNN.npz and continues an
+earlier run; `training.datagen.render` explains its options. `compare` runs `postfx bench` on every render.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[s
 
 
 def add_options(parser: argparse.ArgumentParser) -> list[str]:
-    """How clips are rendered; the names of the options, for those who hand them on."""
+    """Add the options for rendering clips; returns their names, for those who hand them on."""
     before = {action.dest for action in parser._actions}
     parser.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
     parser.add_argument("--width", type=_side, default=384, help="of the output, a multiple of 6")
     parser.add_argument("--height", type=_side, default=216)
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--reference-error", type=float, default=0.004, help="of references after x/(1+x)")
-    parser.add_argument("--most-spp", type=int, default=8192, help="views that need more for it are passed over")
+    parser.add_argument("--most-spp", type=int, default=8192, help="views that need more for it are skipped")
     return [action.dest for action in parser._actions if action.dest not in before]
 
 

@@ -1,4 +1,4 @@
-"""The clips of the validation set: the scenes and renders of the plan, and the compact files that hold them."""
+"""Clips of the validation set: planned scenes and renders, and their compact files."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ FULL, HALF = Render("x1", 1.0, 1), Render("x2", 2.0, 4)
 
 
 def renders(index: int) -> tuple[Render, ...]:
-    """Of a clip; the samples of the scales between change every other clip, so that both styles meet all counts."""
+    """Renders of a clip. Sample counts at 1.5x and 3x change every other clip, so that both styles meet all counts."""
     turn = index // len(STYLES) % 4
     return FULL, Render("x1.5", 1.5, (2, 4, 1, 8)[turn]), HALF, Render("x3", 3.0, (4, 2, 8, 1)[turn])
 
@@ -77,7 +77,7 @@ def pack_colour(light: np.ndarray, bits: int) -> np.ndarray:
 
 
 def unpack_colour(packed: np.ndarray, bits: int) -> np.ndarray:
-    """Light (T, H, W, 3) float32 from what `pack_colour` gives."""
+    """Light (T, H, W, 3) float32, the inverse of `pack_colour`."""
     red, green, blue = _words(packed)
     kept = np.stack([red + green, green, blue + green], -1)
     return (kept << (HALF_BITS - bits)).astype(np.uint16).view(np.float16).astype(np.float32)
@@ -92,7 +92,7 @@ def pack_plane(name: str, values: np.ndarray, step: float) -> np.ndarray:
 
 
 def unpack_plane(name: str, packed: np.ndarray, step: float) -> np.ndarray:
-    """A plane (T, H, W, C) float32 from what `pack_plane` gives; misses have a depth of exactly 1e10."""
+    """A plane (T, H, W, C) float32, the inverse of `pack_plane`; misses have a depth of exactly 1e10."""
     steps = np.cumsum(_words(packed), axis=-1, dtype=np.uint16).view(np.int16)
     values = np.moveaxis(steps.astype(np.float32) * np.float32(step), 0, -1)
     if name == "depth":
@@ -117,7 +117,7 @@ def save(path: Path, reference: np.ndarray, renders: dict[str, Planes], facts: d
 
 
 def load(path: Path) -> tuple[np.ndarray, dict[str, Planes], dict[str, Any]]:
-    """What `save` was given, float32, but for the rounding."""
+    """The arguments of `save`, float32, apart from rounding."""
     renders: dict[str, Planes] = {}
     with np.load(path) as file:
         facts, packing = (json.loads(str(file[name])) for name in ("facts", "packing"))

@@ -1,6 +1,6 @@
-"""Measures every method on every render of the clips, and reports means over them.
+"""Measure every method on every render of the clips, and report means over them.
 
-PSNR here is that of `postfx bench` with the reference's own noise, known from its halves, taken out of the error.
+PSNR is that of `postfx bench` without the reference's own noise, known from its halves.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def summary(rows: list[Row]) -> list[Row]:
 
 
 def equal_rays(tables: dict[str, list[Row]]) -> list[Row]:
-    """Methods from half size and at full size, compared with the best of OIDN at full size; empty without both."""
+    """Methods at half and at full size, compared with the best of OIDN at full size; empty unless both are there."""
     full, half = tables.get(FULL.name, []), tables.get(HALF.name, [])
     baselines = [row for row in full if row["family"] == "oidn"]
     if not half or not baselines:
@@ -154,7 +154,7 @@ def _worst_frame(rows: list[Row], framewise: list[Row]) -> float | None:
 
 
 def mean(values: list[float | None]) -> float | None:
-    """Of the values that are known; None where none is."""
+    """Mean of the known values; None if there are none."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None
 
@@ -182,7 +182,7 @@ def _lines(table: list[Row]) -> Iterator[str]:
 def expand(clip: Path, folder: Path) -> tuple[Path, dict[str, Any]]:
     """Write reference, guides and all renders of a clip to FOLDER/SCENE.SEED/NAME.####.exr; that folder and the facts.
 
-    What was written of this file is kept.
+    Existing files of this clip are kept.
     """
     reference, renders, facts = load(clip)
     folder = folder / f"{facts['scene']}.{facts['seed']}"

@@ -1,4 +1,4 @@
-"""Renders one clip of the validation set. Import after Mitsuba's variant is set."""
+"""Render one clip of the validation set. Import after Mitsuba's variant is set."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEAST_SPP = 64
 class Options:
     """`size` (width, height) of the output; a reference's samples bring its error after x/(1+x) to `error`.
 
-    Views that would take more than `most_spp` for it are passed over. `batch` light paths are traced at a time.
+    Views that would need more than `most_spp` are skipped. `batch` light paths are traced at a time.
     """
 
     size: tuple[int, int] = (384, 216)
@@ -36,7 +36,7 @@ def render_clip(tracer: Tracer, index: int, options: Options,
                 tell: Callable[[str], None]) -> tuple[np.ndarray, dict[str, Planes], dict[str, Any]]:
     """References (T, H, W, 3), planes (T, h, w, C) of every render, and facts, as `clips.save` takes them.
 
-    `tell` hears how far it is.
+    `tell` is called with progress messages.
     """
     kind, cut = _kind(index, options.frames)
     half_width = HALF.size(options.size)[0]

@@ -80,9 +80,9 @@ def volume(mesh: Mesh) -> float:
 def test_solids_look_outwards() -> None:
     low, high = np.array([1.0, 2, 3]), np.array([1.5, 2.4, 3.9])
     assert np.isclose(volume(solids.boxes([low, low + 5], [high, high + 5])), 2 * np.prod(high - low))
-    round_box = volume(solids.rounded(low, high, 0.05, 6))
+    round_box = volume(solids.rounded_box(low, high, 0.05, 6))
     assert 0.93 * np.prod(high - low) < round_box < np.prod(high - low)
-    assert volume(solids.rounded([0, 0, 0], [2, 2, 2], 0.999, 24)) == pytest.approx(4 / 3 * np.pi, rel=0.03)
+    assert volume(solids.rounded_box([0, 0, 0], [2, 2, 2], 0.999, 24)) == pytest.approx(4 / 3 * np.pi, rel=0.03)
 
 
 def test_mouldings_are_mitred() -> None:

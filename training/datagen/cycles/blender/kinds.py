@@ -1,8 +1,7 @@
-"""What a clip shows: a setting (room, street, wood, studio, a whole glTF scene), things in it, light, and what the
-camera and the air do to it.
+"""Content of a clip: a setting (room, street, wood, studio, a whole glTF scene), things in it, light, air and lens.
 
-`build` draws a scene of a kind. The kinds are those that results are judged by; a kind says what must be there, and
-the generator draws all else, so that fog, depth of field, motion blur and lamps also occur beside each other.
+`build` draws a scene of one of the kinds that results are judged by. A kind fixes what must be in the scene; the
+generator draws everything else, so fog, depth of field, motion blur and lamps also occur together.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ class Shot:
     """A scene that is ready to be rendered; ``facts`` go into the clip's file."""
 
     target: np.ndarray
-    size: float  # of what the camera looks at, metres
+    size: float  # of the subject, metres
     facts: dict = field(default_factory=dict)
 
 
@@ -170,7 +169,7 @@ def move_some(things: list[bpy.types.Object], frames: int, rng: Rng, chance: flo
 
 
 def middle_of(things: list[bpy.types.Object], rng: Rng) -> np.ndarray:
-    """The middle of one of some things."""
+    """The middle of one of the things, picked at random."""
     low, high = parts.bounds([things[rng.integers(len(things))]])
     return (low + high) / 2
 
@@ -356,8 +355,8 @@ def glass(library: Library, frames: int, rng: Rng) -> Shot:
     return studio(library, frames, rng, str(rng.choice(["glass", "frosted", "metal"], p=[0.45, 0.3, 0.25])))
 
 
-def blurred(library: Library, frames: int, rng: Rng) -> Shot:
-    """Anything with faster things."""
+def fast_things(library: Library, frames: int, rng: Rng) -> Shot:
+    """Any setting with fast things in it."""
     shot = [studio, outdoor, room][rng.integers(3)](library, frames, rng)
     for _ in range(int(rng.integers(1, 4))):
         at = shot.target * (1, 1, 0.5) + rng.normal(0, 0.4 * shot.size, 3) * (1, 1, 0.3)
@@ -388,7 +387,7 @@ def text(library: Library, frames: int, rng: Rng) -> Shot:
         page = library.pages[rng.integers(len(library.pages))]
         dark = rng.random() < 0.3
         ink, paper = parts.colour_of(rng), tuple(rng.uniform(0.5, 0.9, 3))
-        made = parts.printed(page, paper if dark else ink, ink if dark else paper,
+        made = parts.page_material(page, paper if dark else ink, ink if dark else paper,
                              2 ** rng.uniform(-1, 4) if rng.random() < 0.3 else 0.0)
         at = shot.target + (*rng.normal(0, 0.7, 2), rng.uniform(0.1, 0.5))
         half, turn, lean = rng.uniform(0.3, 0.9), rng.uniform(-0.5, 0.5), rng.uniform(-1.2, 0.3)
@@ -400,5 +399,5 @@ def text(library: Library, frames: int, rng: Rng) -> Shot:
 
 SETTINGS = {
     "fog": fog, "indirect": indirect, "foliage": foliage, "fur": fur, "glass": glass, "dof": out_of_focus,
-    "motion_blur": blurred, "interior": interior, "outdoor": outdoor, "product": studio, "text": text,
+    "motion_blur": fast_things, "interior": interior, "outdoor": outdoor, "product": studio, "text": text,
 }

@@ -54,7 +54,7 @@ def look(eye: Sequence[float], target: Sequence[float]) -> Matrix:
 
 
 def keyframe(item: bpy.types.Object, first: Matrix, last: Matrix, frames: int) -> None:
-    """Straight motion between two poses, which goes on beyond the clip."""
+    """Straight motion between two poses, extrapolated beyond the clip."""
     item.rotation_mode = "QUATERNION"
     turns = [first.to_quaternion(), last.to_quaternion()]
     if turns[0].dot(turns[1]) < 0:
@@ -296,8 +296,8 @@ def glow(colour: Colour, strength: float) -> bpy.types.Material:
     return made
 
 
-def printed(image: Path, ink: Colour, paper: Colour, emission: float = 0.0) -> bpy.types.Material:
-    """A page: where the picture is dark there is ink; it glows where ``emission`` is given."""
+def page_material(image: Path, ink: Colour, paper: Colour, emission: float = 0.0) -> bpy.types.Material:
+    """A printed page: dark parts of the picture are ink. It glows if ``emission`` is above 0."""
     made, shader = principled("page")
     tree = made.node_tree
     picture, mix = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeMix")
@@ -500,7 +500,7 @@ def fur(rng: Rng, item: bpy.types.Object, count: int, length: float) -> None:
 
 
 class Library:
-    """glTF scenes with what is known of them, panoramas and pages of text, in one folder each."""
+    """A folder of glTF scenes with their descriptions, panoramas and pages of text."""
 
     def __init__(self, root: Path | None):
         self.root = root
@@ -552,7 +552,7 @@ def bounds(roots: Sequence[bpy.types.Object]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def stand(roots: Sequence[bpy.types.Object], at: Sequence[float], size: float, turn: float) -> bpy.types.Object:
-    """Scale a loaded thing to ``size``, its largest side, and stand it on a place; returns what moves all of it."""
+    """Scale a loaded thing to ``size``, its largest side, and stand it on a place; returns the parent of its parts."""
     low, high = bounds(roots)
     scale = size / max(float((high - low).max()), 1e-6)
     middle = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])

@@ -1,4 +1,4 @@
-"""Renders clips inside Blender: reads one JSON request a line, answers one a line.
+"""Render clips inside Blender: one JSON request a line in, one answer a line out.
 
 Request: {"clip": n, "seed": s, "folder": where EXR files go, "library": folder or null, "kind": name or null, "frames",
 "width", "height": of the noisy frames, "scale", "spp": [of each noisy render], "half_spp": of each half of the
@@ -27,7 +27,7 @@ PATTERNS = ("AUTOMATIC", "TABULATED_SOBOL", "BLUE_NOISE")
 
 
 def use_device() -> str:
-    """CUDA where there is a card, else the CPU. A new scene forgets it: Blender resets its preferences, too."""
+    """Use CUDA if there is a GPU, else the CPU. Needed for every new scene: Blender resets its preferences with it."""
     chosen = bpy.context.preferences.addons["cycles"].preferences
     try:
         chosen.compute_device_type = "CUDA"
@@ -41,7 +41,7 @@ def use_device() -> str:
 
 
 def set_up(scene: bpy.types.Scene, device: str, rng: np.random.Generator) -> dict:
-    """What the renders of a clip have in common; returns the choices."""
+    """Apply settings that all renders of a clip share; returns the random choices."""
     cycles, render, layer = scene.cycles, scene.render, scene.view_layers[0]
     cycles.device = device
     cycles.use_adaptive_sampling = cycles.use_denoising = False
@@ -76,7 +76,7 @@ def shoot(scene: bpy.types.Scene, path: Path, frame: int, size: tuple[int, int],
 
 
 def probe(scene: bpy.types.Scene, folder: Path, frame: int) -> tuple[float, float, float]:
-    """A coarse look at a frame: log-average luminance, share of black, and share of pixels at edges of the planes."""
+    """A coarse render of a frame: log-average luminance, share of black pixels, share of pixels at edges."""
     path = folder / "probe.exr"
     blur, scene.render.use_motion_blur = scene.render.use_motion_blur, False
     shoot(scene, path, frame, (32, 32), 32, 7)
@@ -121,7 +121,7 @@ def make(request: dict, library: Library) -> dict:
 
 
 def main() -> None:
-    answers = os.fdopen(os.dup(1), "w")  # Blender writes its own lines to standard output
+    answers = os.fdopen(os.dup(1), "w")  # Blender prints its own lines to standard output
     os.dup2(2, 1)
     library = None
     print(json.dumps({"ready": use_device()}), file=answers, flush=True)
@@ -130,7 +130,7 @@ def main() -> None:
         library = library or Library(request["library"] and Path(request["library"]))
         try:
             answer = {"facts": make(request, library)}
-        except Exception as fault:  # the next clip is another scene
+        except Exception as fault:  # the next clip may well work
             traceback.print_exc()
             answer = {"error": f"{type(fault).__name__}: {fault}"}
         print(json.dumps({"clip": request["clip"], **answer}), file=answers, flush=True)
