@@ -6,6 +6,8 @@ import argparse
 import json
 import sys
 
+from postfx.cli.run_options import FILES
+
 DESCRIPTION = """\
 Measure the exposure of a sequence where it is seen: a grey checkerboard, divided by the exposure that would be right,
 goes through the tone mapper with the exposure that the run uses. Right, it is a steady mid grey. The level that comes
@@ -56,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "signal (log_c) and of the display's (display), and zebra at 95 %%; takes the time of a run",
     )
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
+    FILES.add_to(parser)
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from postfx.cli.run_options import FILES
 from postfx.exposure import colours_of
 from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot, debug
 from postfx.exposure.views import false_colour, log_c, luma, zebra
@@ -29,7 +30,8 @@ class ExposureCheck:
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self._arguments = arguments
-        self._sequence = Sequence(arguments.input, arguments.frames, arguments.profile)
+        self._sequence = Sequence(arguments.input, arguments.frames, arguments.profile,
+                                  **FILES.values_for("sequence", arguments))
         self._device = Device(arguments.device)
         self._report = debug(
             colours_of(self._sequence), self._view(), arguments.exposure, arguments.reference, device=self._device

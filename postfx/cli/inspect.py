@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from postfx.cli.run_options import COLOURSPACE, DEPTH, INPUT, LAYER, VIEW
+from postfx.cli.run_options import DEPTH, FILES, INPUT
 
 DESCRIPTION = """\
 Find what is wrong with a sequence: reads up to eight consecutive frames from the first one (or the first of --frames),
@@ -36,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--guides", metavar="GUIDES", help="files of planes at output size, as for 'postfx run'")
     parser.add_argument("--frames", metavar="RANGE", help="frames of interest, e.g. 12 or 1-100")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
-    for option in (DEPTH, COLOURSPACE, LAYER, VIEW):
-        option.add_to(parser)
+    DEPTH.add_to(parser)
+    FILES.add_to(parser)
     parser.add_argument("--pictures", metavar="DIR", help="write a picture of every plane of the first frame there")
     parser.add_argument(
         "--report", metavar="HTML", help="write a page that opens from the disk and needs no network: frames with an "

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from postfx.cli.options import Options, Section
-from postfx.cli.run_options import LOOK, display_passes
+from postfx.cli.run_options import FILES, LOOK, display_passes
 
 DESCRIPTION = """\
 Write the global part of a look as a 3-D look-up table (.cube) that OpenColorIO, DaVinci Resolve, Nuke and others read.
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--exposure", default="auto", metavar="auto|metadata|EV", help="as for 'postfx run' (default: auto)"
     )
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
-    parser.add_argument("--colourspace", metavar="NAME", help="linear primaries of the colours, as for 'postfx run'")
+    FILES.add_to(parser)
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -57,9 +57,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if path.suffix.lower() != ".cube":
         raise WriteError(f"{path}: is no .cube file: name it {path.with_suffix('.cube')}")
     passes, _ = display_passes(True, **_LOOK.values_for("look", arguments))
-    sequence = Sequence(
-        arguments.input, arguments.frames, arguments.profile, [Role.COLOUR], colourspace=arguments.colourspace
-    )
+    sequence = Sequence(arguments.input, arguments.frames, arguments.profile, [Role.COLOUR],
+                        **FILES.values_for("sequence", arguments))
     numbers = sequence.numbers if arguments.frames else sequence.numbers[:: -(-len(sequence) // _MOST_FRAMES)]
     meter = ExposureMeter(arguments.exposure)
     frames = [expose_colour(frame, meter(frame)) for frame in map(sequence.read, numbers)]

@@ -332,6 +332,8 @@ LAYER = Option(flag="--layer", metavar="NAME", sets="sequence.layer",
                help="view layer or other layer to read (default: of several view layers that with the most planes)")
 VIEW = Option(flag="--view", metavar="NAME", sets="sequence.view",
               help="view of stereo files to read, e.g. left (default: the first)")
+FILES = Options(Section("", (COLOURSPACE, LAYER, VIEW)))
+"""What every verb that reads frames must let the user say about them."""
 
 
 def parse_cuts(text: str) -> tuple[int, ...] | None:
@@ -354,9 +356,7 @@ READING = Section("reading and running", (
     Option(flag="--profile", metavar="NAME|FILE", type=parse_path, sets="sequence.profile", is_file=True,
            help="how the renderer names its planes (default: found from the file)"),
     DEPTH,
-    COLOURSPACE,
-    LAYER,
-    VIEW,
+    *FILES,
     Option(flag="--cuts", metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts", convert=parse_cuts,
            help="where shots begin, so that the history is dropped: by headers and pictures, nowhere, or at these "
            "frames, e.g. 1,48,90 (default: auto)"),
