@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postfx.kernels.denoise.network_io import STORE, STORE_RINGED
 from postfx.kernels.image import RESAMPLE, positions
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
@@ -45,6 +46,15 @@ def test_the_number_of_threads_changes_no_bit(kernel: Kernel) -> None:
     inputs = arguments(kernel, ODD)
     alone, many = (run(kernel, Device("cpu", threads), inputs, ODD) for threads in (1, 5))
     assert all(np.array_equal(alone[name], many[name], equal_nan=True) for name in kernel.writes)
+
+
+@pytest.mark.parametrize("kernel", [STORE, STORE_RINGED], ids=lambda kernel: kernel.name)
+def test_what_is_no_number_is_stored_as_zero(kernel: Kernel, compiled: Device, portable: Device) -> None:
+    inputs = arguments(kernel, ODD)
+    inputs["planes"].reshape(-1)[::7] = np.nan
+    wanted = run(kernel, compiled, {**inputs, "planes": np.nan_to_num(inputs["planes"])}, ODD)
+    for device in (compiled, portable):
+        np.testing.assert_array_equal(run(kernel, device, inputs, ODD)["stored"], wanted["stored"])
 
 
 def test_resampling_at_whole_positions_gives_the_samples_and_keeps_within_them() -> None:

@@ -70,6 +70,12 @@ def test_lock_is_given_back(lock):
     assert not lock.exists()
 
 
+def test_lock_that_someone_took_over_is_left_to_them(lock):
+    with FolderLock(lock):
+        lock.write_text(json.dumps(ELSEWHERE.as_dict()))
+    assert Process.of(json.loads(lock.read_text())) == ELSEWHERE
+
+
 def test_lock_of_a_dead_process_is_taken_over(lock):
     lock.write_text(json.dumps(dead().as_dict()))
     with FolderLock(lock, patience=5):

@@ -43,6 +43,14 @@ def test_the_nearer_of_two_surfaces_counts():
     assert (found[12:] == 0).all()
 
 
+def test_the_nearer_of_two_surfaces_counts_whichever_comes_first():
+    """The same to the left: there the wall is looked at after the thing."""
+    frame, after = moving((0, 0)), moving((0, 0))
+    frame[Role.DEPTH][5:10, 10:16], after[Role.DEPTH][5:10, 4:10] = 1, 1
+    after[Role.MOTION][5:10, 4:10] = 6, 0
+    assert (motion_to_next(frame, after)[5:10, 10:16] == (-6, 0)).all()
+
+
 def test_stretching_leaves_no_cracks():
     """A camera that comes nearer by 4 % a frame: pixels of the next frame come from closer together than they lie."""
     after = moving((0, 0))
