@@ -1,6 +1,6 @@
 """Time the whole command, files read and written, against its passes alone, in turn.
 
-python samples/command_speed.py [--width 960] [--height 540] [--frames 40] [--runs 5] [--model m]
+python samples/command_speed.py [--width 960] [--height 540] [--frames 40] [--runs 5] [--model m] [--ways 4]
 
 The frames are those of the sample, enlarged, with noise in the colour, as half floats in ZIP, one file each. A frame of
 the command is what 2 + `frames` of them take beyond 2; a frame of the passes is the median of calls with planes that
@@ -82,12 +82,14 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--model", default="m")
+    parser.add_argument("--ways", type=int, default=len(WAYS), help="time the first so many kinds of output")
     args = parser.parse_args()
-    found = {name: [] for name in WAYS}
+    ways = dict(list(WAYS.items())[:args.ways])
+    found = {name: [] for name in ways}
     with tempfile.TemporaryDirectory(prefix="postfx-command-") as folder:
         write_frames(Path(folder), args.width, args.height, WARM + args.frames)
         for _ in range(args.runs):
-            for name, way in WAYS.items():
+            for name, way in ways.items():
                 alone = passes_alone(Path(folder), args.model, "tone" in name)
                 found[name].append((*further_frame(Path(folder), way, args.model, args.frames), alone))
     for name, times in found.items():

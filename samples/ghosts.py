@@ -64,17 +64,19 @@ WAYS: dict[str, Callable[[Shot], Frame]] = {
 def particles(kind: Kind, number: int, scale: int, offset: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Premultiplied light and coverage of particles that fly apart and fall, at pixels' centres plus an offset."""
     random, axes = np.random.default_rng(3), zip(SIZE, offset, strict=True)
-    x, y = np.meshgrid(*((np.arange(scale * side) + 0.5 + shift) / scale for side, shift in axes))
+    x, y = ((np.arange(scale * side) + 0.5 + shift) / scale for side, shift in axes)
     places, angles = random.random((kind.count, 2)) * SIZE, random.uniform(0, 2 * np.pi, kind.count)
     speeds, radii, lights, opacities = (random.uniform(*span, kind.count) for span in kind[1:5])
     steps = np.stack((np.cos(angles), np.sin(angles)), 1) * speeds[:, None]
-    light, coverage = np.zeros((*x.shape, 3)), np.zeros((*x.shape, 1))
+    light, coverage = (np.zeros((y.size, x.size, channels)) for channels in (3, 1))
     places = (places + number * steps + (0, 0.15 * number**2)) % SIZE
     for (left, top), radius, bright, opacity in zip(places, radii, lights, opacities, strict=True):
-        soft = np.clip((radius - np.hypot(x - left, y - top)) / (0.35 * radius), 0, 1)
-        front = opacity * soft[..., None]
-        light = light * (1 - front) + front * bright * np.array(kind.tint)
-        coverage = coverage * (1 - front) + front
+        rows, columns = (slice(*np.searchsorted(axis, (at - radius, at + radius)))
+                         for axis, at in ((y, top), (x, left)))
+        distance = np.hypot(x[columns] - left, y[rows, None] - top)
+        front = opacity * np.clip((radius - distance) / (0.35 * radius), 0, 1)[..., None]
+        light[rows, columns] = light[rows, columns] * (1 - front) + front * bright * np.array(kind.tint)
+        coverage[rows, columns] = coverage[rows, columns] * (1 - front) + front
     return light.astype(np.float32), coverage.astype(np.float32)
 
 

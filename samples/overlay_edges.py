@@ -47,9 +47,13 @@ def particles(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     random = np.random.default_rng(3)
     found = np.zeros((*np.broadcast_shapes(x.shape, y.shape), 4))
     for number in range(200):
-        distance = np.hypot(x - random.random(), y - random.random()) / random.uniform(0.008, 0.06)
+        left, top, radius = random.random(), random.random(), random.uniform(0.008, 0.06)
+        rows, columns = (slice(*np.searchsorted(axis.ravel(), (at - 4 * radius, at + 4 * radius)))  # beyond it is 1e-14
+                         for axis, at in ((y, top), (x, left)))
+        distance = np.hypot(x[:, columns] - left, y[rows] - top) / radius
         alpha = random.random() * (np.exp(-2 * distance**2) if number % 2 else distance < 1)
-        found = over(layer(alpha, tuple(random.random(3) ** 2 * random.choice([1, 8]))), found)
+        front = layer(alpha, tuple(random.random(3) ** 2 * random.choice([1, 8])))
+        found[rows, columns] = over(front, found[rows, columns])
     return found
 
 

@@ -10,6 +10,15 @@ from typing import Any
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+LONGEST = (
+    "test_quality.py", "test_samples.py", "training/tonemap/test_train.py", "doctor/test_breakages.py",
+    "training/datagen/test_clip.py", "stress/test_precisions.py", "passes/test_denoise_fp16.py",
+    "training/denoise/test_export.py", "training/datagen/test_render.py", "cli/test_bench.py",
+    "stress/test_network_bounds.py", "passes/test_denoise_reactive.py", "training/denoise/test_train_processes.py",
+    "training/measure/test_validation.py", "training/datagen/scenes/test_interior.py", "passes/test_denoise_int8.py",
+    "passes/test_contract.py", "stress/test_kernel_bounds.py",
+)
+"""Files that take more than ten seconds of a core, longest first: begun last, one would keep a worker busy alone."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -22,7 +31,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Tests of minutes run only when asked for."""
+    """The longest files come first, and tests of minutes run only when asked for."""
+    places = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.nodeid.partition("::")[0].removeprefix("tests/"), len(places)))
     if "soak" not in config.option.markexpr:
         for item in items:
             if item.get_closest_marker("soak"):

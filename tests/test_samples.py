@@ -53,8 +53,8 @@ def test_speed_is_compared_with_oidn():
 
 
 def test_the_time_of_the_whole_command():
-    printed = run("command_speed.py", "--width", "96", "--height", "54", "--frames", "1", "--runs", "1")
-    assert printed.count("; ratio ") == 4
+    printed = run("command_speed.py", "--width", "96", "--height", "54", "--frames", "1", "--runs", "1", "--ways", "1")
+    assert printed.count("; ratio ") == 1
 
 
 def test_the_time_of_masked_frames(tmp_path):
@@ -103,9 +103,9 @@ def test_sparks_leave_a_third_of_their_ghosts_at_most_with_a_mask(tmp_path):
 
 
 def test_memory_is_measured_within_a_budget():
-    printed = run("measure_memory.py", "--sizes", "1920x1080", "--memory", "none,600M,453M", "--frames", "2")
-    whole, *parts = (float(line.split(": ")[1].split()[0]) for line in printed.splitlines())
-    assert whole > 1000 and parts[0] < 600 and parts[1] < 453, printed
+    printed = run("measure_memory.py", "--sizes", "1920x1080", "--memory", "none,453M", "--frames", "2")
+    whole, part = (float(line.split(": ")[1].split()[0]) for line in printed.splitlines())
+    assert whole > 1000 and part < 453, printed
 
 
 def test_what_the_ray_caster_writes_is_right(tmp_path):

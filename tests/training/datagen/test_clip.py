@@ -243,12 +243,11 @@ def test_blackman_harris_samples_have_the_filters_spread() -> None:
 
 def test_clips_may_go_on_from_another_view(tracer: Tracer) -> None:
     options = ClipOptions(16, 16, 4, 1, reference_spp=4, scales=(1.0,), scale_chances=(1.0,), cut_share=1)
-    clips = [make_clip(tracer, options, Environments(None), RealScenes(None), 3, index) for index in range(2)]
-    cut = [facts for _, _, facts in clips if facts["reset"].sum() == 2]
-    assert cut
-    frame, poses = int(np.flatnonzero(cut[0]["reset"])[1]), np.array(cut[0]["meta"]["to_world"])
+    clips = (make_clip(tracer, options, Environments(None), RealScenes(None), 3, index) for index in range(2))
+    facts = next(facts for _, _, facts in clips if facts["reset"].sum() == 2)
+    frame, poses = int(np.flatnonzero(facts["reset"])[1]), np.array(facts["meta"]["to_world"])
     steps = np.linalg.norm(np.diff(poses[:, :3].reshape(4, -1), axis=0), axis=1)
-    assert cut[0]["reset"][0] == 1 and steps[frame - 1] > 3 * np.delete(steps, frame - 1).max()
+    assert facts["reset"][0] == 1 and steps[frame - 1] > 3 * np.delete(steps, frame - 1).max()
 
 
 def test_motion_of_things_that_bend(tracer: Tracer) -> None:

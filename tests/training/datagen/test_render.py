@@ -91,7 +91,7 @@ def test_a_real_job_at_toy_size_ends_on_sigterm_and_goes_on(tmp_path: Path) -> N
         pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb")
     if found:
         os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(found[0]))
-    command = [sys.executable, "-m", "training.datagen.render", f"--out={tmp_path}", "--processes-per-gpu=2",
+    command = [sys.executable, "-m", "training.datagen.render", f"--out={tmp_path}", "--processes-per-gpu=1",
                "--width=16", "--height=16", "--frames=1", "--variants=1", "--reference-spp=4", "--variant=llvm_ad_rgb"]
     first = subprocess.Popen([*command, "--clips=500"], stdout=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 100
