@@ -54,20 +54,21 @@ def test_every_error_is_named_within_a_twentieth_of_a_stop(view, needed: float, 
         assert found == pytest.approx(error, abs=0.05)
 
 
-@pytest.mark.parametrize("error", ERRORS)
-def test_the_verdict_names_every_error_of_a_metered_scene(error: float, device: Device) -> None:
-    report = debug(scene([1.0] * 3), [ToneMap()], 1.0 + error, device=device)
-    assert report.verdict == ("right" if error == 0 else "too bright" if error > 0 else "too dark")
-    assert report.shots[0].mismatch_ev == pytest.approx(error, abs=0.05)
-    assert report.shots[0].right_ev == pytest.approx(1.0, abs=0.05)
+def test_the_verdict_names_every_error_of_a_metered_scene(device: Device) -> None:
+    for error in ERRORS[::2]:
+        report = debug(scene([1.0] * 3), [ToneMap()], 1.0 + error, device=device)
+        assert report.verdict == ("right" if error == 0 else "too bright" if error > 0 else "too dark"), error
+        assert report.shots[0].mismatch_ev == pytest.approx(error, abs=0.05)
+        assert report.shots[0].right_ev == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.parametrize("error", ERRORS)
-def test_a_plain_grey_card_reads_the_same_error(view, error: float, device: Device) -> None:
+def test_a_plain_grey_card_reads_the_same_error(view, device: Device) -> None:
     """A picture of another kind than the board that the response was sampled on."""
     card = postfx.Frame({postfx.Role.COLOUR: np.full((180, 320, 3), 0.18, np.float32)})
-    shown = postfx.Pipeline(view, device, float(error))(card)[postfx.Role.COLOUR]
-    assert Response(Board(view, device=device)).ev_of(float(shown.mean())) == pytest.approx(error, abs=0.05)
+    response = Response(Board(view, device=device))
+    for error in ERRORS:
+        shown = postfx.Pipeline(view, device, float(error))(card)[postfx.Role.COLOUR]
+        assert response.ev_of(float(shown.mean())) == pytest.approx(error, abs=0.05)
 
 
 def test_errors_between_the_samples_of_the_response_are_named_too(device: Device) -> None:
