@@ -82,7 +82,7 @@ COARSE = (4, 8, 16)  # output pixels
 KNEE, COARSE_KNEE = 0.02, 0.005  # code values
 LIGHT_CELL, LIGHT_MOST, LIGHT_FLOOR, LIGHT_KNEE, LIGHT = 16, 1000.0, 0.05, 0.05, 0.5
 SEEN = 0.5  # weight of the perceived difference
-NOISY, MOST_SCALE = 0.2, 8.0  # input error (display-encoded) of frames that count once, and the most that frames count
+NOISY = 0.2  # input error (display-encoded) of frames that count once
 
 
 def display(exposed: Tensor) -> Tensor:
@@ -136,11 +136,11 @@ def reproject_reference(reference: Tensor, motion: Tensor) -> Tensor:
     return ops.warp(reference, ops.enlarge_motion(motion, *reference.shape[-2:]))
 
 
-def even_scale(colour: Tensor, reference: Tensor) -> Tensor:
+def even_scale(colour: Tensor, reference: Tensor, most: float) -> Tensor:
     """(N, 1, 1, 1): factor on errors of display-encoded pictures that lets frames of many samples count like frames of
-    few: ``NOISY`` by the error of the input ``colour`` (N, 3, h, w), 1 to ``MOST_SCALE``."""
+    few: ``NOISY`` by the error of the input ``colour`` (N, 3, h, w), 1 to ``most``."""
     error = colour - F.adaptive_avg_pool2d(reference, colour.shape[-2:])
-    return (NOISY / error.square().mean((1, 2, 3), keepdim=True).sqrt().clamp(min=1e-6)).clamp(1, MOST_SCALE)
+    return (NOISY / error.square().mean((1, 2, 3), keepdim=True).sqrt().clamp(min=1e-6)).clamp(1, most)
 
 
 def psnr(output: Tensor, reference: Tensor) -> Tensor:
@@ -160,11 +160,11 @@ class Truth:
     """References of a clip, their motion, and the factors on errors: 1 or, if clips count ``even``, the larger the less
     noise the input has."""
 
-    def __init__(self, batch: Batch, even: bool = False):
+    def __init__(self, batch: Batch, even: float = 0.0):
         self.references = batch.references
         self.shown = [display(reference) for reference in batch.references]
         ones = torch.ones_like(batch.keep[0])
-        self.scale = [even_scale(display(inputs.colour), shown) if even else ones
+        self.scale = [even_scale(display(inputs.colour), shown, even) if even else ones
                       for inputs, shown in zip(batch.frames, self.shown, strict=True)]
         self.motion = batch.true_motion or [inputs.motion for inputs in batch.frames]
         self.moved = [reproject_reference(before, motion)
@@ -193,11 +193,11 @@ class ClipLoss(nn.Module):
     """Run a clip through the recurrent step and sum the losses of its frames.
 
     ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history; ``even``
-    lets clips of little noise count as much as noisy ones. A batch with inverse motion is run backwards, too: each
-    direction has its own loss, and their blend has one.
+    lets clips of little noise count as much as noisy ones, at most so many times (0: all clips count once). A batch with
+    inverse motion is run backwards, too: each direction has its own loss, and their blend has one.
     """
 
-    def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: bool = False):
+    def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0):
         super().__init__()
         self.model, self.flicker, self.reset, self.even = model, flicker, reset, even
 

@@ -67,7 +67,8 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--trust", action="store_true", help="planes count as far as the network trusts them")
     parser.add_argument("--flicker", type=float, default=6.0, help="weight of the temporal difference")
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
-    parser.add_argument("--even", action="store_true", help="clips of little noise count as much as noisy ones")
+    parser.add_argument("--even", type=float, nargs="?", default=0.0, const=8.0, metavar="MOST",
+                        help="clips of little noise count as much as noisy ones, at most this many times as much (8)")
     parser.add_argument("--clean", type=float, default=Augment.clean, metavar="SHARE",
                         help="part of the offline renders whose colour is moved towards the reference (%(default)s)")
     parser.add_argument("--false-motion", type=float, default=0.0, metavar="SHARE",
@@ -148,7 +149,7 @@ def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, both: b
     """
     mine = {k: v.clone() for k, v in loss.model.state_dict().items()}
     loss.model.load_state_dict(weights)
-    reset, even, loss.reset, loss.even = loss.reset, loss.even, 0.0, False
+    reset, even, loss.reset, loss.even = loss.reset, loss.even, 0.0, 0.0
     results = []
     for clips in by_size(pool.validation, 8):
         batch = set_direction(to_batch(collate(clips, [0] * len(clips))), both)

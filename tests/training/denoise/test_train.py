@@ -156,7 +156,7 @@ def test_learning_rate_rises_slowly_and_falls_with_the_clock() -> None:
 
 
 def test_clips_of_little_noise_count_as_much_as_noisy_ones() -> None:
-    """The same relative mistake costs the same, until errors would count more than MOST_SCALE times."""
+    """The same relative mistake costs the same, until errors would count more than eight times."""
     torch.manual_seed(1)
     reference, noise = torch.rand(1, 3, 32, 32), torch.randn(1, 3, 32, 32)
     faint, strong, least = (float(_even_loss(reference, noise * level)) for level in (0.05, 0.2, 1e-4))
@@ -166,7 +166,7 @@ def test_clips_of_little_noise_count_as_much_as_noisy_ones() -> None:
 
 def _even_loss(reference: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
     """The loss, without its part that is not scaled, of a result that leaves a tenth of the noise."""
-    scale = losses.even_scale(reference + noise, reference)
+    scale = losses.even_scale(reference + noise, reference, 8.0)
     output = reference + noise / 10
     return (losses.frame_loss(output, reference, scale)
             - losses.SEEN * losses.difference(output, reference))
@@ -177,15 +177,15 @@ def test_validation_counts_what_is_seen_however_clips_count(tmp_path: Path) -> N
     pool = ClipPool(tmp_path, torch.device("cpu"))
     pool.refresh()
     model = small_model()
-    ways = [train.ClipLoss(model, flicker=1.0, reset=0.1, even=even) for even in (True, False)]
+    ways = [train.ClipLoss(model, flicker=1.0, reset=0.1, even=even) for even in (8.0, 0.0)]
     even, plain = (train.validate(way, model.state_dict(), pool) for way in ways)
-    assert even == plain and [way.even for way in ways] == [True, False]
+    assert even == plain and [way.even for way in ways] == [8.0, 0.0]
 
 
 def test_the_scale_of_errors_is_found_at_the_inputs_size() -> None:
     reference = torch.rand(2, 3, 8, 12).repeat_interleave(3, 2).repeat_interleave(3, 3)
     colour = reference[..., ::3, ::3] + torch.tensor([0.1, 0.4])[:, None, None, None]
-    assert losses.even_scale(colour, reference).flatten().tolist() == pytest.approx([2, 1])
+    assert losses.even_scale(colour, reference, 8.0).flatten().tolist() == pytest.approx([2, 1])
 
 
 def test_a_non_finite_gradient_becomes_no_step() -> None:
