@@ -193,8 +193,8 @@ class ClipLoss(nn.Module):
     """Run a clip through the recurrent step and sum the losses of its frames.
 
     ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history; ``even``
-    lets clips of little noise count as much as noisy ones, at most so many times (0: all clips count once). A batch with
-    inverse motion is run backwards, too: each direction has its own loss, and their blend has one.
+    lets clips of little noise count as much as noisy ones, at most so many times (0: all clips count once). A batch
+    with inverse motion is run backwards, too: each direction has its own loss, and their blend has one.
     """
 
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0):

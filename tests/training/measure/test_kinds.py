@@ -7,7 +7,7 @@ import pytest
 
 from postfx.exposure.views import shown
 from training.datagen.clip_file import load_clip
-from training.measure.kinds import halves, main, network_method, oidn_method, score_render, table
+from training.measure.kinds import halves, main, mean_gains, network_method, oidn_method, score_render, table
 
 CLIPS = Path(__file__).parent / "kinds"
 GAINS = {  # dB of m over Open Image Denoise and cubic interpolation at 2 samples a pixel, as measured, rounded down
@@ -44,6 +44,10 @@ def test_the_command_prints_a_table_and_refuses_an_empty_folder(tmp_path, capsys
     with pytest.raises(SystemExit):
         main(["score", str(tmp_path)])
     assert "holds no clips" in capsys.readouterr().err
+    assert mean_gains(rows, ["m"]) == {"fog": {"m": 0.25}}
+    with pytest.raises(SystemExit):
+        main(["score", str(CLIPS), "--log", str(tmp_path / "runs.jsonl")])
+    assert "--log and --run go together" in capsys.readouterr().err
 
 
 def test_a_packed_clip_keeps_its_middle_and_its_noisiest_render(tmp_path):

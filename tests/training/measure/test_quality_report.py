@@ -13,9 +13,8 @@ Image = pytest.importorskip("PIL.Image", reason="needs the extra 'train'")
 from postfx.bench import report  # noqa: E402
 from tests.training.measure.quality_results import bench, comparison, method  # noqa: E402
 from training.measure.quality_report import document  # noqa: E402
-from training.measure.quality_report import results as quality_results  # noqa: E402
 from training.measure.quality_report.__main__ import MAKERS, main  # noqa: E402
-from training.measure.quality_report.results import LIMIT, shrunk  # noqa: E402
+from training.measure.quality_report.document import LIMIT, shrink_picture  # noqa: E402
 
 
 @pytest.fixture
@@ -178,7 +177,7 @@ def test_lines_of_plots_keep_their_colours(tmp_path):
     for y, colour in lines.items():
         drawn[y, 50:90] = colour
     Image.fromarray(drawn).save(tmp_path / "plot.png")
-    (tmp_path / "small.png").write_bytes(shrunk(tmp_path / "plot.png", "png"))
+    (tmp_path / "small.png").write_bytes(shrink_picture(tmp_path / "plot.png", "png"))
     with Image.open(tmp_path / "small.png") as picture:
         small = np.asarray(picture.convert("RGB")).astype(int)
     assert all(np.abs(small[y, 60] - colour).max() <= 10 for y, colour in lines.items())
@@ -197,7 +196,7 @@ def test_pictures_are_made_smaller(tmp_path, results, monkeypatch, capsys):
         assert (tmp_path / "images" / name).stat().st_size < (results / "curves.png").stat().st_size / 2
     with Image.open(tmp_path / "images/curves.png") as picture:
         assert len(picture.convert("RGB").getcolors()) <= 256
-    monkeypatch.setattr(quality_results, "LIMIT", 1000)
+    monkeypatch.setattr(document, "LIMIT", 1000)
     written(tmp_path, results, *names, code=2)
     assert "MB, more than 0.001: show fewer of them" in capsys.readouterr().err
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from training.datagen.scenes import clutter, fittings, fixtures, foliage, meshes, solids, tables, textures
+from training.datagen.scenes import clutter, fittings, fixtures, foliage, meshes, movables, solids, textures
 from training.datagen.scenes.draft import draft_thing, moving_thing
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.joinery import Opening, between
@@ -137,7 +137,7 @@ def hang(house: House) -> None:
     if house.pitch or rng.random() < 0.2:
         return _beams(house)
     if rng.random() < 0.35:
-        lamp = tables.pendant(rng)
+        lamp = movables.pendant(rng)
         house.put(lamp, translation(rng.uniform(-0.2, 0.2) * w, h - 0.002, rng.uniform(-0.2, 0.2) * depth))
     return None
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from training.datagen.scenes import daylight, fittings, fixtures, foliage, furnishing, shell, tables, upholstery
+from training.datagen.scenes import daylight, fittings, fixtures, foliage, furnishing, movables, shell
 from training.datagen.scenes.build import Description
 from training.datagen.scenes.draft import Draft, View
 from training.datagen.scenes.furnishing import Kind
@@ -17,26 +17,26 @@ from training.datagen.scenes.shell import House, Side
 
 PLANT = foliage.PLANTS
 KINDS = {
-    "living": Kind((upholstery.sofa, upholstery.sofa, fittings.bookcase, fittings.sideboard, fixtures.fireplace,
+    "living": Kind((movables.sofa, movables.sofa, fittings.bookcase, fittings.sideboard, fixtures.fireplace,
                     *PLANT),
-                   (upholstery.sofa, upholstery.armchair, tables.coffee, tables.coffee, upholstery.rug, *PLANT)),
-    "bedroom": Kind((upholstery.bed, upholstery.bed, fittings.wardrobe, fittings.sideboard, upholstery.armchair,
+                   (movables.sofa, movables.armchair, movables.coffee, movables.coffee, movables.rug, *PLANT)),
+    "bedroom": Kind((movables.bed, movables.bed, fittings.wardrobe, fittings.sideboard, movables.armchair,
                      *PLANT),
-                    (upholstery.rug, upholstery.bed, upholstery.stool, upholstery.armchair)),
+                    (movables.rug, movables.bed, movables.stool, movables.armchair)),
     "kitchen": Kind((fittings.kitchen, fittings.kitchen, fittings.sideboard, fixtures.rack, foliage.broad),
-                    (tables.dining, tables.dining, upholstery.stool, upholstery.rug)),
+                    (movables.dining, movables.dining, movables.stool, movables.rug)),
     "bathroom": Kind((fixtures.bath, fixtures.basin, fixtures.toilet, fittings.towel_rail, fittings.towel_rail, *PLANT),
-                     (upholstery.stool, upholstery.rug, foliage.rosette), (2.2, 2.8), 0.85),
+                     (movables.stool, movables.rug, foliage.rosette), (2.2, 2.8), 0.85),
     "office": Kind((fittings.desk, fittings.desk, fittings.bookcase, fittings.bookcase, fittings.cabinet, *PLANT),
-                   (fittings.desk, tables.dining, tables.chair, *PLANT), (2.4, 3.4)),
-    "hall": Kind((fittings.sideboard, upholstery.stool, fixtures.radiator, fittings.wardrobe, *PLANT),
-                 (upholstery.rug, tables.coffee, foliage.bushy), (2.6, 4.2)),
+                   (fittings.desk, movables.dining, movables.chair, *PLANT), (2.4, 3.4)),
+    "hall": Kind((fittings.sideboard, movables.stool, fixtures.radiator, fittings.wardrobe, *PLANT),
+                 (movables.rug, movables.coffee, foliage.bushy), (2.6, 4.2)),
     "shop": Kind((*5 * (fixtures.rack,), fittings.cabinet, foliage.broad),
-                 (fixtures.rack, fixtures.rack, tables.dining, *PLANT), (2.7, 4.0)),
+                 (fixtures.rack, fixtures.rack, movables.dining, *PLANT), (2.7, 4.0)),
     "dining": Kind((fittings.sideboard, fixtures.fireplace, fittings.bookcase, *PLANT),
-                   (tables.dining, tables.dining, upholstery.rug), (2.4, 3.4)),
-    "attic": Kind((upholstery.bed, fixtures.boxes_pile, fixtures.boxes_pile, fittings.bookcase, upholstery.armchair),
-                  (fixtures.boxes_pile, upholstery.sofa, tables.coffee, tables.dining, upholstery.rug), (0.7, 1.4)),
+                   (movables.dining, movables.dining, movables.rug), (2.4, 3.4)),
+    "attic": Kind((movables.bed, fixtures.boxes_pile, fixtures.boxes_pile, fittings.bookcase, movables.armchair),
+                  (fixtures.boxes_pile, movables.sofa, movables.coffee, movables.dining, movables.rug), (0.7, 1.4)),
 }
 CHANCES = dict(zip(KINDS, (0.22, 0.16, 0.12, 0.12, 0.1, 0.08, 0.06, 0.08, 0.06), strict=True))
 

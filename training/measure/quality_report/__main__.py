@@ -40,8 +40,7 @@ import sys
 from inspect import Parameter, signature
 from pathlib import Path
 
-from training.measure.quality_report.document import Block, Missing, ReportError, compose, parse
-from training.measure.quality_report.results import Album, Results
+from training.measure.quality_report.document import Album, Block, Missing, ReportError, Results, compose, parse
 from training.measure.quality_report.tables import MAKERS
 
 REPOSITORY = Path(__file__).resolve().parents[3]

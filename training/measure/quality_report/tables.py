@@ -9,8 +9,10 @@ from postfx.bench.report import is_better, offered
 from training.measure.quality_report.document import (
     FORMS,
     NAMES,
+    Facts,
     Missing,
     ReportError,
+    Results,
     bold,
     is_network,
     method_title,
@@ -18,7 +20,6 @@ from training.measure.quality_report.document import (
     place,
     table,
 )
-from training.measure.quality_report.results import Facts, Results
 from training.measure.validation.compare import FRAMEWISE
 
 # Sequences that `postfx bench` measured -------------------------------------------------------------------------------

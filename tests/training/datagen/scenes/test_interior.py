@@ -17,7 +17,7 @@ if "DRJIT_LIBLLVM_PATH" not in os.environ:
     pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb", allow_module_level=True)
 mi.set_variant("llvm_ad_rgb")
 
-from training.datagen.scenes import clutter, fittings, fixtures, foliage, furnishing, solids, tables, upholstery  # noqa: E402
+from training.datagen.scenes import clutter, fittings, fixtures, foliage, furnishing, movables, solids  # noqa: E402
 from training.datagen.scenes.build import BuiltScene, Description  # noqa: E402
 from training.datagen.scenes.daylight import outside_only  # noqa: E402
 from training.datagen.scenes.draft import Draft  # noqa: E402
@@ -35,10 +35,10 @@ from training.datagen.tracing import MISS_DEPTH, Film, Tracer  # noqa: E402
 
 MAKERS = {
     maker.__name__: maker for maker in (
-        upholstery.sofa, upholstery.bed, upholstery.stool, upholstery.rug, fittings.bookcase, fittings.sideboard,
+        movables.sofa, movables.bed, movables.stool, movables.rug, fittings.bookcase, fittings.sideboard,
         fittings.wardrobe, fittings.kitchen, fittings.desk, fittings.towel_rail, fixtures.fireplace, fixtures.radiator,
-        fixtures.bath, fixtures.basin, fixtures.toilet, fixtures.rack, fixtures.boxes_pile, tables.coffee,
-        tables.dining, tables.pendant, *foliage.PLANTS, foliage.trailing, *clutter.SMALL, clutter.screen)}
+        fixtures.bath, fixtures.basin, fixtures.toilet, fixtures.rack, fixtures.boxes_pile, movables.coffee,
+        movables.dining, movables.pendant, *foliage.PLANTS, foliage.trailing, *clutter.SMALL, clutter.screen)}
 
 
 def drafted(seed: int) -> Draft:
@@ -144,7 +144,7 @@ def test_things_do_not_stand_in_one_another() -> None:
     d, rng = Description("test"), np.random.default_rng(2)
     house = House(d, rng, Roles(d, rng), Joinery.draw(rng), (5.0, 2.6, 5.0))
     house.sides = [Side(matrix, width, 2.6, []) for matrix, width in frames(5.0, 5.0)]
-    furnishing.furnish(house, furnishing.Kind((upholstery.sofa,) * 5, (tables.dining, upholstery.stool)))
+    furnishing.furnish(house, furnishing.Kind((movables.sofa,) * 5, (movables.dining, movables.stool)))
     assert len(house.taken) >= 3
     for k, (x0, x1, z0, z1, _) in enumerate(house.taken):
         assert min(x0, z0) > -2.501 and max(x1, z1) < 2.501
