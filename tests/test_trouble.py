@@ -121,7 +121,7 @@ def test_a_forked_process_has_a_device_of_its_own(monkeypatch):
     process.start()
     error, colour = results.get(timeout=60), results.get(timeout=60)
     process.join()
-    assert "make it, and pipelines, here" in str(error)
+    assert "make devices and pipelines here" in str(error)
     assert np.array_equal(colour, Pipeline([ToneMap()], Device("cpu"))(make_frame(2))[Role.COLOUR])
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from postfx.errors import CaptureError, ModelError
 from postfx.report.capture_data import finite_or_text
-from postfx.runtime.capture import constant_nodes, load_graph, reads
+from postfx.runtime.capture import constant_nodes, load_graph, names_read
 from postfx.runtime.snapshot import statistics
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def _graph(model: ModelProto, dims: Mapping[str, int]) -> dict[str, Any]:
 def _nodes(model: ModelProto, weights: set[str]) -> list[dict[str, Any]]:
     constant, behind, found = constant_nodes(model), {name: [name] for name in weights}, []
     for index, node in enumerate(model.graph.node):
-        own = list(dict.fromkeys(weight for name in reads(node) for weight in behind.get(name, ())))
+        own = list(dict.fromkeys(weight for name in names_read(node) for weight in behind.get(name, ())))
         if index in constant:
             behind.update(dict.fromkeys(node.output, own))
         found.append(_node(node, index in constant, own))
@@ -72,7 +72,7 @@ def _nodes(model: ModelProto, weights: set[str]) -> list[dict[str, Any]]:
 
 
 def _node(node: NodeProto, constant: bool, weights: list[str]) -> dict[str, Any]:
-    inner = [name for name in reads(node) if name not in node.input]
+    inner = [name for name in names_read(node) if name not in node.input]
     return {
         "op": node.op_type,
         "domain": node.domain,

@@ -85,23 +85,23 @@ class Recorder:
     _inputs: dict[tuple[int, int, tuple[int, ...], str], Snapshot | None] = field(default_factory=dict)
     done: threading.Event = field(default_factory=threading.Event)
 
-    def ran(self, dispatch: Dispatch, milliseconds: float) -> None:
-        """A dispatch is done, and no later one has begun."""
+    def note_run(self, dispatch: Dispatch, milliseconds: float) -> None:
+        """Note a dispatch that has run, before the next one begins."""
         captured = self._of[dispatch]
         captured.milliseconds = milliseconds
         with self._guarded():
             self._look_at(dispatch, captured)
             self._look_inside(dispatch, captured)
 
-    def failed(self, dispatch: Dispatch, error: CommandError, ran: bool) -> None:
-        """A dispatch failed while it ran, or did not run because what it reads was lost."""
+    def note_failure(self, dispatch: Dispatch, error: CommandError, ran: bool) -> None:
+        """Note a dispatch that failed, or did not run because its input was lost."""
         self._of[dispatch].error = str(error)
         if ran:
             with self._guarded():
                 self._look_inside(dispatch, self._of[dispatch])
 
-    def ended(self) -> None:
-        """No more commands of the buffer will run; lets go of its tensors."""
+    def finish(self) -> None:
+        """Finish the buffer: no more of its commands will run. Drops its tensors."""
         heap = self._commands.device.heap
         self.buffer.heap_used, self.buffer.heap_peak, self.buffer.heap_size = heap.used, heap.peak, heap.size
         self._of = {}
@@ -111,7 +111,7 @@ class Recorder:
     def _guarded(self) -> Iterator[None]:
         try:
             yield
-        except Exception as error:  # the queue's thread must go on: `Capture.__exit__` raises it
+        except Exception as error:  # keep the queue's thread alive: `Capture.__exit__` raises it
             self.capture.failure = self.capture.failure or error
 
     def _look_at(self, dispatch: Dispatch, captured: CapturedDispatch) -> None:
@@ -137,13 +137,13 @@ class Recorder:
 
 
 class Capture:
-    """Records the command buffers that are committed while it is on. Made by `Device.capture`; a context manager.
+    """Records the command buffers committed while it is active. Made by `Device.capture`; a context manager.
 
-    Leaving it waits until the recorded buffers are done, which does not count as waiting for them.
+    Leaving it blocks until the recorded buffers are done; the caller still has to `wait` for each.
 
     Attributes:
         buffers: the buffers in the order of commit.
-        tensors, folder, network: what is kept, see `Device.capture`.
+        tensors, folder, network: what it keeps, see `Device.capture`.
     """
 
     def __init__(self, device: CapturableDevice, tensors: str, folder: str | Path | None, network: bool) -> None:
@@ -175,7 +175,7 @@ class Capture:
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         with self.device.commit_lock:
             self.device.active_capture = None
-        if kind is not None:  # a command may hang, and the error that tells of it must get through
+        if kind is not None:  # a command may hang; do not hide the error that says so
             return
         for recorder in self._recorders:
             recorder.done.wait()
@@ -183,7 +183,7 @@ class Capture:
             raise CaptureError(f"the capture is not complete: {first_line(self.failure)}") from self.failure
 
     def record(self, commands: CapturableCommands) -> Recorder:
-        """Take a buffer in; its commit calls this, under the commit lock."""
+        """Start recording a buffer; its commit calls this, under the commit lock."""
         records, of = [], {}
         for record in commands.records:
             if isinstance(record, Dispatch):
@@ -202,7 +202,7 @@ class Capture:
                     _file(number, tensor.name))
 
     def value(self, index: int, array: np.ndarray, name: str, figures_only: bool) -> Snapshot | None:
-        """What a node inside the network of command `index` wrote, as far as this capture keeps it."""
+        """The output of a node inside the network of command `index`, as far as this capture keeps it."""
         if figures_only:
             return take(array, Pictures(0))
         return take(array, NODE_PICTURES, self.folder, _file(f"{index:04d}", name))
@@ -231,7 +231,7 @@ def _captured_barrier(record: Barrier) -> CapturedBarrier:
 
 
 Keep = Callable[[np.ndarray, str, bool], Snapshot | None]
-"""Keeps what it is to of an array; given a name for files, and whether only figures are wanted."""
+"""Keeps a snapshot of an array. Arguments: the array, a name for its file, whether to keep figures only."""
 
 
 def look_inside(dispatch: Dispatch, placement: Placement, keep: Keep, ran: bool) -> CapturedNetwork:
@@ -290,8 +290,8 @@ class NodeRun:
 def run_nodes(path: Path, placement: Placement, inputs: Mapping[str, np.ndarray]) -> Iterator[NodeRun]:
     """Run the nodes of a file one by one in order, up to the first that fails.
 
-    Each is a model of its own, so that no optimisation changes what a node writes and only what is still to be read
-    stays in memory: all outputs of `denoise_upscale.m` at 960x544 would be 1.6 GB.
+    Each runs as a model of its own: no optimisation can change its output, and memory holds only values that later
+    nodes read. All outputs of `denoise_upscale.m` at 960x544 would take 1.6 GB.
 
     Args:
         inputs: the network's inputs by name.
@@ -304,7 +304,7 @@ def run_nodes(path: Path, placement: Placement, inputs: Mapping[str, np.ndarray]
     values = dict(inputs)
     for index, node in enumerate(model.graph.node):
         what = index, node.op_type, node.name, index in constant
-        given = {name: values[name] for name in reads(node) if name in values}
+        given = {name: values[name] for name in names_read(node) if name in values}
         try:
             outputs, milliseconds = run_profiled(_alone(model, node, weights, given), placement, given)
         except Exception as error:  # ONNX Runtime's errors have no common base
@@ -321,7 +321,7 @@ def run_nodes(path: Path, placement: Placement, inputs: Mapping[str, np.ndarray]
 def _alone(
     model: ModelProto, node: NodeProto, weights: Mapping[str, TensorProto], given: Mapping[str, np.ndarray]
 ) -> bytes:
-    """A model of one node that has the weights it reads in it."""
+    """A model of one node, with the weights that it reads."""
     from onnx import ValueInfoProto, helper
 
     inputs = [
@@ -329,7 +329,7 @@ def _alone(
         for name, array in given.items()
     ]
     outputs = [ValueInfoProto(name=name) for name in node.output if name]  # ONNX Runtime works the types out
-    own = [weights[name] for name in reads(node) if name in weights and name not in given]
+    own = [weights[name] for name in names_read(node) if name in weights and name not in given]
     alone = helper.make_model(
         helper.make_graph([node], "node", inputs, outputs, own),
         opset_imports=model.opset_import, ir_version=model.ir_version, functions=model.functions,
@@ -345,7 +345,7 @@ def _as_weights(arrays: Mapping[str, np.ndarray]) -> dict[str, TensorProto]:
 
 def _last_reads(model: ModelProto) -> dict[str, int]:
     """Number of the last node that reads a value, by its name."""
-    return {name: index for index, node in enumerate(model.graph.node) for name in reads(node)}
+    return {name: index for index, node in enumerate(model.graph.node) for name in names_read(node)}
 
 
 def run_profiled(
@@ -375,7 +375,7 @@ MISSING = "the graphs of networks need the package onnx: pip install 'postfx[cap
 
 
 def require_onnx() -> None:
-    """Raises CaptureError with what to install when there is no package `onnx`."""
+    """Raises CaptureError, which says what to install, if the package `onnx` is missing."""
     try:
         import onnx  # noqa: F401
     except ImportError:
@@ -383,7 +383,7 @@ def require_onnx() -> None:
 
 
 def load_graph(path: Path) -> ModelProto:
-    """A model with its weights, also those in files beside it.
+    """A model with its weights, including those in separate files.
 
     Raises CaptureError without the package `onnx`, ModelError when a file cannot be read.
     """
@@ -396,10 +396,10 @@ def load_graph(path: Path) -> ModelProto:
         raise ModelError(f"model '{path}' cannot be read: {first_line(error)}") from error
 
 
-def reads(node: NodeProto) -> list[str]:
-    """Names of the values that a node may read, each once: its inputs, and all that the graphs inside it name."""
+def names_read(node: NodeProto) -> list[str]:
+    """Names of the values that a node may read, without repeats: its inputs and all names in its subgraphs."""
     inner = [graph for item in node.attribute for graph in (item.g, *item.graphs)]
-    deeper = (name for graph in inner for child in graph.node for name in reads(child))
+    deeper = (name for graph in inner for child in graph.node for name in names_read(child))
     results = (item.name for graph in inner for item in graph.output)
     return list(dict.fromkeys(name for name in (*node.input, *deeper, *results) if name))
 
@@ -409,7 +409,7 @@ def constant_nodes(model: ModelProto) -> set[int]:
     varying = {item.name for item in model.graph.input} - {item.name for item in model.graph.initializer}
     found = set()
     for index, node in enumerate(model.graph.node):
-        if varying.isdisjoint(reads(node)):
+        if varying.isdisjoint(names_read(node)):
             found.add(index)
         else:
             varying.update(node.output)

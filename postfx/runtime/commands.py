@@ -24,9 +24,9 @@ from postfx.runtime.threads import CommandQueue
 E = TypeVar("E", bound="Encoder")
 
 _STATES = {
-    "committed": "it was committed and not waited for, call wait() first",
-    "done": "it is done, call begin() to record anew",
-    "discarded": "it was discarded, call begin() to record anew",
+    "committed": "it was committed, call wait() first",
+    "done": "it is done, call begin() to record again",
+    "discarded": "it was discarded, call begin() to record again",
 }
 
 
@@ -47,12 +47,12 @@ class CommandDevice(CapturableDevice, Protocol):
 class CommandBuffer:
     """Commands for one device, recorded by encoders one after the other. Made by `Device.command_buffer`.
 
-    It is open, then committed, then done when it was waited for; then it may be committed again as it is, or begun
-    again.
+    It is open at first, then committed, and done once `wait` returns. Then it can be committed again unchanged, or
+    recorded again after `begin`.
 
     Attributes:
         label: name in messages, for example 'frame 12'.
-        captured: whether a capture that is on records it.
+        captured: whether an active capture records it.
         records: dispatches and barriers in order.
     """
 
@@ -72,13 +72,13 @@ class CommandBuffer:
         self._timings: dict[int, tuple[str, float]] = {}
         self._recorder: Recorder | None = None
         self._execution: Execution | None = None
-        device.hazards.opened(self)
+        device.hazards.open(self)
 
     def begin(self, label: str | None = None) -> None:
-        """Drop what was recorded, as well as timings, and record anew, under another label if one is given.
+        """Drop all records and timings and start recording again, under a new label if one is given.
 
-        As Metal 4's `beginCommandBuffer`, but the records are the buffer's own memory, so a committed buffer has to be
-        waited for before. Raises EncodingError while it is not, or while an encoder is open.
+        Like Metal 4's `beginCommandBuffer`, except that the buffer owns its records, so a committed buffer must be
+        waited for first. Raises EncodingError before that, or while an encoder is open.
         """
         if self._state == "committed":
             raise EncodingError(f"'{self.label}' cannot begin again: {_STATES['committed']}")
@@ -87,7 +87,7 @@ class CommandBuffer:
         self.records, self._kept, self._placement, self._footprint = [], set(), None, None
         self._error, self._timings = None, {}
         self._state = "open"
-        self.device.hazards.opened(self)
+        self.device.hazards.open(self)
 
     def compute_encoder(self, label: str) -> ComputeEncoder:
         """Begin to record kernels under a label."""
@@ -107,8 +107,8 @@ class CommandBuffer:
             self._groups.pop()
 
     def keep(self, *tensors: Tensor) -> None:
-        """The host reads these tensors when the buffer is done: those that are transient among them keep their memory
-        to its end, and until another buffer with transient tensors is committed. Raises EncodingError after commit."""
+        """Keep transient tensors for the host to read: their memory stays theirs until another buffer with transient
+        tensors is committed. Raises EncodingError after commit."""
         self._require_open()
         self._kept.update(tensor.allocation for tensor in tensors)
 
@@ -117,11 +117,11 @@ class CommandBuffer:
 
         Nothing can be recorded until `begin`.
 
-        A buffer that was waited for may be committed again without recording: the same dispatches run on the same
-        tensors, which may have been uploaded to in the meantime.
+        After `wait`, a buffer can be committed again without recording: the same dispatches run on the same tensors,
+        whose content may have been replaced by `upload`.
 
-        Raises HazardError (the buffer is then discarded), EncodingError when an encoder is still open, when the
-        buffer was committed and not waited for, or when it was discarded, and DeviceError in a forked process.
+        Raises HazardError, which discards the buffer; EncodingError if an encoder is still open or the buffer is in
+        flight or discarded; DeviceError in a forked process.
         """
         self._require_no_encoder("be committed")
         self.device.require_process()
@@ -139,7 +139,7 @@ class CommandBuffer:
             self.device.queue.submit(self._run)
 
     def discard(self) -> None:
-        """Take no more commands and never run those recorded; a committed buffer is not affected."""
+        """Close the buffer without running it. A committed buffer is not affected."""
         if self._state == "open":
             if self._encoder is not None:
                 self._encoder.end()
@@ -156,7 +156,7 @@ class CommandBuffer:
         """
         if self._state not in ("committed", "done"):
             raise EncodingError(f"'{self.label}' cannot be waited for: it is {self._state}, commit it first")
-        if not self.finished(timeout):
+        if not self.is_done(timeout):
             raise timed_out(f"'{self.label}' was not done after {timeout:g} s", self.device.hazards.in_flight())
         if self._state == "committed":
             self._state = "done"
@@ -164,14 +164,14 @@ class CommandBuffer:
         if self._error is not None:
             raise self._error
 
-    def finished(self, timeout: float | None = 0.0) -> bool:
-        """Whether all commands are done within `timeout` seconds, None without limit. That alone does not count as
-        waiting for them: `wait` does."""
+    def is_done(self, timeout: float | None = 0.0) -> bool:
+        """Whether all commands are done within `timeout` seconds (None: no limit). The buffer still counts as in flight
+        until `wait`."""
         return self._done.wait(timeout)
 
     @property
     def running(self) -> Dispatch | None:
-        """The dispatch that runs now; None where all run as a whole."""
+        """The dispatch that runs now; None when the buffer runs as one CUDA graph."""
         return None if self._execution is None else self._execution.running
 
     @property
@@ -180,7 +180,7 @@ class CommandBuffer:
         return list(self._timings.values())
 
     def footprint(self) -> Footprint:
-        """What the recorded commands access; worked out at the first commit."""
+        """The memory that the recorded commands access; computed at the first commit."""
         if self._footprint is None:
             self._footprint = Footprint(self.records)
         return self._footprint
@@ -190,8 +190,8 @@ class CommandBuffer:
         self._require_open()
         self.records.append(record)
 
-    def encoder_ended(self) -> None:
-        """The open encoder takes no more commands; encoders call this."""
+    def end_encoder(self) -> None:
+        """Forget the open encoder, which takes no more commands; encoders call this."""
         self._encoder = None
 
     def _start(self, encoder: E) -> E:
@@ -211,7 +211,7 @@ class CommandBuffer:
 
     def _close(self, state: str) -> None:
         self._state = state
-        self.device.hazards.closed(self)
+        self.device.hazards.close(self)
 
     def _place(self) -> None:
         placement = self.device.heap.arena.place(self.records, self._kept, self._placement, self.label)
@@ -228,7 +228,7 @@ class CommandBuffer:
         self._error, self._timings = execution.error, execution.timings
         self._execution = None
         if self._recorder is not None:
-            self._recorder.ended()
+            self._recorder.finish()
         self._done.set()
 
 
@@ -245,8 +245,8 @@ class Execution:
     """One run of a command buffer's dispatches.
 
     Attributes:
-        running: the dispatch that runs now; None when none does, or all run as a whole.
-        error: of the first dispatch that failed.
+        running: the dispatch that runs now; None when none does, or when all run as one CUDA graph.
+        error: the error of the first dispatch that failed.
         timings: encoder -> its label and milliseconds.
     """
 
@@ -264,20 +264,20 @@ class Execution:
         self._recorder = recorder
 
     def run(self) -> None:
-        """Run all, up to the first that fails, and wait until they are done."""
+        """Run the dispatches up to the first that fails, and wait until they are done."""
         spans = self._replay()
         if spans is None:
             spans = self._one_by_one()
         try:
             self._memory.synchronise()
             self.timings = _timings(self._memory, spans)
-        except BaseException as error:  # what a GPU only began may fail later
+        except BaseException as error:  # work that a GPU has only started may fail later
             self.error = self.error or CommandError(f"'{self._label}' failed: {first_line(error)}", self._label)
             self.error.__cause__ = self.error.__cause__ or error
         self.running = None
 
     def _replay(self) -> list[Span] | None:
-        """Run all as a whole; None where that cannot be, or something has to be seen to on the way."""
+        """Run all as one CUDA graph; None if that is impossible, or if each command has to be looked at."""
         dispatches, memory = self._dispatches, self._memory
         if not memory.replays or self._recorder is not None:
             return None
@@ -304,7 +304,7 @@ class Execution:
                 break
             try:
                 spans += self._execute(dispatch)
-            except BaseException as error:  # whatever it is, the waiting host must learn of it
+            except BaseException as error:  # of any kind: the host that waits must see it
                 what = f"{dispatch} of '{self._label}' failed: {first_line(error)}"
                 self._failed(self._dispatches[index:], CommandError(what, dispatch.label), error)
                 break
@@ -319,11 +319,11 @@ class Execution:
                 self._hazards.mark_found(tensor)
         if self._recorder is not None:
             memory.synchronise()
-            self._recorder.ran(dispatch, memory.milliseconds(spans[0].begin, spans[0].end))
+            self._recorder.note_run(dispatch, memory.milliseconds(spans[0].begin, spans[0].end))
         return spans
 
     def _lost_input(self, dispatch: Dispatch) -> tuple[str, CommandError] | None:
-        """Name and error of what the dispatch reads and a command should have written that failed."""
+        """Name of a tensor that the dispatch reads but a failed command did not write, and that command's error."""
         for tensor in dispatch.reads:
             first = self._hazards.loss(tensor) if tensor.allocation.lost else None
             if first is not None:
@@ -332,16 +332,16 @@ class Execution:
 
     def _failed(self, dispatches: Sequence[Dispatch], error: CommandError, cause: BaseException,
                 first: CommandError | None = None) -> None:
-        """Note the error; what the dispatches should have written is lost, by it or by the `first` one."""
+        """Note the error. The outputs of the dispatches are lost, because of it or of the `first` error."""
         self.error = error
         error.__cause__ = cause
         self._hazards.mark_lost([tensor for left in dispatches for tensor in left.writes], first or error)
         if self._recorder is not None:
-            self._recorder.failed(dispatches[0], first or error, ran=first is None)
+            self._recorder.note_failure(dispatches[0], first or error, ran=first is None)
 
 
 def _enqueue(memory: Memory, dispatches: Sequence[Dispatch]) -> list[Span]:
-    """Run dispatches, or put them on a GPU's stream; returns when each encoder's began and ended."""
+    """Run dispatches, or put them on a GPU's stream; returns the start and end of each encoder's."""
     spans = []
     for encoder, group in groupby(dispatches, attrgetter("encoder")):
         begin, label = memory.mark(), ""
@@ -354,7 +354,7 @@ def _enqueue(memory: Memory, dispatches: Sequence[Dispatch]) -> list[Span]:
 
 
 def _signature(dispatches: Sequence[Dispatch]) -> tuple[object, ...]:
-    """What dispatches do: the same whenever the states and the tensors' bytes are."""
+    """Identifies dispatches by their states and their tensors' addresses and shapes."""
     return tuple((id(dispatch.state), *((tensor.start, tensor.shape) for tensor in dispatch.reads + dispatch.writes))
                  for dispatch in dispatches)
 
@@ -394,7 +394,7 @@ class Encoder:
         """No more commands are taken. Ending twice does nothing."""
         if not self._ended:
             self._ended = True
-            self._commands.encoder_ended()
+            self._commands.end_encoder()
 
     def barrier(
         self, after: Stages | None = None, before: Stages | None = None, before_queue: Stages | None = None
@@ -409,14 +409,13 @@ class Encoder:
           encoder and earlier ones, come before dispatches of the `before_queue` stages in all later encoders, not in
           this one.
 
-        Earlier and later encoders are those of the whole queue, also of other command buffers.
+        "Earlier" and "later" refer to the whole queue, including other command buffers.
 
         Args:
             after: 'compute', 'machine-learning' or both.
             before, before_queue: the same.
 
-        Raises EncodingError when a stage mask is empty or names an unknown stage, or when the masks given are those of
-        no form.
+        Raises EncodingError if a stage mask is empty or names an unknown stage, or if the masks fit none of the forms.
         """
         if after is None and before is None and before_queue is None:
             self._record(EncoderBarrier(self._number))
@@ -430,22 +429,22 @@ class Encoder:
 
     def _dispatch(self, state: State, table: ArgumentTable) -> None:
         if state.stage != self.stage:
-            mend = f"use commands.{state.stage.replace('-', '_')}_encoder()"
-            message = f"'{self.label}' takes {self.stage} work, but {state.command} is {state.stage} work: {mend}"
+            fix = f"use commands.{state.stage.replace('-', '_')}_encoder()"
+            message = f"'{self.label}' takes {self.stage} work, but {state.command} is {state.stage} work: {fix}"
             raise EncodingError(message)
         device: TensorDevice = self._commands.device
         if state.device is not device:
             raise EncodingError(f"'{self.label}': {state.command} was made for another device")
         if table.state is not state:
-            made, mend = table.state.command, f"make one for {state.command}"
-            raise BindingError(f"'{self.label}': the argument table was made for {made}: {mend}")
+            made, fix = table.state.command, f"make one for {state.command}"
+            raise BindingError(f"'{self.label}': the argument table was made for {made}: {fix}")
         try:
             arguments = table.arguments()
         except BindingError as error:
             raise BindingError(f"'{self.label}': {error}") from None
         accesses = arguments.reads, arguments.writes
         names = self.label, state.command, self.stage, self._number
-        kept = None if arguments.execute else arguments  # for the commit, which places what is transient
+        kept = None if arguments.execute else arguments  # the commit places the transient ones
         dispatch = Dispatch(*names, *accesses, arguments.execute, state.model, state, kept)
         check_dispatch(dispatch)
         self._record(dispatch)
@@ -457,12 +456,12 @@ class Encoder:
 
     def _no_form(self, after: Stages | None, before: Stages | None, before_queue: Stages | None) -> str:
         if before is not None and before_queue is not None:
-            mend = "record one barrier with before= and another with before_queue="
+            fix = "record one barrier with before= and another with before_queue="
         elif after is None:
-            mend = f"give after= too, with {'before=' if before_queue is None else 'before_queue='}"
+            fix = f"give after= too, with {'before=' if before_queue is None else 'before_queue='}"
         else:
-            mend = "give before= (this and later encoders) or before_queue= (later encoders) too"
-        return f"barrier in '{self.label}': {mend}; for the commands of this encoder alone, barrier() takes no stages"
+            fix = "give before= (this and later encoders) or before_queue= (later encoders) too"
+        return f"barrier in '{self.label}': {fix}; for the commands of this encoder alone, barrier() takes no stages"
 
     def _mask(self, stages: Stages, side: str) -> frozenset[str]:
         try:
@@ -505,21 +504,21 @@ class MachineLearningEncoder(Encoder):
 
 
 NAMED = 4
-"""Most waiting command buffers that a message names."""
+"""How many waiting command buffers a message names at most."""
 
 
 def wait_for_all(name: str, flying: Sequence[RecordedCommands], timeout: float | None) -> None:
-    """Wait for all buffers, in order; when some failed, the first one's error is raised in the end.
+    """Wait for all buffers, in order; then raise the first error, if any failed.
 
     Args:
-        name: what was to become idle, for the message.
+        name: what the message calls the device.
         timeout: seconds for all together; None waits without limit.
     """
     deadline = None if timeout is None else time.monotonic() + timeout
     first: CommandError | None = None
     for commands in flying:
         left = None if deadline is None else max(0.0, deadline - time.monotonic())
-        if not commands.finished(left):
+        if not commands.is_done(left):
             raise timed_out(f"{name} was not idle after {timeout:g} s", flying)
         try:
             commands.wait()
@@ -531,7 +530,7 @@ def wait_for_all(name: str, flying: Sequence[RecordedCommands], timeout: float |
 
 def timed_out(what: str, flying: Sequence[RecordedCommands]) -> CommandTimeout:
     """An error that names the command that runs now and the buffers that wait behind it."""
-    buffers = [commands for commands in flying if not commands.finished()]
+    buffers = [commands for commands in flying if not commands.is_done()]
     if not buffers:
         return CommandTimeout(f"{what}, but it is done now", None, ())
     dispatch, labels = buffers[0].running, tuple(commands.label for commands in buffers[1:])

@@ -1,6 +1,6 @@
 """A CUDA GPU beside ONNX Runtime: its stream, its memory, kernels compiled from source when needed, and CUDA graphs.
 
-Commands that were put on the stream before with the same tensors are launched as one graph.
+Commands that ran before on the same tensors are launched as one graph.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 PIXELS, ONE_BLOCK = (32, 8), (32, 32)
-"""Threads of a block, columns and rows: of kernels with a thread a pixel, and of those that are one block."""
+"""Threads of a block (columns, rows): for kernels with one thread per pixel, and for those of a single block."""
 
 
 class View(ctypes.Structure):
-    """A tensor as kernels take it: see postfx/kernels/common.cuh."""
+    """A tensor in the layout that kernels expect: see postfx/kernels/common.cuh."""
 
     _fields_ = (("at", ctypes.c_void_p), ("size", ctypes.c_int * 4))
 
@@ -45,9 +45,9 @@ class CudaChunk:
 
 
 class CudaMemory:
-    """One GPU: memory that tensors live in, the stream that all its work is on, and its kernels.
+    """One GPU: memory for tensors, the stream that all work runs on, and compiled kernels.
 
-    Raises DeviceError where there is no GPU, or no library to talk to it.
+    Raises DeviceError if there is no GPU or no library to drive it.
     """
 
     host_visible = False
@@ -72,27 +72,27 @@ class CudaMemory:
             return CudaChunk(self._device.allocate(nbytes, stream=self._stream), nbytes)
 
     def write(self, pointer: int, array: np.ndarray) -> None:
-        """Copy a C-contiguous host array to `pointer`, after what the stream has to do."""
+        """Copy a C-contiguous host array to `pointer` once the stream's earlier work is done."""
         with self._entered():
-            checked(driver().cuMemcpyHtoDAsync(pointer, address(array), array.nbytes, self.stream))
+            check_result(driver().cuMemcpyHtoDAsync(pointer, address(array), array.nbytes, self.stream))
             self._stream.sync()
 
     def read(self, pointer: int, array: np.ndarray) -> None:
-        """Copy from `pointer` into a C-contiguous host array, after what the stream has to do."""
+        """Copy from `pointer` into a C-contiguous host array once the stream's earlier work is done."""
         with self._entered():
-            checked(driver().cuMemcpyDtoHAsync(address(array), pointer, array.nbytes, self.stream))
+            check_result(driver().cuMemcpyDtoHAsync(address(array), pointer, array.nbytes, self.stream))
             self._stream.sync()
 
     def relax(self) -> None:
-        """All is kept: nothing lies in files."""
+        """Does nothing: no tensor is in a file."""
 
     def mark(self) -> Event:
-        """This moment on the stream."""
+        """An event at this point of the stream."""
         self._enter()
         return Event(self.stream, self._graphs.capturing)
 
     def milliseconds(self, begin: Event, end: Event) -> float:
-        """From one moment to another that have both passed."""
+        """Time between two events that have both happened."""
         return begin.until(end)
 
     def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
@@ -119,21 +119,21 @@ class CudaMemory:
         arguments = (ctypes.c_void_p * len(views))(*map(ctypes.addressof, views))
         launch, handle, stream = driver().cuLaunchKernel, driver().CUfunction(int(kernel.handle)), self.stream
 
-        def run(held: tuple[object, ...] = (kernel, views)) -> None:  # keeps alive what the arguments point at
+        def run(held: tuple[object, ...] = (kernel, views)) -> None:  # keeps the arguments' memory alive
             self._enter()
-            checked(launch(handle, *grid, 1, *block, 1, 0, stream, ctypes.addressof(arguments), 0))
+            check_result(launch(handle, *grid, 1, *block, 1, 0, stream, ctypes.addressof(arguments), 0))
 
         return run
 
     @contextmanager
     def _entered(self) -> Iterator[None]:
-        """Alone on the stream: what others put there while a graph is captured would become a part of it."""
+        """Hold the stream alone: work that other threads add during a capture would become part of the graph."""
         with self._lock:
             self._enter()
             yield
 
     def _enter(self) -> None:
-        """Make the GPU the one that this thread talks to."""
+        """Make this GPU the current one of this thread."""
         if not hasattr(self._thread, "entered"):
             self._device.set_current()
             self._thread.entered = True
@@ -149,27 +149,27 @@ def _compiled(name: str, arch: str) -> Any:
 
 @cache
 def _compiled_family(path: Path, arch: str) -> Any:
-    """All kernels of a file; they share what compiling takes."""
+    """All kernels of a file, compiled together to save time."""
     from cuda.core import Program, ProgramOptions
 
     return Program(read_source(path), "c++", ProgramOptions(arch=f"sm_{arch}", std="c++17")).compile("cubin")
 
 
 MOST = 16
-"""Graphs that are kept; with history kept in turns, a pipeline needs two."""
+"""Graphs that are kept. A pipeline needs two, because its history alternates between two sets of tensors."""
 
 
 class Event:
-    """A moment on a stream; part of a graph where it is recorded while one is captured."""
+    """A point in a stream's work; becomes part of a graph that is being captured."""
 
     def __init__(self, stream: int, captured: bool) -> None:
-        self.handle = checked(driver().cuEventCreate(0))
+        self.handle = check_result(driver().cuEventCreate(0))
         external = driver().CUevent_record_flags.CU_EVENT_RECORD_EXTERNAL if captured else 0
-        checked(driver().cuEventRecordWithFlags(self.handle, stream, int(external)))
+        check_result(driver().cuEventRecordWithFlags(self.handle, stream, int(external)))
 
     def until(self, end: Event) -> float:
-        """Milliseconds from this event to another; both have to have happened."""
-        return float(checked(driver().cuEventElapsedTime(self.handle, end.handle)))
+        """Milliseconds from this event to another. Both must have happened."""
+        return float(check_result(driver().cuEventElapsedTime(self.handle, end.handle)))
 
     def __del__(self) -> None:
         if hasattr(self, "handle") and not sys.is_finalizing():
@@ -177,19 +177,19 @@ class Event:
 
 
 class Graph:
-    """A captured graph, with what the capturing function returned and what has to live as long as it."""
+    """A captured graph, the capturing function's result, and the objects that must live as long as the graph."""
 
     def __init__(self, captured: Any, result: Any, kept: Any) -> None:
         self.result = result
         self._kept = kept
         try:
-            self._executable = checked(driver().cuGraphInstantiate(captured, 0))
+            self._executable = check_result(driver().cuGraphInstantiate(captured, 0))
         finally:
             driver().cuGraphDestroy(captured)
 
     def launch(self, stream: int) -> None:
         """Put the graph on a stream."""
-        checked(driver().cuGraphLaunch(self._executable, stream))
+        check_result(driver().cuGraphLaunch(self._executable, stream))
 
     def __del__(self) -> None:
         if hasattr(self, "_executable") and not sys.is_finalizing():
@@ -197,10 +197,10 @@ class Graph:
 
 
 class CudaGraphs:
-    """Graphs of one stream, by what identifies their commands.
+    """Graphs of one stream, by a key that identifies their commands.
 
-    Commands run one by one at first, since libraries choose their algorithms and take their memory then; the second
-    time they are captured. What cannot be captured runs one by one for ever.
+    Commands run one by one the first time, when libraries choose algorithms and allocate memory, and are captured the
+    second time. Commands that cannot be captured always run one by one.
     """
 
     def __init__(self, stream: int) -> None:
@@ -210,7 +210,7 @@ class CudaGraphs:
         self.capturing = False
 
     def replay(self, key: Hashable, kept: Any, enqueue: Callable[[], Any]) -> Any:
-        """Launch what `enqueue` puts on the stream; returns what it returned, None when it has to run one by one."""
+        """Launch the work of `enqueue` as a graph and return its result; None if it has to run command by command."""
         if key in self._refused:
             return None
         if key not in self._known:
@@ -226,11 +226,11 @@ class CudaGraphs:
 
     def _capture(self, enqueue: Callable[[], Any], kept: Any) -> Graph | None:
         mode = driver().CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED
-        checked(driver().cuStreamBeginCapture(self._stream, mode))
+        check_result(driver().cuStreamBeginCapture(self._stream, mode))
         self.capturing, result = True, None
         try:
             result = enqueue()
-        except Exception:  # a command that may not be captured; it runs one by one, where its error counts
+        except Exception:  # not capturable: it runs one by one, which raises its errors
             result = None
         finally:
             self.capturing = False
@@ -249,8 +249,8 @@ def driver() -> Any:
     return module
 
 
-def checked(result: tuple[Any, ...]) -> Any:
-    """What a function of the driver returned beside its status. Raises DeviceError where that tells of a failure."""
+def check_result(result: tuple[Any, ...]) -> Any:
+    """The result of a driver function without its status. Raises DeviceError if the status is a failure."""
     if int(result[0]):
         raise DeviceError(f"CUDA: {result[0].name}")
     return result[1] if len(result) == 2 else None

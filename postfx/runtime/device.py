@@ -40,17 +40,17 @@ class Device:
         name: 'cpu', 'cuda', 'cuda:1', or 'auto': CUDA where ONNX Runtime can really use it, else the CPU.
         threads: CPU threads for kernels and networks; default: the cores that this process may use, by its
             affinity and its container's quota.
-        compiled_kernels: run kernels by what is written for the device, where there is such: compiled rows on the CPU,
-            CUDA sources on a GPU. When False, by their portable ONNX definitions.
-        memory: bytes that the process may have in memory, as a number or like '4G'; tensors beyond lie in temporary
-            files, and passes go over frames in tiles. The CPU only, which 'auto' then is.
+        compiled_kernels: use the kernels written for the device if there are any: compiled rows on the CPU, CUDA
+            sources on a GPU. If False, use their portable ONNX definitions.
+        memory: bytes of memory for the process, as a number or like '4G'. Tensors beyond it go to temporary files, and
+            passes work in tiles. CPU only; 'auto' then means the CPU.
         kernels: library of the portable definitions; default: the `kernels` folder of the models that come with
             postfx.
-        graphs: launch commands that ran before with the same tensors as one CUDA graph.
+        graphs: launch commands that ran before on the same tensors as one CUDA graph.
 
     Attributes:
-        models: name -> SHA-256 of the networks that were made ready, or may be for frames of another size.
-        results_lock: to hold from commit until the host has read transient results, where several threads commit.
+        models: name -> SHA-256 of the networks that are loaded, or may be for frames of another size.
+        results_lock: hold it from commit until the host has read transient results, if several threads commit.
 
     Raises DeviceError when the device is not available or an option does not fit it, MemoryBudgetError for a budget
     that cannot be read.
@@ -91,7 +91,7 @@ class Device:
         return f"Device('{self.name}', threads={self.threads})"
 
     def __reduce__(self) -> tuple[type[Device], tuple[object, ...]]:
-        """Pickled by its arguments: the copy is a device of its own, with nothing in its memory."""
+        """Pickles the arguments: the copy is a new device with empty memory."""
         return type(self), self._arguments
 
     @cached_property
@@ -107,10 +107,10 @@ class Device:
     def wrap(self, name: str, array: np.ndarray, copy: Tensor | None = None) -> Tensor:
         """A tensor with a C-contiguous array's content: the same memory on the CPU, an upload elsewhere.
 
-        Counts as written. While commands use it the array must not be changed.
+        The tensor counts as written. Do not change the array while commands use it.
 
         Args:
-            copy: where the content has to be uploaded, a tensor of the same shape and type whose memory to take for it.
+            copy: a tensor of the same shape and type to upload to, where the device has its own memory.
 
         Raises BindingError when the array is not C-contiguous or of a type or byte order tensors cannot have.
         """
@@ -148,7 +148,7 @@ class Device:
         return PipelineState(self, name, session, fixed, library.path(name), library.constants(name))
 
     def name_model(self, library: Library, name: str) -> None:
-        """Name a network in what is told of a run; to be called where it may be made ready later."""
+        """Add a network to `models` before it is loaded, because it may be needed later."""
         self.models[name] = library.sha256(name)
 
     def compute_state(self, kernel: Kernel) -> State:
@@ -162,43 +162,43 @@ class Device:
         return self._compute_states[kernel]
 
     def command_buffer(self, label: str, captured: bool = True) -> CommandBuffer:
-        """A new, empty command buffer. Captures leave it out unless it is to be `captured`."""
+        """A new, empty command buffer. An active capture records it if `captured`."""
         return CommandBuffer(self, label, captured)
 
     def capture(
         self, tensors: str = "thumbnails", folder: str | Path | None = None, network: bool = False
     ) -> Capture:
-        """A capture, to use with `with`: it records command buffers that are committed meanwhile.
+        """A capture, for a `with` block: it records the command buffers committed inside.
 
         Args:
-            tensors: what to keep of what each command wrote: 'thumbnails' (figures and small pictures), 'none', or
-                'all' (its whole content, too, in files).
+            tensors: what to keep of each command's output: 'thumbnails' (figures and small pictures), 'none', or 'all'
+                (its whole content too, in files).
             folder: where 'all' puts the files, in a folder `tensors`.
-            network: also run every network once more, node by node, and keep what each node wrote and its time. Takes
-                several times the network's own time and needs the package `onnx`.
+            network: also run every network once more, node by node, and keep each node's output and time. Takes several
+                times the network's own time and needs the package `onnx`.
 
-        Raises CaptureError when the options do not fit, or another capture of this device is on.
+        Raises CaptureError if the options do not fit together, or another capture of this device is active.
         """
         return Capture(self, tensors, folder, network)
 
     def wait_idle(self, timeout: float | None = None) -> None:
-        """Block until everything that was committed is done, and count all of it as waited for.
+        """Block until all committed buffers are done; none is in flight afterwards.
 
         Args:
             timeout: seconds; None waits without limit.
 
-        Raises CommandTimeout when it is not done in time, and in the end the first CommandError of those buffers.
+        Raises CommandTimeout if they are not done in time, else the first CommandError among them.
         """
         wait_for_all(repr(self), self.hazards.in_flight(), timeout)
 
     def require_process(self) -> None:
-        """DeviceError in a process that was forked since the device was made: its threads did not come along."""
+        """Raises DeviceError in a process forked after the device was made: a fork has none of its threads."""
         if self._process != os.getpid():
-            raise DeviceError(f"{self!r} is of the process that this one was forked from: make it, and pipelines, here,"
-                              " or start processes by 'spawn'")
+            raise DeviceError(f"{self!r} belongs to the process that this one was forked from: make devices and "
+                              "pipelines here, or start processes by 'spawn'")
 
     def next_encoder(self) -> int:
-        """A number for an encoder, rising in the order of recording."""
+        """A number for a new encoder; numbers rise in the order of recording."""
         return next(self._encoders)
 
     def _make_state(self, kernel: Kernel) -> State:

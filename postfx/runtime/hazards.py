@@ -1,7 +1,7 @@
-"""Hazards: which dispatches barriers put in order, what commands need and leave behind, and what is refused at commit.
+"""Hazards: how barriers order dispatches, which data commands need and leave, and which buffers a commit refuses.
 
-The accesses checked are those of the tensors bound at dispatch, by the names and directions that the model file or
-the kernel itself declares, and memory is compared by address: nothing a caller says can hide an access.
+Checks use the tensors bound at dispatch and the directions that the model file or the kernel declares, and compare
+memory by address, so a caller cannot hide an access.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from postfx.runtime.tensor import Allocation, Tensor, TensorState, Transient, Us
 
 
 class RecordedCommands(Protocol):
-    """What is asked of a command buffer that is recorded or in flight."""
+    """What hazard checks need of a command buffer."""
 
     label: str
     records: list[Record]
@@ -28,16 +28,16 @@ class RecordedCommands(Protocol):
 
     def footprint(self) -> Footprint: ...
 
-    def finished(self, timeout: float | None = 0.0) -> bool: ...
+    def is_done(self, timeout: float | None = 0.0) -> bool: ...
 
     def wait(self, timeout: float | None = None) -> None: ...
 
 
 class Hazards:
-    """What is in flight on one device. A buffer is in flight from commit until the host waited for it or a later one.
+    """The buffers in flight on one device: from commit until the host has waited for them or a later one.
 
-    It is retired by `wait`, not when it happens to finish, so that a missing barrier between two buffers is found
-    whatever the timing.
+    `wait` retires a buffer, not its last command, so a missing barrier between two buffers is found whatever the
+    timing.
     """
 
     def __init__(self) -> None:
@@ -45,18 +45,19 @@ class Hazards:
         self._open: weakref.WeakSet[RecordedCommands] = weakref.WeakSet()
         self._lock = threading.RLock()
 
-    def opened(self, commands: RecordedCommands) -> None:
-        """A buffer takes commands from now on."""
+    def open(self, commands: RecordedCommands) -> None:
+        """Note a buffer that takes commands from now on."""
         with self._lock:
             self._open.add(commands)
 
-    def closed(self, commands: RecordedCommands) -> None:
-        """A buffer was committed or discarded."""
+    def close(self, commands: RecordedCommands) -> None:
+        """Note a buffer that was committed or discarded."""
         with self._lock:
             self._open.discard(commands)
 
     def commit(self, commands: RecordedCommands) -> None:
-        """Check a buffer against itself and everything in flight, and put it in flight; HazardError leaves it out."""
+        """Check a buffer against itself and all buffers in flight, then add it to them; HazardError if a check
+        fails."""
         with self._lock:
             footprint = commands.footprint()
             self._check_content(footprint)
@@ -67,13 +68,13 @@ class Hazards:
             self._flying.append(commands)
 
     def retire(self, commands: RecordedCommands) -> None:
-        """The host waited for this buffer: it and everything committed before it are done."""
+        """Retire a buffer that the host has waited for, and all that were committed before it."""
         with self._lock:
             if commands in self._flying:
                 del self._flying[: self._flying.index(commands) + 1]
 
     def in_flight(self) -> list[RecordedCommands]:
-        """Buffers that were committed and not retired, in the order of commit."""
+        """Buffers that are committed and not retired, in the order of commit."""
         with self._lock:
             return list(self._flying)
 
@@ -93,26 +94,26 @@ class Hazards:
                     break
             needed = Ranges((tensor.span(),) if tensor.nbytes else ())
             allocation = tensor.allocation
-            gone = tensor.device.heap.gone(allocation) if isinstance(allocation, Transient) else None
+            lost = tensor.device.heap.explain_loss(allocation) if isinstance(allocation, Transient) else None
             failed = self._failure(resident.allocation, needed)
-            defined = gone is None and failed is None and resident.allocation.written.includes(needed)
-            return TensorState(tensor.released, defined, writer, reader, recorded, failed, gone)
+            defined = lost is None and failed is None and resident.allocation.written.includes(needed)
+            return TensorState(tensor.released, defined, writer, reader, recorded, failed, lost)
 
     def mark_written(self, tensor: Tensor) -> None:
-        """The tensor's content is defined now."""
+        """Note that the tensor's content is now defined."""
         with self._lock:
             tensor.allocation.written.add(*tensor.span())
             self.mark_found(tensor)
 
     def mark_found(self, tensor: Tensor) -> None:
-        """A command wrote the tensor, which an earlier one had failed to write."""
+        """Note that a command wrote a tensor that an earlier one had failed to write."""
         with self._lock:
             for ranges, _ in tensor.allocation.lost:
                 ranges.remove(*tensor.span())
             tensor.allocation.lost = [item for item in tensor.allocation.lost if item[0].spans]
 
     def mark_lost(self, tensors: Iterable[Tensor], cause: CommandError) -> None:
-        """A command failed, and so nothing wrote these tensors."""
+        """Note that a command failed and left these tensors unwritten."""
         with self._lock:
             for tensor in tensors:
                 self.mark_found(tensor)
@@ -126,7 +127,7 @@ class Hazards:
             return next((cause for ranges, cause in tensor.allocation.lost if ranges.touches(needed)), None)
 
     def _failure(self, allocation: Allocation, needed: Ranges) -> CommandError | None:
-        """Why some of these bytes will never be written: a failed command should have, and none in flight will."""
+        """The error of the failed command because of which some of these bytes will never be written."""
         for ranges, cause in allocation.lost:
             left = ranges.copy()
             for commands in self._flying:
@@ -195,10 +196,10 @@ class Footprint:
         records: dispatches and barriers, in order.
         dispatches: the dispatches, in order.
         users: every allocation, with the first tensor and dispatch that use it.
-        needs: what has to hold data before the commands run, by allocation and byte range of the tensor.
-        writes: what holds data afterwards.
-        spans: the byte ranges that the dispatches' tensors take, each once.
-        ordered: whether a search found every conflict among these commands ordered; that stays true.
+        needs: the data that must exist before the commands run, by allocation and byte range of the tensor.
+        writes: the data that exists afterwards.
+        spans: the byte ranges of the dispatches' tensors, without repeats.
+        ordered: whether a search showed that barriers order all these commands; that stays true.
     """
 
     def __init__(self, records: Sequence[Record]) -> None:
@@ -269,8 +270,8 @@ def predecessors(records: Iterable[Record]) -> list[int]:
     """
     result: list[int] = []
     finished = dict.fromkeys(STAGES, 0)   # dispatches of earlier encoders by stage, with all that comes before them
-    waits = dict.fromkeys(STAGES, 0)      # what every dispatch of the stage comes after from here on
-    later = dict.fromkeys(STAGES, 0)      # what it comes after from the next encoder on
+    waits = dict.fromkeys(STAGES, 0)      # dispatches that every later one of the stage comes after
+    later = dict.fromkeys(STAGES, 0)      # the same, from the next encoder on
     encoder, current, inner, stage = -1, 0, 0, STAGES[0]
     for record in records:
         if record.encoder != encoder:
@@ -292,7 +293,7 @@ def predecessors(records: Iterable[Record]) -> list[int]:
 
 
 def _order(done: dict[str, int], barrier: ConsumerBarrier | ProducerBarrier, waits: dict[str, int]) -> None:
-    """Let the barrier's second scope wait for what is done of its first."""
+    """Make the barrier's second scope wait for its first."""
     mask = 0
     for name in barrier.after:
         mask |= done[name]
@@ -301,10 +302,10 @@ def _order(done: dict[str, int], barrier: ConsumerBarrier | ProducerBarrier, wai
 
 
 def find_conflict(earlier: Sequence[Footprint], new: Footprint) -> Conflict | None:
-    """The first conflict of new commands with each other or with earlier ones, which were checked before.
+    """The first conflict of new commands with each other or with earlier ones, which are already checked.
 
-    Commands that are `ordered` are not compared with each other again: barriers recorded elsewhere change nothing
-    among them. Indices in the result count the dispatches of all earlier commands, then those of the new ones.
+    `ordered` commands are not compared with each other again: barriers in other buffers do not affect them. Indices in
+    the result count the dispatches of all earlier commands, then those of the new ones.
     """
     first_new = sum(len(part.dispatches) for part in earlier)
     suspects = _suspects(earlier, new, first_new)
@@ -319,7 +320,7 @@ def find_conflict(earlier: Sequence[Footprint], new: Footprint) -> Conflict | No
 
 
 def _suspects(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> list[int]:
-    """For each new dispatch, the dispatches before it that share a byte with it which one of the two writes."""
+    """For each new dispatch, the earlier ones that share a byte with it that one of the two writes."""
     near = _near(earlier, new, first_new)
     result = []
     for index, dispatch in enumerate(new.dispatches, first_new):
@@ -336,7 +337,7 @@ _NOBODY = (0, 0)
 
 
 def _near(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> dict[tuple[int, int], tuple[int, int]]:
-    """For the byte ranges of new commands, who writes and who uses any byte of them, as far as it is to be compared."""
+    """For each byte range of new commands, the dispatches to compare: those that write and those that use a byte."""
     spans: list[tuple[Span, bool]] = []
     shift = 0
     for part in earlier:
@@ -383,7 +384,7 @@ def _lowest(mask: int) -> int:
 
 
 def _conflict(dispatches: Sequence[Dispatch], first: int, second: int) -> Conflict:
-    """What two unordered dispatches do to the same bytes."""
+    """The conflict of two unordered dispatches that use the same bytes."""
     one, two = dispatches[first], dispatches[second]
     kinds = (
         ("read after write", one.writes, two.reads),
@@ -409,37 +410,37 @@ def check_dispatch(dispatch: Dispatch) -> None:
 
 
 def _released_error(tensor: Tensor, dispatch: Dispatch) -> HazardError:
-    """A dispatch uses a tensor whose memory was given back."""
+    """The error for a dispatch that uses a released tensor."""
     message = f"{dispatch} uses '{tensor.name}', which was released before commit: record it with a new tensor"
     return HazardError(message, "released", tensor.name, None, dispatch.label)
 
 
 def _undefined_error(need: Need, dispatches: list[Dispatch]) -> HazardError:
-    """A dispatch reads what nothing wrote before, though perhaps one of `dispatches` does so later."""
+    """The error for a dispatch that reads an unwritten tensor, which one of `dispatches` may write later."""
     name, label = need.tensor.name, need.dispatch.label
     later = dispatches[dispatches.index(need.dispatch) + 1:]
     writer = next((item for item in later if any(need.tensor.overlaps(other) for other in item.writes)), None)
-    mend = f"only {writer} writes it, later: record it first" if writer else "upload to it, or write it by a command"
+    fix = f"only {writer} writes it, later: record it first" if writer else "upload to it, or write it by a command"
     what = f"'{name}', which nothing wrote before"
     if need.tensor.allocation.transient:
         what = f"transient '{name}', which nothing in this command buffer wrote before"
-        mend = mend if writer else "write it by a command, or make what is kept from buffer to buffer by heap.tensor"
-    message = f"read before write: {need.dispatch} reads {what}: {mend}"
+        fix = fix if writer else "write it by a command, or use heap.tensor for data that outlives a buffer"
+    message = f"read before write: {need.dispatch} reads {what}: {fix}"
     return HazardError(message, "read before write", name, writer.label if writer else None, label)
 
 
 def _lost_error(need: Need, failed: CommandError) -> HazardError:
-    """A dispatch reads what a failed command should have written."""
+    """The error for a dispatch that reads a tensor that a failed command did not write."""
     name = need.tensor.name
-    mend = f"commit that again, or upload to '{name}'"
-    message = f"read before write: {need.dispatch} reads '{name}', but {failed}: {mend}"
+    fix = f"commit that again, or upload to '{name}'"
+    message = f"read before write: {need.dispatch} reads '{name}', but {failed}: {fix}"
     return HazardError(message, "read before write", name, failed.label, need.dispatch.label)
 
 
 def _conflict_error(
     found: Conflict, first: tuple[RecordedCommands, Dispatch], second: tuple[RecordedCommands, Dispatch]
 ) -> HazardError:
-    """Two dispatches, each with its buffer, touch the same memory in no certain order."""
+    """The error for two dispatches, each with its buffer, that use the same memory in no certain order."""
     (one_buffer, one), (two_buffer, two) = first, second
     same = one_buffer is two_buffer
     does, did = ("writes" if word == "write" else "reads" for word in found.kind.split(" after "))
@@ -447,10 +448,11 @@ def _conflict_error(
     later = str(two) if same else f"{two} of '{two_buffer.label}'"
     name = found.tensor.name
     what = f"{later} {does} '{name}', which {earlier} {did}, in no certain order"
-    return HazardError(f"{found.kind}: {what}: record {_mend(one, two)}", found.kind, name, one.label, two.label)
+    message = f"{found.kind}: {what}: record {_suggest_barrier(one, two)}"
+    return HazardError(message, found.kind, name, one.label, two.label)
 
 
-def _mend(one: Dispatch, two: Dispatch) -> str:
+def _suggest_barrier(one: Dispatch, two: Dispatch) -> str:
     if one.encoder == two.encoder:
         return f"barrier() between them in '{two.label}'"
     consumer = f"barrier(after='{one.stage}', before='{two.stage}') in '{two.label}' before it"

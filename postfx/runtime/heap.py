@@ -22,7 +22,7 @@ from postfx.runtime.records import Dispatch, EncoderBarrier, Record
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient, size_in_bytes
 
 CHUNK = 64 << 20
-"""Smallest amount of memory asked from the system at once, bytes; untouched pages of it cost nothing on the host."""
+"""Bytes requested from the system at once, at least; on the host, untouched pages cost nothing."""
 
 
 @dataclass
@@ -55,18 +55,18 @@ class _Block:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is carved from the chunk."""
+        """Whether no tensor uses the chunk."""
         return self.free == [(self.chunk.pointer, self.chunk.pointer + self.chunk.nbytes)]
 
 
 class Heap:
     """The device's memory. A tensor's memory returns to it on `release()` or when the last view of it is dropped.
 
-    Memory is zeroed by nobody: reading a tensor before it is written or uploaded is a HazardError.
+    Memory is not zeroed: reading a tensor before it is written or uploaded raises HazardError.
 
     Attributes:
         arena: memory that transient tensors share.
-        allocations: how many times memory was carved from chunks so far.
+        allocations: how many tensors were allocated so far.
     """
 
     def __init__(self, device: TensorDevice, memory: Memory) -> None:
@@ -87,35 +87,35 @@ class Heap:
         with self._lock:
             chunk, start = self._carve(nbytes)
         allocation = Allocation(name, start, nbytes, owner=chunk)
-        # Finalizers may run in any thread and in the middle of anything, so they only leave a note.
+        # Finalizers may run in any thread at any point, so they only append to a queue.
         allocation.on_release(self._returned.append, (start, start + nbytes))
         self._live.add(allocation)
         return Tensor(self._device, name, shape, dtype, allocation)
 
     def transient(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
-        """A new tensor for commands of one command buffer: memory is shared with others that are used at other times.
+        """A new tensor for use within one command buffer; it shares memory with tensors that are used at other times.
 
-        In every buffer that uses it a command must write it before one reads it: HazardError at commit otherwise. It
-        has memory from commit on, and content until its bytes go to another tensor or another buffer with transient
-        tensors is committed. The host may look at it until then, and never writes it.
+        In every buffer, a command must write it before one reads it; otherwise commit raises HazardError. It has memory
+        from commit on, and keeps its content until another tensor takes its bytes or another buffer with transient
+        tensors is committed. Until then the host may read it. The host can never write it.
         """
-        if self._device.scratch:  # the arena is one piece, which as a whole would lie in a file
+        if self._device.scratch:  # the arena is one allocation, all of which would end up in a file
             return self.tensor(name, shape, dtype)
         return self.arena.tensor(name, shape, dtype)
 
-    def gone(self, transient: Transient) -> str | None:
-        """Why a transient tensor holds nothing any more, as a clause; None while its content is there."""
-        return self.arena.gone(transient)
+    def explain_loss(self, transient: Transient) -> str | None:
+        """Why a transient tensor lost its content, as a clause; None while it still has it."""
+        return self.arena.explain_loss(transient)
 
     @property
     def size(self) -> int:
-        """Bytes held from the system, used or free."""
+        """Bytes allocated from the system, used or free."""
         with self._lock:
             return sum(block.chunk.nbytes for block in self._blocks)
 
     @property
     def used(self) -> int:
-        """Bytes of the tensors that live now."""
+        """Bytes of all live tensors."""
         with self._lock:
             self._collect()
             return self._used
@@ -126,12 +126,12 @@ class Heap:
         return self._peak
 
     def tensors(self) -> list[tuple[str, int]]:
-        """Name and bytes of every tensor that lives now, largest first."""
+        """Name and bytes of every live tensor, largest first."""
         held = [(allocation.name, allocation.nbytes) for allocation in self._live if not allocation.released]
         return sorted(held, key=lambda item: (-item[1], item[0]))
 
     def trim(self) -> None:
-        """Give chunks in which no tensor lives back to the system."""
+        """Return unused chunks to the system."""
         with self._lock:
             self._collect()
             self._drop_idle()
@@ -147,7 +147,7 @@ class Heap:
         return block.chunk, block.take(nbytes, found[0] if found else block.chunk.nbytes)
 
     def _grow(self, nbytes: int) -> _Block:
-        self._drop_idle()  # too small for this tensor; keeping them would hold the sum of all sizes ever used
+        self._drop_idle()  # too small for this tensor; keeping them would add up all sizes ever used
         chunk = self._memory.allocate(max(nbytes, CHUNK))
         self._blocks.append(_Block(chunk, [(chunk.pointer, chunk.pointer + chunk.nbytes)]))
         return self._blocks[-1]
@@ -165,14 +165,14 @@ class Heap:
 
 
 _NOWHERE = 1 << 62
-"""Transient tensors have addresses that are multiples of this until they are placed: no memory has them."""
+"""Until a transient tensor is placed its address is a multiple of this, which no real memory has."""
 
 MOST_PLANS = 64
-"""Plans that are remembered; the one used longest ago goes first."""
+"""How many plans are cached; the least recently used is dropped first."""
 
 
 class Placement(NamedTuple):
-    """A buffer's records with every transient tensor in its place, and which memory each of them has there."""
+    """A buffer's records with all transient tensors placed, and the memory of each."""
 
     records: list[Record]
     plan: Plan
@@ -183,8 +183,8 @@ class Placement(NamedTuple):
 class Arena:
     """Memory that the transient tensors of all command buffers share, one buffer after the other.
 
-    The memory lives as long as a tensor that was placed in it. It is replaced when a plan needs more, and when tensors
-    are gone and the others need less; what it took goes back to the system.
+    The memory lives as long as any tensor placed in it. It is replaced when a plan needs more, or when the remaining
+    tensors need less after others are dropped; the old memory then returns to the system.
 
     Attributes:
         plan: the plan of the last placement, None before the first.
@@ -216,12 +216,12 @@ class Arena:
     def place(
         self, records: Sequence[Record], kept: Collection[Allocation], before: Placement | None, label: str
     ) -> Placement | None:
-        """Give the transient tensors of a buffer that is committed their memory; None when it has none.
+        """Place the transient tensors of a buffer that is being committed; None if it has none.
 
         Args:
             records: as recorded, or as placed before.
-            kept: what the host reads when the buffer is done.
-            before: the placement of the same records at their last commit; it is used again where it can be.
+            kept: allocations that the host reads when the buffer is done.
+            before: the placement of the same records at their last commit, reused if possible.
             label: what messages call the buffer.
         """
         if not any(isinstance(record, Dispatch) and record.arguments for record in records):
@@ -234,16 +234,16 @@ class Arena:
         self._turn, self._label, self.plan = self._turn + 1, label, before.plan
         for (transient, allocation), taker in zip(before.places, before.plan.takers, strict=True):
             allocation.written, allocation.released = Ranges(), transient.released
-            transient.placed, transient.turn = allocation, self._turn
-            transient.taken = None if taker is None else before.places[taker][0].name
+            transient.place, transient.turn = allocation, self._turn
+            transient.successor = None if taker is None else before.places[taker][0].name
         return before
 
-    def gone(self, transient: Transient) -> str | None:
-        """Why a transient tensor holds nothing any more, as a clause; None while its content is there."""
+    def explain_loss(self, transient: Transient) -> str | None:
+        """Why a transient tensor lost its content, as a clause; None while it still has it."""
         if transient.turn and transient.turn < self._turn:
-            return f"'{self._label}' was committed since: read it before, or make it by heap.tensor"
-        mend = "name it to commands.keep"
-        return transient.taken and f"'{transient.taken}' took its memory later in '{self._label}': {mend}"
+            return f"'{self._label}' was committed since: read it earlier, or make it with heap.tensor"
+        fix = "pass it to commands.keep"
+        return transient.successor and f"'{transient.successor}' took its memory later in '{self._label}': {fix}"
 
     def _new(self, records: Sequence[Record], kept: Collection[Allocation]) -> Placement:
         uses, transients = _uses(records)
@@ -253,11 +253,11 @@ class Arena:
         memory = self._memory_for(plan)
         places = [(item, item.at(memory, start)) for item, start in zip(transients, plan.offsets, strict=True)]
         for transient, allocation in places:
-            transient.placed = allocation
+            transient.place = allocation
         return Placement([_placed(record) for record in records], plan, memory, places)
 
     def _plan(self, records: Sequence[Record], uses: Uses, kept: list[int], transients: list[Transient]) -> Plan:
-        """The plan of all buffers with such records: made for the first of them."""
+        """The plan for all buffers with records like these; made once."""
         sizes = tuple(transient.nbytes for transient in transients)
         key = (sizes, uses, tuple(kept), _order(records))
 
@@ -268,15 +268,15 @@ class Arena:
         return self._plans.get_or_make(key, make)
 
     def _present(self, transients: Iterable[Transient]) -> Present | None:
-        """Where the tensors lie now, so that addresses change as little as they can."""
+        """Where the tensors are now, so that as few addresses as possible change."""
         memory = self._held()
         if memory is None:
             return None
-        places = (item.placed for item in transients)
+        places = (item.place for item in transients)
         return Present(memory.nbytes, [p.pointer - memory.start if p and p.owner is memory else -1 for p in places])
 
     def _memory_for(self, plan: Plan) -> Tensor:
-        """The memory that there is, or other if the plan needs more, or all tensors that live need less."""
+        """The current memory; new memory if the plan needs more, or if all live tensors need less."""
         memory, count = self._held(), len(self._live)
         if memory is None or memory.nbytes < plan.nbytes or self._count != count:
             with self._live_lock:
@@ -301,7 +301,7 @@ def _uses(records: Iterable[Record]) -> tuple[Uses, list[Transient]]:
 
 
 def _order(records: Sequence[Record]) -> tuple[object, ...]:
-    """What tells the order of dispatches: encoders, numbered as they come, with stages and barriers."""
+    """A key for the order of dispatches: encoders in order of appearance, with stages and barriers."""
     numbers: dict[int, int] = {}
     return tuple((numbers.setdefault(record.encoder, len(numbers)), *_ordering(record)) for record in records)
 
@@ -315,7 +315,7 @@ def _ordering(record: Record) -> tuple[object, ...]:
 def _placed(record: Record) -> Record:
     if not isinstance(record, Dispatch) or record.arguments is None:
         return record
-    placed = record.arguments.placed()
+    placed = record.arguments.with_memory()
     names = (record.label, record.command, record.stage, record.encoder)
     return Dispatch(*names, placed.reads, placed.writes, placed.execute, record.model, record.state, record.arguments)
 
@@ -331,10 +331,9 @@ class Plan:
     Attributes:
         offsets: of each tensor, bytes.
         nbytes: memory that they need together.
-        bound: largest sum of sizes in use at once, as far as commands recorded one after the other may run at once; no
-            plan needs less.
+        bound: the largest sum of sizes in use at once, given which commands may overlap; no plan needs less.
         total: what they would need without sharing.
-        takers: of each tensor, the number of one that takes some of its bytes later, or None.
+        takers: for each tensor, the number of one that later takes some of its bytes, or None.
     """
 
     offsets: tuple[int, ...]
@@ -350,7 +349,7 @@ class Plan:
 
 
 class Present(NamedTuple):
-    """Memory that there is, and where in it the tensors lie already: offsets, or -1."""
+    """Existing memory, and the tensors' current offsets in it, or -1."""
 
     nbytes: int
     offsets: Sequence[int]
@@ -365,9 +364,9 @@ def make_plan(
     took up to 45 % more.
 
     Args:
-        kept: numbers of tensors whose content is to be there after the last dispatch.
+        kept: numbers of tensors whose content must survive the last dispatch.
         records: the dispatches of `uses`, and the barriers.
-        present: tensors stay where they are if that is allowed and the memory holds the others, too.
+        present: tensors stay where they are if that is allowed and the memory has room for the others.
     """
     users = _users([*uses, tuple(kept)], len(sizes))
     earlier = [*predecessors(records), (1 << len(uses)) - 1]
@@ -392,7 +391,7 @@ def _users(uses: Uses, count: int) -> list[int]:
 
 
 def _before(users: Sequence[int], earlier: Sequence[int]) -> list[int]:
-    """For every tensor, the tensors that are done with before its first use, as a bit mask."""
+    """For every tensor, the tensors whose last use comes before its first use, as a bit mask."""
     result = []
     for mask in users:
         common = -1
@@ -407,7 +406,7 @@ def _ordered(before: Sequence[int], one: int, other: int) -> bool:
 
 
 def _settled(present: Present, sizes: Sequence[int], apart: Sequence[Sequence[int]]) -> list[int] | None:
-    """Offsets that leave tensors where they are; None when none lies there or may, or the others find no room."""
+    """Offsets that leave tensors where they are; None if no tensor can stay, or the others do not fit."""
     lying = [item for item, offset in enumerate(present.offsets) if offset >= 0]
     if not lying or any(_touch(item, other, present.offsets, sizes) for item in lying for other in apart[item]):
         return None
@@ -423,7 +422,7 @@ def _largest_first(items: Iterable[int], sizes: Sequence[int]) -> list[int]:
 def _place(
     order: Iterable[int], sizes: Sequence[int], apart: Sequence[Sequence[int]], offsets: list[int]
 ) -> list[int]:
-    """Put each tensor into the smallest gap that holds it, between those placed already that it must not touch."""
+    """Put each tensor into the smallest gap that holds it between the placed tensors that it must not overlap."""
     for item in order:
         taken = sorted((offsets[other], offsets[other] + sizes[other]) for other in apart[item] if offsets[other] >= 0)
         gaps, end = [], 0
@@ -448,7 +447,7 @@ def _touch(one: int, other: int, offsets: Sequence[int], sizes: Sequence[int]) -
 
 
 def _bound(spans: Sequence[tuple[int, int]], sizes: Sequence[int], earlier: Sequence[int]) -> int:
-    """Tensors in use during dispatches that may run at once are in use at once: none is done with before another."""
+    """The largest sum of sizes of tensors that dispatches which may overlap use at once."""
     most = last = 0
     for first in range(len(earlier)):
         while last < len(earlier) and earlier[last] >> first == 0:

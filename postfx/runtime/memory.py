@@ -15,9 +15,9 @@ from postfx.system import Scratch
 
 T = TypeVar("T")
 TENSORS = 0.4
-"""Share of what a memory budget leaves that tensors may have; networks have their own."""
+"""Share of the memory budget for tensors; the rest is for networks."""
 ALIGNMENT = 256
-"""Byte alignment of every tensor: a multiple of the cache line and of what GPU copies like."""
+"""Byte alignment of every tensor: a multiple of the cache line and of efficient GPU copies."""
 
 
 class Chunk(Protocol):
@@ -28,8 +28,8 @@ class Chunk(Protocol):
 
 
 class Memory(Protocol):
-    """Where a device's tensors live. `host_visible` tells whether NumPy can look at it without a copy, `replays`
-    whether `replay` may do commands as a whole."""
+    """Where a device's tensors live. `host_visible`: NumPy can access it without a copy; `replays`: `replay`
+    can run commands as one CUDA graph."""
 
     host_visible: bool
     replays: bool
@@ -47,51 +47,51 @@ class Memory(Protocol):
         ...
 
     def synchronise(self) -> None:
-        """Wait until all that was begun is done."""
+        """Wait until all started work is done."""
         ...
 
     def relax(self) -> None:
-        """A dispatch is done: keep no more in memory than has to be."""
+        """After a dispatch: drop pages that need not stay in memory."""
         ...
 
     def mark(self) -> Any:
-        """This moment in the device's work."""
+        """A mark at this point of the device's work."""
         ...
 
     def milliseconds(self, begin: Any, end: Any) -> float:
-        """From one moment to another; both have passed when all that was begun is done."""
+        """Time between two marks; call it after `synchronise`."""
         ...
 
     def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
-        """Do again as a whole what `enqueue` does command by command, and return what that returns.
+        """Run the work of `enqueue` again as one graph and return its result.
 
-        None where it has to be done command by command, and was not done. What `key` identifies has not changed;
-        `kept` lives as long as it may be done again.
+        None if it has to run command by command; nothing has run then. `key` identifies unchanged work; `kept` is kept
+        alive as long as the graph.
         """
         ...
 
 
 class Immediate:
-    """Memory on which work is done when its call returns, command by command."""
+    """Memory on which every command is done when its call returns."""
 
     replays = False
 
     def relax(self) -> None:
-        """All is kept."""
+        """Does nothing."""
 
     def synchronise(self) -> None:
-        """Nothing to wait for."""
+        """Does nothing: no work is pending."""
 
     def mark(self) -> float:
-        """This moment, seconds."""
+        """The time in seconds."""
         return time.perf_counter()
 
     def milliseconds(self, begin: float, end: float) -> float:
-        """From one moment to another."""
+        """Time between two marks."""
         return 1e3 * (end - begin)
 
     def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
-        """Nothing is done as a whole."""
+        """None: commands always run one by one."""
         return None
 
 
@@ -135,7 +135,7 @@ class HostMemory(Immediate):
         return chunk
 
     def relax(self) -> None:
-        """Let go of the pages of temporary files."""
+        """Drop the pages of temporary files from memory."""
         if self._scratch is not None:
             self._scratch.relax()
 

@@ -1,8 +1,8 @@
-"""What an ONNX file says about itself, read without ONNX Runtime and without the package `onnx`.
+"""Reads the structure of an ONNX file without ONNX Runtime and without the package `onnx`.
 
 The package would take 26 MB and 50 ms of every start; this reader takes 3 ms a model, and refuses a file of a million
-empty parts before it fills the memory. Field numbers are those of onnx.proto (ONNX 1.17), the format is that of
-https://protobuf.dev/programming-guides/encoding. Of weights only sizes are looked at.
+empty parts before it fills the memory. Field numbers come from onnx.proto (ONNX 1.17), the format from
+https://protobuf.dev/programming-guides/encoding. Of weights it reads only sizes.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ MOST_PARTS = 1_000_000
 
 @dataclass
 class Weights:
-    """A tensor that the file holds, or says to be in another file.
+    """A tensor in the file, or in another file that it names.
 
     Attributes:
         kind: ONNX's number of the element type.
         held: bytes of its content here.
-        raw: whether these are the elements as they lie in memory, so that their number is known.
-        external: key -> value of where it is elsewhere: location, offset, length.
+        raw: whether the content is stored as it lies in memory, so that its size is known.
+        external: location, offset and length of content in another file.
         values: of a small tensor of int64, which may be a shape.
     """
 
@@ -75,7 +75,7 @@ class ModelFile:
 
 
 def parse_model(content: bytes) -> ModelFile:
-    """What is in a file; WireError when it is no ONNX model, ends early, or has more than a million parts."""
+    """The model in a file; WireError if it is no ONNX model, is truncated, or has more than a million parts."""
     return _Reader().model(memoryview(content))
 
 
@@ -215,7 +215,7 @@ _MOST_VARINT = 10  # bytes that 64 bits take
 
 
 class WireError(ValueError):
-    """The bytes are no message: they end early, or hold a wire type that there is not."""
+    """The bytes are not a valid message: they are truncated, or hold an unknown wire type."""
 
 
 class Wire:
@@ -226,9 +226,9 @@ class Wire:
         self._left = most
 
     def fields(self, message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-        """Number and value of each field: an integer for varints, the bytes as they lie there for anything else.
+        """Number and value of each field: an integer for varints, raw bytes for anything else.
 
-        The format is the one of https://protobuf.dev/programming-guides/encoding. Groups are not read.
+        The format is defined at https://protobuf.dev/programming-guides/encoding. Groups are not read.
         """
         for found in _fields(message):
             self._count()

@@ -1,4 +1,4 @@
-"""Model packages: folders of ONNX files with JSON cards, and what is refused before ONNX Runtime sees it."""
+"""Model packages: folders of ONNX files with JSON cards, and the checks before ONNX Runtime loads one."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Library:
         return tuple(output for output, facts in self.card(name).get("outputs", {}).items() if facts.get("constant"))
 
     def sha256(self, name: str) -> str:
-        """The model's hash: the card's, which `load` holds the file to, or the file's own where the card gives none."""
+        """The model's hash: the card's, which `load` checks, or the file's own if the card has none."""
         return self.card(name).get("sha256") or hashlib.sha256(_content(self.path(name))).hexdigest()
 
     def load(self, name: str) -> bytes:
@@ -95,7 +95,7 @@ def _checked(path: Path, sha256: str | None) -> bytes:
 
 
 def _content(path: Path) -> bytes:
-    """A file's bytes; of what is no file, such as a device that never ends, or is too large, none is read."""
+    """A file's bytes. Refuses files that are too large, and devices and pipes, which may never end."""
     try:
         if not path.is_file():
             raise ModelError(f"model '{path}' is not a file")
@@ -113,7 +113,7 @@ MOST_ELEMENTS = 1 << 31
 """Of a value whose shape the file fixes."""
 MOST_DIMENSIONS = 16
 MOST_SHOWN = 300
-"""Letters of a reason, which may name what a stranger named."""
+"""Characters of a reason that are shown, for it may quote the file."""
 
 DOMAINS = ("", "ai.onnx")
 OPERATORS = frozenset("""
@@ -129,10 +129,10 @@ OPERATORS = frozenset("""
     Shape Shrink Sigmoid Sign Sin Sinh Size Slice Softmax Softplus Softsign SpaceToDepth Split Sqrt Squeeze Sub Sum Tan
     Tanh ThresholdedRelu Tile TopK Transpose Trilu Unsqueeze Where Xor
 """.split())
-"""Of ONNX's own, those that compute with tensors: no control flow, which may never end, no chance, no strings."""
+"""ONNX operators that only compute with tensors: no control flow (it may never end), no randomness, no strings."""
 
 SIZED_BY = {"ConstantOfShape": 0, "Expand": 1, "Reshape": 1, "Tile": 1, "Resize": 3}
-"""Operators whose output is as large as one of their inputs says -> which."""
+"""Operators whose output size is the value of an input -> the index of that input."""
 
 _BITS = {1: 32, 2: 8, 3: 8, 4: 16, 5: 16, 6: 32, 7: 64, 9: 8, 10: 16, 11: 64, 12: 32, 13: 64, 16: 16, 17: 8, 18: 8,
          19: 8, 20: 8, 21: 4, 22: 4}
@@ -188,7 +188,7 @@ def _wrong_weights(weights: Weights, path: Path, card: Mapping[str, Any]) -> Ite
 
 
 def _wrong_place(external: Mapping[str, str], nbytes: int, path: Path, card: Mapping[str, Any]) -> Iterator[str]:
-    """What speaks against weights in another file: it has to lie in the model's folder, by a plain name."""
+    """Why weights in another file are refused: they must be in the model's folder, under a plain name."""
     location = external.get("location", "")
     if not is_plain_name(location):
         yield f"is in '{location}': weights may lie in the model's own folder only"
@@ -209,7 +209,7 @@ def _wrong_place(external: Mapping[str, str], nbytes: int, path: Path, card: Map
 
 
 def _wrong_sizes(model: ModelFile) -> Iterator[str]:
-    """Nodes that make much of little: their size is a constant beyond all reason."""
+    """Nodes that blow up a small input: their output size is an absurd constant."""
     constants = {weights.name: weights.values for weights in model.weights}
     for node in model.nodes:
         if node.operator == "Constant" and node.outputs and node.weights:

@@ -19,14 +19,14 @@ class Dispatch:
 
     Attributes:
         label: label of the encoder, with its groups.
-        command: what runs, for example "network 'denoise_upscale.m'".
+        command: its name in messages, for example "network 'denoise_upscale.m'".
         stage: one of `STAGES`.
         encoder: number of the encoder within the device; barriers refer to it.
         reads, writes: the tensors that were bound when it was recorded.
         execute: does the work; None until a commit gives transient tensors their memory.
         model: file of the network; None for a kernel.
-        state: what runs.
-        arguments: the tensors as they were bound, where some are transient.
+        state: the kernel or network that runs.
+        arguments: the tensors as bound, if some are transient.
     """
 
     label: str
@@ -56,7 +56,7 @@ class EncoderBarrier:
 
 @dataclass(frozen=True)
 class ConsumerBarrier:
-    """Dispatches of `after` in earlier encoders come before those of `before` that follow, here and in later encoders.
+    """Dispatches of `after` in earlier encoders come before later dispatches of `before`, here and in later encoders.
 
     Metal 4's `barrierAfterQueueStages:beforeStages:`.
     """
@@ -68,7 +68,8 @@ class ConsumerBarrier:
 
 @dataclass(frozen=True)
 class ProducerBarrier:
-    """Dispatches of `after` recorded so far, here and in earlier encoders, come before those of `before` in later ones.
+    """Dispatches of `after` recorded so far, here and in earlier encoders, come before dispatches of `before` in later
+    ones.
 
     Metal 4's `barrierAfterStages:beforeQueueStages:`.
     """

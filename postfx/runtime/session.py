@@ -1,8 +1,8 @@
 """ONNX Runtime sessions: shared arena, fixed dimensions, bindings on raw pointers, and optimised networks on disk.
 
-ONNX Runtime optimises a network for the machine whenever a session is made of it. What comes of it on the CPU is kept
-in a file of the user's own, named by all that it depends on: the model's content, the sizes of its dimensions, ONNX
-Runtime's version and the processor. It computes the same bits.
+ONNX Runtime optimises a network for the machine whenever it makes a session. The result on the CPU is cached in a file
+of the user, named by everything it depends on: the model's content, the sizes of its dimensions, ONNX Runtime's version
+and the processor. It computes the same bits.
 """
 
 from __future__ import annotations
@@ -28,20 +28,19 @@ from postfx.system import private_folder, usable_memory
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
 OPTIMISED_FOLDER = "networks"
 MOST_BYTES = 256 << 20
-"""Bytes that all files may have together; those last used are kept."""
+"""Total bytes of cached files; the least recently used are removed first."""
 LARGEST_MODEL = 2 << 20
-"""Bytes of models that are kept: what comes of larger ones takes as long to read and to check as to make."""
+"""Largest model that is cached: reading and checking a larger one takes as long as optimising it again."""
 HASH_BYTES = hashlib.sha256().digest_size
-"""Bytes of the hash that a file begins with."""
+"""Length of the hash at the start of a file."""
 EXTERNAL_WEIGHTS = b"location"
-"""Stands in every model with weights in other files, which its content does not tell."""
+"""Occurs in every model with weights in other files, so its content does not identify it."""
 PROCESSOR = ("model name", "flags", "Features")
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where sessions run: ONNX Runtime's names of the provider and of the memory, the CPU threads, and on a GPU the
-    stream that all work is on."""
+    """Where sessions run: ONNX Runtime's names for the provider and the memory, the CPU threads, and a GPU's stream."""
 
     provider: str
     memory: str
@@ -66,7 +65,7 @@ class Value(NamedTuple):
 class Session:
     """One model ready to run, specialised for `dims` (free dimension name -> size); `folder` has files it refers to.
 
-    An `exclusive` one runs on its provider alone: no node of it may fall back to the CPU.
+    An `exclusive` session runs on its provider alone; no node may fall back to the CPU.
     """
 
     def __init__(
@@ -96,7 +95,7 @@ class Session:
         self._placement = placement
 
     def bind(self, inputs: Mapping[str, Tensor], outputs: Mapping[str, Tensor]) -> Callable[[], None]:
-        """A function that runs the model on these tensors where they lie."""
+        """A function that runs the model on these tensors in place."""
         binding = self._session.io_binding()
         memory, index = self._placement.memory, self._placement.index
         for name, tensor in inputs.items():
@@ -109,8 +108,8 @@ class Session:
         return partial(self._session.run_with_iobinding, binding, options)
 
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """Outputs that depend on no input, from one run on zeros. ModelError when there are none such, or they cannot
-        be computed, as where they take more memory than there is."""
+        """Outputs that depend on no input, from one run on zeros. ModelError if the model lacks them, or if they cannot
+        be computed, for lack of memory for example."""
         zeros = {value.name: np.zeros(value.fixed, value.dtype) for value in self.inputs} if names else {}
         options = ort.RunOptions()
         options.only_execute_path_to_fetches = True
@@ -134,8 +133,8 @@ def first_line(error: BaseException) -> str:
 
 @cache
 def _register_shared_arena() -> None:
-    """One allocator for all sessions of the process; private arenas hold each session's peak for ever. It gives no
-    more than the machine has: a model that asks for more fails, where the system would end the process."""
+    """One allocator for all sessions of the process; private arenas would each keep their peak forever. It is limited
+    to the machine's memory: a model that needs more fails, instead of the system killing the process."""
     info = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
     ort.create_and_register_allocator(info, ort.OrtArenaCfg(usable_memory(), -1, -1, -1))
 
@@ -146,9 +145,9 @@ def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.Sessio
     options = ort.SessionOptions()
     options.intra_op_num_threads = placement.threads
     options.log_severity_level = 3
-    # The pattern's one block comes on top of what the first run took from the arena; docs/runtime.md has figures.
+    # The memory pattern's block is allocated on top of the first run's memory; docs/runtime.md has figures.
     options.enable_mem_pattern = False
-    # Threads wait awake for the next node, but not beyond a run: then it is other sessions' and kernels' turn.
+    # Threads spin between nodes but not between runs, when other sessions and kernels need the cores.
     options.add_session_config_entry("session.intra_op.allow_spinning", "1")
     options.add_session_config_entry("session.force_spinning_stop", "1")
     options.add_session_config_entry("session.use_env_allocators", "1")
@@ -158,7 +157,7 @@ def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.Sessio
 
 
 def providers_of(placement: Placement, exclusive: bool) -> list[Any]:
-    """Where to run, as ONNX Runtime takes it; not `exclusive`, the CPU takes what the provider cannot run."""
+    """ONNX Runtime's list of providers; unless `exclusive`, the CPU runs nodes that the provider cannot."""
     if placement.provider == "CPUExecutionProvider":
         return ["CPUExecutionProvider"]
     options = {"device_id": str(placement.index), "prefer_nhwc": "1", "fuse_conv_bias": "1"}
@@ -179,7 +178,7 @@ def _element_type(tensor: Tensor) -> type:
 
 def make_session(model: bytes, dims: Mapping[str, int],
                  options: Callable[[], ort.SessionOptions]) -> ort.InferenceSession:
-    """A session on the CPU, of what is kept of the model, or of the model itself. Raises what ONNX Runtime does."""
+    """A session on the CPU, from the cached optimised model or the model itself. Raises ONNX Runtime's errors."""
     folder = None if len(model) > LARGEST_MODEL or EXTERNAL_WEIGHTS in model else private_folder(OPTIMISED_FOLDER)
     if folder is None:
         return _session(model, options())
@@ -192,7 +191,7 @@ def _session(model: bytes, options: ort.SessionOptions) -> ort.InferenceSession:
 
 
 def _load_optimised(path: Path, options: ort.SessionOptions) -> ort.InferenceSession | None:
-    """A session of a kept file; None where there is none, or none that is whole."""
+    """A session from a cached file; None if it is missing or damaged."""
     try:
         content = path.read_bytes()
         if hashlib.sha256(content[HASH_BYTES:]).digest() != content[:HASH_BYTES]:
@@ -200,12 +199,12 @@ def _load_optimised(path: Path, options: ort.SessionOptions) -> ort.InferenceSes
         os.utime(path)
         options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         return _session(content[HASH_BYTES:], options)
-    except Exception:  # the model itself tells what is wrong, if it is that
+    except Exception:  # if the model is at fault, loading it directly raises the error
         return None
 
 
 def _optimise(path: Path, model: bytes, options: ort.SessionOptions) -> ort.InferenceSession | None:
-    """A session of a model, of which a file is kept; None where that fails, for lack of room, say."""
+    """A session of a model, whose optimised form is cached; None if that fails, for lack of space for example."""
     try:
         with atomic_file(path, durable=False) as part:
             options.optimized_model_filepath = str(part)
@@ -214,7 +213,7 @@ def _optimise(path: Path, model: bytes, options: ort.SessionOptions) -> ort.Infe
             part.write_bytes(hashlib.sha256(content).digest() + content)
         _remove_oldest(path.parent)
         return session
-    except Exception:  # likewise
+    except Exception:  # as above
         return None
 
 
@@ -235,7 +234,7 @@ def _key(model: bytes, dims: Mapping[str, int]) -> str:
 
 @cache
 def _processor() -> str:
-    """What tells processors apart for which networks are optimised differently."""
+    """Identifies the processor, for networks are optimised differently on different ones."""
     found = [platform.machine(), platform.processor()]
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

@@ -1,4 +1,4 @@
-"""What a capture holds: command buffers, their dispatches and barriers, and what is kept of the tensors they wrote."""
+"""The content of a capture: command buffers, their dispatches and barriers, and snapshots of tensors they wrote."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from postfx.runtime.tensor import Tensor
 
 @dataclass
 class CapturedValue:
-    """What a node inside a network wrote; `snapshot` is None where it has no elements."""
+    """An output of a node inside a network; `snapshot` is None if it has no elements."""
 
     name: str
     shape: tuple[int, ...]
@@ -27,7 +27,7 @@ class CapturedValue:
 class CapturedTensor(CapturedValue):
     """A tensor that a command read or wrote; `start` and `end` are its addresses on the device.
 
-    `snapshot` is there for what the command wrote, and for what it read if no command in the capture wrote that.
+    Outputs have a `snapshot`, and so do inputs that no command in the capture wrote.
     """
 
     start: int
@@ -39,7 +39,7 @@ class CapturedNode:
     """A node of a network, run by itself after the command; see `capture.NodeRun`.
 
     Attributes:
-        outputs: what it wrote, in the node's order; of constants, figures only.
+        outputs: in the node's order; constants have figures only.
     """
 
     index: int
@@ -53,12 +53,12 @@ class CapturedNode:
 
 @dataclass
 class CapturedNetwork:
-    """A network looked into.
+    """The nodes of a network that ran.
 
     Attributes:
         nodes: in the order of the file, up to the first that failed.
-        difference: the largest relative error (`capture.largest_error`) of what the command wrote against
-            what the nodes wrote one by one: what optimising and fusing changed. None when that is not known.
+        difference: the largest relative error (`capture.largest_error`) of the command's outputs against those of its
+            nodes run one by one: the effect of optimising and fusing. None if unknown.
     """
 
     nodes: list[CapturedNode] = field(default_factory=list)
@@ -72,9 +72,9 @@ class CapturedDispatch:
     Attributes:
         index: its number in the capture, from 0 in the order of commit.
         milliseconds: its own time; None when it failed or did not run.
-        error: why it failed or did not run; None also behind a command that failed.
-        dims: sizes that a network's free dimensions were fixed to.
-        network: its nodes, where they were asked for.
+        error: why it failed or did not run; None as well after an earlier command failed.
+        dims: sizes of a network's free dimensions.
+        network: its nodes, if they were captured.
     """
 
     index: int
@@ -131,7 +131,7 @@ _BLOCK = 1 << 20
 
 
 class Pictures(NamedTuple):
-    """How many slices to keep as pictures, and how wide and high these may be."""
+    """How many slices to keep as pictures, and their largest width and height."""
 
     most: int
     width: int = PICTURE_WIDTH
@@ -139,12 +139,12 @@ class Pictures(NamedTuple):
 
 
 NODE_PICTURES = Pictures(NODE_SLICES, 64, 96)
-"""Of what nodes inside networks write, of which there are many."""
+"""For outputs of nodes inside networks, of which there are many."""
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Figures of a tensor. `minimum`, `maximum` and `mean` are those of its finite elements, None when it has none.
+    """Figures of a tensor. `minimum`, `maximum` and `mean` are over its finite elements, None if it has none.
 
     Attributes:
         zeros: share of all elements that are exactly 0, from 0 to 1.
@@ -168,7 +168,7 @@ class Snapshot:
         pictures: the first of them, float32 (height, width), every n-th pixel so that they are at most `PICTURE_WIDTH`
             wide and `PICTURE_HEIGHT` high: three of them, or `MOST_SLICES` in a capture of all; of nodes inside
             networks as `NODE_PICTURES`.
-        values: all elements, where there are at most `MOST_VALUES`.
+        values: all elements, if there are at most `MOST_VALUES`.
         file: the content as .npy, relative to the capture's folder; None unless all was captured.
     """
 
@@ -180,7 +180,7 @@ class Snapshot:
 
 
 def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None, file: str = "") -> Snapshot | None:
-    """An array's content, None when it has no elements; also written to `folder / file` if there is a folder."""
+    """A snapshot of an array, None if it has no elements; its content also goes to `folder / file` if given."""
     if not array.size:
         return None
     if folder is not None:
@@ -193,7 +193,7 @@ def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None, file: 
 
 
 def statistics(array: np.ndarray) -> Statistics:
-    """Figures of an array of any shape that has elements; works on blocks, so it takes little memory."""
+    """Figures of a non-empty array of any shape; works in blocks, so it takes little memory."""
     flat = array.reshape(-1)
     low, high, total, finite, zeros, nans = math.inf, -math.inf, 0.0, 0, 0, 0
     for start in range(0, flat.size, _BLOCK):
@@ -213,8 +213,8 @@ def statistics(array: np.ndarray) -> Statistics:
 def as_planes(array: np.ndarray) -> np.ndarray | None:
     """An array's pictures as a view or copy (channels, height, width); None when it has fewer than two dimensions.
 
-    Of three dimensions the last is the channels when it is the smallest, as in (height, width, 3); else, and with more
-    dimensions, the last two are a picture's. Leading dimensions of 1 do not count.
+    The last of three dimensions is the channels if it is the smallest, as in (height, width, 3); otherwise the last two
+    dimensions are a picture's. Leading dimensions of 1 do not count.
     """
     while array.ndim > 3 and array.shape[0] == 1:
         array = array[0]
@@ -226,7 +226,7 @@ def as_planes(array: np.ndarray) -> np.ndarray | None:
 
 
 def content(tensor: Tensor) -> np.ndarray:
-    """What a tensor holds now: its own memory where the host sees it, else a copy.
+    """A tensor's content now: its own memory if the host can see it, else a copy.
 
     Checks no hazards: the caller stands between two commands of the queue.
     """

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from postfx.runtime.cuda import CudaMemory
 
 MINIMUM_ROWS = 4
-"""Fewer rows than this are not worth a band of their own."""
+"""Least rows of a band: fewer are not worth another thread."""
 
 
 class Binding(NamedTuple):
     """One argument of a network or kernel.
 
-    `shape` is None where a kernel leaves it open, and may hold symbols ('height', '2*width') in kernels only.
+    `shape` is None if a kernel leaves it open, and may hold symbols ('height', '2*width') in kernels only.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Binding(NamedTuple):
 
 
 class StateDevice(TensorDevice, Protocol):
-    """What states need of the device that they run on."""
+    """What states need of their device."""
 
     @property
     def threads(self) -> int: ...
@@ -48,8 +48,8 @@ class StateDevice(TensorDevice, Protocol):
 
 
 class State(Protocol):
-    """What an argument table is made for and an encoder dispatches; `model` is a network's file, `capturable` tells
-    whether it may become part of a CUDA graph."""
+    """What an argument table is made for and an encoder dispatches; `model` is a network's file, `capturable` whether
+    it may become part of a CUDA graph."""
 
     device: StateDevice
     command: str
@@ -69,10 +69,10 @@ class PipelineState:
     """A network with fixed dimensions. Made by `Device.pipeline_state`.
 
     Attributes:
-        bindings: of what a dispatch reads and writes.
+        bindings: the tensors that a dispatch reads and writes.
         shapes: name -> shape of each binding.
-        constants: name -> array of outputs that no input changes. They are not bound: on a GPU, ONNX Runtime would copy
-            them beside the stream that all other work is on, early or late.
+        constants: name -> array, of outputs that depend on no input. They are not bound: on a GPU, ONNX Runtime would
+            copy them outside the stream, too early or too late.
     """
 
     stage = "machine-learning"
@@ -117,7 +117,7 @@ class ComputeState:
 
 
 class PortableComputeState(ComputeState):
-    """A kernel that runs by its portable ONNX definition, of which some operators wait for the GPU."""
+    """A kernel that runs by its portable ONNX definition, some of whose operators wait for the GPU."""
 
     capturable = False
 
@@ -214,8 +214,8 @@ class Arguments:
     """A complete, unchanging set of tensors for a state.
 
     Attributes:
-        reads, writes: the tensors by what is done to them.
-        transients: allocations of the transient ones that have no memory yet.
+        reads, writes: the tensors that it reads and writes.
+        transients: allocations of transient tensors without memory yet.
         execute: runs the state on them; None while some have no memory.
     """
 
@@ -229,19 +229,19 @@ class Arguments:
         self._tensors = tensors
         self._placed: tuple[tuple[Allocation | None, ...], Arguments] | None = None
 
-    def placed(self) -> Arguments:
-        """The same on the memory that transient tensors have now; made anew only when that has changed."""
-        places = tuple([transient.placed for transient in self.transients])
+    def with_memory(self) -> Arguments:
+        """The same arguments on the memory that transient tensors have now; cached until that changes."""
+        places = tuple([transient.place for transient in self.transients])
         if self._placed is None or self._placed[0] != places:
             self._placed = places, Arguments(self.state, tuple(tensor.resident() for tensor in self._tensors))
         return self._placed[1]
 
 
 class ArgumentTable:
-    """Tensors by binding name, checked when they are set. A dispatch takes the tensors that are set at that moment.
+    """Tensors by binding name, checked when they are set. A dispatch uses the tensors that are set when it is recorded.
 
     `table["name"] = tensor` raises BindingError for an unknown name, a wrong shape or data type, another device's
-    tensor, a released tensor, or a read-only one where the state writes.
+    tensor, a released tensor, or a read-only one that the state would write.
     """
 
     def __init__(self, state: State, tensors: Mapping[str, Tensor] | None = None) -> None:
@@ -288,7 +288,7 @@ class ArgumentTable:
         where = f"{self.state.command}, binding '{binding.name}'"
         if not isinstance(tensor, Tensor):
             kind = type(tensor).__name__
-            raise BindingError(f"{where}: {kind} is no tensor: use device.wrap or device.heap.tensor")
+            raise BindingError(f"{where}: {kind} is not a tensor: use device.wrap or device.heap.tensor")
         if tensor.device is not self.state.device:
             raise BindingError(f"{where}: tensor '{tensor.name}' belongs to another device: make it on this one")
         if tensor.released:
@@ -298,8 +298,8 @@ class ArgumentTable:
         if binding.shape is not None and not could_match(tensor.shape, binding.shape):
             raise BindingError(f"{where}: tensor '{tensor.name}' is {tensor.shape}, it must be {_text(binding.shape)}")
         if binding.access == "write" and not tensor.allocation.writable:
-            mend = "wrap one that may be written"
-            raise BindingError(f"{where} is written, but tensor '{tensor.name}' wraps a read-only array: {mend}")
+            fix = "wrap a writable one"
+            raise BindingError(f"{where} is written, but tensor '{tensor.name}' wraps a read-only array: {fix}")
 
     def _check_together(self) -> None:
         declared = {name: binding.shape for name, binding in self._bindings.items() if binding.shape is not None}

@@ -1,4 +1,4 @@
-"""Named tensors on a device, the allocations they look at, and what may be done with them now."""
+"""Named tensors on a device, the allocations behind them, and their state: what may be done with them now."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from postfx.system import Scratch
 
 
 class Use(NamedTuple):
-    """A command that uses a tensor: labels of its encoder and command buffer, and what it runs."""
+    """A command that uses a tensor: the labels of its encoder and command buffer, and its name."""
 
     label: str
     command: str
@@ -28,16 +28,16 @@ class Use(NamedTuple):
 
 @dataclass(frozen=True)
 class TensorState:
-    """The state of a tensor, from `Tensor.state`. A command is in flight from commit until the host waited for it.
+    """The state of a tensor, from `Tensor.state`. A command is in flight from commit until the host has waited for it.
 
     Attributes:
-        released: its memory was given back.
+        released: whether its memory was returned.
         defined: every byte holds data, or will once the committed commands have run.
         writer: the last command in flight that writes it.
         reader: the last command in flight that reads it.
-        recorded: the first command that uses it and is recorded, but not committed.
+        recorded: the first uncommitted command that uses it.
         failed: the error of the command whose failure left it undefined.
-        gone: why a transient tensor's content is no longer there, as a clause.
+        lost: why a transient tensor lost its content, as a clause.
     """
 
     released: bool
@@ -46,7 +46,7 @@ class TensorState:
     reader: Use | None
     recorded: Use | None
     failed: CommandError | None
-    gone: str | None = None
+    lost: str | None = None
 
     @property
     def kind(self) -> str:
@@ -63,10 +63,10 @@ class TensorState:
 
 
 def check_host_read(name: str, state: TensorState) -> None:
-    """HazardError when the tensor was released, a command in flight writes it, or it holds no data (any more)."""
+    """Raises HazardError if the tensor was released, a command in flight writes it, or it has no data."""
     _check_alive(name, state)
-    if state.gone:
-        message = f"transient '{name}' is read by the host, but {state.gone}"
+    if state.lost:
+        message = f"transient '{name}' is read by the host, but {state.lost}"
         raise HazardError(message, "read before write", name, None, "host")
     if state.writer:
         raise _in_use(name, "reads", state.writer, "writes")
@@ -79,15 +79,15 @@ def check_host_read(name: str, state: TensorState) -> None:
 
 
 def check_host_write(name: str, state: TensorState) -> None:
-    """HazardError when the tensor was released, or a command in flight or recorded uses it."""
+    """Raises HazardError if the tensor was released, or a recorded command or one in flight uses it."""
     _check_alive(name, state)
     if state.writer:
         raise _in_use(name, "writes", state.writer, "writes")
     if state.reader:
         raise _in_use(name, "writes", state.reader, "reads")
     if state.recorded:
-        mend = "it runs after commit and would see the new values, so upload before recording, to a tensor of its own"
-        message = f"the host writes '{name}' while {state.recorded} uses it: {mend}"
+        fix = "it runs after commit and would see the new values, so upload to another tensor before recording"
+        message = f"the host writes '{name}' while {state.recorded} uses it: {fix}"
         raise HazardError(message, "host access", name, state.recorded.label, "host")
 
 
@@ -135,7 +135,7 @@ class TensorHeap(Protocol):
 
     def trim(self) -> None: ...
 
-    def gone(self, transient: Transient) -> str | None: ...
+    def explain_loss(self, transient: Transient) -> str | None: ...
 
 
 DTYPES = ("float32", "float16", "float64", "int64", "int32", "int16", "int8", "uint8", "bool")
@@ -152,9 +152,9 @@ class Allocation:
 
     Attributes:
         written: bytes that hold data once every committed command has run.
-        lost: bytes among them that a command failed to write, with its error; nothing in most allocations.
+        lost: bytes among them that a command failed to write, with its error; usually empty.
         transient: whether it holds data within one command buffer only, see `Heap.transient`.
-        placed: where a `Transient` was in the last buffer that used it.
+        place: the memory of a `Transient` in the last buffer that used it.
     """
 
     def __init__(
@@ -166,45 +166,45 @@ class Allocation:
         self.owner = owner
         self.writable = writable
         self.transient = transient
-        self.placed: Allocation | None = None
+        self.place: Allocation | None = None
         self.released = False
         self.written = Ranges()
         self.lost: list[tuple[Ranges, CommandError]] = []
         self._finalizer: weakref.finalize[..., Allocation] | None = None
 
     def on_release(self, action: Callable[..., None], *args: Any) -> None:
-        """Call `action(*args)` once, on release or when nothing refers to the allocation any more."""
+        """Call `action(*args)` once: on release, or when nothing refers to the allocation any more."""
         self._finalizer = weakref.finalize(self, action, *args)
         self._finalizer.atexit = False
 
     def release(self) -> None:
-        """Give the memory back; every tensor that looks at it becomes unusable."""
+        """Return the memory; every tensor on it becomes unusable."""
         self.released = True
         if self._finalizer is not None:
             self._finalizer()
 
 
 class Transient(Allocation):
-    """Stands for memory that a tensor will have when a buffer that uses it is committed.
+    """The allocation of a transient tensor, which gets memory when a buffer that uses it is committed.
 
     Attributes:
-        placed: the memory that it had in the last such buffer.
-        taken: name of the tensor that the memory went to within that buffer, if it did.
-        turn: which of the arena's placements that was.
+        place: its memory in the last such buffer.
+        successor: name of the tensor that took the memory later in that buffer, or None.
+        turn: number of that placement in the arena.
         needs: bytes of the largest plan that placed it.
     """
 
     def __init__(self, name: str, pointer: int, nbytes: int) -> None:
         super().__init__(name, pointer, nbytes, owner=None, transient=True)
-        self.taken: str | None = None
+        self.successor: str | None = None
         self.turn = self.needs = 0
 
     def at(self, memory: Tensor, offset: int) -> Allocation:
-        """It, placed; the same object as the last time when the place is the same."""
+        """Its allocation at this place; the same object as last time if the place has not changed."""
         pointer = memory.start + offset
-        if self.placed is None or self.placed.owner is not memory or self.placed.pointer != pointer:
+        if self.place is None or self.place.owner is not memory or self.place.pointer != pointer:
             return Allocation(self.name, pointer, self.nbytes, owner=memory, transient=True)
-        return self.placed
+        return self.place
 
 
 class Tensor:
@@ -253,8 +253,8 @@ class Tensor:
     def array(self) -> np.ndarray:
         """The tensor as a read-only NumPy view, without a copy; host memory only. Write by `upload` or `fill`.
 
-        Raises DeviceError where the host cannot see the memory, HazardError when a committed command that was not
-        waited for writes it, when nothing ever wrote it, or when it is transient and its memory went to another tensor.
+        Raises DeviceError if the host cannot see the memory; HazardError if a command in flight writes it, if nothing
+        has written it, or if it is transient and another tensor has its memory now.
         """
         check_host_read(self.name, self.state)
         view = self.resident().host_view().view()
@@ -262,7 +262,7 @@ class Tensor:
         return view
 
     def content(self) -> np.ndarray:
-        """The content for a short look: `array` where the host sees the memory, else a copy."""
+        """The content, to read at once: `array` if the host can see the memory, else a copy."""
         return self.array if self._device.memory.host_visible else self.download()
 
     def download(self) -> np.ndarray:
@@ -278,7 +278,7 @@ class Tensor:
         if not copy.ndim:
             copy[...] = view
             return copy
-        both = 2 * copy.nbytes  # what is read and what is written are in memory together
+        both = 2 * copy.nbytes  # source and copy are in memory together
         for first, last in scratch.pieces(len(copy), both // max(1, len(copy))):
             copy[first:last] = view[first:last]
         return copy
@@ -287,8 +287,7 @@ class Tensor:
         """Copy host values of exactly this shape into the tensor.
 
         Raises BindingError when they do not fit, or the tensor is read-only or transient. Raises HazardError while a
-        recorded or committed command that was not waited for uses the memory: commands run after commit, so they would
-        see the new values.
+        recorded command or one in flight uses the memory, for it would see the new values.
         """
         source = np.asarray(values)
         if source.shape != self.shape or not np.can_cast(source.dtype, self.dtype, "same_kind"):
@@ -320,16 +319,16 @@ class Tensor:
         return Tensor(self._device, name, shape, self.dtype, self.allocation, inside)
 
     def release(self) -> None:
-        """Give the memory back to the heap, or let go of a wrapped array; this tensor and its views become unusable.
+        """Return the memory to the heap, or drop a wrapped array; this tensor and its views become unusable.
 
-        Commands that were recorded with it and not yet committed are refused; running ones are not affected as long
-        as later work goes through the same device.
+        Uncommitted commands that use it are refused at commit. Running ones are not affected, as long as later work
+        uses the same device.
         """
         self.allocation.release()
 
     def resident(self) -> Tensor:
         """The tensor itself; for a transient one, its place in the last committed buffer that used it."""
-        placed = self.allocation.placed
+        placed = self.allocation.place
         if placed is None:
             return self
         if self._resident is None or self._resident.allocation is not placed:
@@ -346,7 +345,7 @@ class Tensor:
         return self.start < other.end and other.start < self.end and self.nbytes > 0 and other.nbytes > 0
 
     def host_view(self) -> np.ndarray:
-        """Writable view for compiled kernels, made once; checks nothing but that the host can see the memory."""
+        """Writable view for compiled kernels, made once; checks only that the host can see the memory."""
         if not self._device.memory.host_visible:
             raise DeviceError(f"tensor '{self.name}' lives on {self._device.name}: use download() for a copy")
         if self._host is None:
@@ -355,8 +354,8 @@ class Tensor:
 
     def _check_host_write(self) -> None:
         if self.allocation.transient:
-            mend = "make one that the host writes by heap.tensor"
-            raise BindingError(f"tensor '{self.name}' is transient, so only commands write it: {mend}")
+            fix = "use heap.tensor for one that the host writes"
+            raise BindingError(f"tensor '{self.name}' is transient, so only commands write it: {fix}")
         if not self.allocation.writable:
             raise BindingError(f"tensor '{self.name}' wraps a read-only array: it cannot be written")
         check_host_write(self.name, self.state)

@@ -1,9 +1,8 @@
 """Threads of a device: one that runs committed work in order, and helpers for the rows of kernels.
 
-To wake a thread takes longer than many kernels do. So a helper that is done looks for its next band for some
-microseconds before it goes, without the interpreter's lock, and a thread that waits for helpers does the same. A flag
-tells threads of each other's work: one of ``AWAY``, ``WAITING`` and ``BUSY``, the first number of a row of ``flags``
-(n, LINE) of int64, so that rows do not share what a processor's cache holds at once.
+Waking a thread takes longer than many kernels run. So a helper that is done spins for some microseconds, without the
+interpreter's lock, before it goes to sleep, and a thread that waits for helpers does the same. Each helper has a flag,
+``AWAY``, ``WAITING`` or ``BUSY``: the first number of its row of ``flags`` (n, LINE) of int64, one cache line each.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ from numba.extending import intrinsic
 from postfx.kernels.numeric import compiled
 
 LOOK = 100e-6
-"""Seconds that a thread looks before it goes or sleeps: more than there are between two kernels."""
+"""Seconds that a thread spins before it sleeps: more than the gap between two kernels."""
 DELAY = 5e-6
-"""Seconds after which a helper asks for the interpreter's lock: until then who gave it a band has let go of it."""
+"""Seconds after which a helper takes the interpreter's lock: by then the thread that gave it a band has released it."""
 NAP = 20e-6
 AWAY, WAITING, BUSY = range(3)
 LINE = 8
 SAMPLE = 2000
 PAUSES = {"x86_64": ("llvm.x86.sse2.pause", ()), "aarch64": ("llvm.aarch64.hint", (1,))}
-"""What tells a processor that a thread only waits: LLVM's name and its arguments."""
+"""LLVM's instruction for a thread that only waits, by processor: its name and arguments."""
 
 Work = queue.SimpleQueue[Callable[[], None] | None]
 
@@ -58,7 +57,7 @@ class CommandQueue:
 def _serve(work: Work) -> None:
     while (item := work.get()) is not None:
         item()
-        # A finished command buffer must not be kept alive until the next one arrives.
+        # Do not keep a finished command buffer alive until the next one arrives.
         del item
 
 
@@ -67,7 +66,7 @@ _threads: weakref.WeakKeyDictionary[threading.Thread, Work] = weakref.WeakKeyDic
 
 @atexit.register
 def _end_all() -> None:
-    """A thread that the interpreter stops while it is inside of a library would abort the process."""
+    """End the threads: one that the interpreter stops inside a library would abort the process."""
     for thread, work in list(_threads.items()):
         work.put(None)
         thread.join()
@@ -105,7 +104,7 @@ class Helpers:
                 handed += 1
             own.work()
         finally:
-            # The tensors must not be handed on while a band still writes them, whatever this band did.
+            # Wait even after an error: no one else may use the tensors while a band still writes them.
             failures = [self._failure(i) for i in range(handed)]
         for failure in failures:
             if failure is not None:
@@ -118,7 +117,7 @@ class Helpers:
             self._pool.submit(self._help, i)
 
     def _failure(self, i: int) -> BaseException | None:
-        """What a helper's band raised, once it is done."""
+        """The error of a helper's band, once it is done."""
         while not is_done(self._flags, i, self._looks):
             time.sleep(NAP)
         return self._failures[i]
@@ -130,7 +129,7 @@ class Helpers:
                 band = self._bands[i]
                 assert band is not None
                 band.work()
-            except BaseException as error:  # whatever it is, the waiting thread must learn of it
+            except BaseException as error:  # of any kind: the thread that waits must see it
                 self._failures[i] = error
             self._bands[i] = None
             called = is_called(self._flags, i, self._looks, self._delay)
@@ -138,7 +137,7 @@ class Helpers:
 
 @intrinsic
 def load_flag(typingctx: Any, flags: Any, i: Any) -> Any:
-    """The flag of row i, as other threads left it."""
+    """The flag of row i, read atomically."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.load_atomic(_place(context, builder, signature, arguments), "seq_cst", LINE)
@@ -148,7 +147,7 @@ def load_flag(typingctx: Any, flags: Any, i: Any) -> Any:
 
 @intrinsic
 def replace_flag(typingctx: Any, flags: Any, i: Any, known: Any, new: Any) -> Any:
-    """Set the flag of row i to `new` if it is `known`, in one step; whether it was."""
+    """Atomically set the flag of row i to `new` if it is `known`; whether it was."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         place = _place(context, builder, signature, arguments)
@@ -160,7 +159,7 @@ def replace_flag(typingctx: Any, flags: Any, i: Any, known: Any, new: Any) -> An
 
 @intrinsic
 def pause(typingctx: Any) -> Any:
-    """Let some moments pass."""
+    """Pause for a few processor cycles."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         name, given = PAUSES.get(platform.machine(), (None, ()))
@@ -186,16 +185,16 @@ def pauses(count: int) -> None:
 
 @compiled
 def is_taken(flags: np.ndarray, i: int) -> bool:
-    """Give a helper that waits its next band; False when it does not wait any more."""
+    """Hand a waiting helper its next band; False if it no longer waits."""
     return replace_flag(flags, i, WAITING, BUSY)  # type: ignore[call-arg]  # Numba gives the first argument
 
 
 @compiled
 def is_called(flags: np.ndarray, i: int, looks: int, delay: int) -> bool:
-    """Tell that a helper is done with its band, and look for the next one for a while.
+    """Report that a helper is done with its band, and spin for the next one.
 
-    True when there is one, after `delay` pauses, in which the thread that gave it can let go of the interpreter's lock;
-    False when the helper is away from now on.
+    True if one came, after `delay` pauses in which the thread that gave it can release the interpreter's lock; False if
+    the helper goes to sleep.
     """
     replace_flag(flags, i, BUSY, WAITING)  # type: ignore[call-arg]  # Numba gives the first argument
     for _ in range(looks):
@@ -208,7 +207,7 @@ def is_called(flags: np.ndarray, i: int, looks: int, delay: int) -> bool:
 
 @compiled
 def is_done(flags: np.ndarray, i: int, looks: int) -> bool:
-    """Look for a while whether a helper is done with its band."""
+    """Spin until a helper is done with its band; False if that takes too long."""
     for _ in range(looks):
         if load_flag(flags, i) != BUSY:  # type: ignore[call-arg]  # Numba gives the first argument
             return True
@@ -218,7 +217,7 @@ def is_done(flags: np.ndarray, i: int, looks: int) -> bool:
 
 @cache
 def pauses_in(seconds: float) -> int:
-    """About how many pauses this processor makes in a time, 1 at least."""
+    """About how many pauses this processor makes in that time, at least 1."""
     pauses(1)
     least = min(_timed(SAMPLE) for _ in range(3))
     return max(1, int(seconds * SAMPLE / least))

@@ -151,11 +151,11 @@ def test_timings_per_encoder_with_groups(device):
 def test_nothing_is_recorded_after_commit(device):
     commands, _ = one_dispatch(device, copy_rows)
     commands.commit()
-    message = r"nothing can be recorded into 'frame 1': it was committed and not waited for, call wait\(\) first"
+    message = r"nothing can be recorded into 'frame 1': it was committed, call wait\(\) first"
     with pytest.raises(EncodingError, match=message):
         commands.compute_encoder("late")
     commands.wait(10)
-    with pytest.raises(EncodingError, match=r"into 'frame 1': it is done, call begin\(\) to record anew"):
+    with pytest.raises(EncodingError, match=r"into 'frame 1': it is done, call begin\(\) to record again"):
         commands.compute_encoder("late")
 
 

@@ -65,7 +65,7 @@ def commit_chain(line, count):
 @pytest.mark.parametrize("order", [range(6), range(5, -1, -1), (3, 0, 5, 1, 4, 2)])
 def test_waiting_in_any_order(line, order):
     tensors, buffers = commit_chain(line, 6)
-    assert not any(commands.finished() for commands in buffers)
+    assert not any(commands.is_done() for commands in buffers)
     line.gate.set()
     for i in order:
         buffers[i].wait(10)
@@ -76,7 +76,7 @@ def test_waiting_for_one_retires_those_before_it_and_no_other(line):
     tensors, buffers = commit_chain(line, 4)
     line.gate.set()
     buffers[1].wait(10)
-    assert buffers[3].finished(10)
+    assert buffers[3].is_done(10)
     assert [tensor.state.kind for tensor in tensors] == ["defined", "defined", "being read", *["being written"] * 2]
     assert line.device.hazards.in_flight() == buffers[2:]
     tensors[0].fill(0.0)
@@ -102,7 +102,7 @@ def test_a_ring_of_buffers_with_two_frames_in_flight(line):
             a.fill(number)
             commands.label = f"frame {number}"
         else:
-            with pytest.raises(HazardError, match="upload before recording"):
+            with pytest.raises(HazardError, match="upload to another tensor before recording"):
                 a.fill(number)
         commands.commit()
     line.device.wait_idle(10)
@@ -139,7 +139,7 @@ def test_what_was_lost_and_is_written_again_in_flight_can_be_used(line):
     failing = line.commit(1, x, y, line.fail)
     line.commit(2, x, y, **AFTER_ALL)
     line.gate.set()
-    assert failing.finished(10)
+    assert failing.is_done(10)
     with pytest.raises(CommandError):
         failing.wait(10)
     last = line.commit(3, y, z, **AFTER_ALL)

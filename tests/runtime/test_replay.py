@@ -6,7 +6,7 @@ import pytest
 from postfx.runtime import ArgumentTable, CommandError, EncodingError, HazardError, hazards
 
 TO_KERNEL = {"after": "machine-learning", "before": "compute"}
-WAIT = r"it was committed and not waited for, call wait\(\) first"
+WAIT = r"it was committed, call wait\(\) first"
 
 
 class Frame:
@@ -145,7 +145,7 @@ def test_replay_beside_others_in_flight_that_share_nothing(frame, ones):
 
 def test_commit_in_flight_is_refused(frame):
     frame.commands.commit()
-    assert frame.commands.finished(10)
+    assert frame.commands.is_done(10)
     with pytest.raises(EncodingError, match=f"'frame 1' cannot be committed: {WAIT}"):
         frame.commands.commit()
     frame.commands.wait(10)

@@ -33,7 +33,7 @@ def test_wrong_dtype(bench, device):
 
 
 def test_not_a_tensor(bench, ones):
-    with pytest.raises(BindingError, match="ndarray is no tensor: use device.wrap"):
+    with pytest.raises(BindingError, match="ndarray is not a tensor: use device.wrap"):
         ArgumentTable(bench.network)["x"] = ones
 
 
@@ -54,7 +54,7 @@ def test_read_only_memory_is_not_written(bench, ones):
     tensor = bench.device.wrap("ones", ones)
     table = ArgumentTable(bench.network)
     table["x"] = tensor
-    message = "binding 'y' is written, but tensor 'ones' wraps a read-only array: wrap one that may be written"
+    message = "binding 'y' is written, but tensor 'ones' wraps a read-only array: wrap a writable one"
     with pytest.raises(BindingError, match=message):
         table["y"] = tensor
 

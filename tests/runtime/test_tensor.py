@@ -46,7 +46,7 @@ def test_recorded_changes_nothing_but_is_told(steps):
 
 def test_committed_until_waited_for_whatever_the_timing(steps):
     steps.commands.commit()
-    assert steps.commands.finished(10)
+    assert steps.commands.is_done(10)
     read, written = steps.x.state, steps.y.state
     assert (read.kind, read.reader, read.writer) == ("being read", ("scale", "network 'double'", "frame 7"), None)
     assert (written.kind, written.writer, written.reader) == ("being written", read.reader, None)
@@ -126,7 +126,7 @@ def test_host_must_wait_before_it_reads_or_writes(steps, ones):
 
 
 def test_upload_after_recording_would_change_what_was_recorded(steps, ones):
-    message = "while 'scale' .* of 'frame 7' uses it: .* would see the new values, so upload before recording"
+    message = "while 'scale' .* of 'frame 7' uses it: .*, so upload to another tensor before recording"
     with pytest.raises(HazardError, match=message):
         steps.x.upload(ones)
     steps.commands.discard()
