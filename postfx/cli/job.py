@@ -160,7 +160,7 @@ class Job:
         progress = FrameProgress(len(self.sequence))
         self._watch = CompileWatch(progress.compiling)
         try:
-            with progress, self._watch, Stop(progress.note) as stop, self._books() as run:
+            with progress, self._watch, Stop(progress.note) as stop, self._open_run() as run:
                 self._warnings = run.warnings
                 self.left_out += run.left_out
                 self._announce(run, progress)
@@ -203,7 +203,7 @@ class Job:
         """Write the page that --report asks for; the report with its path."""
         return self._page.written(report, str(self.explained()))
 
-    def _books(self) -> Run:
+    def _open_run(self) -> Run:
         frames = sorted(self.sequence.numbers) if self._smooth else None  # that exposure looks ahead
         settings = RUN.settings(self._arguments)
         if not isinstance(self._arguments.input, str):  # files one by one
@@ -279,7 +279,7 @@ class Job:
                     if self._arguments.report:
                         self._page.add(done)
                     behind.put(partial(self._write, run, done, progress))
-                run.ran(work.number, behind.wait, stop.asked)
+                run.end_frame(work.number, behind.wait, stop.asked)
                 stop.check()
 
     def _look_ahead(self, frame: Frame, write: bool, stop: Stop, progress: FrameProgress) -> Frame:
@@ -296,7 +296,7 @@ class Job:
 
     def _checked(self, run: Run, number: int) -> Frame:
         read = partial(self.sequence.read, number, self.plan.planes, self._guides)
-        frame = read_patiently(read, partial(run.failed, number))
+        frame = read_patiently(read, partial(run.note_retry, number))
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame
 
@@ -336,7 +336,7 @@ class Job:
         write = partial(write_frame, self._files().path(number), result, relax=self._relax,
                         provenance={**run.header(), **told}, **self._format)
         if path := self._faults.attempt(number, True, write):
-            run.wrote(number, path, result, **done.facts())
+            run.note_output(number, path, result, **done.facts())
             if used is not None:
                 self._exposure.multipliers[number], self._exposure.lit[number] = used, done.lit
             self._written.append(str(path))

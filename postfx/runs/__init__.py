@@ -1,1 +1,1 @@
-"""What a run leaves beside its frames, so that it can be checked, resumed, and not disturbed by another."""
+"""Records that a run keeps beside its frames, to check it, resume it and protect it from other runs."""

@@ -1,7 +1,7 @@
-"""Checkpoints: what the passes remember after a frame, in a file, so that a run can go on with the same pixels.
+"""Checkpoints: the history of all passes after a frame, in a file, so that a run can resume with the same pixels.
 
-A line of text that names the format, a line of JSON that tells of the arrays, the arrays as they lie in memory, and the
-SHA-256 of all that.
+A file holds a line of text with the format, a line of JSON that describes the arrays, the raw arrays, and the SHA-256
+of everything before it.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _DIGEST = 32  # bytes
 
 @dataclass(frozen=True)
 class About:
-    """What a checkpoint is of.
+    """Describes a checkpoint.
 
     Attributes:
         run: id of the run.
         pattern: of the output files.
         frame: number of the frame after which it was made.
-        fingerprint: of everything that decides about pixels; a run with another one cannot use it.
+        fingerprint: of everything that affects pixels; a run with another fingerprint cannot use the checkpoint.
     """
 
     run: str
@@ -45,7 +45,7 @@ class About:
 def save_checkpoint(
     path: Path, about: About, history: Mapping[str, np.ndarray], relax: Callable[[], None] | None = None
 ) -> int:
-    """Write a checkpoint; returns its size in bytes. `relax` is called again and again meanwhile."""
+    """Write a checkpoint; returns its size in bytes. `relax` is called between pieces."""
     arrays = {name: np.ascontiguousarray(array).reshape(np.shape(array)) for name, array in history.items()}
     shapes = [[name, array.dtype.name, array.shape] for name, array in arrays.items()]
     header = MAGIC + json.dumps({**asdict(about), "arrays": shapes}).encode() + b"\n"
@@ -68,7 +68,7 @@ def save_checkpoint(
 
 
 def read_about(path: Path) -> About:
-    """What a checkpoint is of, without reading all of it; CheckpointError when that cannot be read."""
+    """Description of a checkpoint, without reading its arrays; CheckpointError if it cannot be read."""
     with _opened(path) as file:
         header = _header(path, file)
     try:
@@ -79,7 +79,7 @@ def read_about(path: Path) -> About:
 
 
 def load_checkpoint(path: Path) -> dict[str, np.ndarray]:
-    """The history that a checkpoint holds, as read-only arrays; CheckpointError when it is damaged."""
+    """The history that a checkpoint holds, as read-only arrays; CheckpointError if it is damaged."""
     if _is_altered(path):
         raise CheckpointError(f"{path}: is damaged")
     with _opened(path) as file:
@@ -107,7 +107,7 @@ def _opened(path: Path) -> BinaryIO:
 def _header(path: Path, file: BinaryIO) -> dict[str, Any]:
     try:
         if file.readline(len(MAGIC)) != MAGIC:
-            raise ValueError("no checkpoint")
+            raise ValueError("not a checkpoint")
         return dict(parse_json(file.readline(_MOST_HEADER)))
     except (OSError, ValueError, TypeError) as error:
         raise CheckpointError(f"{path}: is damaged") from error

@@ -18,18 +18,18 @@ from postfx.runs.locks import Claim, FolderLock, is_alive
 from postfx.runs.manifest import NAME, WORK_FOLDER, Manifest, Output, load_manifest, update_manifest
 
 LEAST_SECONDS, MOST_SHARE = 1.0, 0.05
-"""The manifest is written at most once in so many seconds, and takes at most this share of the time."""
+"""Least seconds between two writes of the manifest, and the largest share of the run's time that they take."""
 
 
 class RunFolder:
-    """Opened, it belongs to one run as far as the run's own files are concerned.
+    """Reserves the files of one run in an output folder, and records them there.
 
-    names: of the files that the run may write. Raises RunError when another run has one of them, OSError when the
-    folder cannot be written, ManifestReadError when its manifest cannot be read.
+    names: of the files that the run may write. Raises RunError if another run is writing one of them, OSError if the
+    folder cannot be written, ManifestReadError if its manifest cannot be read.
 
     Attributes:
-        before: the manifest as earlier runs left it.
-        warnings: what was odd about it.
+        before: the manifest of earlier runs.
+        warnings: oddities found in it.
     """
 
     def __init__(self, folder: Path, run: str, names: Collection[str]) -> None:
@@ -50,13 +50,13 @@ class RunFolder:
             raise
 
     def note(self, facts: Mapping[str, Any], outputs: Mapping[str, Output]) -> None:
-        """Enter facts about the run and outputs into the manifest."""
+        """Record facts about the run and its outputs in the manifest."""
         self._facts.update(facts)
         self._unsaved.update(outputs)
         self.flush()
 
-    def wrote(self, path: Path, run_facts: Mapping[str, Any], **facts: Any) -> Output:
-        """Enter a file that was written; the manifest has it within a few seconds."""
+    def add_output(self, path: Path, run_facts: Mapping[str, Any], **facts: Any) -> Output:
+        """Record a file that was written; it is in the manifest within a few seconds."""
         output = Output(self._run, sha256=hash_file(path), bytes=path.stat().st_size, **facts)
         self._facts.update(run_facts)
         self._unsaved[path.name] = output
@@ -77,7 +77,7 @@ class RunFolder:
         self._cost = self._flushed - begin
 
     def checkpoints(self, pattern: str, fingerprint: str) -> dict[int, Path]:
-        """Whole checkpoints that a run of this pattern and fingerprint can use, by frame number."""
+        """Intact checkpoints that a run with this pattern and fingerprint can use, by frame number."""
         found: dict[int, Path] = {}
         for path, about in self._abouts():
             if (about.pattern, about.fingerprint) == (pattern, fingerprint):
@@ -90,13 +90,13 @@ class RunFolder:
 
     def save(self, pattern: str, fingerprint: str, frame: int, history: Mapping[str, np.ndarray],
              relax: Callable[[], None]) -> int:
-        """Put the run's checkpoint in the place of its last one; returns its size in bytes."""
+        """Replace the run's last checkpoint; returns the new one's size in bytes."""
         about = About(self._run, pattern, frame, fingerprint)
         return save_checkpoint(self._work / f"{self._run}{SUFFIX}", about, history, relax)
 
     def close(self, facts: Mapping[str, Any], finished: Collection[int], pattern: str) -> None:
-        """The run is over. Checkpoints within the frames of `finished` are of no use any more; what the manifest says
-        of a run that wrote nothing is taken back."""
+        """End the run. Removes checkpoints after frames in `finished`, which are no longer needed, and the manifest's
+        entries of a run that wrote nothing."""
         try:
             self.note(facts, {})
             if not self._wrote:
@@ -109,9 +109,9 @@ class RunFolder:
             self.release()
 
     def release(self) -> None:
-        """Give the claim back."""
+        """Release the run's files."""
         self._claim.release()
-        with suppress(OSError):  # others may be at work
+        with suppress(OSError):  # other runs may use it
             self._work.rmdir()
 
     def _enter(self, manifest: Manifest) -> None:
@@ -128,14 +128,15 @@ class RunFolder:
         manifest.drop_idle_runs()
 
     def _known(self) -> Manifest:
-        """The manifest; one that is damaged is put aside."""
+        """The manifest; a damaged one is renamed."""
         try:
             return load_manifest(self._folder)
         except ManifestError as error:
             path = self._folder / NAME
             with FolderLock(self._work / "lock"):
                 os.replace(path, path.with_name(f"{NAME}.damaged"))
-            self.warnings.append(f"{str(error).rpartition(': delete')[0]}: renamed to {NAME}.damaged, a new one begins")
+            fault = str(error).rpartition(': delete')[0]
+            self.warnings.append(f"{fault}: renamed to {NAME}.damaged, a new one is started")
             return Manifest()
 
     def _abouts(self) -> list[tuple[Path, About]]:
@@ -146,8 +147,7 @@ class RunFolder:
         return found
 
     def _remove_leftovers(self, names: Collection[str]) -> None:
-        """Remove what killed writers of these files, the manifest and checkpoints left: nobody else may write them now.
-        """
+        """Remove partial files that killed runs left: no other run may write these files now."""
         remove_leftovers(self._folder, names, any_host=True)
         for path in self._folder.glob(f".{NAME}.*"):
             path.unlink(missing_ok=True)

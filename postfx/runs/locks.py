@@ -1,4 +1,4 @@
-"""Locks and claims in an output folder that several machines may see, and the processes that hold them."""
+"""Locks of an output folder, claims to files in it, and the processes that hold them, across machines."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Process(NamedTuple):
 
     Attributes:
         host: name of its machine.
-        space: which process numbers it lives among; containers on one machine have their own.
-        pid: its number.
-        begun: when it began, in the kernel's ticks since it was started; numbers are used again, this is not.
+        space: its PID namespace; containers on one machine have their own.
+        pid: its number in that namespace.
+        begun: its start time in the kernel's ticks since boot; unlike `pid` it is not reused.
     """
 
     host: str
@@ -34,12 +34,12 @@ class Process(NamedTuple):
 
     @classmethod
     def me(cls) -> Process:
-        """The process that asks."""
+        """This process."""
         return cls(socket.gethostname(), _space(), os.getpid(), _begun(os.getpid()))
 
     @classmethod
     def of(cls, facts: Any) -> Process:
-        """The process that `as_dict` told of; whatever is missing is unknown."""
+        """The process that `as_dict` described; missing facts become unknown."""
         facts = facts if isinstance(facts, dict) else {}
         return cls(str(facts.get("host", "")), str(facts.get("space", "")), _number(facts.get("pid")),
                    _number(facts.get("begun")))
@@ -49,7 +49,7 @@ class Process(NamedTuple):
         return self._asdict()
 
     def is_alive(self) -> bool | None:
-        """Whether it still runs; None where that cannot be seen from here."""
+        """Whether it still runs; None if this machine or container cannot tell."""
         if (self.host, self.space) != (socket.gethostname(), _space()):
             return None
         return is_process_alive(self.pid) and _begun(self.pid) == self.begun
@@ -59,7 +59,7 @@ class Process(NamedTuple):
 
 
 def age_of(path: Path) -> float:
-    """Seconds since a file was written or touched, by the clock of the machine that holds it; 0 when it is gone."""
+    """Seconds since a file was written or touched, by the file server's clock; 0 if it does not exist."""
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".clock.") as probe:
         try:
             return max(0.0, os.stat(probe.name).st_mtime - path.stat().st_mtime)
@@ -75,7 +75,7 @@ def _space() -> str:
 
 
 def _begun(pid: int) -> int:
-    """When a process began (field 22 of /proc/PID/stat); 0 where that is not told."""
+    """Start time of a process (field 22 of /proc/PID/stat); 0 if unknown."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -88,17 +88,17 @@ def _number(value: Any) -> int:
 
 
 PATIENCE = 30.0
-"""Seconds to wait for a lock, which others hold for milliseconds."""
+"""Seconds to wait for a lock; others hold it for milliseconds only."""
 OLD = 60.0
-"""Seconds after which a lock counts as left behind when its holder cannot be seen from here."""
+"""Seconds after which a lock counts as abandoned if its holder cannot be checked from here."""
 PAUSE = 0.02
 
 
 class FolderLock:
-    """Use as a context manager around a few reads and writes.
+    """A lock on a folder, as a context manager around a few reads and writes.
 
-    The file is created with O_EXCL, which is atomic on NFS since version 3, and holds host and process. A lock whose
-    process is gone is taken over. Raises RunError when the lock is not to be had in time.
+    The file is created with O_EXCL, which is atomic on NFS since version 3, and names host and process. A lock whose
+    process has ended is taken over. Raises RunError if the lock cannot be acquired in time.
     """
 
     def __init__(self, path: Path, patience: float = PATIENCE) -> None:
@@ -111,18 +111,18 @@ class FolderLock:
                 self._break()
             elif time.monotonic() > end:
                 holder = _holder(self._path)
-                raise RunError(f"{self._path}: held by {holder}: delete the file if that process is gone")
+                raise RunError(f"{self._path}: held by {holder}: delete the file if that process has ended")
             else:
                 time.sleep(PAUSE)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if _holder(self._path) == Process.me():  # it may have been taken for one that was left behind
+        if _holder(self._path) == Process.me():  # another process may have taken it for abandoned
             with suppress(FileNotFoundError):
                 self._path.unlink()
 
     def _break(self) -> None:
-        """Remove a lock that was left behind. Only one process at a time may, so that none removes a fresh one."""
+        """Remove an abandoned lock. Only one process at a time may, so that none removes a new one."""
         breaking = self._path.with_name(f"{self._path.name}.breaking")
         if not _create(breaking):
             if _is_left(breaking):
@@ -148,7 +148,7 @@ def _create(path: Path) -> bool:
 
 
 def _holder(path: Path) -> Process:
-    """Who made a lock; an unknown process where it is gone, or made and not yet written."""
+    """The process that made a lock; unknown if the file is missing or still empty."""
     try:
         return Process.of(parse_json(read_text(path)))
     except (OSError, ValueError):
@@ -161,17 +161,17 @@ def _is_left(path: Path) -> bool:
 
 
 BEAT = 10.0
-"""Seconds between two signs of life."""
+"""Seconds between two heartbeats."""
 SILENT = 120.0
-"""Seconds without one after which a run on another machine counts as gone."""
+"""Seconds without one after which a run on another machine counts as ended."""
 SUFFIX = ".claim"
 
 
 class Claim:
-    """Files of a folder that one run writes. Make it while holding the folder's lock.
+    """Reserves files of a folder for one run. Make it while holding the folder's lock.
 
-    A sign of life is given by a thread that touches the claim's file. Claims of runs that are gone are removed. Raises
-    RunError when a run that is not gone has one of the files.
+    A thread touches the claim's file as a heartbeat. Claims of runs that have ended are removed. Raises RunError if a
+    run that has not ended claims one of the files.
     """
 
     def __init__(self, folder: Path, run: str, names: Iterable[str]) -> None:
@@ -185,7 +185,7 @@ class Claim:
         threading.Thread(target=self._beat, name="postfx claim", daemon=True).start()
 
     def release(self) -> None:
-        """The files may be written by others again."""
+        """Release the files to other runs."""
         self._over.set()
         self.path.unlink(missing_ok=True)
 
@@ -196,7 +196,7 @@ class Claim:
 
 
 def is_alive(folder: Path, run: str) -> bool:
-    """Whether a run has a claim and is not gone."""
+    """Whether a run has a claim and has not ended."""
     path = folder / f"{run}{SUFFIX}"
     return path.exists() and not _is_gone(path, _process(path)[0])
 
@@ -209,11 +209,11 @@ def _refuse_shared(path: Path, wanted: set[str]) -> None:
     shared = sorted(wanted & files)
     if shared:
         raise RunError(f"{path.parent.parent / shared[0]}: is being written by {process}: wait for it, or choose other "
-                       f"frames or another folder (if it is gone, delete {path})")
+                       f"frames or another folder (if it has ended, delete {path})")
 
 
 def _process(path: Path) -> tuple[Process, set[str]]:
-    """Whose claim it is, and to what; of one that cannot be read, nobody's to nothing."""
+    """The process and the files of a claim; unknown and none if it cannot be read."""
     try:
         facts = parse_json(read_text(path))
         return Process.of(facts.get("process")), set(facts.get("files", ()))

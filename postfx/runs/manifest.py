@@ -1,4 +1,4 @@
-"""The manifest of an output folder: which runs wrote there, how, what every file must be, and whether it still is."""
+"""The manifest of an output folder: its runs, their settings, the hash of every file, and verification."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from postfx.system import is_plain_name
 
 NAME = "postfx.manifest.json"
 WORK_FOLDER = ".postfx"
-"""Beside the frames: locks, claims and checkpoints, which are gone when all runs are done."""
+"""Folder beside the frames for locks, claims and checkpoints; removed after the last run."""
 FORMAT, VERSION = "postfx manifest", 1
 
 
 @dataclass(frozen=True)
 class Output:
-    """One file that a run wrote or is to write.
+    """One file that a run has written or will write.
 
     Attributes:
         run: id of the run.
         frame: frame number.
-        sha256: of the file; None while it is not written.
+        sha256: of the file; None until it is written.
         bytes, width, height: of the file, once it is written.
-        inputs: path -> size in bytes and time of change in nanoseconds, of the files that the frame was read from.
-        starts: whether the frame began a shot, so that nothing before it counts.
+        inputs: path -> size in bytes and modification time in nanoseconds, of the frame's input files.
+        starts: whether the frame begins a shot, so that earlier frames do not affect it.
     """
 
     run: str
@@ -45,13 +45,13 @@ class Output:
 
 @dataclass
 class Manifest:
-    """What is known about a folder: run id -> facts about the run, file name -> Output."""
+    """Records of a folder: run id -> facts about the run, file name -> Output."""
 
     runs: dict[str, dict[str, Any]] = field(default_factory=dict)
     outputs: dict[str, Output] = field(default_factory=dict)
 
     def drop_idle_runs(self, now: str = "") -> None:
-        """Forget runs that no file is of, but for the one of `now`."""
+        """Drop runs that own no file, except the run `now`."""
         used = {now, *(output.run for output in self.outputs.values())}
         self.runs = {run: facts for run, facts in self.runs.items() if run in used}
 
@@ -63,8 +63,7 @@ class Manifest:
 
     @classmethod
     def from_json(cls, text: str) -> Manifest:
-        """The manifest of a text; ManifestError when it is none. Names of outputs are names of files, without folder.
-        """
+        """Parse a manifest; ManifestError if the text is not one. Output names must be plain file names."""
         try:
             facts = parse_json(text)
             if facts["format"] != FORMAT or facts["version"] != VERSION:
@@ -80,8 +79,8 @@ class Manifest:
 
 
 def load_manifest(folder: Path) -> Manifest:
-    """A folder's manifest, empty where there is none; ManifestError when it cannot be understood,
-    ManifestReadError when it cannot be read."""
+    """A folder's manifest, empty if there is none; ManifestError if it is damaged, ManifestReadError if it cannot be
+    read."""
     path = folder / NAME
     try:
         return Manifest.from_json(read_text(path))
@@ -94,7 +93,7 @@ def load_manifest(folder: Path) -> Manifest:
 
 
 def update_manifest(folder: Path, change: Callable[[Manifest], None]) -> None:
-    """Change a folder's manifest, which is removed when nothing is in it. Other runs may do so, too, one at a time."""
+    """Change a folder's manifest under its lock; an empty manifest is removed."""
     with FolderLock(folder / WORK_FOLDER / "lock"):
         manifest = load_manifest(folder)
         change(manifest)
@@ -120,15 +119,15 @@ RUNNING = "running"
 
 @dataclass
 class Verification:
-    """What was found, by file name.
+    """The result of a check, by file name.
 
     Attributes:
-        whole: files that are as they were written.
-        altered: files that are not.
-        missing: files that were written and are gone.
-        unfinished: files that a run was to write and did not.
-        unknown: files named like those of a run that no run wrote.
-        runs: run id -> 'finished', 'stopped', 'failed', 'running', or 'killed' for one that ended without a word.
+        whole: files that are unchanged.
+        altered: files that have changed since.
+        missing: files that were written and no longer exist.
+        unfinished: files that a run should have written but did not.
+        unknown: files that match a run's pattern but that no run wrote.
+        runs: run id -> 'finished', 'stopped', 'failed', 'running', or 'killed' for a run that ended without saying so.
     """
 
     whole: list[str] = field(default_factory=list)
@@ -140,7 +139,7 @@ class Verification:
 
     @property
     def is_well(self) -> bool:
-        """Whether every file is whole, and there is none too few or too many."""
+        """Whether every file is whole and none is missing or unknown."""
         return not (self.altered or self.missing or self.unfinished or self.unknown)
 
     def as_dict(self) -> dict[str, Any]:
@@ -148,8 +147,8 @@ class Verification:
         return {"well": self.is_well, **vars(self)}
 
 
-def verify(folder: Path, told: Callable[[str], None] = lambda _: None) -> Verification:
-    """Check a folder; ManifestError when it has no manifest. `told` gets the name of each file that is read."""
+def verify(folder: Path, report: Callable[[str], None] = lambda _: None) -> Verification:
+    """Check a folder; ManifestError if it has no manifest. `report` is called with the name of each file it reads."""
     if not (folder / NAME).is_file():
         raise ManifestError(f"{folder}: has no {NAME}: give the folder that 'postfx run' wrote to")
     manifest = load_manifest(folder)
@@ -161,7 +160,7 @@ def verify(folder: Path, told: Callable[[str], None] = lambda _: None) -> Verifi
         elif not path.is_file():
             found.missing.append(name)
         else:
-            told(name)
+            report(name)
             whole = path.stat().st_size == output.bytes and hash_file(path) == output.sha256
             (found.whole if whole else found.altered).append(name)
     found.unknown = _unknown(folder, manifest)

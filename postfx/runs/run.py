@@ -1,4 +1,4 @@
-"""One run: its log, how its frames came about, what it wrote, and what it takes to go on after a stop."""
+"""One run: its log, its provenance, its records of written files, and checkpoints to resume from."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from postfx.runs.checkpoint import load_checkpoint
 from postfx.runs.folder import RunFolder
 from postfx.runs.locks import Process
 from postfx.runs.manifest import Output
-from postfx.runs.schedule import Known, Work, judge, schedule
+from postfx.runs.schedule import EarlierRuns, Work, judge, schedule
 from postfx.runtime import Device, Library
 from postfx.version import __version__
 
 
 class Log:
-    """Appends events to a file; without a file it does nothing.
+    """Appends events to a file as lines of JSON; without a file it does nothing.
 
-    Each line is written by one call, so lines of several runs that share a file do not mix. docs/reliability.md has the
-    events. Raises WriteError when the file cannot be written.
+    One system call writes a line, so lines of several runs that share a file do not mix. docs/reliability.md lists the
+    events. Raises WriteError if the file cannot be written.
     """
 
     def __init__(self, path: str | None, run: str) -> None:
@@ -61,28 +61,28 @@ class Log:
                 raise WriteError(f"{self._path}: cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
-        """No more events."""
+        """Close the file."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
 
 
 def now() -> str:
-    """The time as in ISO 8601, UTC, to the millisecond."""
+    """The current time in ISO 8601, UTC, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """How the frames of a run come about.
+    """How the frames of a run are made.
 
     Attributes:
-        settings: argument -> value, of those given and those that have a default.
-        passes: name -> options, of the passes that run.
-        versions: of postfx and what it is built on.
+        settings: option -> value, given or default.
+        passes: name -> options, of the active passes.
+        versions: of postfx and the libraries it uses.
         device: where it runs.
-        fingerprint: of all of these, of the models that are installed, and of what else decides about pixels.
-        files: names of settings that are files; headers hold their names without the folder.
+        fingerprint: hash of all these, of the installed models, and of everything else that affects pixels.
+        files: names of settings that are files; headers hold them without their folder.
     """
 
     settings: Mapping[str, Any]
@@ -112,8 +112,8 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
                   files: Collection[str] = ()) -> Provenance:
     """Provenance of a run.
 
-    settings: name -> value, of the options that change pixels; `files`: those of them that name files. also: what else
-    decides about pixels, and is not recorded.
+    settings: name -> value, of the options that change pixels; `files`: names of those that are files. also: values
+    that affect pixels but are not recorded.
     """
     settings = {name: _plain(settings[name]) for name in sorted(settings)}
     passes = {step.name: {key: _plain(value) for key, value in step.instance.options.items()} for step in plan.steps}
@@ -126,7 +126,7 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
 
 
 def versions() -> dict[str, str]:
-    """Versions of postfx and of what its pixels depend on."""
+    """Versions of postfx and of the libraries that affect its pixels."""
     runtimes = {name: _installed(name) for name in ("onnxruntime", "onnxruntime-gpu")}
     return {"postfx": __version__, "python": platform.python_version(), "numpy": numpy.__version__,
             "numba": numba.__version__, "OpenImageIO": OpenImageIO.VERSION_STRING,
@@ -145,18 +145,18 @@ def _plain(value: Any) -> Any:
 
 
 MANY = 32
-"""Frames run again for one, from which on the user is told how to have fewer."""
+"""Number of frames run again from which a warning says how to run fewer."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the user says about a run's books.
+    """The user's options for a run's log, checkpoints and resuming.
 
     Attributes:
         log: file for JSON lines, or None.
         checkpoint: seconds of work between two checkpoints; None for none.
-        rerun: frames to run again for the history of one to be written; None for as many as it takes.
-        preroll: frames before the first one of the sequence.
+        rerun: finished frames to run again for the history of an unfinished one; None for as many as needed.
+        preroll: frames to run before the first one of the sequence.
     """
 
     log: str | None = None
@@ -166,14 +166,14 @@ class Options:
 
 
 class Run:
-    """Use as a context manager around the frames of a run.
+    """A run, as a context manager around its frames.
 
-    Raises RunError when another run writes the same files, WriteError when the folder cannot be written.
+    Raises RunError if another run writes the same files, WriteError if the folder cannot be written.
 
     Attributes:
-        works: frames to run, in order.
+        works: the frames to run, in order.
         left_out: frames that need no work, and why.
-        warnings: what is odd about files that are there.
+        warnings: oddities of existing files.
     """
 
     def __init__(self, outputs: OutputFiles, sequence: Sequence, pipeline: Pipeline, plan: Plan,
@@ -211,7 +211,7 @@ class Run:
         try:
             self._folder.close({"status": status, "ended": now()}, finished, self._pattern)
         except WriteError:
-            if kind is None:  # else what ended the run is the better reason
+            if kind is None:  # otherwise the error that ended the run matters more
                 raise
         finally:
             code = 0 if error is None else error.exit_code if isinstance(error, Interrupted) else 2
@@ -219,30 +219,29 @@ class Run:
             self._log.close()
 
     def recall(self, work: Work, frame: Frame) -> None:
-        """Let the passes go on as they did after a work's checkpoint was made."""
-        assert work.checkpoint is not None, "only work with a checkpoint is recalled"
+        """Restore the passes' history from a work's checkpoint."""
+        assert work.checkpoint is not None, "recall needs a checkpoint"
         self._pipeline.recall(frame, load_checkpoint(work.checkpoint))
         self._log("recall", frame=work.number)
 
-    def wrote(self, number: int, path: Path, frame: Frame, **facts: Any) -> None:
-        """Note a file that was written; `frame` is what came out, `facts` are for the log."""
+    def note_output(self, number: int, path: Path, frame: Frame, **facts: Any) -> None:
+        """Record a file that was written; `frame` is the result, `facts` go to the log."""
         height, width = next(iter(frame.planes.values())).shape[:2]
         width, height = self._sequence.shown_size(width, height)
-        output = self._folder.wrote(
+        output = self._folder.add_output(
             path, {"models": dict(self._pipeline.device.models)}, frame=number, width=width, height=height,
             inputs=self._inputs(number), starts=frame.reset)
         self._written += 1
         self._log("frame", frame=number, file=str(path), bytes=output.bytes, sha256=output.sha256, **facts)
 
-    def failed(self, number: int, error: ReadError) -> None:
-        """Note a read that failed and is tried again."""
+    def note_retry(self, number: int, error: ReadError) -> None:
+        """Log a failed read that is tried again."""
         self._log("retry", frame=number, error=str(error))
 
-    def ran(self, number: int, finish: Callable[[], None], is_last: bool) -> None:
-        """A frame is done: keep what the passes remember if it is time, or the run ends here before its last frame.
+    def end_frame(self, number: int, finish: Callable[[], None], is_last: bool) -> None:
+        """End a frame; save a checkpoint if one is due, or if the run stops here before its last frame.
 
-        `finish` waits until all files are written: a checkpoint beyond a file that is not there, or not in the
-        manifest, is of no use.
+        `finish` waits until all files are written: a checkpoint is useless if the manifest lacks a file before it.
         """
         seconds = self._options.checkpoint
         if seconds is None or not (is_last or time.monotonic() - self._checkpointed >= seconds):
@@ -260,7 +259,7 @@ class Run:
             size = self._folder.save(self._pattern, self._provenance.fingerprint, number, history,
                                      self._pipeline.device.memory.relax)
             self._log("checkpoint", frame=number, bytes=size, ms=round(1000 * (time.monotonic() - begin), 1))
-        except OSError as error:  # the frames are worth more than going on sooner
+        except OSError as error:  # frames matter more than a checkpoint
             text = f"no checkpoint could be written: {error.strerror}"
             self.warnings += [] if text in self.warnings else [text]
             self._log("warning", text=text)
@@ -284,7 +283,7 @@ class Run:
             self._log("warning", text=text)
 
     def _chosen(self, names: dict[str, int]) -> set[int]:
-        """Frames to write: all, or those whose file is not there as it should be."""
+        """Frames to write: all, or those whose file is missing or not as it should be."""
         if self._outputs.existing is not Existing.SKIP:
             return set(names.values())
         size = self._sequence.shown_size(self._plan.output.width, self._plan.output.height)
@@ -296,12 +295,12 @@ class Run:
             if not found.kept:
                 wanted.add(number)
                 continue
-            self.left_out.append(Skipped(f"frame {number}", f"{path} is there and complete"))
+            self.left_out.append(Skipped(f"frame {number}", f"{path} exists and is complete"))
             self.warnings += [f"{path} {found.why}"] if found.why else []
             others += [number] if known and not self._is_alike(known) else []
         if others:
             self.warnings.append(f"{len(others)} kept frames, {others[0]} the first, were made with other settings, "
-                                 "models or versions: --overwrite makes them anew")
+                                 "models or versions: --overwrite makes them again")
         return wanted
 
     def _scheduled(self, wanted: set[int]) -> list[Work]:
@@ -311,19 +310,19 @@ class Run:
         works = schedule(numbers, wanted, self._known(), options.rerun, self._sequence.holds)
         again = sum(not work.write for work in works)
         if again > MANY and options.rerun is None:
-            self.warnings.append(f"{again} finished frames are run again, for the history of those that are not: "
-                                 "--resume 8 takes fewer, and gives nearly the same")
+            self.warnings.append(f"{again} finished frames are run again, for the history of unfinished ones: "
+                                 "--resume 8 runs fewer and gives nearly the same")
         if works and works[0].number == numbers[0] and not works[0].checkpoint:
             works = [Work(number, False) for number in self._sequence.before(numbers[0], options.preroll)] + works
         return works
 
-    def _known(self) -> Known:
-        """What earlier runs of the same settings found out."""
+    def _known(self) -> EarlierRuns:
+        """Shot starts and checkpoints of earlier runs with the same settings."""
         if self._outputs.existing is not Existing.SKIP:
-            return Known()
+            return EarlierRuns()
         starts = {output.frame for output in self._folder.before.outputs.values()
                   if output.starts and output.sha256 and self._is_alike(output)}
-        return Known(starts, self._folder.checkpoints(self._pattern, self._provenance.fingerprint))
+        return EarlierRuns(starts, self._folder.checkpoints(self._pattern, self._provenance.fingerprint))
 
     def _is_alike(self, output: Output) -> bool:
         run = self._folder.before.runs.get(output.run, {})

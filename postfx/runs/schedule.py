@@ -1,4 +1,4 @@
-"""Which frames a run processes, and which files of earlier runs stay."""
+"""Which frames a run processes, and which existing files it keeps."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from postfx.runs.manifest import Output
 
 
 class Work(NamedTuple):
-    """A frame to process, and whether its result is written or only fills the history.
+    """A frame to process; its result is written or only fills the history.
 
-    With a checkpoint, the frame is not processed: the passes go on as they did after it.
+    With a checkpoint, the frame is not processed: the passes' history is restored instead.
     """
 
     number: int
@@ -22,12 +22,12 @@ class Work(NamedTuple):
     checkpoint: Path | None = None
 
 
-class Known(NamedTuple):
-    """What is known of earlier runs.
+class EarlierRuns(NamedTuple):
+    """Facts from earlier runs.
 
     Attributes:
-        starts: frames that begin a shot, so that nothing before them counts.
-        checkpoints: frame number -> checkpoint that was made after it.
+        starts: frames that begin a shot, so that earlier frames do not affect them.
+        checkpoints: frame number -> checkpoint made after that frame.
     """
 
     starts: Collection[int] = ()
@@ -35,22 +35,22 @@ class Known(NamedTuple):
 
 
 def schedule(
-    numbers: tuple[int, ...] | list[int], wanted: Collection[int], known: Known, most: int | None,
+    numbers: tuple[int, ...] | list[int], wanted: Collection[int], known: EarlierRuns, most: int | None,
     is_readable: Callable[[int], bool],
 ) -> list[Work]:
     """Frames to run, in order.
 
     Args:
         numbers: all frames of the sequence, in the order of an unbroken run.
-        wanted: those to be written.
-        most: frames to run again for the history of each wanted one; None for as many as it takes.
-        is_readable: whether a frame's input is there; what leads to a frame ends at a hole.
+        wanted: the frames to write.
+        most: frames to run again for the history of each wanted one; None for as many as needed.
+        is_readable: whether a frame's input exists; a gap ends the history.
 
-    Before each wanted frame its history comes from the nearest of: the frame that ran before it in this run, a
-    checkpoint, the first frame of its shot.
+    The history of a wanted frame starts at the nearest of: the last frame that this run processed, a checkpoint, the
+    first frame of the shot.
     """
     works: list[Work] = []
-    last = -1  # index of the frame that ran last
+    last = -1  # index of the last frame to run
     for at, number in enumerate(numbers):
         if number not in wanted:
             continue
@@ -68,9 +68,9 @@ def schedule(
 
 
 def _first(
-    numbers: tuple[int, ...] | list[int], begin: int, at: int, known: Known, is_readable: Callable[[int], bool]
+    numbers: tuple[int, ...] | list[int], begin: int, at: int, known: EarlierRuns, is_readable: Callable[[int], bool]
 ) -> int:
-    """Index of the frame, from `begin` on, with which the history of frame `at` begins."""
+    """Index, from `begin` on, at which the history of frame `at` starts."""
     holes = [index + 1 for index in range(begin, at) if not is_readable(numbers[index])]
     starts = [index for index in range(begin, at + 1) if numbers[index] in known.starts]
     return max([begin, *holes, *starts])
@@ -80,29 +80,29 @@ Inputs = Mapping[str, tuple[int, int]]
 
 
 class Judgement(NamedTuple):
-    """Whether a file is kept; why it is not, or what is odd about keeping it."""
+    """Whether a file is kept; why not, or an oddity to warn about."""
 
     kept: bool
     why: str = ""
 
 
 def judge(path: Path, known: Output | None, size: tuple[int, int], inputs: Inputs) -> Judgement:
-    """Whether a file may stay.
+    """Whether to keep an existing file.
 
     Args:
-        known: what the manifest has about it.
-        size: width and height that it must have.
-        inputs: what its frame would be read from now.
+        known: its entry in the manifest.
+        size: required width and height.
+        inputs: the files from which its frame would be read now.
 
-    A file that the manifest does not know, or that was altered since, stays if it can be decoded to its last pixel: it
-    may be someone's work. One whose run did not get to it is left from before that run, and does not stay.
+    A file that is not in the manifest, or was altered since, is kept if it decodes to its last pixel: it may be
+    someone's work. A file that its run never reached is older than that run, and is not kept.
     """
     if not path.is_file():
-        return Judgement(False, "is not there")
+        return Judgement(False, "does not exist")
     if known is None:
         return Judgement(True) if is_complete(path, *size) else Judgement(False, "is not complete")
     if known.sha256 is None:
-        return Judgement(False, "is older than the run that was to write it")
+        return Judgement(False, "is older than the run that should have written it")
     if (known.width, known.height) != size:
         return Judgement(False, f"is {known.width}x{known.height}, not {size[0]}x{size[1]}")
     if _changed(known.inputs, inputs):
@@ -110,10 +110,10 @@ def judge(path: Path, known: Output | None, size: tuple[int, int], inputs: Input
     if path.stat().st_size == known.bytes and hash_file(path) == known.sha256:
         return Judgement(True)
     if is_complete(path, *size):
-        return Judgement(True, "was altered since it was written: kept; delete it to make it anew")
+        return Judgement(True, "was altered since it was written: kept; delete it to make it again")
     return Judgement(False, "is damaged")
 
 
 def _changed(before: Inputs, now: Inputs) -> bool:
-    """Whether a file that is there under the same name is another one; files that are gone are not missed."""
+    """Whether an input was replaced by a file of the same name; missing inputs do not count."""
     return any(path in before and before[path] != facts for path, facts in now.items())

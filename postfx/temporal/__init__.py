@@ -1,4 +1,4 @@
-"""Frames in reverse order, so that a frame gains from the frames after it as it does from those before it.
+"""Denoising in reverse order, so that a frame gains from later frames as well as from earlier ones.
 
-Imports nothing: reversed motion alone serves training, on machines that cannot read pictures.
+Imports nothing, so that training can use reversed motion on machines that cannot read pictures.
 """

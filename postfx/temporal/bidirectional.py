@@ -1,4 +1,4 @@
-"""What later frames know of a frame: the denoiser runs over the sequence in reverse order, part by part."""
+"""Results from later frames: runs the denoiser over the sequence in reverse order, part by part."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from postfx.temporal.reverse_motion import LONGEST, HistoryLength, premultiply, 
 from postfx.temporal.run_up import FRAMES as RUN_UP
 
 PART = 32
-"""Frames that run backwards together; their results are kept until they are asked for."""
+"""Frames of a part, which run in reverse order together; their results are kept until they are needed."""
 
 HALF_MAX = np.float32(65504)
 """Largest number of half precision."""
@@ -30,12 +30,12 @@ HALF_MAX = np.float32(65504)
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """A frame of the run in reverse order.
+    """The result of one frame in reverse order.
 
     Attributes:
-        colour: (H, W, 3) in half precision, exposed, because bright light would not fit otherwise.
+        colour: (H, W, 3) in half precision, exposed, because bright light would not fit half precision otherwise.
         length: (h, w), history length of each pixel in reverse order.
-        exposure: multiplier that is in the colour.
+        exposure: multiplier that the colour includes.
     """
 
     colour: np.ndarray
@@ -44,7 +44,7 @@ class Result:
 
 
 class Backwards:
-    """Adds the plane `later`, for the pass `both_ways`, to the frames of a sequence. Call it with them in order.
+    """Adds the plane `later`, which the pass `both_ways` reads, to the frames of a sequence. Call it on them in order.
 
         shot = postfx.read_sequence("shot/noisy.####.exr")
         later = postfx.Backwards(shot, device)
@@ -53,19 +53,18 @@ class Backwards:
             postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(later(frame)))
 
     Args:
-        sequence: the frames. They are read once more by a reader of their own, so whoever iterates the sequence is not
-            disturbed.
-        device: where to run; default: that of pipelines without one.
+        sequence: the frames. A separate reader reads them again, so iterating the sequence is not disturbed.
+        device: where to run; default: the default device of pipelines.
         exposure, cuts: as for a `Pipeline`.
-        prepare: applied to frames that are read before they run, as to those in order.
+        prepare: applied to frames after reading, as for the frames in order.
         options: of `DenoiseUpscale`, the same as for the frames in order.
 
     The sequence runs in parts of PART frames, each from its last frame to its first, after a run-up over the frames
-    that follow it; these may lie beyond the end of the sequence, if they are on the disk. Frames that cannot be read
-    are no error here.
+    after it. Frames of the run-up may lie beyond the end of the sequence if their files exist. Frames that cannot be
+    read are skipped without an error.
 
     Attributes:
-        milliseconds: time of the last frame on the device in reverse order; None if it did not have to run.
+        milliseconds: device time of the last frame in reverse order; None if it did not have to run.
     """
 
     def __init__(self, sequence: Sequence, device: Device | None = None,
@@ -84,24 +83,24 @@ class Backwards:
         self.milliseconds: float | None = None
 
     def spec(self, spec: FrameSpec) -> FrameSpec:
-        """Spec of the frames that come back for frames of a spec."""
+        """Spec of the returned frames for input frames of this spec."""
         return dataclasses.replace(spec, guides=self._guides(spec))
 
     def reset(self) -> None:
-        """Forget all results: the next frame may be any."""
+        """Drop all results; the next frame may be any frame."""
         self._ahead.reset()
         self._last, self._results = -1, {}
 
     def part(self, number: int) -> tuple[int, int] | None:
-        """First and last number of the frames that have to run before this one; None if its result is there."""
+        """First and last frame that have to run before this one gets its result; None if it has one already."""
         if number in self._results or number not in self._at:
             return None
-        return number, self._numbers[self._ends(self._at[number])[1] - 1]
+        return number, self._numbers[self._limits(self._at[number])[1] - 1]
 
     def __call__(self, frame: Frame, wanted: bool = True, check: Callable[[], None] = lambda: None) -> Frame:
         """The frame with the plane `later` among its guides.
 
-        wanted: if False, the plane is 0 everywhere, and the frame is only followed. check: called between two frames in
+        wanted: if False, the frame only updates the history and its plane is 0. check: called between two frames in
         reverse order; it may raise.
         """
         guides = self._guides(frame.spec)
@@ -117,12 +116,12 @@ class Backwards:
         return dataclasses.replace(frame, guides={**frame.guides, Role.LATER: later})
 
     def _guides(self, spec: FrameSpec) -> GuideSpec:
-        """Guides of a frame of a spec, with `later` at the size of the denoiser's output."""
+        """Guides for a spec, with `later` at the size of the denoiser's output."""
         output, source = self._pass.reflect(spec).output, spec.guides.source if spec.guides else None
         return GuideSpec(output.width, output.height, (*spec.guide_roles, Role.LATER), source)
 
     def _length_ahead(self, frame: Frame) -> np.ndarray:
-        """History lengths in order, up to this frame; frames before it that were not seen are read again."""
+        """History lengths in order up to this frame; reads earlier frames again if some were skipped."""
         index = self._at[frame.number]
         if index != self._last + 1:
             self._ahead.reset()
@@ -133,7 +132,7 @@ class Backwards:
 
     @cached_property
     def _sequence(self) -> Sequence:
-        """A reader, made once frames in order are read: only then it is known how to read, and which area."""
+        """A separate reader, made after the first read in order, which decides on layout and area."""
         return self._given.reader()
 
     def _follow(self, frame: Frame | None) -> None:
@@ -148,14 +147,14 @@ class Backwards:
         self.milliseconds = self._times.pop(number, None)
         return self._results.pop(number, None)
 
-    def _ends(self, index: int) -> tuple[int, int]:
-        """Index after the last frame of a frame's part, and after the last frame of its run-up."""
+    def _limits(self, index: int) -> tuple[int, int]:
+        """Index after the last frame of a frame's part, and index after the last frame of its run-up."""
         end = min((index // PART + 1) * PART, self._asked)
         return end, min(end + RUN_UP, len(self._numbers))
 
     def _run(self, first: int, check: Callable[[], None]) -> None:
         """Run a part from its last frame down to the frame at index `first`."""
-        end, begin = self._ends(first)
+        end, begin = self._limits(first)
         self._results, self._times = {}, {}
         lengths, after = HistoryLength(), None
         self._pipeline.reset()

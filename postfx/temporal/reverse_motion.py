@@ -1,6 +1,6 @@
-"""Motion as a run in reverse order needs it, and how long each pixel has been in sight.
+"""Motion for a run in reverse order, and the number of frames for which each pixel has been visible.
 
-Everything here runs on the host, as frames are read: two functions on frames, then the compiled loops over pixels.
+Everything here runs on the host: functions on frames first, then compiled loops over pixels.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from postfx.frame import Frame, Role
 from postfx.kernels.numeric import compiled
 
 LONGEST = 8
-"""Longest history that is counted, in frames: more of it hardly improves a result."""
+"""Longest history that counts, in frames: a longer one hardly improves a result."""
 
 FAR = np.float32(1e30)
-"""Stands for a depth that is unknown or larger."""
+"""Stands for an unknown depth or a larger one."""
 LOST = np.float32(1e4)
-"""Motion, in pixels, of a point that the next frame does not show: it leads out of any picture."""
+"""Motion, in pixels, of a point that the next frame does not show: it points outside any picture."""
 ALIKE = np.float32(0.03)
 """Relative difference in depth between neighbouring pixels of one surface."""
 SAME = np.float32(0.05)
 """Relative difference in depth of one point between two frames."""
 ROUNDS = 2
-"""Pixels by which cracks are filled from their sides, where the next frame shows a surface larger."""
+"""Pixels by which cracks are filled from each side. Cracks open where the next frame shows a surface larger."""
 
 
 def reverse_motion(frame: Frame, after: Frame | None) -> Frame:
-    """The frame with motion that leads to the frame after it; with None or a cut there it becomes a first frame.
+    """The frame with motion to the frame `after` it. Before a cut, or with None, it becomes a first frame.
 
-    A pixel that the frame after does not show gets motion that leads out of the picture. A frame without a motion plane
+    Pixels that the frame after does not show get motion that points outside the picture. A frame without a motion plane
     is only marked as a first frame.
     """
     if after is None or after.reset or Role.MOTION not in after or Role.MOTION not in frame:
@@ -42,7 +42,7 @@ def reverse_motion(frame: Frame, after: Frame | None) -> Frame:
 def motion_to_next(frame: Frame, after: Frame) -> np.ndarray:
     """Motion (h, w, 2): position in the frame after minus position in this one, in pixels of this one; x right, y down.
 
-    It is made from the motion of the frame after: each pixel there says where it came from, and the nearest one wins.
+    Computed from the motion of the frame after: each of its pixels says where it came from; the nearest one wins.
     """
     return invert_motion(after[Role.MOTION], _depth(after), _depth(frame))
 
@@ -64,11 +64,11 @@ def invert_motion(motion: np.ndarray, after: np.ndarray, depth: np.ndarray) -> n
 
 
 class HistoryLength:
-    """How many frames in a row have shown what each pixel shows. Stateful: call it with frames in order.
+    """For how many frames each pixel's point has been visible. Stateful: call it on frames in order.
 
     Args:
-        find_cuts: take frames that are unrelated to the one before as first frames, as a `Pipeline` does. Not needed
-            where a pipeline has found the cuts already and `frame.reset` marks them.
+        find_cuts: find cuts, as a `Pipeline` does, and start again at them. Not needed if a pipeline has already marked
+            them in `frame.reset`.
     """
 
     def __init__(self, find_cuts: bool = False) -> None:
@@ -76,7 +76,7 @@ class HistoryLength:
         self._before: tuple[np.ndarray, np.ndarray] | None = None
 
     def reset(self) -> None:
-        """Take the next frame as the first."""
+        """Treat the next frame as the first."""
         self._before = None
         if self._detector:
             self._detector.reset()
@@ -93,7 +93,7 @@ class HistoryLength:
 
 
 def _depth(frame: Frame) -> np.ndarray:
-    """Depth (h, w, 1); the same everywhere if the frame has none."""
+    """Depth (h, w, 1); 1 everywhere if the frame has none."""
     if Role.DEPTH in frame:
         return frame[Role.DEPTH]
     return np.ones((*next(iter(frame.planes.values())).shape[:2], 1), np.float32)
@@ -101,7 +101,7 @@ def _depth(frame: Frame) -> np.ndarray:
 
 @compiled
 def splat(motion: np.ndarray, depth: np.ndarray, nearest: np.ndarray, inverse: np.ndarray) -> None:
-    """Write each pixel's inverse motion to the place that it came from; the nearest of several wins.
+    """Write each pixel's inverse motion to the place it came from; the nearest of several wins.
 
     motion (h, w, 2) and depth (h, w, 1) are the next frame's. nearest (height, width), which is 2 * FAR where nothing
     arrived, and inverse (height, width, 2) are this frame's, which may have another size.
@@ -113,7 +113,7 @@ def splat(motion: np.ndarray, depth: np.ndarray, nearest: np.ndarray, inverse: n
         for x in range(motion.shape[1]):
             right, down = motion[y, x, 0] * wide, motion[y, x, 1] * tall
             u, v = (x + half) * wide + right, (y + half) * tall + down
-            if not (0 <= u < width and 0 <= v < height):  # neither is NaN
+            if not (0 <= u < width and 0 <= v < height):  # false for NaN, too
                 continue
             i, j = int(u), int(v)
             z = depth[y, x, 0] if depth[y, x, 0] < FAR else FAR
@@ -123,9 +123,9 @@ def splat(motion: np.ndarray, depth: np.ndarray, nearest: np.ndarray, inverse: n
 
 @compiled
 def fill_cracks(nearest: np.ndarray, depth: np.ndarray, inverse: np.ndarray, filled: np.ndarray) -> None:
-    """Where nothing arrived, take the motion of the neighbour in 3x3 with the most similar depth.
+    """Fill pixels where nothing arrived with the motion of the 3x3 neighbour of most similar depth.
 
-    `filled` tells where one was found. `inverse` only changes where nothing arrived, so the order of pixels is free.
+    `filled` marks them. Only such pixels of `inverse` change, so the order of pixels does not matter.
     """
     height, width = nearest.shape
     for y in range(height):
@@ -146,10 +146,10 @@ def fill_cracks(nearest: np.ndarray, depth: np.ndarray, inverse: np.ndarray, fil
 def extend_history(
     motion: np.ndarray, depth: np.ndarray, before: np.ndarray, known: np.ndarray, most: int, length: np.ndarray
 ) -> None:
-    """Write each pixel's history length: one more than at the place that motion leads to, at most `most`.
+    """Write each pixel's history length: one more than at the place its motion points to, at most `most`.
 
     motion (h, w, 2) and depth (h, w, 1) are this frame's; before (h', w', 1) and known (h', w') are depth and length of
-    the frame before. A point is the same if a pixel in 3x3 around that place has its depth.
+    the frame before. A point counts as the same if a pixel in the 3x3 around that place has its depth.
     """
     height, width = known.shape
     tall, wide = np.float32(height / length.shape[0]), np.float32(width / length.shape[1])
@@ -188,7 +188,7 @@ def share_by_length(ahead: np.ndarray, back: np.ndarray, share: np.ndarray) -> N
 def premultiply(share: np.ndarray, colour: np.ndarray, later: np.ndarray) -> None:
     """Write premultiplied RGBA `later` (H, W, 4): colour (H, W, 3) times a share (h, w), which is also its alpha.
 
-    The share is interpolated between pixel centres, so that its pixels do not show.
+    The share is interpolated between pixel centres, so that its coarser pixels are not visible.
     """
     height, width = later.shape[:2]
     tall, wide = np.float32(share.shape[0] / height), np.float32(share.shape[1] / width)

@@ -1,4 +1,4 @@
-"""A history for the first frame of a shot: the frames after it run before it, in reverse order."""
+"""Gives the first frame of a shot a history by running the frames after it first, in reverse order."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from postfx.io.sequence import Sequence
 from postfx.temporal.reverse_motion import reverse_motion
 
 FRAMES = 8
-"""Frames of a run-up: with half as many, some of the frames after the first are worse than with none."""
+"""Frames of a run-up. With half as many, some frames after the first come out worse than without a run-up."""
 
 
 class RunUp:
-    """Gives a `Pipeline` a history at the first frame of each shot, which is the noisiest without it.
+    """Gives a `Pipeline` a history at the first frame of each shot, which would be the noisiest without it.
 
         shot = postfx.read_sequence("shot/noisy.####.exr")
         passes = postfx.Pipeline([postfx.DenoiseUpscale()], run_up=postfx.RunUp(shot))
@@ -27,17 +27,16 @@ class RunUp:
             postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(frame))
 
     Args:
-        sequence: the frames. They are read once more by a reader of their own, so whoever iterates the sequence is not
-            disturbed.
-        frames: how many frames after the first one run, the last of them first. Fewer run if a hole, a broken file or
-            another shot comes sooner; none if the next frame of `sequence.numbers` does not follow the first one.
+        sequence: the frames. A separate reader reads them again, so iterating the sequence is not disturbed.
+        frames: how many frames after the first one to run, the last of them first. Fewer run if a gap, a broken file or
+            another shot comes sooner; none if `sequence.numbers` skips the next frame.
         cuts: as for the `Pipeline`.
-        prepare: applied to frames that are read before they run, as to those in order.
+        prepare: applied to frames after reading, as for the frames in order.
 
-    Frames that cannot be read or run are no error here: the frames between them and the first one still count.
+    Frames that cannot be read or run are skipped without an error; the frames between them and the first one still run.
 
     Attributes:
-        on_frame: called before each frame that runs, with the number of the first frame of the shot and its own; it may
+        on_frame: called before each frame of the run-up, with the number of the shot's first frame and its own; it may
             raise to end the run-up.
     """
 
@@ -48,13 +47,13 @@ class RunUp:
         self._next = dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True))
 
     def after(self, number: int) -> list[int]:
-        """Numbers of the frames that run before this one, in the order of the sequence, judged by their headers."""
+        """Numbers of the frames to run before this one, in sequence order, according to their headers."""
         found = self._sequence.after(number, self._frames)
         follows = found and self._next.get(number, found[0]) == found[0]  # frames before the range lead to it
         return list(takewhile(partial(_continues_shot, self._sequence.reader()), found)) if follows else []
 
     def __call__(self, frame: Frame, run: Callable[[Frame], None]) -> Frame:
-        """Run the frames after a first one in reverse order. Returns the frame as it should run itself, after them."""
+        """Run the frames after a first one in reverse order. Returns the first frame, ready to run after them."""
         numbers = self.after(frame.number)
         if not numbers:
             return frame

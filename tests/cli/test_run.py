@@ -99,7 +99,7 @@ def test_resume_keeps_complete_files_and_mends_broken_ones(postfx, shot, tmp_pat
     before = kept.stat().st_mtime_ns
     report = postfx(*COPY, "--skip-existing", "--json").json
     assert report["outputs"] == ["out/shot.0002.exr", "out/shot.0003.exr"]
-    assert {"what": "frame 1", "why": "out/shot.0001.exr is there and complete"} in report["skipped"]
+    assert {"what": "frame 1", "why": "out/shot.0001.exr exists and is complete"} in report["skipped"]
     assert kept.stat().st_mtime_ns == before
     assert len(broken.read_bytes()) == len(whole)
 

@@ -28,7 +28,7 @@ def test_the_output_keeps_its_size_and_the_history_goes_on(postfx, dynamic, tmp_
     assert [frame[Role.COLOUR].shape for frame in frames] == [(48, 72, 3)] * 4
     assert all(np.allclose(frame[Role.COLOUR], 0.5, rtol=2e-3) for frame in frames)
     again = postfx(*RUN, "--size", "72x48", "--skip-existing")
-    assert again.code == 0 and "0 of 4 frames" in again.err and "is there and complete" in again.err
+    assert again.code == 0 and "0 of 4 frames" in again.err and "exists and is complete" in again.err
 
 
 @pytest.mark.parametrize("lost", [2, 3, 4])

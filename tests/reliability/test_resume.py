@@ -104,7 +104,7 @@ def test_checkpoint_of_other_settings_is_not_used(runs):
     runs.killed("postfx.cli.job.write_frame", 6, more=("--checkpoint", "0", "--exposure", "auto", "--cuts", "none"))
     code, said = runs(*RESUME)
     assert code == 0 and not runs.events("recall")
-    assert "were made with other settings, models or versions: --overwrite makes them anew" in said
+    assert "were made with other settings, models or versions: --overwrite makes them again" in said
 
 
 def test_a_frame_lost_in_the_middle(runs, unbroken):
@@ -160,7 +160,7 @@ def test_file_that_someone_altered_is_kept(runs, unbroken):
     assert runs()[0] == 0
     shutil.copy(runs.folder / "out.0002.exr", runs.folder / "out.0003.exr")
     code, said = runs(*RESUME)
-    assert code == 0 and "out.0003.exr was altered since it was written: kept; delete it to make it anew" in said
+    assert code == 0 and "out.0003.exr was altered since it was written: kept; delete it to make it again" in said
     assert runs.files()["out.0003.exr"] == unbroken["out.0002.exr"]
 
 
@@ -198,7 +198,7 @@ def test_damaged_manifest_is_put_aside(runs, unbroken):
     (runs.folder / NAME).write_text((runs.folder / NAME).read_text()[:500])
     (runs.folder / "out.0006.exr").unlink()
     code, said = runs(*RESUME)
-    assert code == 0 and f"renamed to {NAME}.damaged, a new one begins" in said
+    assert code == 0 and f"renamed to {NAME}.damaged, a new one is started" in said
     assert runs.files() == unbroken and (runs.folder / f"{NAME}.damaged").exists()
 
 

@@ -3,11 +3,11 @@
 import random
 from pathlib import Path
 
-from postfx.runs.schedule import Known, Work, schedule
+from postfx.runs.schedule import EarlierRuns, Work, schedule
 
 
 def plan(numbers, wanted, starts=(), checkpoints=(), most=None, missing=()):
-    known = Known(set(starts), {number: Path(str(number)) for number in checkpoints})
+    known = EarlierRuns(set(starts), {number: Path(str(number)) for number in checkpoints})
     return schedule(numbers, set(wanted), known, most, lambda number: number not in missing)
 
 
