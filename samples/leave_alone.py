@@ -14,7 +14,7 @@ import numpy as np
 
 import postfx
 from postfx import Role
-from postfx.bench.metrics import shown
+from postfx.bench.metrics import to_codes
 from postfx.masks import misses_of, strength_of_misses
 
 ROOM = Path(__file__).parent / "room"
@@ -44,10 +44,10 @@ def main() -> None:
             auto = strength_of_misses(frame.planes)
             hits = 1 - misses_of(frame.planes)[..., None].astype(np.float32)
             light = reference[Role.COLOUR][sky]
-            target = shown(light, 0.5 / light.mean())
+            target = to_codes(light, 0.5 / light.mean())
             for i, strength in enumerate((np.ones_like(auto), hits, auto)):
                 result = passes[i](replace(frame, planes={**frame.planes, Role.STRENGTH: strength}))
-                found = shown(result[Role.COLOUR][sky], 0.5 / light.mean())
+                found = to_codes(result[Role.COLOUR][sky], 0.5 / light.mean())
                 errors[i] += np.square(found - target).mean() / len(frames)
             alone += (auto == 0).mean() / len(frames)
         denoised, left, chosen = -10 * np.log10(errors)

@@ -21,7 +21,7 @@ from postfx.bench.methods import (  # noqa: E402
     catalogue,
     make,  # noqa: E402
 )
-from postfx.bench.metrics import SequenceScore, grey_exposure, psnr, shown  # noqa: E402
+from postfx.bench.metrics import SequenceScore, grey_exposure, psnr, to_codes  # noqa: E402
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
 from postfx.kernels.denoise.layout import KERNEL  # noqa: E402
 from postfx.passes.denoise import models  # noqa: E402
@@ -92,7 +92,7 @@ def room(method: Method) -> float:
     for frame, result in results(sample, method):
         if frame.number > len(sample.noisy.numbers) // 2:
             reference = sample.reference(frame.number)
-            pictures = (shown(colour, reference.exposure) for colour in (result, reference[Role.COLOUR]))
+            pictures = (to_codes(colour, reference.exposure) for colour in (result, reference[Role.COLOUR]))
             found.append(psnr(*pictures))
     return float(np.mean(found))
 
@@ -117,7 +117,7 @@ def room_at_1x(tag: str) -> float:
         if frame.number > len(sample.noisy.numbers) // 2:
             reference = sample.reference(frame.number)
             wanted = reference[Role.COLOUR].reshape(*result.shape[:1], 2, result.shape[1], 2, 3).mean((1, 3))
-            found.append(psnr(*(shown(colour, reference.exposure) for colour in (result, wanted))))
+            found.append(psnr(*(to_codes(colour, reference.exposure) for colour in (result, wanted))))
     return float(np.mean(found))
 
 
@@ -176,7 +176,7 @@ def psnrs(folder: Path, name: str) -> np.ndarray:
     for frame, result in results(sequence, OURS.get(name) or BASELINES[name]):
         reference = sequence.reference(frame.number)
         exposure = reference.exposure or grey_exposure(sequence.reference(sequence.noisy.numbers[0])[Role.COLOUR])
-        found.append(psnr(shown(result, exposure), shown(reference[Role.COLOUR], exposure)))
+        found.append(psnr(to_codes(result, exposure), to_codes(reference[Role.COLOUR], exposure)))
     return np.array(found)
 
 

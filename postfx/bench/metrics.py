@@ -13,7 +13,7 @@ import flip_evaluator
 import numpy as np
 from skimage.metrics import structural_similarity
 
-from postfx.exposure.views import shown
+from postfx.exposure.views import to_codes
 from postfx.frame import Frame, Role
 from postfx.sampling import bilinear, motion_at
 
@@ -104,7 +104,7 @@ class SequenceScore:
         target = reference[Role.COLOUR]
         self._exposure = self._exposure or grey_exposure(target)
         exposure = reference.exposure or self._exposure
-        now = Pictures(shown(result, exposure), shown(target, exposure))
+        now = Pictures(to_codes(result, exposure), to_codes(target, exposure))
         self.frames.append({
             "frame": noisy.number,
             "psnr": psnr(now.result, now.reference),

@@ -18,7 +18,7 @@ from postfx.bench.measure import Material
 from postfx.bench.methods import FAMILIES
 from postfx.bench.metrics import grey_exposure, psnr
 from postfx.bench.report import offered
-from postfx.exposure.views import shown
+from postfx.exposure.views import to_codes
 from postfx.frame import Role
 
 COUNT, SIDE = 3, 96
@@ -131,12 +131,12 @@ def _columns(material: Material, rows: list[dict[str, Any]], number: int) -> lis
     reference = material.reference(number)
     first = material.reference(material.noisy.numbers[0])
     exposure = reference.exposure or grey_exposure(first[Role.COLOUR])
-    target = shown(reference[Role.COLOUR], exposure)
-    noisy = shown(_repeated(material.motion(number)[Role.COLOUR], *material.size), exposure)
+    target = to_codes(reference[Role.COLOUR], exposure)
+    noisy = to_codes(_repeated(material.motion(number)[Role.COLOUR], *material.size), exposure)
     columns = [Column("noisy input", noisy, False)]
     for row in _wanted(rows):
         result = material.result(row["output"], number)[Role.COLOUR]
-        columns.append(Column(row["title"], shown(result, exposure)))
+        columns.append(Column(row["title"], to_codes(result, exposure)))
     return [*columns, Column("reference", target, False)]
 
 

@@ -1,1 +1,1 @@
-"""Colour: primaries, transfer functions, displays and views, as plain NumPy that kernels are held to."""
+"""Colour: primaries, transfer functions, displays and views, in plain NumPy, which kernels are tested against."""

@@ -1,4 +1,4 @@
-"""Displays that pictures are made for: primaries, transfer function, and how bright white is."""
+"""Displays: primaries, transfer function, and the brightness of white."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _DARK = 1e-9
 
 
 class Kind(NamedTuple):
-    """What displays of one name have in common.
+    """The properties shared by all displays of one name.
 
     Attributes:
         title: name for people.
         primaries, curve: as in `postfx.colour`.
         cicp: code points of ITU-T H.273: primaries, transfer, matrix (0: RGB), full range. None for BT.1886: its code
-            in H.273 means a camera's transfer function, which viewers would undo.
+            in H.273 means a camera's transfer function, which viewers would invert.
     """
 
     title: str
@@ -63,7 +63,7 @@ class Display:
 
     @property
     def kind(self) -> Kind:
-        """What it has in common with other displays of its name."""
+        """The properties shared with other displays of its name."""
         return KINDS[self.name]
 
     @property
@@ -73,12 +73,12 @@ class Display:
 
     @property
     def most(self) -> float:
-        """Most light that it shows; 1 is white."""
+        """The most light that it can show; 1 is white."""
         return self.peak / self.white if self.peak is not None and self.white is not None else 1.0
 
     @property
     def unit(self) -> float:
-        """Light that the curve's 1 stands for; 1 is white. For HLG, before the system gamma is undone."""
+        """Light at the curve's value 1; 1 is white. For HLG, before the system gamma is inverted."""
         return {"pq": PQ_NITS / (self.white or 1), "hlg": self.most}.get(self.name, 1.0)
 
     @property
@@ -99,7 +99,7 @@ class Display:
         return self.apply_ootf(self.kind.curve.decode(codes))
 
     def apply_ootf(self, signal: np.ndarray) -> np.ndarray:
-        """Light (..., 3), 1 is white, from code values that the inverse of the curve was applied to."""
+        """Light (..., 3), 1 is white, from code values after the inverse curve."""
         return signal if not self.hdr else signal * self._gain(signal, self.system_gamma - 1) * self.unit
 
     def _gain(self, light: np.ndarray, exponent: float) -> np.ndarray | float:

@@ -1,4 +1,4 @@
-"""ICC profiles of displays: three primaries and a curve (ICC.1:2022, version 4.4); small, and always the same bytes."""
+"""ICC profiles of displays: three primaries and a curve (ICC.1:2022, version 4.4); small and deterministic."""
 
 from __future__ import annotations
 

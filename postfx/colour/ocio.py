@@ -1,4 +1,4 @@
-"""Views and look-up tables through OpenColorIO, which OpenImageIO carries."""
+"""Views and look-up tables through the OpenColorIO that is part of OpenImageIO."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from postfx.errors import ColourError
 PREFIX = "ocio:"
 BUILT_IN = "ocio://studio-config-v4.0.0_aces-v2.0_ocio-v2.5"
 INTERCHANGE = "aces_interchange"
-"""The role that a config must have to be used here; its space is ACES2065-1."""
+"""The role that a config must have; its space is ACES2065-1."""
 LUTS = (".cube", ".clf", ".ctf", ".3dl", ".spi3d", ".csp")
 DISPLAYS = {
     "srgb": ("sRGB - Display", "sRGB"),
@@ -36,11 +36,11 @@ _HEAD = 4096
 
 
 Apply = Callable[[oiio.ImageBuf], oiio.ImageBuf]
-"""OpenImageIO's side of a transform; the image that it returns tells what went wrong."""
+"""A transform by OpenImageIO; the returned image holds the error, if any."""
 
 
 class Transform(NamedTuple):
-    """Linear ACEScg (..., 3) -> code values, the display that they are for, and a title."""
+    """A function from linear ACEScg (..., 3) to code values, their display, and a title."""
 
     apply: Callable[[np.ndarray], np.ndarray]
     display: Display
@@ -75,9 +75,9 @@ def view_transform(text: str, display: Display) -> Transform:
 def file_transform(text: str) -> Transform:
     """A look-up table in a file: 'FILE,input=SPACE,output=DISPLAY'.
 
-    SPACE is OpenColorIO's name of the colour space that the table takes, DISPLAY the display that its result is for
-    (default: srgb). Tables that postfx wrote name both themselves. Raises ColourError when the file cannot be read or
-    nothing names the space.
+    SPACE is OpenColorIO's name of the table's input colour space, DISPLAY the display of its result (default: srgb).
+    Tables written by postfx name both themselves. Raises ColourError if the file cannot be read or the space is
+    unknown.
     """
     path, *settings = text.split(",")
     given = dict(item.partition("=")[::2] for item in settings)
@@ -126,7 +126,7 @@ def is_linear(name: str) -> bool:
 
 
 def is_lut(text: str) -> bool:
-    """Whether a look's name is that of a file with a look-up table."""
+    """Whether a look's name is a file with a look-up table."""
     return Path(text.partition(",")[0]).suffix.lower() in LUTS
 
 
@@ -135,9 +135,9 @@ def _config(name: str) -> oiio.ColorConfig:
     config = oiio.ColorConfig(name)
     problem = config.geterror()
     if problem or not config.getDisplayNames():
-        raise ColourError(f"{name}: no OpenColorIO config that can be read: {problem or 'it has no displays'}")
+        raise ColourError(f"{name}: not a readable OpenColorIO config: {problem or 'it has no displays'}")
     if INTERCHANGE not in config.getRoles():
-        raise ColourError(f"{name}: has no role {INTERCHANGE}, so nothing tells what its colours are: add the role")
+        raise ColourError(f"{name}: has no role {INTERCHANGE}, so its colours are unknown: add the role")
     return config
 
 

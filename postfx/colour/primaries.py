@@ -46,7 +46,7 @@ _FLAT = 1e-6
 
 
 def round_to_known(primaries: Chromaticities) -> Chromaticities:
-    """The space of `LINEAR_SPACES` that a header's rounded numbers stand for, else the numbers as they are."""
+    """The space of `LINEAR_SPACES` that matches a header's rounded numbers, else the numbers as they are."""
     return next((own for own in LINEAR_SPACES.values() if np.allclose(own, primaries, 0, _ROUNDED)), primaries)
 
 
@@ -56,7 +56,7 @@ def name_of(primaries: Chromaticities) -> str | None:
 
 
 def is_degenerate(primaries: Chromaticities) -> bool:
-    """Whether primaries and white span no colours: three on a line, no white, or numbers that are none."""
+    """Whether primaries and white span no colours: three on a line, no white, or NaN."""
     columns = _columns(primaries)
     if not np.isfinite(columns).all() or abs(columns[1, 3]) < _FLAT or abs(np.linalg.det(columns[:, :3])) < _FLAT:
         return True

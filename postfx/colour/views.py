@@ -24,7 +24,7 @@ _START, _DESATURATION, _OFFSET = 0.8, 0.15, 0.04
 
 @dataclass(frozen=True)
 class View:
-    """A view, the light it takes and the display it is for.
+    """A view, its input light and its display.
 
     Attributes:
         apply: light (..., 3), at least 0 -> code values (..., 3) in [0, 1].
@@ -71,9 +71,9 @@ def neutral(light: np.ndarray) -> np.ndarray:
 
 
 def find_view(text: str, display: Display) -> View:
-    """A view by name: 'reinhard', 'neutral', 'ocio:VIEW' or 'FILE.cube,input=SPACE', best made for a display.
+    """A view by name: 'reinhard', 'neutral', 'ocio:VIEW' or 'FILE.cube,input=SPACE', preferably for a display.
 
-    `View.display` tells which display was found. Raises ColourError when there is no such view.
+    `View.display` is the display that the view is made for. Raises ColourError if there is no such view.
     """
     if text == "reinhard":
         own = display.kind.primaries

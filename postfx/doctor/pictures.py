@@ -13,7 +13,7 @@ from postfx.doctor.geometry import is_hit
 from postfx.doctor.statistics import finite
 from postfx.errors import WriteError
 from postfx.exposure import measure
-from postfx.exposure.views import shown
+from postfx.exposure.views import to_codes
 from postfx.frame import ERROR_ROLES, Frame, Role
 from postfx.report.pictures import png, png_uri, shrink
 
@@ -78,7 +78,7 @@ def _write(path: Path, pixels: np.ndarray) -> Path:
 
 def _light(plane: np.ndarray) -> np.ndarray:
     colour = np.ascontiguousarray(np.maximum(plane[..., :3], 0), np.float32)
-    return shown(colour, 2.0 ** (measure(colour) or 0.0))
+    return to_codes(colour, 2.0 ** (measure(colour) or 0.0))
 
 
 def _near(plane: np.ndarray) -> np.ndarray:

@@ -9,12 +9,12 @@ from postfx.exposure.metering import (
     SMOOTH,
     USED,
     ExposureMeter,
-    Metered,
+    MeterReading,
     SmoothExposure,
     colours_of,
     frame_rate,
     measure,
-    metered,
+    meter_frames,
     smooth_ev,
 )
 
@@ -27,11 +27,11 @@ __all__ = [
     "USED",
     "ExposureError",
     "ExposureMeter",
-    "Metered",
+    "MeterReading",
     "SmoothExposure",
     "colours_of",
     "frame_rate",
     "measure",
-    "metered",
+    "meter_frames",
     "smooth_ev",
 ]

@@ -1,4 +1,4 @@
-"""The exposure debugger: is the exposure of a sequence right, steady and applied as told, by how much not, and why."""
+"""The exposure debugger: whether the exposure of a sequence is right, steady and applied; by how much not, and why."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from postfx.exposure.metering import (
     SECONDS,
     SMOOTH,
     ExposureMeter,
-    Metered,
+    MeterReading,
     frame_rate,
     measure,
     shots,
@@ -27,20 +27,21 @@ from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
 TOLERANCE_EV = 0.2
-"""A mean mismatch that is right: a quarter of a stop is found, noise that moves the meter is not."""
+"""Largest mean mismatch that counts as right: below a quarter of a stop, above the meter's noise."""
 DRIFT_EV, MOVING_DRIFT_EV = 0.25, 0.5
-"""From the darkest to the brightest frame; more where the scene itself moves, as exposure need not follow all of it."""
+"""Largest drift from the darkest to the brightest frame; more where the scene changes, which exposure need not follow
+entirely."""
 RIGHT, DARK, BRIGHT, DRIFTING = "right", "too dark", "too bright", "drifting"
 
 NEAR_EV = 0.25
 """A picture this close to mid grey needs no exposure: about what noise does to the meter."""
 SAME_EV = 0.125
-APPLIED_EV = 0.05  # the board's own error is below
+APPLIED_EV = 0.05  # the board's own error is smaller
 STEADY_EV = 0.1
 OPPOSED = -0.8  # correlation
 
 STEPS_EV = np.arange(-8.0, 8.01, 0.25)
-"""Where a view's response is sampled."""
+"""Stops at which a view's response is sampled."""
 HEIGHT = 20 * CELLS
 
 
@@ -50,12 +51,12 @@ class Reading(NamedTuple):
     Attributes:
         number: frame number.
         cut: whether a shot begins here.
-        exposure_ev: stops that the chain is told to expose by.
+        exposure_ev: stops of exposure that the chain is given.
         reference_ev: stops that the checkerboard is divided by: the right exposure.
         picture_ev: stops that the picture itself needs, metered and smooth.
         level: of the board's mid grey, 0..1.
         mismatch_ev: stops that the level is too bright, within the limits of the view's response.
-        expected_ev: the same, where the view does as it is told.
+        expected_ev: the same for a view that applies the exposure as given.
     """
 
     number: int
@@ -70,7 +71,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True)
 class Shot:
-    """What the debugger says about the frames from one cut to the next.
+    """The debugger's verdict on the frames from one cut to the next.
 
     Attributes:
         first, last: frame numbers.
@@ -79,7 +80,7 @@ class Shot:
         drift_ev: stops from the darkest to the brightest frame.
         level: mean level of mid grey.
         right_ev: mean stops that would have been right.
-        cause: what is likely wrong, or None.
+        cause: the likely mistake, or None.
     """
 
     first: int
@@ -94,11 +95,11 @@ class Shot:
 
 @dataclass(frozen=True)
 class Report:
-    """All readings, and the shots that they fall into.
+    """All readings, grouped into shots.
 
     Attributes:
-        grey: level that mid grey has when the exposure is right.
-        limits_ev: mismatches between which the level tells the exposure; one at a limit may be larger.
+        grey: level of mid grey at the right exposure.
+        limits_ev: smallest and largest mismatch that the level can show; one at a limit may be larger.
     """
 
     readings: list[Reading]
@@ -108,7 +109,7 @@ class Report:
 
     @property
     def verdict(self) -> str:
-        """Of all shots: drifting where one does, else that of the shot which is furthest off."""
+        """The verdict on all shots: drifting if one drifts, else the verdict on the shot with the largest mismatch."""
         drifting = [shot for shot in self.shots if shot.verdict == DRIFTING]
         return (drifting or [max(self.shots, key=lambda shot: abs(shot.mismatch_ev))])[0].verdict
 
@@ -125,16 +126,16 @@ def debug(
 
     Args:
         view: passes that show exposed scene-linear colour on a display, such as `[ToneMap()]`.
-        exposure: what is under test: 'auto', 'smooth', 'metadata' or stops, as in `postfx run`.
-        reference: what would be right: the same modes; 'smooth' is metered on the pictures.
-        chain: what comes after the upscaler, where that is not `view` but should do the same.
+        exposure: the mode under test: 'auto', 'smooth', 'metadata' or stops, as in `postfx run`.
+        reference: the mode that would be right; 'smooth' is metered on the pictures.
+        chain: the passes after the upscaler, if they are not `view` but should have the same effect.
 
-    Raises ExposureError where a mode has no answer and when there is no frame.
+    Raises ExposureError if a mode has no exposure for a frame, or there is no frame.
     """
     told, right = _Mode(exposure), _Mode(reference)
     found, width, aspect = [], 1.0, 1.0
     for frame in frames:
-        found.append(Metered(frame.number, measure(frame[Role.COLOUR]), frame.reset))
+        found.append(MeterReading(frame.number, measure(frame[Role.COLOUR]), frame.reset))
         told.see(frame)
         right.see(frame)
         width, aspect = SECONDS * frame_rate(frame), frame.spec.width / frame.spec.height
@@ -195,10 +196,10 @@ def _verdict(mismatch: np.ndarray, scene_moves: float) -> str:
 
 
 class Board:
-    """A chain of passes that sees nothing but the checkerboard.
+    """A chain of passes that only sees the checkerboard.
 
-    passes: what comes after the upscaler. aspect: width over height of the frames. The board is 180 rows high whatever
-    the frames are: it looks the same at every size, and what it covers does not matter.
+    passes: those after the upscaler. aspect: width over height of the frames. The board is always 180 rows high, for it
+    looks the same at every size.
     """
 
     def __init__(self, passes: Sequence[Pass], aspect: float = 16 / 9, device: Device | None = None) -> None:
@@ -208,7 +209,7 @@ class Board:
         self._pipeline = Pipeline([tool, *passes], device, "metadata")
 
     def level(self, exposure: float, reference: float, cut: bool) -> float:
-        """Level of mid grey on the board divided by `reference`, when the chain is told to multiply by `exposure`."""
+        """Level of mid grey on the board divided by `reference`, in a chain that is given `exposure`."""
         number = len(self._reference)
         self._reference[number] = reference
         frame = Frame({Role.COLOUR: self._blank}, number=number, exposure=exposure, reset=cut)
@@ -216,11 +217,11 @@ class Board:
 
 
 class Response:
-    """What a view makes of mid grey that is so many stops off, sampled and not assumed.
+    """A view's level of mid grey by stops of mismatch, as measured.
 
     Attributes:
-        grey: level of the board when it is exposed right.
-        limits_ev: stops between which the level tells the exposure; beyond, a view is black or white.
+        grey: level of the board at the right exposure.
+        limits_ev: stops between which the level depends on the exposure; beyond, a view is black or white.
     """
 
     def __init__(self, view: Board) -> None:
@@ -240,7 +241,7 @@ class Response:
 
 
 def grey_level(picture: np.ndarray) -> float:
-    """Mean of the levels of a board's two greys; picture: (height, width, 3) as it leaves the chain."""
+    """Mean of the levels of a board's two greys; picture: (height, width, 3), the chain's output."""
     rows, columns = cells(*picture.shape[:2])
     dark = rows[:, None] == columns[None, :]
     level = luma(picture)
@@ -248,7 +249,7 @@ def grey_level(picture: np.ndarray) -> float:
 
 
 def likely_cause(readings: Sequence[Reading], drifting: bool) -> str | None:
-    """A sentence with the mistake and its mend, or None when none fits and the exposure may be a choice."""
+    """A sentence with the mistake and its fix; None if no mistake fits and the exposure may be intended."""
     told, picture, found, expected = (
         np.array([getattr(reading, name) for reading in readings])
         for name in ("exposure_ev", "picture_ev", "mismatch_ev", "expected_ev")
@@ -261,22 +262,22 @@ def likely_cause(readings: Sequence[Reading], drifting: bool) -> str | None:
 
 
 def _otherwise_applied(extra: np.ndarray) -> str | None:
-    """What the passes after the upscaler did besides what they were told."""
+    """Exposure that the passes after the upscaler applied beyond the one they were given."""
     if abs(extra).max() <= APPLIED_EV:
         return None
     if np.ptp(extra) > STEADY_EV:
         return (
             f"after the upscaler the chain exposes by {extra.min():+.2f} to {extra.max():+.2f} EV besides what it is "
-            "told: it meters for itself or lags; give the tone mapper the frame's exposure"
+            "given: it meters for itself or lags; give the tone mapper the frame's exposure"
         )
     return (
-        f"after the upscaler the chain exposes by {extra.mean():+.2f} EV besides what it is told: give the tone mapper "
-        "the frame's exposure and nothing else"
+        f"after the upscaler the chain exposes by {extra.mean():+.2f} EV besides what it is given: give the tone "
+        "mapper the frame's exposure and nothing else"
     )
 
 
 def _pattern(told: np.ndarray, picture: np.ndarray) -> str | None:
-    """Exposures that are off by the kind of number they are."""
+    """Mistakes in the kind of number: applied twice, not passed on, inverted, or stops."""
     if abs(picture).max() <= NEAR_EV < abs(told).max():
         return (
             "the colour is at mid grey before it is exposed: if the exposure is multiplied in already, it is given a "
@@ -285,7 +286,7 @@ def _pattern(told: np.ndarray, picture: np.ndarray) -> str | None:
     if not told.any():
         return "the exposure is 1 (0 EV) throughout: it is probably not passed on"
     if abs(told + picture).max() <= SAME_EV:
-        return "the exposure is one over what is needed: inverted, give the multiplier and not its inverse"
+        return "the exposure is inverted: give the multiplier and not its inverse"
     if (picture > 0).all() and abs(np.exp2(told) - picture).max() <= SAME_EV:
         return "the exposure is the number of stops that is needed: give 2 to the power of it"
     return None
@@ -297,7 +298,7 @@ def _movement(told: np.ndarray, picture: np.ndarray) -> str:
     if told_moves and not picture_moves:
         return "the exposure changes while the picture does not"
     if picture_moves and not told_moves:
-        return "the picture's brightness changes and the exposure does not follow; where that is meant, it is right"
+        return "the picture's brightness changes and the exposure does not follow; if that is intended, it is right"
     if told_moves and np.corrcoef(told, picture)[0, 1] < OPPOSED:
         return (
             "the picture gets brighter as the exposure rises, so the exposure is in the colour when it is metered: it "

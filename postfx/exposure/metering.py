@@ -25,21 +25,21 @@ if TYPE_CHECKING:
 KEY = 0.18
 LIMITS_EV = (-16.0, 16.0)
 PERCENTILES = (2.0, 98.0)
-RANGE_EV = 9.0  # whatever lies deeper below the 98th percentile is just black
-BLACK = 2.0**-24  # mean luminance of a block that holds nothing: borders, misses
+RANGE_EV = 9.0  # anything further below the 98th percentile counts as black
+BLACK = 2.0**-24  # mean luminance of an empty block: borders, misses
 BLOCK, MOST_BLOCKS = 8, 160
 BRIGHTEN_SECONDS, DARKEN_SECONDS = 1.0, 0.4  # an eye and a camera close faster than they open
 FRAMES_PER_SECOND = 24.0
 MODES = ("auto", "lit", "metadata")
 USED = "postfx:exposureUsed"
-"""Header attribute with the multiplier that a run used, for what comes after; the author's own is postfx:exposure."""
+"""Header attribute with the multiplier that a run used, for later programs; the author's own is postfx:exposure."""
 APPLIED = "postfx:exposureApplied"
-"""The same where it is in the pixels already."""
+"""The same, if the pixels already include it."""
 
 SMOOTH = "smooth"
 SECONDS = 0.5
 """Standard deviation of the Gaussian weights in time."""
-REACH = 4  # standard deviations; what lies further away has no weight
+REACH = 4  # standard deviations; frames further away have no weight
 
 
 def measure(colour: np.ndarray) -> float | None:
@@ -67,9 +67,9 @@ class ExposureMeter:
     """Stateful exposure: call it with each frame in order, get the multiplier (> 0) to use for that frame.
 
     mode: 'auto' meters each picture and follows it smoothly in EV, slower towards brighter (1 s) than towards
-    darker (0.4 s), at once at the first frame and at cuts (`frame.reset`); a black frame keeps the shot's last value.
-    'lit' shows the light as its author made it: `frame.exposure`, or 1 where the header has none. 'metadata' fails
-    there, but for frames of an earlier run, whose multiplier it takes (`USED`). A number is an EV: the multiplier is
+    darker (0.4 s), at once on the first frame and at cuts (`frame.reset`); a black frame keeps the shot's last value.
+    'lit' shows the light as its author made it: `frame.exposure`, or 1 if the header has none. 'metadata' fails then,
+    except for frames of an earlier run, whose multiplier it takes (`USED`). A number is an EV: the multiplier is
     2 ** EV.
     """
 
@@ -78,7 +78,7 @@ class ExposureMeter:
         self._ev: float | None = None
 
     def reset(self) -> None:
-        """Forget the past: the next frame is metered as the first."""
+        """Forget the past: the next frame is metered like a first one."""
         self._ev = None
 
     @property
@@ -87,15 +87,15 @@ class ExposureMeter:
         return self.mode == "auto"
 
     def history(self) -> dict[str, np.ndarray]:
-        """What the next multiplier depends on beside its frame."""
+        """The state that the next multiplier depends on."""
         return {} if self._ev is None else {"ev": np.array(self._ev, np.float64)}
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
-        """Go on as a meter that had this `history`."""
+        """Continue from this `history`."""
         self._ev = float(history["ev"]) if history else None
 
     def __call__(self, frame: Frame) -> float:
-        """Multiplier for `frame`; ExposureError when the mode is 'metadata' and its header gives none."""
+        """Multiplier for `frame`; ExposureError if the mode is 'metadata' and the header has none."""
         if self.mode == "lit" and frame.exposure is None:
             return 1.0
         if self.mode in ("lit", "metadata"):
@@ -117,13 +117,13 @@ class ExposureMeter:
 
 
 def frame_rate(frame: Frame) -> float:
-    """Frames per second by the header, else 24."""
+    """Frames per second from the header, else 24."""
     rate = frame.metadata.get("framesPerSecond", FRAMES_PER_SECOND)
     return float(rate) if isinstance(rate, int | float) and rate > 0 else FRAMES_PER_SECOND
 
 
 def _share(frame: Frame, brighter: bool) -> float:
-    """How much of the way to the wanted EV one frame goes."""
+    """Part of the way to the metered EV that one frame goes."""
     return 1.0 - math.exp(-1.0 / (frame_rate(frame) * (BRIGHTEN_SECONDS if brighter else DARKEN_SECONDS)))
 
 
@@ -150,8 +150,8 @@ def _header_exposure(frame: Frame) -> float:
     return float(exposure)
 
 
-class Metered(NamedTuple):
-    """What the meter says about a frame.
+class MeterReading(NamedTuple):
+    """The meter's reading of a frame.
 
     Attributes:
         number: frame number.
@@ -165,12 +165,12 @@ class Metered(NamedTuple):
 
 
 class SmoothExposure:
-    """Exposure by two passes; used like an `ExposureMeter`, and given to a `Pipeline` in its place.
+    """Exposure metered on the whole sequence first; used in place of an `ExposureMeter`.
 
-    frames: the sequence, at least once iterable; it is metered when the first multiplier is asked for. Within each
-    shot the EV follows a local straight line, weighted by a Gaussian of `seconds` in time (Cleveland 1979), which lags
-    behind nothing; it is broken at cuts (`frame.reset`). A frame that was not metered has the multiplier of the one
-    with the nearest number.
+    frames: the sequence; it is iterated once, when the first multiplier is needed. Within each
+    shot the EV follows a local straight line, weighted by a Gaussian of `seconds` in time (Cleveland 1979), which
+    does not lag; it is broken at cuts (`frame.reset`). A frame that was not metered gets the multiplier of the nearest
+    frame number.
     """
 
     def __init__(self, frames: Iterable[Frame], seconds: float = SECONDS) -> None:
@@ -178,38 +178,38 @@ class SmoothExposure:
         self._ev: dict[int, float] = {}
 
     def reset(self) -> None:
-        """Nothing to forget: the curve belongs to the sequence."""
+        """Does nothing: the curve belongs to the sequence."""
 
     remembers = False
 
     def history(self) -> dict[str, np.ndarray]:
-        """Nothing, likewise."""
+        """Empty, for the same reason."""
         return {}
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
-        """Nothing to take."""
+        """Does nothing."""
 
     def __call__(self, frame: Frame) -> float:
         """Multiplier for `frame`, by its number."""
         if not self._ev:
-            readings = list(metered(self._frames))
+            readings = list(meter_frames(self._frames))
             self._ev = smooth_ev(readings, self._seconds * frame_rate(frame))
         nearest = min(self._ev, key=lambda number: abs(number - frame.number), default=None)
         return 1.0 if nearest is None else 2.0 ** self._ev[nearest]
 
 
-def metered(frames: Iterable[Frame]) -> Iterator[Metered]:
+def meter_frames(frames: Iterable[Frame]) -> Iterator[MeterReading]:
     """Each frame's reading, one frame in memory at a time."""
     for frame in frames:
-        yield Metered(frame.number, measure(frame[Role.COLOUR]), frame.reset)
+        yield MeterReading(frame.number, measure(frame[Role.COLOUR]), frame.reset)
 
 
 def colours_of(sequence: FrameSequence, lenient: bool = False) -> Iterator[Frame]:
-    """Frames of a sequence with nothing but their colour; what else reads the sequence meanwhile is not disturbed.
+    """Frames of a sequence with their colour only; other readers of the sequence are not disturbed.
 
-    When `lenient`, those that cannot be read are left out.
+    If `lenient`, frames that cannot be read are skipped.
     """
-    own = copy.copy(sequence)  # which frame was read last decides what is a cut
+    own = copy.copy(sequence)  # a copy: cuts depend on the frame that was read last
     own.rewind()
     return (frame for _, frame in read_ahead(own.numbers, lambda number: _colour_of(own, number, lenient)) if frame)
 
@@ -229,8 +229,8 @@ def shots(cuts: Sequence[bool]) -> list[slice]:
     return [slice(*edge) for edge in zip(edges, edges[1:], strict=False)]
 
 
-def smooth_ev(readings: Sequence[Metered], width: float) -> dict[int, float]:
-    """Frame number -> smooth EV. width: standard deviation in frames; a shot of black frames only has 0 EV."""
+def smooth_ev(readings: Sequence[MeterReading], width: float) -> dict[int, float]:
+    """Frame number -> smooth EV. width: standard deviation in frames; an all-black shot has 0 EV."""
     curve: dict[int, float] = {}
     for shot in shots([reading.cut for reading in readings]):
         ev = np.array([np.nan if reading.ev is None else reading.ev for reading in readings[shot]])
@@ -246,7 +246,7 @@ def _smoothed(ev: np.ndarray, width: float) -> list[float]:
     result = []
     for at in range(len(ev)):
         near = known[abs(known - at) <= REACH * width]
-        if near.size < 2:  # a black stretch: hold what was known last
+        if near.size < 2:  # all black here: keep the last known value
             result.append(float(ev[known[abs(known - at).argmin()]]))
             continue
         time = near - at

@@ -1,4 +1,4 @@
-"""Ways to show light: as the eye compares it, and as a camera operator judges its exposure, false colour and zebra."""
+"""Ways to show light: as code values to compare, and as camera operators judge exposure: false colour and zebra."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LUMA = np.array((0.2126, 0.7152, 0.0722), np.float32)
 
 
 class Band(NamedTuple):
-    """A range of the signal, its colour (sRGB code values) and what it stands for."""
+    """A range of the signal, its colour (sRGB code values) and its meaning."""
 
     low: float
     high: float
@@ -31,7 +31,7 @@ BANDS = (
 """ARRI, ALEXA Mini LF user manual, "Monitoring", page 83: signal levels and colours of the false colour display."""
 
 ZEBRA = 0.95
-STRIPE = 6  # pixels, of a stripe and of the gap after it
+STRIPE = 6  # pixels of a stripe and of a gap
 
 
 def luma(rgb: np.ndarray) -> np.ndarray:
@@ -39,8 +39,9 @@ def luma(rgb: np.ndarray) -> np.ndarray:
     return rgb @ LUMA
 
 
-def shown(colour: np.ndarray, exposure: float) -> np.ndarray:
-    """What the eye compares: sRGB code values 0..1 of x / (1 + x), x = colour * exposure; not finite counts as 0."""
+def to_codes(colour: np.ndarray, exposure: float) -> np.ndarray:
+    """sRGB code values 0..1 of x / (1 + x), x = colour * exposure, to compare pictures; non-finite values count as
+    0."""
     exposed = np.maximum(np.nan_to_num(colour * exposure), 0)
     return srgb_encode(exposed / (1 + exposed))
 

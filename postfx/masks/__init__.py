@@ -1,8 +1,8 @@
-"""Planes `strength` made from what a frame holds: names in a Cryptomatte, whole-number ids, sky and misses, or pixels
-that have converged.
+"""Makes `strength` planes from other planes of a frame: names in a Cryptomatte, ids, sky and misses, or converged
+pixels.
 
-NumPy in, NumPy out, as in `frame.planes[Role.STRENGTH] = strength_of_misses(frame.planes)`. docs/masks.md explains it,
-and how to ask for the same on the command line.
+NumPy in, NumPy out, as in `frame.planes[Role.STRENGTH] = strength_of_misses(frame.planes)`. docs/masks.md explains them
+and the matching command-line options.
 """
 
 from postfx.errors import StrengthError

@@ -1,4 +1,4 @@
-"""Strength of pixels that have converged: 0 where the renderer's own figures say that its noise is small enough.
+"""Strength of pixels that have converged: 0 where the renderer reports little enough noise.
 
 Renderers with adaptive sampling estimate the variance of each pixel. The standard error of a pixel's mean is the root
 of the variance of its samples over their number. Divided by the mean it does not depend on exposure, so one threshold
@@ -21,17 +21,17 @@ from postfx.masks.entries import Entry
 from postfx.sampling import bands, local_maximum, local_mean, local_sum
 
 READS = (Role.COLOUR, *ERROR_ROLES)
-"""Planes that are looked at, if a frame has them."""
+"""Planes that are read if the frame has them."""
 
 POOLED = 2
 """Radius of the squares over which variance and light are averaged."""
 SOFT = 2
-"""Radius by which the rest is grown, and then averaged."""
+"""Radius by which unconverged pixels are grown, and then averaged."""
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """When a pixel counts as converged; give one of the two.
+    """When a pixel counts as converged; give exactly one of the two.
 
     Attributes:
         error: standard error of the mean over the mean, 0.01 for 1 %.
@@ -42,23 +42,23 @@ class Threshold:
     samples: int | None = None
 
     def basis(self, roles: Collection[Role], samples: int | None) -> str:
-        """What says so, in words, in a frame with planes of these roles and a header's number of samples.
+        """The planes that decide, in words, for a frame with these roles and the header's number of samples.
 
-        StrengthError if nothing does.
+        StrengthError if there are none.
         """
         counted = f"plane '{Role.SAMPLE_COUNT}'" if Role.SAMPLE_COUNT in roles else f"{samples} samples a pixel"
         is_counted = bool(Role.SAMPLE_COUNT in roles or samples)
         if self.samples and not is_counted:
-            raise StrengthError(f"nothing tells the number of samples: render the plane '{Role.SAMPLE_COUNT}', or give "
+            raise StrengthError(f"the number of samples is unknown: render the plane '{Role.SAMPLE_COUNT}', or give "
                                 f"postfx:spp in the header")
         if self.samples:
             return counted
         role = _variance(roles)
         if role is None:
-            raise StrengthError(f"nothing tells the error: render a plane {', '.join(VARIANCES)}, or name it in a "
+            raise StrengthError(f"the error is unknown: render a plane {', '.join(VARIANCES)}, or name it in a "
                                 "profile (--profile FILE.toml)")
         if role is not Role.VARIANCE_OF_MEAN and not is_counted:
-            raise StrengthError(f"plane '{role}' tells the error only with the number of samples: give postfx:spp in "
+            raise StrengthError(f"plane '{role}' gives the error only with the number of samples: give postfx:spp in "
                                 f"the header, or render the plane '{Role.SAMPLE_COUNT}'")
         return f"plane '{role}'" if role is Role.VARIANCE_OF_MEAN else f"plane '{role}' and {counted}"
 
@@ -81,12 +81,12 @@ def strength_of_converged(
 ) -> np.ndarray:
     """Strength (height, width, 1), 0..1: 0 where a frame has converged, 1 where its error is twice the threshold's.
 
-    planes: those of a frame, (height, width, channels), of which `READS` are looked at. samples: of each pixel, for
+    planes: those of a frame, (height, width, channels), of which `READS` are used. samples: of each pixel, for
     frames without a plane of sample counts. For a threshold of N samples, the error of n samples is the root of N / n:
     strength is 1 up to N / 4 samples. Errors are those of luminance if noise is alike in all channels, which is the
     largest they can be. Where light and variance are 0, the error is 0; where one is not finite, strength is 1.
-    Strength is 1 up to two pixels from pixels that have not converged, and soft within six. StrengthError when the
-    planes do not hold enough.
+    Strength is 1 up to two pixels from pixels that have not converged, and soft within six. StrengthError if the
+    planes do not suffice.
     """
     threshold.basis(planes, samples)
     return np.concatenate([strength for _, strength in strength_in_bands(planes, threshold, samples)])
@@ -120,8 +120,8 @@ def _variance(roles: Collection[Role]) -> Role | None:
 
 
 def _unit(count: np.ndarray | None, samples: int | None) -> np.float32:
-    """Samples that 1 in the plane of counts means: the header's number if the plane holds shares of it, as Cycles may
-    write, or if there is no plane."""
+    """Number of samples for the value 1 in the plane of counts: the header's number if the plane holds shares of it, as
+    Cycles may write, or if there is no plane."""
     is_share = count is None or (bool(samples) and count.max(initial=0) <= 1)
     return np.float32(samples or 0) if is_share else np.float32(1)
 

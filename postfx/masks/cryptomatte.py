@@ -19,15 +19,15 @@ from postfx.errors import StrengthError
 from postfx.masks.entries import Entry
 
 LEAST = 1e-3
-"""Strengths this close to 0 or 1 become 0 or 1: shares do not add up to 1 to the last bit."""
+"""Strengths this close to 0 or 1 become 0 or 1, because shares do not add up to exactly 1."""
 NEAREST = 5
 _BITS = 0xFFFFFFFF
 Key = TypeVar("Key")
 
 
 def id_of_name(name: str) -> int:
-    """Id of a name, 32 bits: MurmurHash3_x86_32 of its UTF-8 with seed 0 (Appleby 2011), kept from being a float that
-    is denormal, infinite or not a number, as the specification wants it."""
+    """Id of a name, 32 bits: MurmurHash3_x86_32 of its UTF-8 with seed 0 (Appleby 2011), changed where it would be a
+    denormal, infinite or NaN float, as the specification demands."""
     found = _murmur3(name.encode("utf-8"))
     exponent = found >> 23 & 255
     return found ^ (1 << 23) if exponent in (0, 255) else found
@@ -48,17 +48,16 @@ class Cryptomatte:
     where: str
 
     def ids_of(self, entry: Entry) -> list[int]:
-        """Ids that an entry stands for; none when no name of the manifest fits.
+        """Ids that an entry selects; none if no name of the manifest matches.
 
-        Raises StrengthError when the manifest gives a name another id than its hash, and for wildcards without a
-        manifest.
+        Raises StrengthError if the manifest's id of a name is not its hash, and for wildcards without a manifest.
         """
         if entry.name.lower().startswith("0x"):
             return [_parse_id(entry.name)]
         if self.manifest is None:
             if set("*?[") & set(entry.name):
-                raise StrengthError(f"{self.where}: Cryptomatte {self.name} has no manifest, so nothing tells what "
-                                    f"fits '{entry.name}': give whole names")
+                raise StrengthError(f"{self.where}: Cryptomatte {self.name} has no manifest, so nothing tells which "
+                                    f"names match '{entry.name}': give whole names")
             return [id_of_name(entry.name)]
         return [self._check(name, self.manifest[name]) for name in entry.select(list(self.manifest))]
 
@@ -79,7 +78,7 @@ class Cryptomatte:
 
 
 def _parse_id(text: str) -> int:
-    wrong = StrengthError(f"'{text}' is no id of a Cryptomatte: give 0x and 8 hexadecimal digits")
+    wrong = StrengthError(f"'{text}' is not an id of a Cryptomatte: give 0x and 8 hexadecimal digits")
     try:
         found = int(text, 16)
     except ValueError:
@@ -95,8 +94,8 @@ def strength_from_cryptomatte(
     """Strength (height, width, 1), 0..1: 1 minus (1 - strength) of each thing times its share of the pixel.
 
     ranks: (height, width, 2 n) float32, id and share in turn, as the channels R, G, B, A of the planes 00, 01, ... hold
-    them; or a sequence of 2 n such planes (height, width). Ids must have all 32 bits. strengths: name or id -> 0 leave
-    as it is .. 1 denoise fully; the rest is denoised fully. Edges are as soft as the shares. StrengthError for
+    them; or a sequence of 2 n such planes (height, width). Ids must have all 32 bits. strengths: name or id -> 0 (leave
+    as it is) to 1 (denoise fully); the rest is denoised fully. Edges are as soft as the shares. StrengthError for
     half a pair and strengths outside 0..1.
     """
     planes = list(np.moveaxis(ranks, -1, 0)) if isinstance(ranks, np.ndarray) else list(ranks)

@@ -15,20 +15,20 @@ from postfx.errors import StrengthError
 AUTO = "auto"
 """The name that stands for sky and misses."""
 CONVERGED = "converged"
-"""The word that stands for pixels that have converged, before : and a threshold."""
+"""The word for converged pixels, before : and a threshold."""
 _RANGE = re.compile(r"(-?\d+)(?:-(-?\d+))?")
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A name and the strength of what it stands for.
+    """A name, and the strength of the pixels that it selects.
 
     Attributes:
         name: of an object or material, with the wildcards * ? and []; an id such as 7, 7-9 or, in a Cryptomatte,
-            0x1a2b3c4d; 'auto' for sky and misses; 'converged:0.01' or 'converged:256spp' for pixels that have
-            converged.
+            0x1a2b3c4d; 'auto' for sky and misses; 'converged:0.01' or 'converged:256spp' for converged
+            pixels.
         plane: Cryptomatte or plane of ids to look in; None for all Cryptomattes of the file.
-        strength: 0 leave as it is .. 1 denoise fully.
+        strength: 0 (leave as it is) to 1 (denoise fully).
     """
 
     name: str
@@ -41,25 +41,25 @@ class Entry:
 
     @property
     def is_auto(self) -> bool:
-        """Whether it is about sky and misses."""
+        """Whether it selects sky and misses."""
         return self.name == AUTO and self.plane is None
 
     @property
     def is_converged(self) -> bool:
-        """Whether it is about pixels that have converged."""
+        """Whether it selects converged pixels."""
         return self.name.partition(":")[0] == CONVERGED
 
     def select(self, names: list[str]) -> list[str]:
-        """The names that it stands for: exactly its own, or else all that fit its wildcards."""
+        """The names that it selects: exactly its own, or else all that match its wildcards."""
         return [self.name] if self.name in names else [name for name in names if fnmatchcase(name, self.name)]
 
 
 def parse_leave(text: str) -> tuple[Entry, ...]:
     """Entries of a text: NAME, NAME=STRENGTH, NAME@PLANE or NAME@PLANE=STRENGTH, separated by commas.
 
-    'auto,logo,glass_*=0.5,7-9@id' leaves sky and misses, the logo and the ids 7 to 9 of the plane id alone and denoises
-    glass by half; 'converged:0.01' leaves pixels alone whose relative error is at most 1 %. Write ? for a comma or @
-    within a name. StrengthError for an empty name and a strength outside 0 to 1.
+    'auto,logo,glass_*=0.5,7-9@id' leaves sky and misses, the logo, and ids 7 to 9 of the plane id as they are, and
+    denoises glass by half. 'converged:0.01' leaves pixels with a relative error of at most 1 % as they are. Write ? for
+    a comma or @ in a name. StrengthError for an empty name and a strength outside 0 to 1.
     """
     return tuple(_parse_entry(word.strip(), text) for word in text.split(","))
 
@@ -71,7 +71,7 @@ def _parse_entry(word: str, text: str) -> Entry:
         try:
             name, strength = head, float(tail)
         except ValueError:
-            name = word  # the name itself holds the sign
+            name = word  # the sign is part of the name
     if not 0 <= strength <= 1:
         raise StrengthError(f"leave '{text}': strength {strength:g} of '{name}': give 0 (as it is) to 1 (fully)")
     name, _, plane = name.strip().rpartition("@") if "@" in name else (name.strip(), "", "")
@@ -94,8 +94,8 @@ def id_range(entry: Entry) -> tuple[int, int]:
 def strength_from_ids(ids: np.ndarray, strengths: Mapping[int | tuple[int, int], float]) -> np.ndarray:
     """Strength (height, width, 1) from whole-number ids (height, width) or (height, width, 1) of any data type.
 
-    strengths: id, or first and last id -> 0 leave as it is .. 1 denoise fully. The last key that fits counts; pixels
-    that none fits, and ids that are no whole number, as between two ids that were averaged, are denoised fully.
+    strengths: id, or first and last id -> 0 (leave as it is) to 1 (denoise fully). The last matching key counts. Pixels
+    without one are denoised fully, and so are ids that are not whole numbers, such as averages of two ids.
     StrengthError for strengths outside 0..1.
     """
     if not all(0 <= value <= 1 for value in strengths.values()):
@@ -115,14 +115,14 @@ def is_in_range(ids: np.ndarray, span: tuple[int, int]) -> np.ndarray:
 
 @dataclass
 class Coverage:
-    """How much of some frames is left alone, and by which entries: sums over the frames of shares of pixels, 0..1.
+    """How much of some frames is not denoised, by entry: sums over the frames of shares of pixels, 0..1.
 
     Attributes:
         frames: number of frames.
-        alone: pixels of strength 0.
-        covered: entry -> pixels that it covers, counted in part if it covers them in part.
-        missed: misses; None if nobody looked for them.
-        basis: entry -> the plane, in words, that tells what it covers.
+        alone: share of pixels of strength 0.
+        covered: entry -> share that it covers; a partly covered pixel counts in part.
+        missed: share of misses; None if they were not looked for.
+        basis: entry -> the plane that decides what it covers, in words.
     """
 
     frames: int = 0

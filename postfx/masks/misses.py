@@ -1,8 +1,8 @@
 """Strength of sky and misses: 0 where the environment is seen directly and is free of noise.
 
-Where the primary ray misses, a pixel has the environment's own colour, which no light path makes noisy. But fog
-scatters light in front of it, objects in motion or out of focus cover a part of it, and some renderers sample it. So
-the noise of the colour is measured. Pixels that are noisy, near noisy ones, or too few to be measured keep full
+A pixel whose primary ray misses shows the environment directly, without noise from light paths. But fog may scatter
+light in front of it, objects in motion or out of focus may cover part of it, and some renderers sample it. So the noise
+of the colour is measured. Pixels that are noisy, near noisy ones, or too few to be measured keep full
 strength.
 """
 
@@ -18,27 +18,27 @@ from postfx.masks.cryptomatte import snap
 from postfx.sampling import BAND, bands, local_maximum, local_mean
 
 READS = (Role.COLOUR, Role.ALPHA, Role.DEPTH, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
-"""Planes that are looked at, if a frame has them."""
+"""Planes that are read if the frame has them."""
 
 BLOCK = 8
-"""Pixels on a side of the squares in which noise is measured."""
+"""Side, in pixels, of the squares in which noise is measured."""
 FEWEST = 8
-"""Measured pixels that a square needs for its noise to be known."""
+"""Least number of measured pixels for the noise of a square to count."""
 SPANS = (1, 2)
-"""Distances in pixels at which neighbours are compared: a renderer's filter makes close ones alike."""
+"""Distances in pixels at which neighbours are compared: a renderer's filter makes closer ones alike."""
 NOISE = (0.008, 0.02)
 """Standard deviation over mean, from invisible to visible: the display curve sqrt(y / (1 + y)) turns it into at most
 0.0015 to 0.004, as in `postfx.kernels.denoise.restore`."""
 CROWD = (0.15, 0.35)
-"""Share of noisy misses from which on none are left alone: between its spikes, sparse noise cannot be measured."""
+"""Share of noisy misses above which all are denoised: sparse noise cannot be measured between its spikes."""
 GROWN, SOFT = 2, 2
-"""Pixels by which everything else is grown, and radius by which it is grown once more and averaged."""
+"""Pixels by which everything else is grown, and the radius by which it is then grown again and averaged."""
 
 
 def strength_of_misses(planes: Mapping[Role, np.ndarray]) -> np.ndarray:
     """Strength (height, width, 1), 0..1: 0 for misses without noise, 1 for everything else, soft in between.
 
-    planes: those of a frame, (height, width, channels), of which `READS` are looked at; colour is needed. `misses_of`
+    planes: those of a frame, (height, width, channels), of which `READS` are used; colour is needed. `misses_of`
     says what counts as a miss. Pixels that are covered in part keep strength 1, as do two around them; the seventh has
     strength 0. Noise is the second difference of luminance along both axes, at two distances, squared and averaged over
     the pixels of a square of 8 around which all are misses (after Immerkaer 1996, "Fast noise variance estimation"),

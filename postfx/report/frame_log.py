@@ -15,7 +15,7 @@ import numpy as np
 
 from postfx.colour.curves import srgb_encode
 from postfx.errors import ReportError
-from postfx.exposure.views import shown
+from postfx.exposure.views import to_codes
 from postfx.frame import Role
 from postfx.io.sequence import Sequence as FrameSequence
 from postfx.report.pictures import encode_light, pack_codes, png_uri, shrink
@@ -46,7 +46,7 @@ class Look:
 
     def codes(self, light: np.ndarray, exposure: float) -> np.ndarray:
         """Code values 0..1."""
-        return srgb_encode(np.minimum(np.nan_to_num(light), 1)) if self.display else shown(light, exposure)
+        return srgb_encode(np.minimum(np.nan_to_num(light), 1)) if self.display else to_codes(light, exposure)
 
 
 @dataclass

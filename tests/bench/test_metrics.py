@@ -21,9 +21,9 @@ def frame(colour, number=1, **facts):
 
 
 def test_what_is_shown_of_mid_grey():
-    grey = metrics.shown(np.full((2, 2, 3), 1.0, np.float32), 1.0)
+    grey = metrics.to_codes(np.full((2, 2, 3), 1.0, np.float32), 1.0)
     assert np.allclose(grey, 0.735357, atol=1e-5)  # sRGB of 1 / 2
-    assert metrics.shown(np.full((1, 1, 3), np.nan, np.float32), 1.0).max() == 0
+    assert metrics.to_codes(np.full((1, 1, 3), np.nan, np.float32), 1.0).max() == 0
 
 
 def test_psnr_of_a_tenth():

@@ -12,11 +12,11 @@ import postfx
 from postfx.exposure import (
     ExposureError,
     ExposureMeter,
-    Metered,
+    MeterReading,
     SmoothExposure,
     colours_of,
     measure,
-    metered,
+    meter_frames,
     smooth_ev,
 )
 from postfx.frame import Frame, Role
@@ -167,8 +167,8 @@ def test_noisy_renders_meter_like_their_references(name: str, shared_dir) -> Non
     assert ev("noisy") == pytest.approx(ev("reference"), abs=0.35)
 
 
-def readings(ev: np.ndarray, cuts: tuple[int, ...] = ()) -> list[Metered]:
-    return [Metered(index + 1, value, index in cuts) for index, value in enumerate(ev)]
+def readings(ev: np.ndarray, cuts: tuple[int, ...] = ()) -> list[MeterReading]:
+    return [MeterReading(index + 1, value, index in cuts) for index, value in enumerate(ev)]
 
 
 def curve(ev: np.ndarray, cuts: tuple[int, ...] = ()) -> np.ndarray:
@@ -256,7 +256,7 @@ def test_metering_reads_colour_only_and_disturbs_no_other_reader(write_exr) -> N
 @pytest.mark.parametrize("name", ("living_room", "staircase", "garage"))
 def test_the_curve_of_a_render_stays_with_its_readings(name: str, shared_dir) -> None:
     sequence = postfx.read_sequence(shared_dir / "sequences" / name / "noisy.####.exr")
-    found = list(metered(colours_of(sequence)))
+    found = list(meter_frames(colours_of(sequence)))
     smooth = np.array(list(smooth_ev(found, WIDTH).values()))
     raw = np.array([reading.ev for reading in found])
     assert abs(smooth - raw).max() < 0.1 and abs(np.diff(smooth, 2)).max() < abs(np.diff(raw, 2)).max() / 3

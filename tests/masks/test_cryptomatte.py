@@ -108,9 +108,9 @@ def test_names_count_as_they_are_before_they_count_as_patterns() -> None:
     assert layer.ids_of(Entry("has_?")) == [manifest["has_*"], manifest["has_n"]]
     assert layer.ids_of(Entry("sky")) == [] and layer.nearest(Entry("sky")) == ["Sky"]
     assert layer.ids_of(Entry("0x1234abcd")) == [0x1234ABCD]
-    with pytest.raises(StrengthError, match="'0xlogo' is no id of a Cryptomatte"):
+    with pytest.raises(StrengthError, match="'0xlogo' is not an id of a Cryptomatte"):
         layer.ids_of(Entry("0xlogo"))
-    with pytest.raises(StrengthError, match="'0x1ffffffff' is no id of a Cryptomatte"):
+    with pytest.raises(StrengthError, match="'0x1ffffffff' is not an id of a Cryptomatte"):
         layer.ids_of(Entry("0x1ffffffff"))
 
 
@@ -123,5 +123,5 @@ def test_a_manifest_of_other_hashes_is_told() -> None:
 def test_without_a_manifest_whole_names_are_hashed() -> None:
     layer = Cryptomatte("CryptoObject", None, "frame.exr")
     assert layer.ids_of(Entry("sky")) == [id_of_name("sky")]
-    with pytest.raises(StrengthError, match="CryptoObject has no manifest, so nothing tells what fits 's\\*'"):
+    with pytest.raises(StrengthError, match="CryptoObject has no manifest, so nothing tells which names match 's\\*'"):
         layer.ids_of(Entry("s*"))

@@ -168,5 +168,5 @@ def test_the_users_config_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("OCIO", str(tmp_path / "config.ocio"))
     assert find_view("ocio:mine", parse_display("srgb")).title == "Mine, sRGB - Display"
     monkeypatch.setenv("OCIO", str(tmp_path / "none.ocio"))
-    with pytest.raises(ColourError, match="none.ocio: no OpenColorIO config that can be read"):
+    with pytest.raises(ColourError, match="none.ocio: not a readable OpenColorIO config"):
         find_view("ocio:", parse_display("srgb"))

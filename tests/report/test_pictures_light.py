@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.colour.curves import srgb_encode
-from postfx.exposure.views import shown
+from postfx.exposure.views import to_codes
 from postfx.report.pictures import LARGEST, TOE, encode_light, pack_codes
 
 
@@ -16,7 +16,7 @@ def light_of(codes, highest):
 def test_scene_light_differs_by_less_than_a_step_of_the_screen(stops):
     light = np.float32(np.geomspace(2**-8, 60, 3000).reshape(10, 100, 3))
     decoded = light_of(encode_light(light, 64.0), 64.0)
-    difference = np.abs(shown(np.float32(decoded), 2.0**stops) - shown(light, 2.0**stops))
+    difference = np.abs(to_codes(np.float32(decoded), 2.0**stops) - to_codes(light, 2.0**stops))
     assert difference.max() < 1 / 255
 
 

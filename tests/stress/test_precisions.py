@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 pytest.importorskip("skimage", reason="needs the extra 'bench'")
 from postfx.bench.measure import Material, Sources  # noqa: E402
-from postfx.bench.metrics import psnr, shown  # noqa: E402
+from postfx.bench.metrics import psnr, to_codes  # noqa: E402
 from postfx.frame import Role  # noqa: E402
 from postfx.runtime import Device  # noqa: E402
 from tests.stress.scenes import pipeline  # noqa: E402
@@ -32,7 +32,7 @@ def quality(folder: Path, model: str, kind: str) -> float:
         colour, reference = chain(frame)[Role.COLOUR], material.reference(frame.number)[Role.COLOUR]
         if kind == "at 1x":
             reference = reference.reshape(colour.shape[0], 2, colour.shape[1], 2, 3).mean((1, 3))
-        found.append(psnr(*(shown(light, chain.exposure) for light in (colour, reference))))
+        found.append(psnr(*(to_codes(light, chain.exposure) for light in (colour, reference))))
     return float(np.mean(found))
 
 

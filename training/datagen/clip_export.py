@@ -17,7 +17,7 @@ import numpy as np
 import OpenImageIO as oiio
 from PIL import Image
 
-from postfx.exposure.views import shown
+from postfx.exposure.views import to_codes
 from training.datagen.clip_file import GUIDES, exposure_of, guide_depth, load_clip, to_half
 
 # An EXR sequence ----------------------------------------------------------------------------------------------------
@@ -102,13 +102,13 @@ def export_exr(args: argparse.Namespace, parser: argparse.ArgumentParser) -> Non
 def row(clip: dict, frame: int, size: int) -> np.ndarray:
     """One clip's frame, or its last one, as (size, 6 size, 3) uint8."""
     frame = min(frame, len(clip["reference"]) - 1)
-    panels = [shown(clip["v0_colour"][frame].astype(np.float32), 1.0)]
+    panels = [to_codes(clip["v0_colour"][frame].astype(np.float32), 1.0)]
     for name in ("diffuse_albedo", "specular_albedo"):
         panels.append(clip[f"v0_{name}"][frame].astype(np.float32) ** (1 / 2.2))
     panels.append(clip["v0_normal"][frame].astype(np.float32) * 0.5 + 0.5)
     motion = clip["v0_motion"][frame] / 20 + 0.5
     panels.append(np.concatenate([motion, np.full_like(motion[..., :1], 0.5)], -1))
-    panels.append(shown(clip["reference"][frame].astype(np.float32), 1.0))
+    panels.append(to_codes(clip["reference"][frame].astype(np.float32), 1.0))
     images = [Image.fromarray((np.clip(p, 0, 1) * 255).astype(np.uint8)).resize((size, size), 0) for p in panels]
     return np.concatenate([np.asarray(i) for i in images], 1)
 

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 from fileseq import FrameSet
 
-from postfx.bench.metrics import psnr, shown
+from postfx.bench.metrics import psnr, to_codes
 
 PACKED = "dwab:80"  # lossy by 47 dB PSNR, far below the noise: zip takes 2.7 times as much
 
@@ -71,7 +71,7 @@ def main() -> None:
 def of_halves(render: Callable[[int], np.ndarray], exposure: float) -> np.ndarray:
     """Mean (H, W, 3) of the independent renders 0 and 1. Prints its noise, half their difference, as PSNR."""
     first, second = render(0), render(1)
-    noise = psnr(shown(first, exposure), shown(second, exposure)) + 20 * np.log10(2)
+    noise = psnr(to_codes(first, exposure), to_codes(second, exposure)) + 20 * np.log10(2)
     print(f"reference with noise of {noise:.1f} dB PSNR", flush=True)
     return (first + second) / 2
 

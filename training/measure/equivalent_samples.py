@@ -134,10 +134,10 @@ class Errors:
         return {name: max(value, 1e-12) for name, value in found.items()}
 
     def _square(self, measure: str, one: np.ndarray, other: np.ndarray) -> float:
-        from postfx.bench.metrics import shown
+        from postfx.bench.metrics import to_codes
 
         if measure == "seen":
-            return float(np.square(shown(one, self._exposure) - shown(other, self._exposure)).mean())
+            return float(np.square(to_codes(one, self._exposure) - to_codes(other, self._exposure)).mean())
         weight = 1 / (np.square(self._mean) + 1e-2 / self._exposure**2)
         pixels = np.sort((np.square(one.astype(np.float64) - other) * weight).mean(-1).ravel())
         return float(pixels[: int(pixels.size * TRIMMED)].mean())

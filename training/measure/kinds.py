@@ -24,7 +24,7 @@ import numpy as np
 from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.bench.baselines import HostKernels, Oidn
 from postfx.bench.metrics import grey_exposure
-from postfx.exposure.views import shown
+from postfx.exposure.views import to_codes
 from postfx.frame import Role
 from training.datagen.clip_file import load_clip
 from training.measure.runs import record_kinds
@@ -66,8 +66,9 @@ def score_render(clip: dict, variant: int, method: Method) -> float:
     first, second = halves(clip, variant)
     errors = []
     for t, frame in enumerate(frames_of(clip, variant, exposure)):
-        found = shown(method(frame), exposure)
-        errors.append(np.mean((found - shown(first[t], exposure)) * (found - shown(second[t], exposure))))
+        found = to_codes(method(frame), exposure)
+        errors.append(np.mean((found - to_codes(first[t], exposure)) * (found - to_codes(second[t],
+        exposure))))
     return float(-10 * np.log10(max(np.mean(errors[len(errors) // 2:]), 1e-9)))
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.bench.baselines import HostKernels, Oidn
-from postfx.exposure.views import shown
+from postfx.exposure.views import to_codes
 from postfx.frame import Role
 
 SIDE = 96  # render pixels
@@ -259,7 +259,7 @@ def _bare(one: Frame) -> Frame:
 def measure(case: Case, picture: Picture) -> dict[str, float]:
     """PSNR in dB where the case is judged; deviation from the truth there, and the light that is kept."""
     where = np.ones(picture.shape[:2], bool) if case.where is None else case.where
-    error = (shown(picture, 1.0) - shown(case.truth, 1.0))[where]
+    error = (to_codes(picture, 1.0) - to_codes(case.truth, 1.0))[where]
     return {"psnr": float(-10 * np.log10(np.mean(error**2) + 1e-12)), "noise": float(np.std(error)),
             "light": float(picture[where].sum() / case.truth[where].sum())}
 
@@ -329,7 +329,7 @@ def draw(names: list[str], model: str, path: Path) -> None:
             rows = np.arange(size) * SIDE // size
             cells = [case.frames[-1][Role.COLOUR][rows][:, rows], oidn(case.frames, case.scale),
                      network(model)(case.frames, case.scale), case.truth]
-            pictures = [np.asarray(Image.fromarray((255 * shown(cell, 1.0)).astype(np.uint8)).resize((256, 256), 0))
+            pictures = [np.asarray(Image.fromarray((255 * to_codes(cell, 1.0)).astype(np.uint8)).resize((256, 256), 0))
                         for cell in cells]
             lines.append(np.concatenate(pictures, 1))
     Image.fromarray(np.concatenate(lines)).save(path)

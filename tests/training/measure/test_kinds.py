@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.exposure.views import shown
+from postfx.exposure.views import to_codes
 from training.datagen.clip_file import load_clip
 from training.measure.kinds import halves, main, mean_gains, network_method, oidn_method, score_render, table
 
@@ -34,8 +34,9 @@ def test_errors_are_measured_without_the_noise_of_the_reference():
     clip |= {"reference": true + noise.mean(0), "half": true + noise[1]}
     first, second = halves(clip, 0)
     np.testing.assert_allclose(first, true + noise[0], atol=1e-3)
-    plain = np.mean((shown(true, 1) - shown(second, 1)) ** 2)
-    assert abs(np.mean((shown(true, 1) - shown(first, 1)) * (shown(true, 1) - shown(second, 1)))) < 0.02 * plain
+    plain = np.mean((to_codes(true, 1) - to_codes(second, 1)) ** 2)
+    assert abs(np.mean((to_codes(true, 1) - to_codes(first, 1)) * (to_codes(true, 1) -
+    to_codes(second, 1)))) < 0.02 * plain
 
 
 def test_the_command_prints_a_table_and_refuses_an_empty_folder(tmp_path, capsys):
