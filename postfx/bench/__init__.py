@@ -8,4 +8,4 @@ from postfx.errors import BenchError
 def require(module: str, package: str, use: str) -> None:
     """Raise BenchError when a library of the extra 'bench' is not installed."""
     if find_spec(module) is None:
-        raise BenchError(f"{package} is not installed, which {use}: pip install 'postfx[bench]'")
+        raise BenchError(f"{package} is not installed, and it {use}: pip install 'postfx[bench]'")

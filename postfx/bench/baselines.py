@@ -1,8 +1,8 @@
 """Open Image Denoise, enlargement and accumulation along the motion: what postfx is compared with.
 
-Open Image Denoise is called through the package pyoidn. Accumulation at output size is what people put behind a
-denoiser of single frames: the history is followed by motion, dropped where depth or normal show another surface, and
-averaged over up to ten frames.
+Open Image Denoise is called through the package pyoidn. Accumulation at output size is a
+common addition to a denoiser of single frames: it follows the motion, drops the history where depth or normal show
+another surface, and averages up to ten frames.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class Oidn:
         threads: CPU threads.
 
     Attributes:
-        milliseconds: sum of the time in the filter, without copies to the device and back.
+        milliseconds: total time in the filter, without copies to and from the device.
 
-    The albedo is the sum of the diffuse and the specular one, at most 1: better for OIDN than the diffuse one alone.
-    Raises BenchError when pyoidn is not installed or OIDN cannot run there.
+    The albedo is the sum of diffuse and specular albedo, at most 1, which suits OIDN better than diffuse albedo alone.
+    Raises BenchError if pyoidn is not installed or OIDN cannot run on the device.
     """
 
     def __init__(self, quality: str, device: str, threads: int) -> None:
@@ -136,7 +136,7 @@ class HostKernels:
     def enlarge(self, colour: np.ndarray, height: int, width: int, jitter: tuple[float, float]) -> np.ndarray:
         """Cubic interpolation of light (h, w, 3), whose samples are `jitter` (x, y) pixels off their centres.
 
-        Interpolates log(1 + exposed light): linear light would spread highlights over their neighbours.
+        Interpolates log(1 + exposed light), because linear light would spread highlights over their neighbours.
         """
         gain = np.float32(2.0 ** (measure(colour) or 0.0))
         exposed = np.log1p(np.maximum(colour, 0) * gain)

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from postfx.bench import require
 from postfx.bench.measure import Material, Sources, Task, output_pattern, run_task, score, timing
 from postfx.bench.methods import LeftOut, catalogue, select
-from postfx.bench.report import ablations, compare, front, offered, write_csv
+from postfx.bench.report import ablations, choices, compare, front, write_csv
 from postfx.errors import BenchError, WriteError
 from postfx.frame import Role
 from postfx.passes.denoise.inputs import ABSENT
@@ -27,7 +27,7 @@ LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"), 
 
 
 @dataclass(frozen=True)
-class Wish:
+class Request:
     """Arguments of `postfx bench` beside the frames."""
 
     output: Path
@@ -42,10 +42,10 @@ class Wish:
 class Bench:
     """A benchmark. Making it checks everything that can be checked before measuring.
 
-    Raises PostfxError when frames, methods or installed libraries do not fit.
+    Raises PostfxError if frames, methods or installed libraries do not fit.
     """
 
-    def __init__(self, sources: Sources, wish: Wish) -> None:
+    def __init__(self, sources: Sources, wish: Request) -> None:
         for module, package in LIBRARIES:
             require(module, package, "measures or draws")
         self.material = Material(sources)
@@ -73,13 +73,13 @@ class Bench:
                     self.left_out = (*self.left_out, LeftOut(method.title, str(error)))
                     progress.failed(method.name, str(error))
         if not rows:
-            raise BenchError(f"no method could be measured; the last one said: {self.left_out[-1].why}")
+            raise BenchError(f"no method could be measured; the last error: {self.left_out[-1].why}")
         facts = self._facts(rows)
         self._write(facts)
         return facts
 
     def _write(self, facts: dict[str, Any]) -> None:
-        from postfx.bench.pictures import (  # these load the libraries that were asked for above
+        from postfx.bench.pictures import (  # loads the libraries required above
             draw_crops,
             draw_worst,
             pareto,
@@ -91,8 +91,8 @@ class Bench:
             write_csv(folder / "bench.csv", facts["methods"])
             pareto(facts, "psnr_late", folder / "pareto_psnr.png")
             pareto(facts, "flicker_late", folder / "pareto_flicker.png")
-            draw_crops(self.material, offered(facts["methods"]), folder / "crops.png")
-            draw_worst(self.material, offered(facts["methods"]), folder / "crops_worst.png")
+            draw_crops(self.material, choices(facts["methods"]), folder / "crops.png")
+            draw_worst(self.material, choices(facts["methods"]), folder / "crops_worst.png")
         except OSError as error:
             raise WriteError(f"{folder}: cannot be written: {error.strerror}; check rights and free space") from error
 
@@ -128,8 +128,8 @@ class Bench:
             "machine": machine(),
             "versions": versions(),
             "methods": rows,
-            "fronts": {figure: front(offered(rows), figure, time) for figure in ("psnr_late", "flicker_late")},
-            "against_best_baseline": compare(offered(rows)),
+            "fronts": {figure: front(choices(rows), figure, time) for figure in ("psnr_late", "flicker_late")},
+            "against_best_baseline": compare(choices(rows)),
             "ablations": ablations(rows),
             "left_out": [item._asdict() for item in self.left_out],
         }

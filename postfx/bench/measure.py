@@ -49,10 +49,10 @@ class Material:
     Attributes:
         noisy: the frames to process.
         spec: size, planes and guides of the first one.
-        size: height and width of the references, which is the output's.
+        size: height and width of the references and the output.
         scale: output size over render size, 1 to 3.
 
-    Raises BenchError when sizes do not fit, MissingFrameError when a frame has no reference, and what reading raises.
+    Raises BenchError if sizes do not fit, MissingFrameError if a frame has no reference, and errors of reading.
     """
 
     def __init__(self, sources: Sources) -> None:
@@ -184,8 +184,8 @@ def _run_process(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
 def timing(times: dict[str, Any], device: str) -> dict[str, Any]:
     """The figures of interest; gpu_ms is None on the CPU.
 
-    A run's milliseconds are the median over its frames, since other work on the machine slows single frames; then the
-    median, least and most over the runs. cpu_s is the mean over frames, and its median over the runs.
+    A run's milliseconds are the median over its frames, because other work slows single frames; reported are the
+    median, least and most over the runs. cpu_s is the mean over frames, median over the runs.
     """
     wall = [median(run) for run in times["wall_ms"]]
     gpu = [median(run) for run in times["device_ms"]]
@@ -202,7 +202,7 @@ def timing(times: dict[str, Any], device: str) -> dict[str, Any]:
 
 def score(material: Material, pattern: str) -> SequenceScore:
     """Scores of the results that a method wrote."""
-    from postfx.bench.metrics import SequenceScore  # here, as its libraries must not count as memory of a method
+    from postfx.bench.metrics import SequenceScore  # imported here: its libraries must not count as a method's memory
 
     scores = SequenceScore()
     for number in material.noisy.numbers:
@@ -264,8 +264,8 @@ def main() -> int:
 def measure(task: Task) -> dict[str, Any] | None:
     """Milliseconds (wall, device) and CPU seconds of every frame of every run, and the peak of memory in MB.
 
-    One frame before the runs, `first_ms`, makes everything ready. Reading and writing files is not timed. None when
-    kernels had to be compiled, once for this machine: the compiler's memory would count, so measure again.
+    A frame before the runs, `first_ms`, prepares everything. Reading and writing files is not timed. None if kernels
+    had to be compiled, which happens once per machine: measure again, for the compiler's memory would count.
     """
     kept = _compiled_kernels()
     device = Device(task.device, task.threads)
@@ -287,7 +287,7 @@ def measure(task: Task) -> dict[str, Any] | None:
 def peak_memory() -> float:
     """Greatest resident memory of this process in MB (10^6 bytes).
 
-    From the kernel's mark for this program: `ru_maxrss` would also count the process that started it.
+    From the kernel's high-water mark; `ru_maxrss` would include the parent process.
     """
     status = Path("/proc/self/status")
     if status.is_file():

@@ -31,18 +31,18 @@ class Method:
     """One way to make the output.
 
     Attributes:
-        name: as `--methods` takes it.
+        name: for `--methods`.
         title: for tables and plots.
         family: one of FAMILIES.
-        model: tag of the network with its precision, as the option `model` of the pass; '' where there is none.
+        model: tag of the network with its precision, as in the pass's option `model`; '' if none.
         precision: of the network's weights and arithmetic.
-        guides: whether planes at output size are read.
-        alone: whether the history is dropped at every frame.
-        both: whether frames profit from those after them, too.
-        run_up: whether the first frame of a shot does.
-        quality: of OIDN; '' where it is not used.
-        accumulated: whether frames are accumulated at output size along the motion.
-        without: names of planes that the frames have and the network is not given; empty in all but ablations.
+        guides: whether it reads planes at output size.
+        alone: whether it drops the history at every frame.
+        both: whether it uses later frames as well.
+        run_up: whether the first frame of a shot gets a run-up.
+        quality: of OIDN; '' if not used.
+        accumulated: whether it accumulates frames at output size along the motion.
+        without: names of the frames' planes that are withheld from the network; only in ablations.
     """
 
     name: str
@@ -86,7 +86,7 @@ OTHERS = (
 def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool, lost: Collection[str] = ()) -> Catalogue:
     """All methods for models of a library, a device 'cpu' or 'cuda', and frames with or without guides and motion.
 
-    `lost`: planes of the frames that ablations leave out, each alone and all together.
+    `lost`: planes that ablations leave out, each alone and all together.
     """
     names = [name.removeprefix(f"{PASS}.") for name in models
              if name.startswith(f"{PASS}.") and not name.endswith(UNSCALED)]  # the others take them
@@ -108,7 +108,7 @@ def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool, lo
 def select(found: Catalogue, names: str | None, models: str | None) -> Catalogue:
     """The methods named by `names` (names or families) and, of ours, of the model tags `models`; comma-separated lists.
 
-    Raises BenchError when a name fits nothing.
+    Raises BenchError if a name matches nothing.
     """
     tags = {method.model.split(".")[0] for method in found.methods if method.model}
     chosen_tags = _words(models, tags, "--models") if models else tags

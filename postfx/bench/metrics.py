@@ -49,7 +49,7 @@ def flip(picture: np.ndarray, reference: np.ndarray) -> float:
 
 
 def flip_map(picture: np.ndarray, reference: np.ndarray) -> tuple[float, np.ndarray]:
-    """The same, and the error of each pixel as a colour (height, width, 3) 0..1: black none, through red to white."""
+    """The same, and each pixel's error as a colour (height, width, 3) 0..1, from black (none) through red to white."""
     colours, mean, _ = flip_evaluator.evaluate(reference, picture, "LDR")
     return float(mean), colours
 
@@ -62,7 +62,7 @@ def relmse(colour: np.ndarray, reference: np.ndarray, exposure: float) -> float:
     return float(pixels[: int(pixels.size * TRIMMED)].mean())
 
 
-def moved(image: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def warp(image: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """`image` (H, W, C) sampled where `motion` (H, W, 2), x and y in pixels, points to; bilinear, edges repeated."""
     y, x = np.indices(image.shape[:2], np.float32)
     return bilinear(image, (x + motion[..., 0]).ravel(), (y + motion[..., 1]).ravel()).reshape(image.shape)
@@ -70,18 +70,18 @@ def moved(image: np.ndarray, motion: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Pictures:
-    """A result and its reference as they are shown."""
+    """A result and its reference in code values."""
 
     result: np.ndarray
     reference: np.ndarray
 
 
 def flicker(before: Pictures, now: Pictures, motion: np.ndarray) -> float | None:
-    """1000 times the mean absolute error of the change since the frame before, followed by `motion` (H, W, 2).
+    """1000 times the mean absolute error of the change since the frame before, along `motion` (H, W, 2).
 
-    Counts pixels where the motion explains the reference (within 0.1); None when there is no such pixel.
+    Counts pixels where the motion explains the reference (within 0.1); None if there are none.
     """
-    result, reference = moved(before.result, motion), moved(before.reference, motion)
+    result, reference = warp(before.result, motion), warp(before.reference, motion)
     followed = np.abs(reference - now.reference).max(-1) < FOLLOWED
     if not followed.any():
         return None
@@ -99,7 +99,7 @@ class SequenceScore:
     def add(self, result: np.ndarray, reference: Frame, noisy: Frame) -> None:
         """Score a result (H, W, 3) against the reference's colour; `noisy` gives motion, cuts and the frame number.
 
-        The exposure is the reference's, or the one that makes the first reference mid grey.
+        The exposure is the reference's, or else the one that makes the first reference mid grey.
         """
         target = reference[Role.COLOUR]
         self._exposure = self._exposure or grey_exposure(target)

@@ -17,17 +17,17 @@ from scipy.ndimage import uniform_filter
 from postfx.bench.measure import Material
 from postfx.bench.methods import FAMILIES
 from postfx.bench.metrics import grey_exposure, psnr
-from postfx.bench.report import offered
+from postfx.bench.report import choices
 from postfx.exposure.views import to_codes
 from postfx.frame import Role
 
 COUNT, SIDE = 3, 96
 SHARE = 0.35
-"""Greatest part of the picture's smaller side that a crop takes."""
+"""Largest side of a crop, as a part of the picture's smaller side."""
 
 
 class Column(NamedTuple):
-    """One method's picture (H, W, 3), code values 0..1; `measured` says whether its PSNR is of interest."""
+    """One method's picture (H, W, 3), code values 0..1; `measured`: whether to print its PSNR."""
 
     title: str
     picture: np.ndarray
@@ -37,8 +37,7 @@ class Column(NamedTuple):
 def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> None:
     """Crops of the last frame: noisy, OIDN, ours, reference, with the PSNR of each crop; a PNG.
 
-    They are taken where OIDN's picture and ours differ most (else the result and the reference), not where either is
-    good.
+    Crops are where OIDN's picture and ours differ most; without OIDN, where the result and the reference do.
     """
     columns = _columns(material, rows, material.noisy.numbers[-1])
     one, other = _compared(columns)
@@ -47,11 +46,11 @@ def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> No
 
 
 def draw_worst(material: Material, rows: list[dict[str, Any]], path: Path) -> None:
-    """The same for our failures: the frame and the places where ours is behind OIDN's methods most; a PNG.
+    """The same for our failures: the frame and the places where we are furthest behind OIDN's methods; a PNG.
 
-    Ours is the largest network without guides, which sees what OIDN sees. The frame is the one where its PSNR is least
-    above (or furthest below) the best OIDN method's. Where there is nothing to compare, or no place where ours is
-    behind, there is no picture afterwards.
+    Ours is the largest network without guides, which has the same input as OIDN. The frame is the one with the least
+    lead (or largest lag) in PSNR on the best OIDN method. Removes the picture if there is nothing to compare or no
+    place where ours is behind.
     """
     path.unlink(missing_ok=True)
     wanted = _wanted(rows)
@@ -75,16 +74,16 @@ def pick(difference: np.ndarray, count: int) -> list[tuple[int, int]]:
 
 
 def behind(ours: np.ndarray, others: list[np.ndarray], count: int) -> list[tuple[int, int]]:
-    """Corners as of `pick`: squares whose mean error (H, W) is furthest above the least of the others' means.
+    """Corners as from `pick`, of squares whose mean error (H, W) is furthest above the others' least mean.
 
-    None where ours is not above it.
+    Squares where ours is not above it are left out.
     """
     losses = _means(ours) - np.min([_means(other) for other in others], axis=0)
     return _greatest(np.where(losses > 0, losses, -np.inf), count, _side(ours.shape))
 
 
 def _means(values: np.ndarray) -> np.ndarray:
-    """Means of all squares that fit into the picture, by their upper left corners."""
+    """Means of all squares in the picture, by their upper left corners."""
     side = _side(values.shape)
     means: np.ndarray = uniform_filter(values.astype(np.float64), side, mode="nearest", origin=-(side // 2))
     return means[: values.shape[0] - side + 1, : values.shape[1] - side + 1]
@@ -158,7 +157,7 @@ def _compared(columns: list[Column]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _repeated(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Nearest pixels, so that the input is seen as it is."""
+    """Enlarged by nearest pixels, so that the input looks as it is."""
     h, w = image.shape[:2]
     repeated: np.ndarray = image[(np.arange(height) * h // height)[:, None], np.arange(width) * w // width]
     return repeated
@@ -168,7 +167,7 @@ COLOURS = {"ours": "#0b62b8", "oidn": "#c8500a", "plain": "#666666"}
 LABELS = {"psnr_late": "PSNR, dB (up is better)", "flicker_late": "flicker, x1000 (down is better)"}
 SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14, -4), (10, 18), (10, -26), (-10, 18),
          (-10, -26), (0, 26), (0, -34), (24, 30), (24, -38)]
-"""Where a label may stand, in points from its dot; the first free one is taken, and a line drawn to those not NEAR."""
+"""Places for a label, in points from its dot; the first free one is used, with a line to the dot unless NEAR."""
 NEAR = 8
 Point = tuple[float, float, dict[str, Any]]
 """Where a method's dot is, and its row."""
@@ -177,11 +176,11 @@ Point = tuple[float, float, dict[str, Any]]
 def pareto(facts: dict[str, Any], figure: str, path: Path) -> None:
     """Plot a figure over time a frame and draw the front; a PNG.
 
-    Methods without a denoiser that lie far off are shown by an arrow at the edge.
+    Methods without a denoiser that are far off are shown by an arrow at the edge.
     """
     gpu = facts["device"] != "cpu"
     time = "gpu_ms" if gpu else "wall_ms"
-    rows = [row for row in offered(facts["methods"])
+    rows = [row for row in choices(facts["methods"])
             if row["scores"][figure] is not None and row["time"][time] is not None]
     if not rows:
         return
@@ -203,7 +202,7 @@ def pareto(facts: dict[str, Any], figure: str, path: Path) -> None:
 
 
 def _range(rows: list[dict[str, Any]], figure: str) -> tuple[float, float]:
-    """Values that the axis shows: all that denoise, and a little more."""
+    """Range of the axis: all methods that denoise, with a margin."""
     inner = [row["scores"][figure] for row in rows if row["family"] != "plain"]
     values = inner or [row["scores"][figure] for row in rows]
     low, high = min(values), max(values)
@@ -218,7 +217,7 @@ def _limits(axes: Axes, times: list[float], low: float, high: float) -> None:
 
 
 def _draw_front(axes: Axes, points: list[Point], names: list[str], figure: str) -> None:
-    """Steps through the methods shown: until the next one is affordable, the last one is the best there is."""
+    """Steps through the methods: each is the best choice until the next one is affordable."""
     ordered = sorted((x, y) for x, y, row in points if row["name"] in names and row["scores"][figure] == y)
     axes.step(*zip(*ordered, strict=True), where="post", color="#222222", linewidth=1.2, alpha=0.5, zorder=1,
               label="Pareto front")
@@ -266,7 +265,7 @@ def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure
 
 
 def _label(axes: Axes, points: list[Point], figure: str, renderer: RendererAgg) -> None:
-    """Name every dot, beside it where nothing else is."""
+    """Label every dot at a free place beside it."""
     dots = [axes.transData.transform((x, y)) for x, y, _ in points]
     taken = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in dots]
     frame = axes.get_window_extent(renderer)
@@ -277,7 +276,7 @@ def _label(axes: Axes, points: list[Point], figure: str, renderer: RendererAgg) 
 
 
 def _name(row: dict[str, Any]) -> str:
-    """Short name: the marker says what is not in it."""
+    """Short name; the marker shows the rest."""
     if row["family"] != "ours":
         return str(row["title"])
     return str(row["model"]).split(".")[0] + ("" if row["precision"] == "fp32" else f" {row['precision']}")
@@ -286,7 +285,7 @@ def _name(row: dict[str, Any]) -> str:
 def _place(
     axes: Axes, renderer: RendererAgg, dot: tuple[float, float], text: str, colour: str, taken: list[Bbox], frame: Bbox
 ) -> Bbox:
-    """Write a label at the first free spot, else at the one that covers least; returns where it stands."""
+    """Write a label at the first free place, else where it covers least; returns its place."""
     label = axes.annotate(text, dot, (0, 0), textcoords="offset points", fontsize=10.5, color=colour, zorder=4,
                           fontweight="bold" if len(text) <= 2 else "normal",
                           arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkB": 4})
@@ -294,7 +293,7 @@ def _place(
     for index, (dx, dy) in enumerate(SPOTS):
         _stand(label, dx, dy)
         label.update_positions(renderer)
-        box = Text.get_window_extent(label, renderer)  # the annotation's own would hold its line, too
+        box = Text.get_window_extent(label, renderer)  # without the annotation's line
         outside = box.x0 < frame.x0 or box.x1 > frame.x1 or box.y0 < frame.y0 or box.y1 > frame.y1
         cost = sum(_overlap(box, other) for other in taken) + (1e6 if outside else 0)
         found.append((cost, index, box))
@@ -302,7 +301,7 @@ def _place(
             break
     _, index, box = min(found, key=lambda item: item[:2])
     _stand(label, *SPOTS[index])
-    assert label.arrow_patch is not None  # it was made with arrowprops
+    assert label.arrow_patch is not None  # made with arrowprops
     label.arrow_patch.set_visible(index >= NEAR)
     return box
 

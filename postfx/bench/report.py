@@ -1,4 +1,4 @@
-"""What a benchmark found, as a table, as CSV and as comparisons."""
+"""Results of a benchmark: a table, CSV and comparisons."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def is_better(figure: str, one: float, other: float) -> bool:
 
 
 def front(rows: list[dict[str, Any]], figure: str, time: str = "wall_ms") -> list[str]:
-    """Names of the methods that no other one beats in both time and a figure, fastest first."""
+    """Names of the methods that no other beats in both time and a figure, fastest first."""
     known = [row for row in rows if row["scores"][figure] is not None and row["time"][time] is not None]
     best: dict[str, Any] | None = None
     found = []
@@ -30,7 +30,7 @@ def front(rows: list[dict[str, Any]], figure: str, time: str = "wall_ms") -> lis
 
 
 def compare(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Each of our methods against the best of the others, figure by figure; empty where there is no other.
+    """Each of our methods against the best of the others, figure by figure; empty if there are no others.
 
     psnr_late and ssim_late are differences, flip_late and flicker_late quotients; frames_below_oidn counts frames
     whose PSNR is below that of OIDN high.
@@ -49,8 +49,8 @@ def compare(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def offered(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Methods that one would choose: no ablations."""
+def choices(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """All methods but ablations."""
     return [row for row in rows if not row["without"]]
 
 
@@ -58,7 +58,7 @@ def ablations(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Each network without some planes against the same with all: differences and quotients as in `compare`."""
     found = []
     for row in rows:
-        whole = next((other for other in offered(rows) if row["without"] and _is_same_network(row, other)), None)
+        whole = next((other for other in choices(rows) if row["without"] and _is_same_network(row, other)), None)
         if whole:
             against = {figure: _against(row["scores"][figure], figure, [whole]) for figure in COMPARED}
             found.append({"name": row["name"], "of": whole["name"], **against})
@@ -70,7 +70,7 @@ def _is_same_network(one: dict[str, Any], other: dict[str, Any]) -> bool:
 
 
 def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    """One line a method: facts, times and figures; empty where something is not known."""
+    """One line per method: facts, times and figures; unknown cells are empty."""
     figures = list(rows[0]["scores"])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

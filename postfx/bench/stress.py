@@ -1,4 +1,4 @@
-"""Frames that no renderer should write, and whether what passes make of them is finite and in range."""
+"""Frames that no renderer should write, to check that the passes' results are finite and in range."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from postfx.runtime import Device, Library
 
 Change = Callable[[Frame], Frame]
 BRIGHTEST = 4e4
-"""Exposed light that the denoiser's output stays below: it keeps 1e4 times reflectance, which is taken to be below 2,
-its filters do not enlarge that, and sharpening at most doubles it."""
+"""Bound of the denoiser's exposed output: it limits light to 1e4 times reflectance (below 2), filters do not exceed
+that, and sharpening at most doubles it."""
 
 
-def changed(**planes: float | Callable[[np.ndarray], np.ndarray]) -> Change:
-    """Replaces planes, by name and where the frame has them, by a value or by a function of what they hold."""
+def set_planes(**planes: float | Callable[[np.ndarray], np.ndarray]) -> Change:
+    """Replace those of these planes that the frame has by a value, or by a function of their content."""
 
     def change(frame: Frame) -> Frame:
         made = dict(frame.planes)
@@ -47,32 +47,35 @@ def _fireflies(colour: np.ndarray) -> np.ndarray:
 
 _MISSES = dict(depth=1e10, normal=0, diffuse_albedo=0, specular_albedo=0, roughness=0, motion=0)
 LIGHTS: dict[str, Change] = {
-    f"{ev:+d} EV": changed(colour=partial(_expose, ev)) for ev in (-40, -20, 20, 40)
+    f"{ev:+d} EV": set_planes(colour=partial(_expose, ev)) for ev in (-40, -20, 20, 40)
 } | {
-    "black": changed(colour=0), "denormal": changed(colour=1e-42), "constant": changed(colour=0.5),
-    "largest half": changed(colour=65504), "1e10": changed(colour=1e10), "largest float": changed(colour=3.4e38),
-    "negative": changed(colour=lambda c: -c), "NaN": changed(colour=np.nan), "infinite": changed(colour=np.inf),
-    "minus infinite": changed(colour=-np.inf), "fireflies": changed(colour=_fireflies),
+    "black": set_planes(colour=0), "denormal": set_planes(colour=1e-42), "constant": set_planes(colour=0.5),
+    "largest half": set_planes(colour=65504), "1e10": set_planes(colour=1e10),
+    "largest float": set_planes(colour=3.4e38), "negative": set_planes(colour=lambda c: -c),
+    "NaN": set_planes(colour=np.nan), "infinite": set_planes(colour=np.inf),
+    "minus infinite": set_planes(colour=-np.inf), "fireflies": set_planes(colour=_fireflies),
 }
 HARD: dict[str, Change] = LIGHTS | {
-    "normals 0": changed(normal=0), "normals NaN": changed(normal=np.nan),
-    "albedos 0": changed(diffuse_albedo=0, specular_albedo=0),
-    "albedos broken": changed(diffuse_albedo=np.nan, specular_albedo=np.inf),
-    "roughness 0": changed(roughness=0), "roughness NaN": changed(roughness=np.nan),
-    "depth 0": changed(depth=0), "depth infinite": changed(depth=np.inf), "depth NaN": changed(depth=np.nan),
-    "depth denormal": changed(depth=1e-42), "depth negative": changed(depth=-1),
-    "motion 1e6": changed(motion=1e6), "motion -1e6": changed(motion=-1e6), "motion 9e4": changed(motion=9e4),
-    "motion NaN": changed(motion=np.nan), "motion infinite": changed(motion=np.inf),
-    "misses": changed(**_MISSES), "black misses": changed(colour=0, **_MISSES),
-    "everything NaN": changed(**dict.fromkeys(map(str, Role), np.nan)),
+    "normals 0": set_planes(normal=0), "normals NaN": set_planes(normal=np.nan),
+    "albedos 0": set_planes(diffuse_albedo=0, specular_albedo=0),
+    "albedos broken": set_planes(diffuse_albedo=np.nan, specular_albedo=np.inf),
+    "roughness 0": set_planes(roughness=0), "roughness NaN": set_planes(roughness=np.nan),
+    "depth 0": set_planes(depth=0), "depth infinite": set_planes(depth=np.inf),
+    "depth NaN": set_planes(depth=np.nan), "depth denormal": set_planes(depth=1e-42),
+    "depth negative": set_planes(depth=-1),
+    "motion 1e6": set_planes(motion=1e6), "motion -1e6": set_planes(motion=-1e6),
+    "motion 9e4": set_planes(motion=9e4), "motion NaN": set_planes(motion=np.nan),
+    "motion infinite": set_planes(motion=np.inf),
+    "misses": set_planes(**_MISSES), "black misses": set_planes(colour=0, **_MISSES),
+    "everything NaN": set_planes(**dict.fromkeys(map(str, Role), np.nan)),
 }
-"""Name -> what it makes of a frame; of its colour alone in LIGHTS."""
+"""Name -> change of a frame; in LIGHTS, of its colour alone."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a hard input: the largest exposed light, NaN where some was no number, and whether all is well:
-    exposed light is finite and in [0, BRIGHTEST], and tone-mapped in [0, 1]."""
+    """The result on a hard input: the largest exposed light, NaN if any is NaN, and whether all is well: exposed light
+    is finite and in [0, BRIGHTEST], and tone-mapped in [0, 1]."""
 
     model: str
     case: str
@@ -81,8 +84,8 @@ class Outcome:
 
 
 def stress(frames: Sequence[Frame], device: Device, models: Sequence[str] | None = None) -> Iterator[Outcome]:
-    """Every hard input for every network, by tag (default: those for the device); 'm.int8.1x' is what 'm.int8' runs at
-    render size. All frames but the last are changed, so that the last one has a history of them."""
+    """Every hard input for every network, by tag (default: those for the device); 'm.int8.1x' is the network of
+    'm.int8' at render size. All frames but the last are changed, so that the last one has them in its history."""
     for model in models or tags(device):
         tag, unscaled = parted(model)[0], model.endswith(UNSCALED)
         denoise = Pipeline([DenoiseUpscale(model=tag, scale=1 if unscaled else None)], device, cuts="none")
@@ -100,7 +103,7 @@ def stress(frames: Sequence[Frame], device: Device, models: Sequence[str] | None
 
 
 def tags(device: Device) -> list[str]:
-    """Networks, each in the precisions that are made for the device."""
+    """Tags of the networks, in the precisions made for the device."""
     names = [name.removeprefix(f"{PASS}.") for name in Library().names() if name.startswith(f"{PASS}.")]
     other = ".fp16" if device.memory.host_visible else ".int8"
     found = [parted(name) for name in names]
@@ -108,13 +111,13 @@ def tags(device: Device) -> list[str]:
 
 
 def as_dict(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """The outcomes in plain types; a light that is no number is null."""
+    """The outcomes in plain types; NaN becomes null."""
     rows = [asdict(one) | {"highest": one.highest if np.isfinite(one.highest) else None} for one in outcomes]
     return {"well": all(one.well for one in outcomes), "outcomes": rows}
 
 
 def as_text(outcomes: Sequence[Outcome]) -> str:
-    """A line a network, and one for each input that is not well."""
+    """A line per network, and one for each input with a bad result."""
     lines = []
     for model in dict.fromkeys(one.model for one in outcomes):
         own = [one for one in outcomes if one.model == model]

@@ -65,12 +65,12 @@ def execute(arguments: argparse.Namespace) -> int:
         raise BenchError("bench needs --reference and -o, or --stress: see postfx bench --help")
     from pathlib import Path
 
-    from postfx.bench.job import Bench, Wish  # loads the runtime, which --help must not wait for
+    from postfx.bench.job import Bench, Request  # loads the runtime, which --help must not wait for
     from postfx.bench.measure import Sources
     from postfx.bench.report import print_table
 
     sources = Sources(arguments.input, arguments.reference, arguments.guides, arguments.frames, arguments.profile)
-    wish = Wish(Path(arguments.output), arguments.methods, arguments.models, arguments.runs, arguments.device,
+    wish = Request(Path(arguments.output), arguments.methods, arguments.models, arguments.runs, arguments.device,
                 arguments.threads, arguments.ablations)
     facts = Bench(sources, wish).run()
     if arguments.json:

@@ -19,7 +19,7 @@ from postfx.io.sequence import Sequence
 from postfx.passes.base import Pass
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
-from postfx.report.charts import draw_exposure, save_png, with_key
+from postfx.report.charts import add_key, draw_exposure, save_png
 from postfx.runtime import Device
 
 SIGNALS = ("log_c", "display")
@@ -107,7 +107,7 @@ class ExposureCheck:
 def _views(clean: Frame, display: np.ndarray, exposure: float) -> Iterator[tuple[str, np.ndarray]]:
     signals = log_c(luma(clean[Role.COLOUR]) * exposure), luma(display)
     for name, signal in zip(SIGNALS, signals, strict=True):
-        yield f"false_colour_{name}", with_key(false_colour(signal))
+        yield f"false_colour_{name}", add_key(false_colour(signal))
     yield "zebra", zebra(display)
 
 

@@ -1,1 +1,1 @@
-"""Reports of what ran: a capture as a page and as JSON, and the comparison of two captures."""
+"""Reports of runs and captures: pages, charts and JSON, and the comparison of two captures."""

@@ -1,4 +1,4 @@
-"""Two captures of the same commands, compared tensor by tensor: where do they begin to differ?"""
+"""Finds the first tensor in which two captures of the same commands differ."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class Difference:
     """A tensor in both captures.
 
     Attributes:
-        index, label, command: the command; the first capture's words.
-        access: 'input' for what came from outside, 'node' for what a node of the network wrote, 'write' for what the
-            command wrote.
+        index, label, command: of the command, as in the first capture.
+        access: 'input' for a tensor from outside, 'node' for the output of a network's node, 'write' for the output of
+            the command.
         node: "node 12 Conv 'name'"; None except for nodes.
-        error: the largest relative error, see `compare`; infinite where one is finite and the other is not.
-        place: index of the element with that error; () of a tensor of one element.
+        error: the largest relative error, see `compare`; infinite if one value is finite and the other is not.
+        place: index of the element with that error; () for a tensor of one element.
     """
 
     index: int
@@ -58,10 +58,10 @@ class Comparison:
 def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison:
     """Compare two captures that kept all of their tensors (tensors='all'), command by command in order.
 
-    Where both looked into a network (network=True), its nodes come before what the command wrote.
+    If both captured nodes of a network (network=True), its nodes come before the output of the command.
 
     The relative error of an element is |a - b| / max(|b|, mean of |b| over the tensor): b is the reference, and
-    elements near 0 are measured by the tensor's usual size. NaN equals NaN and an infinity one of its sign.
+    elements near 0 are compared with the tensor's mean size. NaN equals NaN, and infinities of one sign are equal.
 
     Args:
         a, b: capture.json files or their folders.
@@ -84,8 +84,7 @@ def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison
 
 
 def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, str | None, Tensor, Tensor]]:
-    """Tensors to compare: inputs from outside where both have their content, nodes where both have them, and all that
-    was written."""
+    """Tensors to compare: inputs whose content both captures have, nodes if both have them, and all outputs."""
     where = f"command {one['index']} '{one['label']}'"
     if (one["label"], one["stage"]) != (other["label"], other["stage"]):
         raise CompareError(f"{where} is '{other['label']}' in the other capture: capture the same passes and options")
@@ -104,7 +103,7 @@ def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, st
 def _node_pairs(
     where: str, mine: list[dict[str, Any]], theirs: list[dict[str, Any]]
 ) -> Iterator[tuple[str, str, Tensor, Tensor]]:
-    """What nodes wrote, but constants, up to the first node that failed in one of the captures."""
+    """Outputs of nodes, except constants, up to the first node that failed in either capture."""
     failed = any(node["error"] for node in (*mine, *theirs))
     pairs = [pair for pair in zip(mine, theirs, strict=False) if not (pair[0]["error"] or pair[1]["error"])]
     if any(_kind(one) != _kind(other) for one, other in pairs) or (len(mine) != len(theirs) and not failed):

@@ -1,4 +1,4 @@
-"""A capture in plain types: what capture.json holds, and which command wrote what another one reads."""
+"""A capture in plain types, as in capture.json, and the edges between commands that share data."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ FILE = "capture.json"
 
 
 def as_dict(capture: Capture) -> dict[str, Any]:
-    """The capture in types that JSON has, without pictures; numbers that are not finite are text.
+    """The capture in JSON's types, without pictures; non-finite numbers are text.
 
     'commands' are all dispatches in order; 'buffers' have the order of dispatches and barriers; 'edges' say which
-    command wrote what another one reads (`postfx.report.capture_data.edges`). Times are milliseconds, memory bytes.
+    command wrote the data that another one reads (see `edges`). Times are milliseconds, memory bytes.
     """
     commands = [
         _command(dispatch, number) for number, buffer in enumerate(capture.buffers) for dispatch in buffer.dispatches
@@ -47,7 +47,7 @@ def as_dict(capture: Capture) -> dict[str, Any]:
 
 
 def read(path: str | Path) -> tuple[dict[str, Any], Path]:
-    """A capture.json, or that of a folder, and the folder that its tensor files are in. Raises ReadError."""
+    """Read a capture.json, given as a file or its folder; returns it and the folder. Raises ReadError."""
     file = Path(path)
     file = file / FILE if file.is_dir() else file
     try:
@@ -55,7 +55,7 @@ def read(path: str | Path) -> tuple[dict[str, Any], Path]:
     except (OSError, ValueError) as error:
         raise ReadError(f"capture '{file}' cannot be read: {error}") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise ReadError(f"'{file}' is no capture of this version of postfx: make one with postfx run --capture")
+        raise ReadError(f"'{file}' is not a capture by this version of postfx: make one with postfx run --capture")
     return data, file.parent
 
 
@@ -126,7 +126,7 @@ def edges(commands: list[dict[str, Any]]) -> list[dict[str, Any]]:
     Args:
         commands: in the order of commit, as in `postfx.report.capture_data`.
 
-    `from` is None where something that is read was written by no command before: an input, or history.
+    `from` is None if no earlier command wrote the data: an input, or history.
     """
     found = []
     for number, command in enumerate(commands):
@@ -150,5 +150,5 @@ def _writers(address: list[int], earlier: list[dict[str, Any]]) -> list[int | No
 
 
 def finite_or_text(value: float | int | None) -> float | int | str | None:
-    """NaN and infinities as text, which JSON has no numbers for."""
+    """The number; NaN and infinities, which JSON lacks, as text."""
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value

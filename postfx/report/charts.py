@@ -30,7 +30,7 @@ class Canvas:
         self.pixels[:] = colour
 
     def box(self, x0: float, y0: float, x1: float, y1: float, colour: Colour, opacity: float = 1.0) -> None:
-        """Fill from (x0, y0) up to and without (x1, y1), rounded to whole pixels."""
+        """Fill from (x0, y0) to (x1, y1), exclusive, rounded to whole pixels."""
         part = self.pixels[round(y0) : round(y1), round(x0) : round(x1)]
         part += opacity * (np.array(colour, np.float32) - part)
 
@@ -52,7 +52,7 @@ class Canvas:
         self.pixels = np.asarray(buffer.get_pixels(oiio.FLOAT), np.float32) * 255
 
     def save(self, path: Path) -> None:
-        """Write a PNG; WriteError where that cannot be."""
+        """Write a PNG; WriteError if that fails."""
         save_png(path, (np.clip(self.pixels, 0, 255) + 0.5).astype(np.uint8))
 
     def _strokes(self, strokes: Iterable[tuple[np.ndarray, np.ndarray]], colour: Colour, width: float) -> None:
@@ -76,7 +76,7 @@ class Canvas:
 
 
 def save_png(path: Path, pixels: np.ndarray) -> None:
-    """Write uint8 (height, width, 3); folders are made. Raises WriteError."""
+    """Write uint8 (height, width, 3) as PNG; makes missing folders. Raises WriteError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(png(pixels))
@@ -88,8 +88,8 @@ KEY_PAPER, KEY_INK = (24, 24, 26), (225, 225, 225)
 ROW, COLUMN, SIZE = 22, 210, 13
 
 
-def with_key(picture: np.ndarray) -> np.ndarray:
-    """uint8 (height, width, 3) with a strip below that names the bands, as many in a row as there is room for."""
+def add_key(picture: np.ndarray) -> np.ndarray:
+    """The picture, uint8 (height, width, 3), with a key of the false-colour bands below."""
     height, width, _ = picture.shape
     across = max(width // COLUMN, 1)
     rows = -(-len(BANDS) // across)
@@ -103,7 +103,8 @@ def with_key(picture: np.ndarray) -> np.ndarray:
 
 
 class Chart(NamedTuple):
-    """A chart: `prefix` of the readings that it shows, what follows it is the curve's name; `span`: least height."""
+    """A chart. `prefix`: of the readings that it shows; the rest of their names are the curves' names. `span`: least
+    height."""
 
     prefix: str
     title: str
@@ -113,8 +114,8 @@ class Chart(NamedTuple):
 
 CHARTS = (
     Chart("change ", "Change along the motion", 10, "1000 times the mean difference to the frame before, followed by "
-          "the motion, in code values as shown, of the calmest 80 % of the pixels: flicker, and what light does."),
-    Chart("exposure ", "Exposure, EV", 1, "Used: what the run exposed by. Metered: what the meter says of each input "
+          "the motion, in code values as shown, of the calmest 80 % of the pixels: flicker and changes of light."),
+    Chart("exposure ", "Exposure, EV", 1, "Used: the exposure of the run. Metered: the meter's reading of each input "
           "frame alone."),
     Chart("psnr ", "PSNR against the reference, dB", 2, "Of code values as shown, at full size; up is better."),
     Chart("flip ", "FLIP against the reference", 0.02, "Mean error as the eye sees it at 67 pixels a degree, 0 to 1; "
@@ -125,7 +126,7 @@ CHARTS = (
 
 
 def charts(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Charts that have a curve of at least two values: 'title', 'note', least 'span', and 'curves': name -> values."""
+    """Charts with a curve of at least two values: 'title', 'note', least 'span', and 'curves': name -> values."""
     names = dict.fromkeys(name for row in rows for name in row.readings)
     curves = {name: [row.readings.get(name) for row in rows] for name in names}
     drawn = {name: values for name, values in curves.items() if sum(value is not None for value in values) > 1}
@@ -159,7 +160,7 @@ def draw_exposure(report: Report, title: str, path: Path) -> None:
 
 
 class _Plot:
-    """Scales of the plot, and what is drawn by them."""
+    """The scales of the plot, and drawing with them."""
 
     def __init__(self, canvas: Canvas, report: Report) -> None:
         self.canvas, self.report = canvas, report
@@ -208,7 +209,7 @@ class _Plot:
             begin = end
 
     def checkerboard(self) -> None:
-        """Each frame's mid grey as it looked, over the grey that would be right."""
+        """Each frame's mid grey as shown, above the right grey."""
         top, bottom = STRIP
         right = round(self.report.grey * 255)
         for index, item in enumerate(self.report.readings):
@@ -219,7 +220,7 @@ class _Plot:
         self.canvas.text(LEFT - 10, bottom - 7, "right", FAINT, 14, "right")
 
     def _name(self, shot: Shot, begin: float, end: float) -> None:
-        """The verdict below a shot, where there is room."""
+        """The verdict below a shot, if there is room."""
         by = shot.drift_ev if shot.verdict == DRIFTING else abs(shot.mismatch_ev)
         text = shot.verdict if shot.verdict == RIGHT else f"{shot.verdict} by {by:.2f} EV"
         if end - begin > 9 * len(text):

@@ -1,6 +1,6 @@
-"""What a page shows of a sequence's frames, gathered while they pass: curves of all, pictures of a few.
+"""Gathers a report's data while a sequence's frames pass: curves of all frames, pictures of a few.
 
-The curves hold the change along the motion and, where there are references, the errors against them.
+The curves show the change along the motion and, with references, the errors against them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from postfx.report.pictures import encode_light, pack_codes, png_uri, shrink
 from postfx.sampling import Curve, bilinear, is_inside, motion_at
 
 LONGEST = 800
-"""Pixels of a picture's longer side; larger ones are reduced."""
+"""Longest side of a picture in pixels; larger ones are reduced."""
 WHITE_STOPS = 6
 
 
@@ -31,17 +31,17 @@ Pixels = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Look:
-    """How light is shown: scene-linear light exposed and compressed by x / (1 + x), a display's light as it is."""
+    """How light is shown: scene-linear light exposed and compressed by x / (1 + x), display light unchanged."""
 
     display: bool
 
     @property
     def highest(self) -> float:
-        """Exposed light above which a page need not tell values apart."""
+        """Exposed light above which a page does not distinguish values."""
         return 1.0 if self.display else 2.0**WHITE_STOPS
 
     def exposed(self, light: np.ndarray, exposure: float) -> np.ndarray:
-        """Light as the page holds it."""
+        """Light as stored in the page."""
         return light if self.display else light * np.float32(exposure)
 
     def codes(self, light: np.ndarray, exposure: float) -> np.ndarray:
@@ -51,7 +51,7 @@ class Look:
 
 @dataclass
 class Row:
-    """Numbers of one frame. `readings`: name of a curve -> value, None where there is none."""
+    """Numbers of one frame. `readings`: name of a curve -> value or None."""
 
     number: int
     cut: bool
@@ -71,8 +71,8 @@ class Sight:
 class FrameLog:
     """Keeps the numbers of every frame, and the pictures of the first, the middle, the last and the least steady one.
 
-    numbers: of the frames that will come, in order. judged: name of the picture whose change along the motion tells the
-    least steady frame. Besides, the pictures of the frame before are kept, at full size.
+    numbers: of the coming frames, in order. judged: name of the picture whose change along the motion decides which
+    frame is least steady. The pictures of the previous frame are kept as well, at full size.
     """
 
     def __init__(self, numbers: Sequence[int], look: Look, judged: str) -> None:
@@ -88,8 +88,8 @@ class FrameLog:
         self, number: int, pictures: Pixels, exposure: float, motion: np.ndarray | None = None, cut: bool = False,
         readings: Mapping[str, float | None] | None = None, maps: Pixels | None = None,
     ) -> None:
-        """Look at a frame: `pictures` by name, light (height, width, 3) of one size, and `motion`, (h, w, 2) in its own
-        pixels, which is not followed at a `cut`; `maps` by name are colours (height, width, 3) 0..1.
+        """Add a frame: `pictures` by name, light (height, width, 3) of one size; `motion`, (h, w, 2) in its own pixels,
+        ignored at a `cut`; `maps` by name, colours (height, width, 3) 0..1.
         """
         changes = {name: self._change(name, light, exposure, None if cut else motion)
                    for name, light in pictures.items()}
@@ -107,7 +107,7 @@ class FrameLog:
             self._sights[number] = self._sight(pictures, exposure, maps or {})
 
     def frames(self) -> list[dict[str, Any]]:
-        """The frames that were kept, in order, for the page's viewer."""
+        """The kept frames, in order, for the page's viewer."""
         return [self._frame(number, sight) for number, sight in sorted(self._sights.items())]
 
     def _change(self, name: str, light: np.ndarray, exposure: float, motion: np.ndarray | None) -> float | None:
@@ -150,20 +150,20 @@ class Comparison(NamedTuple):
 class References:
     """Noise-free frames at output size; frames without one are not compared.
 
-    Raises SequenceError when there is none, ReportError when their size is not (width, height) or a library is missing.
+    Raises SequenceError if there are none, ReportError if their size is not (width, height) or a library is missing.
     """
 
     def __init__(self, source: str, size: tuple[int, int]) -> None:
         for module, package in LIBRARIES.items():
             if find_spec(module) is None:
-                raise ReportError(f"{package} is not installed, which --reference needs: pip install 'postfx[bench]'")
+                raise ReportError(f"{package} is not installed, and --reference needs it: pip install 'postfx[bench]'")
         self._sequence, self._size = FrameSequence(source), size
         with self._sequence.open(self._sequence.numbers[0]) as files:
             spec = files.spec()
         self._check(spec.width, spec.height)
 
     def colour(self, number: int) -> np.ndarray | None:
-        """Light of a frame's reference, (height, width, 3); None where there is no file."""
+        """Light of a frame's reference, (height, width, 3); None if it has no file."""
         if number not in self._sequence.present():
             return None
         colour = self._sequence.read(number, [Role.COLOUR], [])[Role.COLOUR]
@@ -179,7 +179,7 @@ class References:
 def measure_errors(codes: Mapping[str, np.ndarray]) -> Comparison:
     """Errors of 'before' and 'after' against 'reference', all code values (height, width, 3) 0..1.
 
-    PSNR is of both, FLIP of 'after' only.
+    PSNR for both, FLIP for 'after' only.
     """
     from postfx.bench.metrics import flip_map, psnr  # libraries of the extra 'bench'
 
@@ -193,12 +193,12 @@ CALMEST = 0.8
 
 
 def measure_change(before: np.ndarray, now: np.ndarray, motion: np.ndarray, curve: Curve) -> float | None:
-    """1000 times the mean absolute difference to the frame before, followed by the motion: what does not hold still.
+    """1000 times the mean absolute difference to the previous frame along the motion: how unsteady the picture is.
 
-    before, now: light (height, width, 3), `curve` makes code values 0..1 of it; motion: (h, w, 2) in its own pixels. Of
-    an even grid of up to 40000 pixels the calmest 80 % count, which leaves out what was hidden before; so do not those
-    that come from outside. None where too few pixels are left, or the sizes differ. Moving reflections and shadows
-    count, so a clean picture is not at 0: compare pictures of the same frames.
+    before, now: light (height, width, 3), which `curve` turns into code values 0..1; motion: (h, w, 2) in its own
+    pixels. Uses an even grid of up to 40000 pixels without those that come from outside the picture, and of these the
+    calmest 80 %, which leaves out disoccluded pixels. None if too few pixels are left or the sizes differ. Moving
+    reflections and shadows count, so a clean picture is not at 0: compare pictures of the same frames.
     """
     height, width = now.shape[:2]
     if before.shape != now.shape:

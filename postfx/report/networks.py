@@ -1,6 +1,4 @@
-"""The graphs of ONNX files, for people to read, in blocks that can be drawn.
-
-Needs the package `onnx`, and without it says so.
+"""The graphs of ONNX files in readable form, grouped into blocks to draw. Needs the package `onnx`.
 """
 
 from __future__ import annotations
@@ -24,18 +22,18 @@ if TYPE_CHECKING:
 
 LONGEST = 200
 MOST_VALUES = 16
-"""Weights with at most as many elements are shown in full."""
+"""Most elements of weights that are shown in full."""
 
 
 def describe(path: Path, dims: Mapping[str, int]) -> dict[str, Any]:
     """The graph in a model file with its free dimensions fixed to `dims`.
 
-    Returns 'name', 'file', 'dims', 'note' and what is in the graph: 'inputs' and 'outputs', names; 'values', name ->
-    'dtype' and 'shape', where these can be worked out without running; 'weights', name -> 'dtype', 'shape', 'bytes',
+    Returns 'name', 'file', 'dims', 'note' and the content of the graph: 'inputs' and 'outputs', names; 'values', name
+    -> 'dtype' and 'shape', if they can be inferred without running it; 'weights', name -> 'dtype', 'shape', 'bytes',
     'statistics' and, of small ones, 'values'; 'nodes' in the order of the file and 'blocks' of them in the order to
     draw (`postfx.report.networks`). A node has 'op', 'domain', 'name', 'attributes', 'inputs' and 'outputs',
-    'constant' where it depends on no input of the graph, and 'weights', the names of those that it reads, also through
-    constant nodes. `note` says why there are no nodes, or is None.
+    'constant', whether it depends on no input of the graph, and 'weights', the names of those that it reads, directly
+    or through constant nodes. `note` says why there are no nodes, or is None.
     """
     head = {"name": path.name.removesuffix(".onnx"), "file": str(path), "dims": dict(dims)}
     try:
@@ -125,11 +123,11 @@ def _values(model: ModelProto, dims: Mapping[str, int]) -> dict[str, dict[str, A
         for size in item.type.tensor_type.shape.dim:
             if size.dim_param in dims:
                 size.dim_value = dims[size.dim_param]
-    for item in fixed.graph.output:  # their symbols say less than what follows from the inputs
+    for item in fixed.graph.output:  # shapes inferred from the inputs say more than their symbols
         item.type.tensor_type.ClearField("shape")
     try:
         fixed = shape_inference.infer_shapes(fixed, data_prop=True)
-    except Exception:  # a graph that ONNX Runtime takes may still be too much for the checker: then without shapes
+    except Exception:  # the checker may reject a graph that ONNX Runtime accepts: leave shapes out
         pass
     found = {}
     for item in (*fixed.graph.input, *fixed.graph.value_info, *fixed.graph.output):
@@ -151,8 +149,8 @@ class Node(NamedTuple):
 def blocks(nodes: Sequence[Node]) -> list[list[int]]:
     """All nodes' numbers, in blocks. Every node comes after those that it reads from.
 
-    A block goes on as long as a node is the only one that reads from the node before, and reads from no other. Constant
-    nodes belong to no such run: each stands right before the first node that reads it.
+    A block continues while a node is the only reader of the previous one and reads from no other. Constant nodes are
+    not part of such a run: each comes right before the first node that reads it.
     """
     before, after = _neighbours(nodes)
     following = {a: b for a, (b, *more) in after.items() if not more and len(before[b]) == 1}

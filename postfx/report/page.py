@@ -1,6 +1,6 @@
 """Pages that open from the disk: one HTML file that needs nothing beside it and asks no network.
 
-`write_report` writes the page of a sequence, `write_capture` that of a capture, with its JSON beside it.
+`write_report` writes the page of a sequence, `write_capture` the page and the JSON of a capture.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _PARTS = Path(__file__).parent / "assets"
 def page(title: str, name: str, scripts: Sequence[str], data: dict[str, Any]) -> str:
     """The file's text: the elements of `name`.html with the style of page.css and `name`.css, and the scripts.
 
-    page.js runs before the `scripts`, files of `assets`; they find `data`, of types that JSON has, in `data`.
+    page.js runs before the `scripts`, which are files of `assets`; they find the given `data` (JSON types) in `data`.
     """
     parts = {
         "title": html.escape(title),
@@ -65,8 +65,8 @@ def write_report(
 ) -> None:
     """Write the page. Raises WriteError.
 
-    log: what was seen of the frames. facts: what `postfx inspect --json` prints, of the input. first: the input's first
-    frame with all planes. run: what `postfx run --json` prints, and 'plan', the text of --explain.
+    log: data of the frames. facts: of the input, as `postfx inspect --json` prints them. first: the input's first frame
+    with all planes. run: as `postfx run --json` prints it, with 'plan', the text of --explain.
     """
     data = {
         "postfx": __version__,
@@ -97,7 +97,7 @@ Draw = Callable[[Snapshot], list[dict[str, Any]]]
 def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
     """Write `folder / capture.html` and `folder / capture.json`; returns the path of the page.
 
-    Raises WriteError when they cannot be written.
+    Raises WriteError if they cannot be written.
     """
     folder = Path(folder)
     data = as_dict(capture)

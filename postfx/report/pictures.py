@@ -20,8 +20,8 @@ _NOT_FINITE = (255, 0, 255)
 def picture(slices: list[np.ndarray]) -> dict[str, str]:
     """One slice as grey, two as red and green, three as red, green and blue: {'src': data URI, 'range': text}.
 
-    Values are float (height, width) of any range; black and white are chosen for all slices together. What holds no
-    negative value begins at 0 and gets a gamma of 2.2, the rest is linear. NaN and infinities are magenta.
+    Values are float (height, width) of any range; black and white are chosen for all slices together. Without
+    negative values, black is 0 and the gamma is 2.2; otherwise the scale is linear. NaN and infinities are magenta.
     """
     stack = np.stack(slices, axis=-1)
     shown, text = _shown(stack)
@@ -32,7 +32,7 @@ def picture(slices: list[np.ndarray]) -> dict[str, str]:
 
 def sheet(slices: list[np.ndarray]) -> dict[str, Any]:
     """All slices as grey tiles of one picture, `SHEET_COLUMNS` in a row: as `picture`, and 'tiles': [columns, rows] and
-    'liveliest', the number of the slice with the most contrast, or one that is not finite."""
+    'liveliest', the number of the slice with the most contrast, or of one with non-finite values."""
     stack = np.stack(slices)
     shown, text = _shown(stack)
     tiles = np.repeat(shown[..., None], 3, axis=-1)
@@ -119,8 +119,8 @@ NOT_FINITE = (LARGEST, 0, LARGEST)
 def encode_light(light: np.ndarray, highest: float) -> np.ndarray:
     """Light (height, width, 3) as codes 0..511, uint16: 511 log(1 + light / TOE) / log(1 + highest / TOE).
 
-    What is above `highest` or negative is clipped; a pixel that is not finite becomes magenta. Up to 64, a stop has 36
-    codes; of the 255 steps of a screen, x / (1 + x) in sRGB has at most 32 in a stop.
+    Negative light and light above `highest` is clipped; non-finite pixels become magenta. Up to 64, a stop has 36
+    codes; x / (1 + x) in sRGB has at most 32 of a screen's 255 steps in a stop.
     """
     steps = np.log1p(np.clip(np.nan_to_num(light), 0, highest) / np.float32(TOE)) / np.log1p(highest / TOE)
     codes: np.ndarray = np.rint(LARGEST * steps).astype(np.uint16)

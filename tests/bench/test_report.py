@@ -34,7 +34,7 @@ def test_ablations_are_compared_with_the_same_network_and_offered_to_nobody(tmp_
     (entry,) = report.ablations(LACKING)
     assert (entry["name"], entry["of"]) == ("m-without-depth", "m")
     assert entry["psnr_late"] == pytest.approx(-0.5) and entry["flicker_late"] == pytest.approx(1.25)
-    assert report.offered(LACKING) == ROWS and report.ablations(ROWS) == []
+    assert report.choices(LACKING) == ROWS and report.ablations(ROWS) == []
     others = [row("m-run-up", 70, 33, 7, "ours", run_up=True), row("m-both-ways", 130, 34, 6, "ours", both=True)]
     assert report.ablations([*others, *LACKING]) == [entry]
     report.write_csv(tmp_path / "bench.csv", [row("x", 1, 1, without=("depth", "normal"))])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.exposure.views import BANDS, false_colour, log_c, zebra
-from postfx.report.charts import with_key
+from postfx.report.charts import add_key
 
 COLOURS = {band.meaning: band.colour for band in BANDS}
 
@@ -63,6 +63,6 @@ def test_zebra_strikes_the_highlights_and_nothing_else():
 @pytest.mark.parametrize("width", (64, 640, 1920))
 def test_the_key_stands_below_the_picture(width):
     picture = np.full((30, width, 3), 7, np.uint8)
-    found = with_key(picture)
+    found = add_key(picture)
     assert found.shape[1] == width and np.array_equal(found[:30], picture)
     assert all((found[30:] == band.colour).all(axis=-1).any() for band in BANDS[: max(width // 210, 1)])

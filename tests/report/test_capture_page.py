@@ -106,7 +106,7 @@ def test_folders_that_cannot_be_written(make_capture, tmp_path):
 
 def test_other_files_are_no_captures(tmp_path):
     (tmp_path / "capture.json").write_text("{}")
-    with pytest.raises(ReadError, match="is no capture of this version"):
+    with pytest.raises(ReadError, match="is not a capture by this version"):
         read(tmp_path)
     with pytest.raises(ReadError, match="cannot be read"):
         read(tmp_path / "missing.json")

@@ -28,7 +28,7 @@ def bench(network: float, *more: dict) -> dict:
             method("m-without-all", 60, network - 3, 20, "ours", 28, model="m", without=["depth", "normal"]),
             method("oidn-high", 200, 30, 16, "oidn", 30), method("oidn-high-accumulated", 210, 31, 10, "oidn", 30),
             method("bicubic", 10, 17, 130, "plain", 17), *more]
-    offered = report.offered(rows)
+    offered = report.choices(rows)
     return {"methods": rows, "device": "cpu", "threads": 2, "runs": 3, "machine": {"processor": "some CPU"},
             "render_size": [32, 18], "output_size": [64, 36], "guides": ["depth"], "versions": {"pyoidn": "2.5"},
             "sequence": {"frames": [1, 2, 3, 4]}, "ablations": report.ablations(rows),

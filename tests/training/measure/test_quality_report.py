@@ -88,7 +88,7 @@ def test_a_mean_tells_of_how_many(tmp_path, results):
     facts = bench(34.0)
     guided = {**facts["methods"][0], "name": "m-guides", "guides": True}
     facts["methods"].append(guided)
-    facts["against_best_baseline"] = report.compare(report.offered(facts["methods"]))
+    facts["against_best_baseline"] = report.compare(report.choices(facts["methods"]))
     (results / "two/bench.json").write_text(json.dumps(facts))
     (block,) = written(tmp_path, results, "gains one two")
     assert cells(block)[3] == ["", "postfx m with guides", "-", "+3.00", "+3.00 (1 of 2)"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from postfx.bench.report import is_better, offered
+from postfx.bench.report import choices, is_better
 from training.measure.quality_report.document import (
     FORMS,
     NAMES,
@@ -43,7 +43,7 @@ def conditions(results: Results, *names: str) -> str:
 
 def methods(results: Results, name: str) -> str:
     """All figures of all methods, the best of each bold."""
-    rows = sorted(offered(results.bench(name)["methods"]), key=lambda row: PARTS[row["family"]])
+    rows = sorted(choices(results.bench(name)["methods"]), key=lambda row: PARTS[row["family"]])
     best = {figure: _best(rows, figure) for figure in FORMS}
     cells = [[method_title(row["name"]), *(_figure(row, figure, best[figure]) for figure in FORMS)] for row in rows]
     return table(["method", *NAMES.values()], cells)
@@ -105,7 +105,7 @@ def front(results: Results, figure: str, *names: str) -> str:
         raise ReportError(f"front {figure}: there are fronts of psnr and flicker")
     benches = _benches(results, names)
     time = {name: "wall_ms" if facts["device"] == "cpu" else "gpu_ms" for name, facts in benches.items()}
-    known = {row["name"]: row for facts in benches.values() for row in offered(facts["methods"])}
+    known = {row["name"]: row for facts in benches.values() for row in choices(facts["methods"])}
     fronts = {name: facts["fronts"][f"{figure}_late"] for name, facts in benches.items()}
     rows = []
     for method in sorted(known, key=lambda name: PARTS[known[name]["family"]]):
@@ -123,7 +123,7 @@ def times(results: Results, name: str) -> str:
     facts = results.bench(name)
     gpu = facts["device"] != "cpu"
     rows = []
-    for row in [row for row in offered(facts["methods"]) if not row["alone"]]:
+    for row in [row for row in choices(facts["methods"]) if not row["alone"]]:
         time = row["time"]
         span = f"{time['wall_ms_min']:.0f} to {time['wall_ms_max']:.0f}"
         rows.append([method_title(row["name"]), f"{time['wall_ms']:.0f}", span, f"{time['cpu_s']:.3f}",

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.bench.job import Bench, Wish
+from postfx.bench.job import Bench, Request
 from postfx.bench.measure import Sources
 from training.datagen.clip_export import frame_header, write_exr
 from training.datagen.clip_file import GUIDES
@@ -43,7 +43,7 @@ def _measured(folder: Path, name: str, args: argparse.Namespace) -> list[dict[st
     if args.keep and earlier.exists():
         return json.loads(earlier.read_text())["methods"]
     patterns = [str(folder / f"{part}.####.exr") for part in (name, "reference", "guides")]
-    wish = Wish(output, args.methods, args.models, args.runs, args.device)
+    wish = Request(output, args.methods, args.models, args.runs, args.device)
     return Bench(Sources(*patterns), wish).run()["methods"]
 
 
