@@ -181,8 +181,8 @@ def _check(step: Step, spec: FrameSpec) -> None:
     missing = [role for role in step.reflection.reads if not step.input.has(role)]
     if missing:
         dropped = "an earlier pass dropped it" if spec.has(missing[0]) else "the frame does not have it"
-        mend = "render it, name it in a profile, or leave the pass out"
-        raise MissingPlaneError(f"pass '{step.name}' needs plane '{missing[0]}', but {dropped}: {mend}")
+        fix = "render it, name it in a profile, or leave the pass out"
+        raise MissingPlaneError(f"pass '{step.name}' needs plane '{missing[0]}', but {dropped}: {fix}")
     output, writes = step.reflection.output, step.reflection.writes
     kept = [role for role in output.roles if role not in writes]
     invented = [role for role in kept if not step.input.has(role)]
@@ -201,7 +201,8 @@ def _step_names(passes: Sequence[Pass]) -> list[str]:
 
 
 def _restricted(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role], parts: Sequence[str]) -> FrameSpec:
-    """Guides that nobody reads leave their size behind: it tells how large the output should be."""
+    """The spec with these planes and guides only; guides keep their size even if none is read, for the output's
+    size."""
     kept = replace(spec.guides, roles=tuple(guides)) if spec.guides else None
     held = [(name, channels) for name, channels in spec.parts if name in parts]
     return FrameSpec(spec.width, spec.height, roles, spec.encoding, kept, spec.source, held)
@@ -236,7 +237,7 @@ def _spec_dict(spec: FrameSpec) -> dict[str, Any]:
 
 
 def from_files(guides: Iterable[Role]) -> tuple[Role, ...]:
-    """Guides without the one that is made of the sequence itself."""
+    """Guides without the one made from the sequence itself."""
     return tuple(role for role in guides if role is not Role.LATER)
 
 

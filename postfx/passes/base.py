@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 MOST_SIZES = 4
-"""Sizes of frames that a pass keeps ready, where they change."""
+"""Most frame sizes for which a pass stays compiled."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,11 @@ class Reflection:
 
     Attributes:
         reads: planes it cannot do without.
-        may_read: planes it uses when they are there.
+        may_read: planes it uses if the frame has them.
         writes: planes it replaces or adds.
         output: spec of the frame it leaves. Planes that are not in it are dropped, so a pass that changes the size
             names only the planes that exist at the new size. So are guides.
-        may_read_guides: planes at output size that it uses when they are there.
+        may_read_guides: planes at output size that it uses if the frame has them.
         parts: names of the parts of the picture that it reads, and leaves at the output's size.
         notes: what else the user may want to know of its work on such frames, as short clauses.
     """
@@ -50,16 +50,16 @@ class ResidentFrame:
     """A frame whose planes are tensors on the device, on its way through the passes.
 
     Attributes:
-        spec: size, planes and encoding of the frame as it is now.
+        spec: current size, planes and encoding of the frame.
         tensors: role -> tensor (height, width, channels) float32, units and directions as in `postfx.frame.ROLES`.
         number: frame number in its sequence.
         jitter: sub-pixel sample position minus 0.5, pixels of the rendered frame, x right, y down. A pass whose
             output is no longer jittered sets it to (0, 0).
-        exposure: multiplier actually used for this frame, > 0; colour times exposure is what the eye should see.
+        exposure: multiplier used for this frame, > 0; colour times exposure is what the viewer should see.
         reset: True when history must be dropped before this frame.
         lost: True when most of the colour was no number and now is 0: the next frame builds better on none than on it.
         samples, world_to_camera, fov_x, metadata, guide_jitter: as in `postfx.frame.Frame`.
-        guides: role -> tensor like those of `tensors`, at output size; those that passes read.
+        guides: role -> tensor at output size, like `tensors`; only those that passes read.
         given: role -> plane on the host, of planes that no pass replaced so far: to decide what to record.
         given_guides: likewise, of the guides.
         parts: name -> tensor of a part that passes read, see `postfx.frame.Frame`.
@@ -131,7 +131,7 @@ class Pass:
     """The pass's name in the registry, on the command line and in timings."""
 
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
-    """Every option with its default value: those of the signature, if a subclass does not set them."""
+    """Every option with its default value; taken from the signature unless a subclass sets them."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -182,7 +182,7 @@ class Pass:
     def resize(self, spec: FrameSpec) -> bool:
         """Make ready for frames that differ from those before in size only, and keep the history.
 
-        False, and nothing done, where that is not possible: `compile` is called then.
+        Returns False without changing anything if that is impossible; `compile` is called then.
         """
         return False
 
@@ -196,14 +196,14 @@ class Pass:
             raise NotCompiledError(f"pass '{self.name}' is {state}: call compile(device, frame.spec) before encode")
 
     def ran(self, milliseconds: float) -> None:
-        """Told how long the last frame's commands took on the device."""
+        """Called with the device time of the last frame's commands."""
 
     def chosen(self) -> str | None:
-        """What the pass chose for the last frame, in a word for the user; None where it has no choice."""
+        """The pass's choice for the last frame, as a word for the user; None if it has no choice."""
         return None
 
     def left_out(self) -> tuple[tuple[str, str], ...]:
-        """What the frames since `compile` were spared, and for each why and the time that it saved, as measured."""
+        """Work that the frames since `compile` did not need, each with the reason and the measured time it saved."""
         return ()
 
     def reset(self) -> None:

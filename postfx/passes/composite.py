@@ -15,15 +15,15 @@ from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 
 LATEST = 64
-"""Frames whose time counts."""
+"""How many of the last frames' times count."""
 
 
 class Overlay(Pass):
     """Composites the plane `overlay`, premultiplied linear RGBA, over colour and alpha, in scene-linear light.
 
     colour = overlay + (1 - coverage) * colour, and so alpha, where the frame has one (Porter and Duff 1984). The
-    overlay is gone then. Without this pass the frame keeps it, at the colour's size, as a layer of its own. It has no
-    options. Frames whose overlay is 0 everywhere are left as they are, to the bit.
+    overlay is then removed. Without this pass the frame keeps it, at the colour's size, as a separate layer. No
+    options. Frames whose overlay is 0 everywhere do not change by a bit.
     """
 
     name: ClassVar[str] = "overlay"
@@ -84,9 +84,9 @@ class Overlay(Pass):
 class BothWays(Pass):
     """Mixes the plane `later` into the colour: later + (1 - weight) * colour, in scene-linear light.
 
-    `postfx.Backwards` makes the plane, of the upscaler's output size. Its weight is how well a pixel is known from the
-    frames after it, compared with those before: half of it in the middle of a shot, all of it where only they show
-    the pixel well. The plane is gone then. It has no options.
+    `postfx.Backwards` makes the plane, of the upscaler's output size. Its weight is how much the later frames know
+    about a pixel compared with the earlier ones: one half in the middle of a shot, 1 where only later frames show it
+    well. The plane is then removed. No options.
     """
 
     name: ClassVar[str] = "both_ways"
@@ -101,7 +101,7 @@ class BothWays(Pass):
     def skip(self, spec: FrameSpec) -> str | None:
         if spec.encoding != "scene-linear":
             return f"colour is {spec.encoding}, and both directions are mixed in scene-linear light"
-        return None if spec.has(Role.LATER) else "the frames after it were not looked at"
+        return None if spec.has(Role.LATER) else "later frames were not processed"
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         output = device.heap.transient("colour of both directions", (spec.height, spec.width, 3))

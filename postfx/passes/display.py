@@ -94,7 +94,7 @@ def _table(values: np.ndarray) -> np.ndarray:
 
 
 def _source(spec: FrameSpec, target: Target) -> Target | None:
-    """Display that colour is made for, None where it is light. Raises PassOptionError for pictures made for HDR."""
+    """The display of the colour's code values, None for light. Raises PassOptionError for HDR pictures."""
     source = None if spec.encoding in LINEAR else parse_display(spec.encoding)
     if source and source.hdr and str(source) != str(target):
         raise PassOptionError(f"pass 'display' cannot turn {source} into {target}: tone-map for that display instead")
@@ -112,7 +112,7 @@ class View(Pass):
         display: the display to make the picture for, see `Display`. A view that is
             made for one display keeps it: 'neutral' gives srgb, a table the display that it is made for.
 
-    Raises ColourError when there is no such view.
+    Raises ColourError if there is no such view.
     """
 
     name: ClassVar[str] = "view"

@@ -1,4 +1,4 @@
-"""Exposure tool: a grey checkerboard over the frame that shows whether what comes after exposes as it was told to."""
+"""Exposure tool: a grey checkerboard over the frame, to see whether later software applies the given exposure."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ GREYS = (KEY * 2**-STOPS, KEY * 2**STOPS)
 class ExposureTool(Pass):
     """Covers the frame with a checkerboard of two greys around 0.18, divided by the exposure.
 
-    Whatever exposes the frame afterwards turns it into a steady mid grey; too dark, too bright or changing, it exposes
-    otherwise than the frame's exposure says. Alpha becomes 1, and there is no overlay.
+    Software that applies the frame's exposure shows a steady mid grey. If the board is too dark, too bright or
+    changing, it applies another exposure. Alpha becomes 1; an overlay is removed.
 
     Options:
         reference: frame number -> multiplier to divide by; None: each frame's own exposure.

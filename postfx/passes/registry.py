@@ -31,7 +31,7 @@ def names() -> tuple[str, ...]:
 
 
 def load(name: str) -> type[Pass]:
-    """The class of a pass. Raises RegistryError when the name is unknown or what it points to is no pass."""
+    """The class of a pass. Raises RegistryError if the name is unknown or its target is not a pass."""
     point = _built_in(name) or _installed().get(name)
     if point is None:
         raise RegistryError(f"no pass '{name}': there are {', '.join(names())}")

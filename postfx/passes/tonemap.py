@@ -37,7 +37,7 @@ def find_model(tag: str) -> tuple[Library, str]:
 
 
 def shaper(library: Library, model: str) -> Shaper:
-    """The shaper of a model, from its card. ModelError when there is none, or none that can be."""
+    """The shaper of a model, from its card. ModelError if it is missing or impossible."""
     given: Any = library.card(model).get("shaper")
     try:
         found = Shaper(float(given["toe"]), float(given["scale"]), np.array(given["matrix"], np.float32))
@@ -108,7 +108,7 @@ class ToneMap(Pass):
 
     Options:
         tag: the look, as in ``tonemap.<tag>``, or the file of a model: ``looks/tonemap.mine.onnx``.
-        keep: part of the last frame's grid or exposure that is kept while the light stays as it is, 0 up to (not
+        keep: part of the last frame's grid or exposure that is kept in steady light, 0 up to (not
             including) 1, by default as the look's card says; less is kept while light changes
             (``postfx.kernels.tonemap``), and none at the first frame and at cuts. That of a still picture does not
             change; with 0 no frame has a past.

@@ -40,7 +40,7 @@ def test_weights_count_pixel_by_pixel(passes):
 def test_it_says_why_it_does_nothing():
     spec = Frame({Role.COLOUR: np.ones((6, 8, 3), np.float32)}).spec
     (skipped,) = [item for item in make_plan([BothWays()], spec).skipped if item.what == "both_ways"]
-    assert skipped.why == "the frames after it were not looked at"
+    assert skipped.why == "later frames were not processed"
 
 
 def test_the_upscaler_hands_the_plane_on_as_it_is():

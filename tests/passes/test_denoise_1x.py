@@ -74,7 +74,7 @@ def ran(pipeline: Pipeline) -> set[str]:
 def test_a_plan_tells_that_another_network_stands_in_at_1x() -> None:
     spec = noisy(1).spec
     (remark,) = DenoiseUpscale(model="l", scale=1).remarks(spec)
-    assert "model 'l' has no network for 1x: that of 'm' stands in" in remark
+    assert "model 'l' has no network for 1x: 'm' stands in" in remark
     assert DenoiseUpscale(model="m", scale=1).remarks(spec) == DenoiseUpscale(model="l", scale=2).remarks(spec) == ()
 
 

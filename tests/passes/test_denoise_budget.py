@@ -23,7 +23,7 @@ def rungs(ladder: Ladder, times: list[tuple[float, ...]], noise: float = 0.0) ->
     for now in times:
         is_first = not found or found[-1] != ladder.rung
         found.append(ladder.rung)
-        ladder.took(now[ladder.rung] * (3 if is_first else 1) * (1 + noise * random.uniform(-1, 1)))
+        ladder.note_time(now[ladder.rung] * (3 if is_first else 1) * (1 + noise * random.uniform(-1, 1)))
     return found
 
 

@@ -17,20 +17,20 @@ from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.passes.base import MOST_SIZES, Pass, Reflection, ResidentFrame
 from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain
 from postfx.passes.denoise.history import Cameras, History, can_follow
-from postfx.passes.denoise.inputs import ABSENT, carried_roles
+from postfx.passes.denoise.inputs import ABSENT, passthrough_roles
 from postfx.passes.denoise.models import (
     GUIDED,
     UNSCALED,
     Ladder,
-    checked_tag,
     cost,
     family,
     has_model,
     model_of,
     name_models,
     unscaled_remarks,
+    validate_tag,
 )
-from postfx.passes.denoise.options import Size, checked_scale, checked_size, output_size, parse_reactive
+from postfx.passes.denoise.options import Size, output_size, parse_reactive, validate_scale, validate_size
 from postfx.passes.denoise.parts import PartHistory, checked_parts
 from postfx.passes.denoise.tiling import Sizes, active_cells
 from postfx.runtime import CommandBuffer, Device, Tensor
@@ -78,8 +78,8 @@ class DenoiseUpscale(Pass):
                  parts: Sequence[Part | str] = (), alpha: bool = True, **unknown: Never) -> None:
         super().__init__(scale=scale, size=size, model=model, strength=strength, budget=budget, reactive=reactive,
                          parts=parts, alpha=alpha, **unknown)
-        self.scale = checked_scale(scale)
-        self.size = checked_size(size, self.scale)
+        self.scale = validate_scale(scale)
+        self.size = validate_size(size, self.scale)
         self.strength = float(strength)
         if not 0 <= self.strength <= 1:
             raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not {self.strength:g}: give one of them")
@@ -90,10 +90,10 @@ class DenoiseUpscale(Pass):
         self._parts, self._alpha = checked_parts(parts), bool(alpha)
         self._used: str | None = None
         self._cameras = Cameras()
-        self._tag = checked_tag(str(model))
+        self._tag = validate_tag(str(model))
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        carried = carried_roles(spec)
+        carried = passthrough_roles(spec)
         size = self._output_size(spec)
         output = FrameSpec(size.width, size.height, (Role.COLOUR, *carried))
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
@@ -121,7 +121,7 @@ class DenoiseUpscale(Pass):
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         self._device, self._output = device, self.reflect(spec).output
-        self._spared = Spared()
+        self._savings = Savings()
         if self.strength:
             models, size = self._models(spec), self._output_size(spec)
             self._tags, costs = tuple(models), list(map(cost, models.values()))
@@ -146,9 +146,9 @@ class DenoiseUpscale(Pass):
         if self.strength and tuple(self._models(spec)) != self._tags:
             return False
         if self.strength:
-            self._spared.resized(spec in self._sizes)
+            self._savings.note_resize(spec in self._sizes)
             if self._ladder:
-                self._ladder.resized(spec.width * spec.height / (before.width * before.height))
+                self._ladder.note_resize(spec.width * spec.height / (before.width * before.height))
         self._ready, self._spec = self._sizes.get_or_make(spec, partial(self._made_ready, spec)), spec
         return True
 
@@ -169,12 +169,12 @@ class DenoiseUpscale(Pass):
 
     def ran(self, milliseconds: float) -> None:
         if self.strength:
-            self._spared.took(milliseconds)
+            self._savings.note_time(milliseconds)
             if self._ladder:
-                self._ladder.took(milliseconds)
+                self._ladder.note_time(milliseconds)
 
     def left_out(self) -> tuple[tuple[str, str], ...]:
-        return self._spared.lines() if self.strength else ()
+        return self._savings.lines() if self.strength else ()
 
     def chosen(self) -> str | None:
         return self._used if self.budget else None
@@ -211,7 +211,7 @@ class DenoiseUpscale(Pass):
             colour = ready.plain.encode(commands, frame)
             ready.layers.resample(commands, frame, colour)
         frame.set(Role.COLOUR, colour)
-        ready.carried.encode(commands, frame)
+        ready.passthrough.encode(commands, frame)
         for role in (*PLANES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
             frame.tensors.pop(role, None)
         frame.guides.clear()
@@ -220,9 +220,9 @@ class DenoiseUpscale(Pass):
     def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame, ready: ReadyNetwork) -> Tensor:
         """The denoised colour, blended by strength; the history stays fully denoised."""
         cells = self._active(frame, ready)
-        spared = self._spared if frame.wanted else Spared()
+        savings = self._savings if frame.wanted else Savings()
         if ready.strength and cells is not None and not cells.any():
-            spared.begin(0.0, False, False)
+            savings.begin(0.0, False, False)
             self._fresh = False
             plain = ready.strength.plain.encode(commands, frame)
             ready.layers.resample(commands, frame, plain)
@@ -234,11 +234,11 @@ class DenoiseUpscale(Pass):
         self._used = self._tags[self._ladder.rung if self._ladder else 0]
         ready.frames.use(ready.models[self._used])
         still = keep and gain == 1 and self._is_still(frame)
-        spared.begin(1.0 if band is None else band.share, keep, still)
+        savings.begin(1.0 if band is None else band.share, keep, still)
         planes: Mapping[str, Tensor] = ready.planes.encode(commands, frame)
         planes = {**planes, **ready.reactive.encode(commands, frame)}
         if ready.reflections:
-            change = self._cameras.step(frame, keep and not still, spared.unfollowed)
+            change = self._cameras.step(frame, keep and not still, savings.note_unfollowed)
             planes = ready.reflections.encode(commands, frame, change, planes)
         layers, written = ready.layers.begin(commands, frame, planes, params, keep)
         colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
@@ -246,7 +246,7 @@ class DenoiseUpscale(Pass):
         rows = ready.frames.rows(band)
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
         if ready.strength:
-            colour = ready.strength.encode(commands, frame, colour, rows, spared.unblended)
+            colour = ready.strength.encode(commands, frame, colour, rows, savings.note_unblended)
         ready.layers.finish(commands, frame, denoised, colour, ready.restore, ready.strength, rows)
         return colour
 
@@ -307,20 +307,20 @@ class DenoiseUpscale(Pass):
 
 
 WARM_UP = 1
-"""Frames of a kind whose time does not count: they prepare what later ones find ready."""
+"""First frames of a kind, whose time does not count: they prepare things for later ones."""
 
 
 @dataclass
 class Kind:
-    """Frames that were worked on alike: how many, what share of them was worked on, and milliseconds of the later."""
+    """Frames of one kind: how many, the share of pixels that the network processed, and milliseconds of later ones."""
 
     frames: int = 0
     share: float = 0.0
     times: list[float] = field(default_factory=list)
 
 
-class Spared:
-    """Counts frames by what was done with them, in the order: `begin`, `took`."""
+class Savings:
+    """Counts frames by how much work they needed. For each frame, call `begin`, then `note_time`."""
 
     def __init__(self) -> None:
         self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind()}
@@ -329,7 +329,7 @@ class Spared:
         self._unfollowed: Counter[str] = Counter()
 
     def begin(self, share: float, has_history: bool, is_still: bool) -> None:
-        """A frame begins, of which a share is worked on by the network."""
+        """Begin a frame of which the network processes a share."""
         self._now = "whole" if share == 1 else "tiles" if share else "nothing"
         kind = self._kinds[self._now]
         kind.frames += 1
@@ -337,27 +337,27 @@ class Spared:
         self._alone += share > 0 and not has_history
         self._still += is_still and share == 1
 
-    def unblended(self) -> None:
-        """This frame is denoised fully, though it has a plane that could say otherwise."""
+    def note_unblended(self) -> None:
+        """This frame is denoised fully although it has a strength plane."""
         self._full += 1
 
-    def resized(self, known: bool) -> None:
-        """The next frame has another size; `known` tells whether what it needs is ready."""
+    def note_resize(self, known: bool) -> None:
+        """The next frame has another size; `known`: whether it is already prepared."""
         self._resized += 1
         self._known += known
 
-    def unfollowed(self, why: str) -> None:
+    def note_unfollowed(self, why: str) -> None:
         """This frame's reflections move with their surfaces."""
         self._unfollowed[why] += 1
 
-    def took(self, milliseconds: float) -> None:
+    def note_time(self, milliseconds: float) -> None:
         """The frame's time on the device."""
         kind = self._kinds[self._now]
         if kind.frames > WARM_UP:
             kind.times = [*kind.times[-63:], milliseconds]
 
     def lines(self) -> tuple[tuple[str, str], ...]:
-        """What was left out, and why and what it saved."""
+        """Work left out, each with the reason and the time saved."""
         found = []
         tiles, nothing = self._kinds["tiles"], self._kinds["nothing"]
         if tiles.frames:

@@ -1,4 +1,4 @@
-"""How the denoised upscaler goes over a frame: the whole of it or windows, which are put together."""
+"""Runs the denoised upscaler over a frame, as a whole or in windows that are then assembled."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.kernels.denoise.prepare import SCALE
 from postfx.kernels.denoise.reactive import SPREAD_MASK
 from postfx.passes.denoise.history import History, Reflections, can_follow
-from postfx.passes.denoise.inputs import Carried, Planes, Reactive
+from postfx.passes.denoise.inputs import Passthrough, Planes, Reactive
 from postfx.passes.denoise.models import grid_of
 from postfx.passes.denoise.network import Graph, Layer
 from postfx.passes.denoise.options import ReactiveOption, Size
@@ -47,7 +47,7 @@ CHANNELS = {"output": 3, "next_history": 3, "next_state": 4 + HIDDEN, "next_dept
 
 
 class Assembly:
-    """Room for what the tiles of a band write, and the kernels that bring it to its place."""
+    """Memory for the outputs of a band's tiles, and the kernels that assemble them."""
 
     def __init__(self, device: Device, frame: Sizes) -> None:
         self._device, self._frame = device, frame
@@ -163,7 +163,7 @@ STEPS = 8
 
 
 class Frames:
-    """The networks for frames of one size; their history may go on with those of another.
+    """The networks for frames of one size. The history can continue at another size.
 
     Of several models the first is in use until `use` takes another. Guided models read guides. Reactive frames have a
     mask of where the history is not used.
@@ -192,7 +192,7 @@ class Frames:
         self.model = models[0]
 
     def use(self, model: str) -> None:
-        """Take another model from the next frame on. The history goes on, but for the hidden state."""
+        """Switch models from the next frame on. The history continues, without the hidden state."""
         self.model = model
         self._history.use(model)
 
@@ -221,7 +221,7 @@ class Frames:
 
         Args:
             keep: whether the frame has a history.
-            still: whether it shows what the last one showed, where it did.
+            still: whether everything is where it was in the last frame.
             layers: what is filtered beside the picture.
             written: where they are written, by the kernels' names, and perhaps the output.
         """
@@ -283,15 +283,15 @@ class Ready:
     """Pipeline states, tensors and argument tables for frames of one spec.
 
     Attributes:
-        carried: what is only resampled, beside the colour.
+        passthrough: planes that are only resampled.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
-        self.carried = Carried(device, spec, output)
+        self.passthrough = Passthrough(device, spec, output)
 
 
 class ReadyPlain(Ready):
-    """Where no network runs.
+    """A spec for which no network runs.
 
     Attributes:
         plain: the input, resampled.
@@ -305,14 +305,14 @@ class ReadyPlain(Ready):
 
 
 class ReadyNetwork(Ready):
-    """Where a network runs.
+    """A spec for which a network runs.
 
     Attributes:
-        planes: what its kernels read.
+        planes: the input of its kernels.
         models: the networks of this size by tag, of which each frame takes one.
-        frames: what runs them.
-        reactive: the mask of where the history is not used.
-        reflections: where frames have what it needs, else None.
+        frames: runs the models.
+        reactive: the mask where the history is not used.
+        reflections: None if frames lack the planes for it.
         restore: at render size only, else None.
         strength: None where all of the picture is fully denoised.
         layers: parts of the picture, and alpha.

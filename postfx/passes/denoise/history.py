@@ -20,14 +20,14 @@ from postfx.passes.denoise.tiling import Rows, Shape, Sizes
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
 NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth", "last_reactive": "next_reactive"}
-"""What kernels read of the frame before -> what they write for the next one."""
+"""Tensor of the last frame that kernels read -> tensor that they write for the next one."""
 CHANNELS = {"state": 4 + HIDDEN, "last_depth": 1}
 """Of what has render size."""
 
 
 
 class Room:
-    """Memory for what has render size, of frames of any size up to so many pixels."""
+    """Memory for tensors of render size, for frames of any size up to a number of pixels."""
 
     def __init__(self, device: Device, pixels: int, channels: Mapping[str, int]) -> None:
         self.pixels, self._channels = pixels, channels
@@ -43,7 +43,7 @@ class Room:
 
 
 class History:
-    """The last output, what was accumulated, the depth, and the mask of reactive frames, in two sets used in turn.
+    """The last output, accumulated state, depth and reactive mask, in two sets that alternate.
 
     The output keeps its size. The rest has its frame's render size, and is resampled when the next frame has another.
     """
@@ -67,7 +67,7 @@ class History:
         self._outputs.reverse()
         self._rooms.reverse()
         self._held.reverse()
-        if not keep or size != self._size:  # what a frame that failed left is not known, either
+        if not keep or size != self._size:  # nor after a frame that failed
             self._held = _anywhere(size)
         if size == self._size:
             return
@@ -97,11 +97,11 @@ class History:
         return {NEXT[name]: tensor for name, tensor in tensors.items()}
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Between two frames: what the last one left, by the kernels' names, and its render size."""
+        """Between two frames: the history by the kernels' names, and its render size."""
         return {"size": np.array(self._size, np.int64)} | {name: tensor.content() for name, tensor in self.next.items()}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
-        """Between two frames: take what was `kept` for what the last one left."""
+        """Between two frames: replace the history by `kept`."""
         height, width = kept["size"]
         self._size = int(height), int(width)
         if self._size[0] * self._size[1] > self._rooms[1].pixels:
@@ -114,7 +114,7 @@ class History:
         return [Room(self._device, self._size[0] * self._size[1], self._channels) for _ in range(2)]
 
     def _resize(self, commands: CommandBuffer, before: dict[str, Tensor]) -> None:
-        """Record the work that brings what the frame before left to this one's size."""
+        """Record the work that resizes the history to this frame's size."""
         after, (height, width) = self._rooms[0].of(self._size), before["last_depth"].shape[:2]
         rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
                          (("at_rows", height, self._size[0]), ("at_columns", width, self._size[1])))
@@ -180,12 +180,12 @@ class Camera(NamedTuple):
 
 
 def can_follow(spec: FrameSpec) -> bool:
-    """Whether frames of a spec have what the motion of reflections needs; normals and the like may be guides."""
+    """Whether frames of a spec have the planes for the motion of reflections, some possibly as guides."""
     return spec.has(Role.SPECULAR_HIT_DISTANCE) and all(spec.has(role) for role in NEEDS)
 
 
 class Reflections:
-    """Replaces the motion of smooth surfaces, where the frame has a hit distance, by that of their virtual image."""
+    """Replaces the motion of smooth surfaces with a hit distance by the motion of their virtual image."""
 
     def __init__(self, device: Device, spec: FrameSpec) -> None:
         self._camera = device.heap.tensor("camera", (CAMERA,))
@@ -219,19 +219,19 @@ class Cameras:
         self._last = None
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Between two frames: what is known of the last one."""
+        """Between two frames: the last camera and its facts."""
         return {"camera": self._last.matrix, "fov_x": np.array(self._last.fov_x, np.float64)} if self._last else {}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
-        """Between two frames: take what was `kept` for the last one."""
+        """Between two frames: replace these facts by `kept`."""
         self._last = Camera(kept["camera"], float(kept["fov_x"])) if "camera" in kept else None
 
     def step(self, frame: ResidentFrame, moves: bool, tell: Callable[[str], None]) -> np.ndarray | None:
-        """What the kernel has to know for a frame, float32 (27,); None where it has nothing to do.
+        """The kernel's parameters for a frame, float32 (27,); None if it has nothing to do.
 
         Args:
             moves: whether the frame has a history, and something moves.
-            tell: is told why reflections cannot be followed.
+            tell: called with the reason if reflections cannot be followed.
         """
         then, self._last = self._last, Camera.of(frame)
         if not moves or {Role.MOTION, Role.DEPTH} - frame.given.keys():
@@ -248,12 +248,12 @@ class Cameras:
 
 
 def _is_moving(now: Camera, then: Camera) -> bool:
-    """Whether a camera differs from the one before; from one that does not, all at rest is where it was."""
+    """Whether a camera differs from the last one; if not, everything at rest is where it was."""
     return not (np.allclose(now.matrix, then.matrix, rtol=0, atol=1e-9) and now.fov_x == then.fov_x)
 
 
 def _best_params(frame: ResidentFrame, now: Camera, then: Camera) -> np.ndarray | None:
-    """None where no camera's axes explain the frame's motion."""
+    """None if no camera axes explain the frame's motion."""
     tried = [_params(frame, now, then, axes) for axes in AXES]
     errors = [_misfit(frame, params) for params in tried]
     best = int(np.argmin(errors))
@@ -270,7 +270,7 @@ def _params(frame: ResidentFrame, now: Camera, then: Camera, axes: tuple[int, in
 
 
 def _misfit(frame: ResidentFrame, params: np.ndarray) -> float:
-    """Median over some pixels of how far motion is from that of surfaces at rest, in units of what is let through."""
+    """Median over some pixels of the difference from the motion of surfaces at rest, in units of the tolerance."""
     depth, motion = frame.given[Role.DEPTH], frame.given[Role.MOTION]
     height, width = depth.shape[:2]
     rows = np.linspace(0, height - 1, min(height, SAMPLES)).astype(int)[:, None]

@@ -1,4 +1,4 @@
-"""What the denoised upscaler reads of a frame: planes or stand-ins, the reactive mask, what it only resamples."""
+"""Input of the denoised upscaler: planes or stand-ins, the reactive mask, and planes that it only resamples."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.tiling import Rows, rows_of
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
 
-# What stands in for a plane that a frame lacks at both sizes; networks are trained with the same values in its place.
+# Values of planes that a frame lacks at both sizes; networks are trained with the same values.
 ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0, Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0,
           Role.MOTION: 0.0}
 
 
 class Resampler:
-    """Brings a plane to another size, every frame anew: cubic, but depth by the nearest sample, for misses do not mix.
-    Colours of overlays are held to their coverage, for edges without halos.
+    """Resizes a plane of every frame: cubic; depth by the nearest sample, so that misses do not mix with hits; overlay
+    colours limited by their coverage, for edges without halos.
 
     The result is sampled at pixel centres plus `jitter`, in pixels of the result.
     """
@@ -66,7 +66,7 @@ class Resampler:
 class Planes:
     """Planes and guides under the names that the kernels give them: 'normal', and 'guide_normal' at output size.
 
-    A plane that the frame holds at one size only is resampled to the other; what it does not hold is constant.
+    A plane that the frame has at one size only is resampled to the other; a missing plane is constant.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool) -> None:
@@ -88,7 +88,7 @@ class Planes:
                 self._constants[f"guide_{role}"] = _constant(device, role, output)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Mapping[str, Tensor]:
-        """Record the resampling, where there is any; returns every plane by name."""
+        """Record the resampling, if any; returns every plane by name."""
         if self._reduced or self._enlarged:
             with commands.compute_encoder("resample") as encoder:
                 encoder.barrier(after=("compute", "machine-learning"), before="compute")
@@ -110,23 +110,23 @@ def _constant(device: Device, role: Role, size: Size) -> Tensor:
 CENTRED = (0.0, 0.0)
 
 
-def carried_roles(spec: FrameSpec) -> tuple[Role, ...]:
-    """Those of them that a frame has; an overlay may come at output size."""
+def passthrough_roles(spec: FrameSpec) -> tuple[Role, ...]:
+    """Alpha, overlay and later frames' colour, as far as a frame has them; an overlay may have output size."""
     kept = tuple(role for role in (Role.ALPHA, Role.OVERLAY) if spec.has(role) or role in spec.guide_roles)
     return (*kept, Role.LATER) if Role.LATER in spec.guide_roles else kept
 
 
-class Carried:
+class Passthrough:
     """Resamples alpha and overlay, from the frame's jittered samples to pixel centres.
 
-    An overlay that is 0 everywhere, or whose pixels lie where the output's do, is left alone.
+    An overlay that is 0 everywhere, or whose pixels match the output's, is not resampled.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
         self._device, self._output, self._render = device, output, Size(spec.height, spec.width)
         self._overlay_is_guide = Role.OVERLAY in spec.guide_roles
         self._resamplers = {role: Resampler(device, str(role), role, self._size(role), output)
-                            for role in carried_roles(spec) if role is not Role.LATER}
+                            for role in passthrough_roles(spec) if role is not Role.LATER}
         self._nothing: Tensor | None = None
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
@@ -173,7 +173,7 @@ def _resampled(
 
 
 class Reactive:
-    """The mask of each frame: its plane, or made of the difference of two colours."""
+    """The mask of each frame: its plane, or computed from the difference of two colours."""
 
     def __init__(self, device: Device, spec: FrameSpec, option: ReactiveOption) -> None:
         self._role, self._option = option.role(spec), option
@@ -184,7 +184,7 @@ class Reactive:
             self._table = ArgumentTable(device.compute_state(REACTIVE), tensors)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> dict[str, Tensor]:
-        """Record the work, where there is any; returns the mask by its name for the kernels, or nothing."""
+        """Record the work, if any; returns the mask by its name for the kernels, or an empty mapping."""
         if self._role is None:
             return {}
         if self._role is Role.REACTIVE:

@@ -11,7 +11,7 @@ from postfx.runtime import Device, Library, PipelineState
 
 PASS = "denoise_upscale"
 EXACT = ".fp32"
-"""Ends a tag that asks for the network as it was trained, in float32."""
+"""Suffix of a tag for the network as trained, in float32."""
 GUIDED, UNSCALED = ".guides", ".1x"
 SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has the render size"}
 """Endings of the names of networks that are taken by themselves, and when."""
@@ -20,7 +20,7 @@ STAND_INS = {"l": "m"}
 
 
 def exact(tag: str) -> str:
-    """The tag of the float32 network where none of another precision was asked for: 'm' -> 'm.fp32'."""
+    """The tag with its precision; float32 if it has none: 'm' -> 'm.fp32'."""
     return tag if "." in tag else f"{tag}{EXACT}"
 
 
@@ -30,7 +30,7 @@ def parted(name: str) -> tuple[str, str]:
     return name.removesuffix(ending), ending
 
 
-def checked_tag(tag: str) -> str:
+def validate_tag(tag: str) -> str:
     """The option `model`; PassOptionError for a network that is taken by itself."""
     plain, ending = parted(tag)
     if ending:
@@ -41,9 +41,9 @@ def checked_tag(tag: str) -> str:
 def model_of(tag: str, ending: str = "", device: Device | None = None) -> str:
     """Name of the model for a tag: 'm.fp32' -> 'denoise_upscale.m', 'm.int8' -> 'denoise_upscale.m.int8'.
 
-    A tag without a precision takes the fast one of the device where there is one, int8 on a CPU and fp16 on a GPU, else
-    float32. Without a device: the float32 model, which every tag without a precision has. Where there is no network for
-    the render size, that of the tag's stand-in runs, or the plain one.
+    Without a precision, a tag means the device's fast one if it exists (int8 on a CPU, fp16 on a GPU), else float32.
+    Without a device it means the float32 model, which every such tag has. If a tag has no network for the render size,
+    its stand-in's runs, or else the plain one.
     """
     if ending != UNSCALED:
         return _named(tag, ending, device)
@@ -56,11 +56,11 @@ def unscaled_remarks(tag: str) -> list[str]:
     other = _stand_in(tag)
     if other == tag or model_of(tag, UNSCALED) != _named(other, UNSCALED, None):
         return []
-    return [f"model '{tag}' has no network for 1x: that of '{other}' stands in, which is better there"]
+    return [f"model '{tag}' has no network for 1x: '{other}' stands in, which is better there"]
 
 
 def _stand_in(tag: str) -> str:
-    """'l.int8' -> 'm.int8'; a tag for which there is none is its own."""
+    """The stand-in at 1x, 'l.int8' -> 'm.int8'; a tag without one is its own."""
     size, dot, precision = tag.partition(".")
     return f"{STAND_INS.get(size, size)}{dot}{precision}"
 
@@ -102,7 +102,7 @@ def load_network(device: Device, model: str, dims: Mapping[str, int]) -> Pipelin
 
 
 def name_models(device: Device, models: Iterable[str]) -> None:
-    """Name those of some models that come with postfx, which may run later."""
+    """Name these models, if postfx ships them, as ones that may run later."""
     library = Library()
     for model in set(models) & set(library.names()):
         device.name_model(library, model)
@@ -165,7 +165,7 @@ class Ladder:
         self._frames = self._over = self._fits = 0
         self._go(0)
 
-    def took(self, milliseconds: float) -> None:
+    def note_time(self, milliseconds: float) -> None:
         """Tell how long the last frame took; a rung's first frame is not counted, since it prepares what later ones
         find ready."""
         if self._frames:
@@ -176,7 +176,7 @@ class Ladder:
             self._decide(milliseconds)
         self._frames += 1
 
-    def resized(self, ratio: float) -> None:
+    def note_resize(self, ratio: float) -> None:
         """Tell that the next frame has so many times the pixels of the last one."""
         self._time *= ratio
 

@@ -58,7 +58,7 @@ FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
 
 
 def free_dimensions(size: tuple[int, int]) -> dict[str, int]:
-    """What networks call their sides: those of the features, and of features with a ring of pixels around them."""
+    """Networks' names for their sides: of the features, and of features with a ring of pixels around them."""
     (h, w), ring = size, 2 * RING
     return {"height": h, "width": w, "ringed_height": h + ring, "ringed_width": w + ring}
 
@@ -244,7 +244,7 @@ class Graph:
             tensors: the frame's planes, history and what there is one of in a frame, and what is to be written, by the
                 kernels' names.
             moves: whether the last output has to be brought to this frame; else it is read as it is, in a window of the
-                whole frame: it is where it should be, or of no account.
+                whole frame, because it is in place or does not matter.
             masked: whether the reactive masks of this frame and the last say how much of the history each pixel keeps;
                 else one number does.
         """

@@ -25,14 +25,14 @@ class Size(NamedTuple):
         return f"{self.width}x{self.height}"
 
 
-def checked_scale(scale: float | None) -> float | None:
+def validate_scale(scale: float | None) -> float | None:
     """The option `scale`; PassOptionError for one that cannot be."""
     if scale is not None and not LEAST <= float(scale) <= MOST:
         raise PassOptionError(f"pass 'denoise_upscale' scales by 1 to 3, not {scale:g}: give a scale in between")
     return None if scale is None else float(scale)
 
 
-def checked_size(size: Sequence[int] | None, scale: float | None) -> Size | None:
+def validate_size(size: Sequence[int] | None, scale: float | None) -> Size | None:
     """The option `size`, width and height; PassOptionError for one that cannot be, and beside a scale."""
     if size is None:
         return None
@@ -77,14 +77,14 @@ def _guided(spec: FrameSpec, guides: GuideSpec, scale: float | None, scaled: Siz
     if scale is None:
         low = max(LEAST, *((outer - 0.5) / side for outer, side in sides))
         high = min(MOST, *((outer + 1) / side for outer, side in sides))
-        mend = "render them 1 to 3 times as large as the colour, by the same factor both ways"
+        fix = "render them 1 to 3 times as large as the colour, by the same factor both ways"
         fits = low <= high
     else:
-        mend = f"leave the scale out, or render them at {scaled} for a scale of {scale:g}"
+        fix = f"leave the scale out, or render them at {scaled} for a scale of {scale:g}"
         fits = all(outer in (round(side * scale), int(side * scale)) for outer, side in sides)
     if not fits:
         found = f"guides are {guides.width}x{guides.height}, the colour is {spec.width}x{spec.height}"
-        raise GuideError(f"{guides.source or 'frame'}: {found}: {mend}")
+        raise GuideError(f"{guides.source or 'frame'}: {found}: {fix}")
     return Size(guides.height, guides.width)
 
 
@@ -99,7 +99,7 @@ class ReactiveOption:
 
     Attributes:
         kind: one of `SOURCES`.
-        scale: of the difference of the two colours as they are seen, each within 0..1; the mask is held within 1.
+        scale: factor of the difference of the two displayed colours, each within 0..1; the mask is clipped to 1.
         threshold: below this difference the mask is 0.
     """
 
@@ -108,7 +108,7 @@ class ReactiveOption:
     threshold: float = 0.05
 
     def role(self, spec: FrameSpec) -> Role | None:
-        """The plane that the mask is made of; None where there is none, or no motion and therefore no history."""
+        """The plane from which the mask is made; None without one, or without motion and so without a history."""
         found = [role for role in SOURCES[self.kind] if spec.has(role)]
         return found[0] if found and spec.has(Role.MOTION) else None
 

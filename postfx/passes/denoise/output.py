@@ -68,7 +68,7 @@ class Restore:
 
 
 class Plain:
-    """The input resampled to output size: light is interpolated as it is, within its samples, at pixel centres."""
+    """The input resampled to output size, at pixel centres, in linear light, without overshooting its samples."""
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
         self._resampler = Resampler(device, "plain", Role.COLOUR, Size(spec.height, spec.width), output)

@@ -1,4 +1,4 @@
-"""Which windows of a frame the networks work on: around what is active, or in tiles within a memory budget."""
+"""Windows of a frame for the networks: around active pixels, or in tiles within a memory budget."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Window:
         return rows, columns
 
     def coarser(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """For each row and column of a pyramid level that of the coarser level in which it lies."""
+        """For each row and column of a pyramid level, the row and column of the coarser level that contains it."""
         sides = zip(self.level(i), self.level(i + 1), (self.top, self.left), strict=True)
         rows, columns = (np.minimum(np.arange(size) + (first >> i & 1) >> 1, coarse - 1).astype(np.float32)
                          for size, coarse, first in sides)
@@ -149,7 +149,7 @@ def _counted(first: int, count: int, size: int) -> np.ndarray:
 
 
 def _mirrored(count: int, held: int) -> np.ndarray:
-    """Numbers that go on beyond those of a side as in a mirror, and stop at its start."""
+    """Indices that continue beyond a side as in a mirror, and stop at its start."""
     places: np.ndarray = np.maximum(held - 1 - np.abs(np.arange(count) - (held - 1)), 0)
     return places
 
@@ -301,7 +301,7 @@ def shape_for(frame: Sizes, boxes: Iterable[Box], halo: int) -> Shape:
 
 
 def whole_sides(frame: Sizes, shape: Shape) -> Shape:
-    """A window's size, that of the frame where it would be more."""
+    """A window's size, limited to the frame's."""
     return min(shape[0], frame.h), min(shape[1], frame.w)
 
 
@@ -358,7 +358,7 @@ def _longest(count: int, size: int, halo: int, grid: int) -> int:
 
 
 def _some(most: int) -> list[int]:
-    """Few of the numbers up to `most`, close to each other where they are small."""
+    """A few of the numbers up to `most`, dense among the small ones."""
     return sorted({*(round(1.15**power) for power in range(60)), most} & {*range(1, most + 1)})
 
 
