@@ -12,7 +12,7 @@ import pytest
 import postfx
 import postfx.runtime.device as device_module
 from postfx.frame import GUIDE_ROLES, ROLES, Frame, Role
-from postfx.report.bisect import compare
+from postfx.report.capture_data import compare
 from postfx.report.page import write_capture
 from postfx.runtime import Device
 from postfx.runtime.device import ProviderMemory

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from postfx.cli.options import parse_from_zero
 
 if TYPE_CHECKING:
-    from postfx.report.bisect import Comparison
+    from postfx.report.capture_data import Comparison
 
 DESCRIPTION = """\
 Compare two captures of the same passes, options and frame, command by command: the first tensor whose largest relative
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Compare; returns the exit code."""
-    from postfx.report.bisect import compare  # loads the runtime, which --help must not wait for
+    from postfx.report.capture_data import compare  # loads the runtime, which --help must not wait for
 
     found = compare(arguments.a, arguments.b, arguments.tolerance)
     print(json.dumps(found.as_dict()) if arguments.json else text_of(found))

@@ -18,8 +18,8 @@ from postfx.doctor.statistics import finite
 from postfx.errors import IntegrationError
 from postfx.frame import DEPTH_MISS, Frame, Role, pixel_aspect
 from postfx.integrate.camera import perspective
-from postfx.integrate.materials import split_sum
 from postfx.integrate.motion import motion_from_depth
+from postfx.integrate.surfaces import split_sum
 
 CAMERA_AXES = tuple(map(np.diag, ((-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))))
 """From axes that worldToCamera may have (x left, y up, z forward; x right, y up, z back; x right, y up, z forward; x

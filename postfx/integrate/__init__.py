@@ -31,14 +31,6 @@ from postfx.integrate.camera import (
     with_jitter,
     without_jitter,
 )
-from postfx.integrate.materials import (
-    diffuse_albedo,
-    f0_of,
-    roughness_from_alpha,
-    roughness_from_exponent,
-    roughness_from_smoothness,
-    specular_albedo,
-)
 from postfx.integrate.motion import (
     dejitter_motion,
     motion_from_depth,
@@ -50,11 +42,17 @@ from postfx.integrate.motion import (
 from postfx.integrate.planes import frame_header, write_planes
 from postfx.integrate.surfaces import (
     blend_surfaces,
+    diffuse_albedo,
+    f0_of,
     fresnel_dielectric,
     fresnel_schlick,
     glass_weights,
     mirrored_normals,
     mirrored_positions,
+    roughness_from_alpha,
+    roughness_from_exponent,
+    roughness_from_smoothness,
+    specular_albedo,
     unfolded_positions,
 )
 

@@ -1,4 +1,4 @@
-"""What to write where the first surface only shows another one: mirrors and glass.
+"""Planes of surfaces: albedo and roughness from materials, and planes of what mirrors and glass show.
 
 A denoiser reuses the history where the motion says the same thing was seen before. In a mirror that thing is the
 reflected scene, so its planes replace the mirror's: primary surface replacement (Zimmer et al. 2015, "Path-space
@@ -12,6 +12,102 @@ from collections.abc import Mapping
 import numpy as np
 
 from postfx.frame import Role
+
+# Numerators and denominators of the rational fit, rows: powers of alpha, columns: powers of the cosine.
+_BIAS = ([[0.99044, -1.28514], [1.29678, -0.755907]],
+         [[1.0, 2.92338, 59.4188], [20.3225, -27.0302, 222.592], [121.563, 626.13, 316.627]])
+_SCALE = ([[0.0365463, 3.32707], [9.0632, -9.04756]],
+          [[1.0, 3.59685, -1.36772], [9.04401, -16.3174, 9.22949], [5.56589, 19.7886, -20.2123]])
+_POWERS = {"alpha": (0, 1, 3), "bias": (0, 1, 3), "scale": (0, 2, 3)}
+NO_SPECULAR = 0.02
+"""Below this F0 nothing reflects: real materials begin here, and smaller values mean that specular is switched off."""
+
+
+def specular_albedo(f0: np.ndarray, roughness: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """Specular albedo 0..1, (height, width, 3): how much of a white environment the surface reflects to the viewer.
+
+    f0: (height, width, 3) linear Rec.709 reflectance at normal incidence, 0..1, see `f0_of`. roughness: (height,
+    width) or (height, width, 1), linear 0..1 (alpha = roughness^2). cosine: likewise, between normal and view
+    direction; its sign does not count.
+
+    The split sum f0 * scale + bias for GGX with Smith masking and Schlick's Fresnel, in the rational fit of Hirvonen et
+    al. 2019, "Accurate Real-Time Specular Reflections with Radiance Caching" (Ray Tracing Gems, chapter 32, equation
+    4). For roughness and cosine from 0.05 to 1 it lies within 0.039 of the integral with separable masking, which was
+    computed from 1.4 million directions; the mean error is 0.007. A renderer with height-correlated masking reflects
+    more where rough surfaces are seen at grazing angles: up to 0.13 more for cosines from 0.2. Light that bounces
+    between microfacets is not in it. f0 below 0.02 fades to no reflection at all.
+    """
+    f0 = np.asarray(f0, np.float64)
+    scale, bias = split_sum(_channel(roughness), np.abs(_channel(cosine)))
+    shown = np.clip(f0.max(axis=-1, keepdims=True) / NO_SPECULAR, 0, 1)
+    result: np.ndarray = np.clip(f0 * scale + bias * shown, 0, 1)
+    return result
+
+
+def split_sum(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scale and bias of F0 in `specular_albedo`, from linear roughness and cosine 0..1; all arrays of one shape."""
+    alpha = roughness**2
+    return tuple(np.maximum(_rational(fit, alpha, cosine, _POWERS[name]), 0)
+                 for name, fit in (("scale", _SCALE), ("bias", _BIAS)))
+
+
+def f0_of(base_colour: np.ndarray, metallic: np.ndarray, ior: float = 1.5) -> np.ndarray:
+    """Reflectance at normal incidence (height, width, 3) of the metallic workflow (Burley 2012).
+
+    base_colour: (height, width, 3) linear, 0..1; metallic: (height, width) or (height, width, 1), 0..1. Metals reflect
+    their base colour, the rest ((ior - 1) / (ior + 1))^2, which is 0.04 for 1.5.
+    """
+    metallic = _channel(metallic)
+    return metallic * np.asarray(base_colour, np.float64) + (1 - metallic) * ((ior - 1) / (ior + 1)) ** 2
+
+
+def diffuse_albedo(base_colour: np.ndarray, metallic: np.ndarray) -> np.ndarray:
+    """Diffuse albedo (height, width, 3): base colour without its metallic part, which reflects nothing diffusely."""
+    result: np.ndarray = np.asarray(base_colour, np.float64) * (1 - _channel(metallic))
+    return result
+
+
+def roughness_from_smoothness(smoothness: np.ndarray) -> np.ndarray:
+    """Roughness 1 - smoothness (also called glossiness), both 0..1."""
+    return 1 - np.clip(np.asarray(smoothness, np.float64), 0, 1)
+
+
+def roughness_from_alpha(alpha: np.ndarray) -> np.ndarray:
+    """Roughness from the width alpha = roughness^2 of a microfacet distribution (Burley 2012), both 0..1.
+
+    Of an anisotropic material give sqrt(alpha_x * alpha_y).
+    """
+    return np.sqrt(np.clip(np.asarray(alpha, np.float64), 0, 1))
+
+
+def roughness_from_exponent(exponent: np.ndarray) -> np.ndarray:
+    """Roughness from the exponent n >= 0 of a Blinn-Phong lobe: alpha^2 = 2 / (n + 2) (Walter et al. 2007)."""
+    return (2 / (np.maximum(np.asarray(exponent, np.float64), 0) + 2)) ** 0.25
+
+
+Matrix = list[list[float]]
+"""Factors of a polynomial, by the powers of both variables."""
+
+
+def _rational(fit: tuple[Matrix, Matrix], alpha: np.ndarray, cosine: np.ndarray, powers: tuple[int, ...]) -> np.ndarray:
+    result: np.ndarray = _polynomial(fit[0], alpha, cosine, (0, 1), (0, 1)) / _polynomial(
+        fit[1], alpha, cosine, _POWERS["alpha"], powers)
+    return result
+
+
+def _polynomial(
+    matrix: Matrix, alpha: np.ndarray, cosine: np.ndarray, alphas: tuple[int, ...], cosines: tuple[int, ...]
+) -> np.ndarray:
+    terms = ((matrix[i][j], a, c) for i, a in enumerate(alphas) for j, c in enumerate(cosines))
+    result: np.ndarray = sum(factor * alpha**a * cosine**c for factor, a, c in terms)
+    return result
+
+
+def _channel(values: np.ndarray) -> np.ndarray:
+    """(height, width) or (height, width, 1) -> (height, width, 1), within 0..1 but for the sign."""
+    values = np.clip(np.asarray(values, np.float64), -1, 1)
+    return values if values.ndim == 3 else values[..., None]
+
 
 MIXED = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 """Planes of which the two surfaces of glass are mixed; of the others the stronger surface's value is taken."""

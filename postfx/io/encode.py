@@ -1,4 +1,4 @@
-"""Encoders: picture files out of a header and rows of pixels, in the format of their suffix."""
+"""Encoders: picture files from a header and rows of pixels, in the format of their suffix, with ICC profiles."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ import numpy as np
 import OpenImageIO as oiio
 from isal import isal_zlib
 
+from postfx.colour.curves import SRGB
 from postfx.colour.displays import KINDS, Display
-from postfx.colour.icc import make_profile
-from postfx.colour.primaries import Chromaticities
+from postfx.colour.primaries import D50_XYZ, Chromaticities, adapt, to_xyz
 from postfx.errors import ReadError
 from postfx.frame import Frame
 from postfx.io.exr.container import ExrContainer, picture_part, write_container
@@ -307,3 +307,80 @@ def _encode(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, rela
     lines = [line for line in output.geterror().splitlines() if line and "Exif" not in line]  # of TIFF, harmless
     if lines or not (written and closed):
         raise OSError(lines[0] if lines else "unknown reason")
+
+
+_VERSION = 0x04400000
+_MADE = (2025, 1, 1, 0, 0, 0)
+_SAMPLES = 1024
+_HEADER, _ENTRY = 128, 12
+
+
+@cache
+def make_profile(display: Display) -> bytes:
+    """Profile of a display's code values.
+
+    A curve cannot describe PQ and HLG up to their peak. It ends at diffuse white, so software without HDR clips
+    brighter lights there; the tag `cicp` tells other software the true encoding.
+    """
+    primaries = display.kind.primaries
+    colorants = adapt(primaries, D50_XYZ)
+    curve = _curve(display)
+    tags = {
+        b"desc": _text(f"{display.kind.title} (postfx)"),
+        b"cprt": _text("No copyright: CC0 1.0"),
+        b"wtpt": _icc_numbers(b"XYZ ", D50_XYZ),
+        b"chad": _icc_numbers(b"sf32", (colorants @ np.linalg.inv(to_xyz(primaries))).ravel()),
+        b"rXYZ": _icc_numbers(b"XYZ ", colorants[:, 0]),
+        b"gXYZ": _icc_numbers(b"XYZ ", colorants[:, 1]),
+        b"bXYZ": _icc_numbers(b"XYZ ", colorants[:, 2]),
+        b"rTRC": curve,
+        b"gTRC": curve,
+        b"bTRC": curve,
+    }
+    if display.kind.cicp:
+        tags[b"cicp"] = b"cicp" + bytes(4) + bytes(display.kind.cicp)
+    return _assemble(tags)
+
+
+def _assemble(tags: dict[bytes, bytes]) -> bytes:
+    start = _HEADER + 4 + _ENTRY * len(tags)
+    table, data, places = struct.pack(">I", len(tags)), b"", {}
+    for name, content in tags.items():
+        if content not in places:  # the three curves are one
+            places[content] = start + len(data)
+            data += content + bytes(-len(content) % 4)
+        table += struct.pack(">4sII", name, places[content], len(content))
+    return _header(start + len(data)) + table + data
+
+
+def _header(size: int) -> bytes:
+    kinds = struct.pack(">4s4s4s6H4s", b"mntr", b"RGB ", b"XYZ ", *_MADE, b"acsp")
+    white = b"".join(map(_fixed, D50_XYZ))
+    return (struct.pack(">I4sI", size, b"", _VERSION) + kinds + bytes(28) + white).ljust(_HEADER, b"\0")
+
+
+def _curve(display: Display) -> bytes:
+    if display.kind.curve is SRGB:
+        return b"para" + struct.pack(">IHH", 0, 3, 0) + b"".join(map(_fixed, (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92,
+                                                                           0.04045)))
+    if not display.hdr:
+        return b"para" + struct.pack(">IHH", 0, 0, 0) + _fixed(2.4)
+    codes = np.linspace(0, 1, _SAMPLES)
+    light = np.minimum(display.decode(np.repeat(codes[:, None], 3, 1))[:, 0], 1)
+    samples: bytes = np.rint(light * 65535).astype(">u2").tobytes()
+    return b"curv" + struct.pack(">II", 0, _SAMPLES) + samples
+
+
+def _text(text: str) -> bytes:
+    """multiLocalizedUnicodeType with one language."""
+    encoded = text.encode("utf-16-be")
+    return b"mluc" + struct.pack(">III4sII", 0, 1, 12, b"enUS", len(encoded), 28) + encoded
+
+
+def _icc_numbers(kind: bytes, values: np.ndarray | tuple[float, ...]) -> bytes:
+    return kind + bytes(4) + b"".join(map(_fixed, values))
+
+
+def _fixed(value: float) -> bytes:
+    """s15Fixed16Number."""
+    return struct.pack(">i", round(float(value) * 65536))

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from postfx.colour.displays import KINDS, parse_display
-from postfx.colour.icc import make_profile
 from postfx.colour.primaries import REC2020
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
+from postfx.io.encode import make_profile
 from postfx.io.writer import write_frame
 
 Image = pytest.importorskip("PIL.Image")
