@@ -1,30 +1,23 @@
 """Colour by look-up: a shaper, a cube of colours, and the code values of a display.
 
-Tetrahedral look-up in a colour cube, on rows.
+Cube: (size, size, size, 3): red, green, blue, channel. Tetrahedral look-up: of the eight corners around a colour only
+the four on the path from the lowest to the highest count, so greys come from the cube's diagonal. Formula: Kasson et
+al. 1995, "Performing color space conversions with three-dimensional linear interpolation".
 
-A cube is (size, size, size, 3): red, green, blue, channel. Of the eight corners around a colour only the four on the
-path from the lowest to the highest count, so that greys are what the cube's diagonal says. Formula: Kasson et al. 1995,
-"Performing color space conversions with three-dimensional linear interpolation".
+Shaper: a matrix, then log2(1 + exposure * x / toe) * scale in [0, 1]. The matrix converts Rec.709 to wider primaries
+(Rec.2020 for the shipped looks), so that colours outside Rec.709, which are negative there, are not clipped. Light
+above the range is scaled down as a whole: its channels keep their ratio, and so its hue.
 
-The tone mapper's shaper, on rows: a matrix, then log2(1 + exposure * x / toe) * scale in [0, 1].
+`apply_cube` looks exposed light up in a cube, through the shaper. Bindings (float32): colour (height, width, 3)
+scene-linear; params (3,): exposure, toe and scale of the shaper; matrix (9,) row-major, to the cube's primaries; cube;
+output (height, width, 3). Negative values after the matrix and NaN count as 0. The torch definition is
+`training.kernels.tonemap.ApplyCube`.
 
-The matrix turns Rec.709 to wider primaries (Rec.2020 for the shipped looks), so that colours outside Rec.709, which are
-negative there, are not cut. Light above the range is scaled down as a whole: its channels keep their ratio, and so its
-hue.
-
-Look colours up in a cube: exposed light turned to the cube's primaries, shaped, and read between eight corners.
-
-Bindings (float32): colour (height, width, 3) scene-linear; params (3,): exposure, toe, scale of the shaper; matrix (9,)
-row-major, to the cube's primaries; cube (size, size, size, 3): red, green, blue, channel; output (height, width, 3).
-Shaper and cube are those above. What is negative after the matrix counts as 0,
-and so does NaN. The torch definition is `training.kernels.tonemap.ApplyCube`.
-
-Colour as light or SDR code values to a display's code values: decode, turn to its primaries, cut, encode.
-
+`encode_display` converts light or SDR code values to a display's code values: decode, convert primaries, clip, encode.
 Bindings (float32): colour (height, width, 3); params (12,): 3x3 matrix row-major, whether colour is code values (0 or
-1), most light that is let through, exponent of the luminance that light is multiplied by; decode (4098,): light of
-code values 0..1, evenly spaced; encode (4098,): code values over the eighth root of light 0..1; output (height, width,
-3) code values 0..1. NaN becomes 0. The tables end with their last value twice; `postfx.passes.display` makes them. The
+1), the light above which it clips, and the exponent of the luminance by which light is multiplied; decode (4098,):
+light of evenly spaced code values 0..1; encode (4098,): code values over the eighth root of light 0..1; output (height,
+width, 3) code values 0..1. NaN becomes 0. Both tables repeat their last value; `postfx.passes.display` makes them. The
 torch definition is `training.kernels.tonemap.EncodeDisplay`.
 """
 

@@ -1,9 +1,9 @@
-"""Compiled kernels, kept between runs and named by what they are made of.
+"""Caches compiled kernels between runs, under a digest of everything they depend on.
 
-Numba's own cache looks at the time stamp of one file: a comment makes it compile the whole file anew, and a constant
-changed in another file leaves wrong code. Here a digest names the file of each compiled function: its bytecode, the
-options it is compiled with, the values of the constants and the digests of the functions that it uses, as well as its
-argument types, the processor and the versions of Python and Numba.
+Numba's own cache looks at the time stamp of one file: a comment makes it compile the whole file again, and a constant
+changed in another file leaves wrong code. Here each file is named by a digest of the function's bytecode, its
+compile options, the constants and functions that it uses, its argument types, the processor, and the versions of Python
+and Numba.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from postfx.system import private_folder
 FOLDER = "kernels"
 SUFFIX = ".nbc"
 UNUSED = 30 * 86400
-"""Seconds after which a file that no run loaded is removed."""
+"""Seconds after which a file that no run has loaded is removed."""
 OUTDATED = 86400
-"""Seconds after which a folder that an older version left is removed."""
+"""Seconds after which an older version's folder is removed."""
 FOREIGN = {"numba", "llvmlite", "numpy", *sys.stdlib_module_names}
-"""Packages whose functions are told apart by name alone; the versions of Numba and Python stand for them."""
+"""Packages whose functions are identified by name alone; the versions of Numba and Python cover them."""
 
 
 @cache
 def cache_folder() -> Path | None:
-    """Where compiled kernels are kept, None where they cannot be.
+    """The folder of compiled kernels; None if there cannot be one.
 
-    They are unpickled from there, so a folder of another user, or that others may write to, is not used.
+    Files there are unpickled, so a folder that another user owns or may write to is not used.
     """
     return private_folder(FOLDER)
 
@@ -55,11 +55,11 @@ class CompileWatch(Listener):
     """Counts what Numba compiles, and how long that takes. Use as a context manager.
 
     Args:
-        tell: is called before each function with the count of those before.
+        tell: called before each function with the count of earlier ones.
 
     Attributes:
-        count: functions that were compiled, without those that were kept from an earlier run.
-        seconds: that it took.
+        count: compiled functions, without those from the cache.
+        seconds: total time of compiling.
     """
 
     def __init__(self, tell: Callable[[int], None] = lambda _: None) -> None:
@@ -67,14 +67,14 @@ class CompileWatch(Listener):
         self._tell, self._depth, self._begin = tell, 0, 0.0
 
     def on_start(self, event: Event) -> None:
-        """A function begins, maybe within another one that calls it."""
+        """Start timing a function, possibly inside one that calls it."""
         self._tell(self.count)
         if self._depth == 0:
             self._begin = time.perf_counter()
         self._depth += 1
 
     def on_end(self, event: Event) -> None:
-        """It is done."""
+        """Stop timing it."""
         self._depth, self.count = self._depth - 1, self.count + 1
         if self._depth == 0:
             self.seconds += time.perf_counter() - self._begin
@@ -95,11 +95,11 @@ class KernelCache(_Cache):
 
     @property
     def cache_path(self) -> str:
-        """The folder, as text; empty where nothing is kept."""
+        """The folder as text; empty without a cache."""
         return str(cache_folder() or "")
 
     def load_overload(self, sig: Any, target_context: Any) -> CompileResult | None:
-        """The compiled function for a signature; None where none is kept."""
+        """The compiled function for a signature; None if it is not cached."""
         target_context.refresh()
         path = self._path(sig, target_context.codegen())
         try:
@@ -109,11 +109,11 @@ class KernelCache(_Cache):
         if path is None or content is None:
             return None
         with suppress(OSError):
-            path.touch()  # tells that it is in use
+            path.touch()  # marks it as used
         return CompileResult._rebuild(target_context, *pickle.loads(content))  # type: ignore[no-any-return,no-untyped-call]
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled function. One that refers to addresses of this process, or a full disk: nothing is kept."""
+        """Cache a compiled function, unless it refers to addresses of this process or the disk is full."""
         path = self._path(sig, data.codegen)
         if path is None or data.lifted or data.library.has_dynamic_globals:
             return
@@ -123,19 +123,19 @@ class KernelCache(_Cache):
             _remove_unused(path.parent)
 
     def enable(self) -> None:
-        """It always is."""
+        """Does nothing: the cache is always enabled."""
 
     def disable(self) -> None:
-        """Nothing needs it."""
+        """Does nothing."""
 
     def flush(self) -> None:
-        """What is kept under a digest never becomes wrong."""
+        """Does nothing: a file under a digest never becomes wrong."""
 
     def _path(self, sig: Any, codegen: Any) -> Path | None:
         folder = cache_folder()
         try:
-            made_of = digest(self._dispatcher)  # not before: a function may use what is defined after it
-        except TypeError:  # a pass of someone else may use anything
+            made_of = digest(self._dispatcher)  # only now: a function may use later definitions
+        except TypeError:  # another author's pass may use anything
             return None
         facts = (made_of, str(sig), codegen.magic_tuple(), numba.__version__, sys.implementation.cache_tag)
         name = self._dispatcher.py_func.__qualname__.replace("<locals>.", "")
@@ -145,8 +145,8 @@ class KernelCache(_Cache):
 
 @cache
 def digest(function: Callable[..., Any]) -> str:
-    """Hexadecimal digest of all that a function's compiled code depends on. Comments, docstrings and line numbers do
-    not count. Raises TypeError for a global value that it cannot tell."""
+    """Hexadecimal digest of everything that a function's compiled code depends on, without comments, docstrings and
+    line numbers. Raises TypeError for a global value that it cannot digest."""
     if isinstance(function, Dispatcher):
         parts = _all_parts((dict(function.targetoptions), function.py_func))
     elif isinstance(function, FunctionType):

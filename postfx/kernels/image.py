@@ -46,7 +46,7 @@ def clean(source: np.ndarray, target: np.ndarray) -> None:
 
 @compiled
 def clean_row(source: np.ndarray, channels: int, line: np.ndarray) -> None:
-    """A flat row with its first and last pixel repeated in the margins; what is not finite counts as 0."""
+    """A flat row with its first and last pixel repeated in the margins; non-finite values count as 0."""
     first, end = MARGIN * channels, MARGIN * channels + source.size
     clean(source, line[first:])
     for beside in range(MARGIN):
@@ -236,7 +236,7 @@ def straight_row(upper: np.ndarray, lower: np.ndarray, least: np.ndarray, most: 
 
 @compiled
 def hold_row(least: np.ndarray, most: np.ndarray, near: np.ndarray, row: np.ndarray) -> None:
-    """Alpha within [0, 1], and colours within what the nearest straight colours make of that alpha."""
+    """Alpha within [0, 1], and colours within the nearest unpremultiplied colours times that alpha."""
     for x in range(row.shape[0]):
         left, right = near[0, x], near[1, x]
         alpha = clamp(row[x, 3], ZERO, ONE)

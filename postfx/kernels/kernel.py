@@ -1,4 +1,4 @@
-"""What a compute kernel is: named tensor arguments and a function that computes rows of its output."""
+"""The compute kernel: named tensor arguments and a function that computes rows of its output."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Kernel:
-    """One small compute kernel, over float32 tensors if not told otherwise.
+    """One small compute kernel, over float32 tensors unless `types` says otherwise.
 
     On the CPU `Device.compute_state(kernel)` runs `rows`, split into bands over the device's threads. Elsewhere it
     runs the portable definition, `models/kernels/<name>.onnx`, whose inputs and outputs carry the names given here.
@@ -25,7 +25,7 @@ class Kernel:
             within one dispatch, and 'k*symbol' with a whole number k is allowed ('2*height'). Compiled rows do not
             check bounds, so shapes given here are checked for them; they also let the device compile `rows` before
             the first frame.
-        types: binding name -> element type, of those that are not float32.
+        types: binding name -> element type, if not float32.
     """
 
     name: str
@@ -48,5 +48,5 @@ class Kernel:
                              f"{', '.join(sorted(unknown))}")
 
     def fixed_shape(self, name: str) -> tuple[int, ...]:
-        """The shape of a binding that has no symbols; ValueError where it has some."""
+        """The shape of a binding without symbols; ValueError if it has some."""
         return tuple(int(size) for size in self.shapes[name])

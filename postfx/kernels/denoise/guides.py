@@ -1,5 +1,4 @@
-"""Kernels that show the upscaler's network the planes at output size, at the points where it predicts its filters, and
-that judge how far these planes are to be trusted.
+"""Kernels that sample planes at output size where the network predicts its filters, and judge how far to trust planes.
 
 Channels of ``guides``, for the corners of a render pixel at top left, top right, bottom left and bottom right: diffuse
 albedo 0, specular albedo 3, normal 6, roughness 9, depth 10. The torch definition is

@@ -1,29 +1,22 @@
-"""Kernels around a network in half precision or integers: what it reads is packed, what it writes is opened.
+"""Kernels around the network: they pack its input and unpack its output, by precision.
 
-Kernels around a network in half precision, which reads and writes all channels of a pixel together (NHWC).
+Half precision: the network reads and writes all channels of a pixel together (NHWC). ``packed`` holds the planes of
+``features`` or ``guides``, padded with zeros to a multiple of 8 channels for tensor cores. ``raw`` is the output of the
+network's last convolutions; the copy to the layout of the other kernels applies their activations. A raw fine head has
+the four phases of 2x2 pixels one after the other, top left first. The rows are NumPy: GPUs have their own sources, and
+a CPU gains nothing from half precision.
 
-``packed`` holds the planes of ``features`` or ``guides`` and zeros up to a multiple of 8 channels, as tensor cores want
-them. ``raw`` is what the network's last convolutions write: their activations belong to the copy that brings them into
-the layout of the other kernels. A raw fine head has the four phases of 2x2 pixels one after the other, top left first.
-The rows are NumPy: GPUs have sources of their own, and a CPU gains nothing by half precision.
+Float32: activations of the fine head, and its four phases moved to their places. ``phased_fine`` (1, 4 * 80, hp / 2,
+wp / 2) is the output of the last convolution: for each channel the four phases of 2x2 pixels, top left first. One pass
+takes less time than activations and a shuffle inside the network, each of which reads and writes 160 MB at 960x540.
 
-Kernel after a network in float32: activations of the fine head, and its four phases brought to their places.
+Integers, output: the last products are summed in 32 bits and scaled here. ``products`` are sums of 8-bit products;
+``scaling`` (2, C) holds a factor and an offset for each channel, which give its logit. Scaling and activations are one
+pass. Each channel of the fine head has four phases, as above.
 
-``phased_fine`` (1, 4 * 80, hp / 2, wp / 2) is what the network's last convolution writes: of each channel the four
-phases of 2x2 pixels, top left first. One pass over it takes less time than activations and a shuffle inside the
-network, each of which reads and writes 160 MB at 960x540.
-
-Kernels after a network in integers, whose last products are summed in 32 bits and scaled here.
-
-``products`` are sums of 8-bit products; ``scaling`` (2, C) holds what those of a channel are multiplied by and what is
-added, which gives its logit. Both and the activations are one pass. Of each channel of the fine head there are four
-phases, as in `postfx.kernels.denoise.network_io`.
-
-Kernel before a network in integers: keeps the planes that it reads in 8 bits, all channels of a pixel together.
-
-``coding`` (2, C) holds what a channel is multiplied by and the code of zero; codes beyond 0 to 255 are taken for these.
-``stored`` (1, h, w, C) may have more channels than ``planes``, which mean nothing; where it is ringed, it has one more
-row and column on every side, where all channels are zero.
+Integers, input: planes in 8 bits, all channels of a pixel together. ``coding`` (2, C) holds each channel's factor and
+its code of zero; codes are clipped to 0..255. ``stored`` (1, h, w, C) may have more channels than ``planes``, without
+meaning. With a ring, it has one more row and column on every side, where all channels are zero.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
-"""What puts the output together: tiles into the frame, and a blend with the input by strength.
+"""Kernels that make the output: tiles assembled into the frame, and a blend with the input by strength.
 
-Kernel that puts a picture together from what was computed in parts of it.
-
-Each of ``places`` (n, 10) tells of one of ``tiles`` (n, th, tw, channels), in rows and columns of the frame: where its
-first pixel lies (2), what of it may be used (4), and what of it is to be used before all others (4): top, left, bottom,
-right, the last two not included. The first of several tiles counts. ``frame_rows`` and ``frame_columns`` are the rows
-and columns of the frame that are written; what no tile holds is 0.
-
-Kernel that leaves the noise in, pixel by pixel, as far as the strength of denoising says.
+Each row of ``places`` (n, 10) describes one of ``tiles`` (n, th, tw, channels) in rows and columns of the frame: its
+first pixel (2), the area that may be used (4), and the area to use before all other tiles (4); areas are top, left,
+bottom, right, the last two exclusive. The first of several tiles counts. ``frame_rows`` and ``frame_columns`` are the
+rows and columns of the frame to write; pixels of no tile become 0.
 """
 
 from __future__ import annotations

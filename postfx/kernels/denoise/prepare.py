@@ -50,7 +50,7 @@ NEAREST, FARTHEST, MOST_MOTION = np.float32(1e-6), np.float32(1e9), np.float32(1
 
 @summed
 def scale_rows(y0: int, y1: int, depth: np.ndarray, scale: np.ndarray) -> None:
-    """Harmonic mean depth of what was hit, 1 where nothing was; a single row, so one thread sums in one order."""
+    """Harmonic mean depth of all hits, 1 without any; a single row, so that one thread sums in a fixed order."""
     hits, near, flat = 0.0, 0.0, depth.reshape(depth.size)
     for i in range(flat.size):
         z = flat[i]
@@ -62,13 +62,13 @@ def scale_rows(y0: int, y1: int, depth: np.ndarray, scale: np.ndarray) -> None:
 
 @inline
 def finite(value: Real) -> Real:
-    """Motion of a pixel; what no picture can have (NaN, infinity) is none."""
+    """Motion of a pixel; impossible values (NaN, infinity) become 0."""
     return value if -MOST_MOTION < value < MOST_MOTION else ZERO
 
 
 @compiled
 def nearer(line: np.ndarray, place: Real, near: np.ndarray, found: np.ndarray) -> None:
-    """Take what is nearer than what was found so far, and note its place."""
+    """Keep the nearest depth so far, and its place."""
     for x in range(near.size):
         here, best, at = line[x], near[x], found[x]
         found[x] = place if here < best else at
@@ -81,7 +81,7 @@ def dilate_row(y: int, left: int, depth: np.ndarray, lines: np.ndarray, near: np
     clearly nearer neighbour in 3x3, the first of the nearest, or its own. `depth` is (h, w)."""
     h, w = depth.shape
     count = near.size
-    lines[:] = np.inf  # what is beyond the picture is never nearer
+    lines[:] = np.inf  # pixels beyond the picture are never nearer
     before, after = min(left, 1), min(w - left - count, 1)
     for j in range(max(y - 1, 0), min(y + 2, h)):
         lines[j - y + 1, 1 - before:1 + count + after] = depth[j, left - before:left + count + after]

@@ -1,7 +1,7 @@
-"""Kernels after the upscaler's network: filter the pyramid from coarse to fine and put the reflectance back.
+"""Kernels after the upscaler's network: filter the pyramid from coarse to fine and multiply by reflectance again.
 
-Pyramid levels are planar so that the inner loops run along rows with vector instructions. Cells of 2x2 pixels lie where
-those of the whole frame do, so a window's first row or column may be the second one of its cells.
+Pyramid levels are planar so that the inner loops run along rows with vector instructions. Cells of 2x2 pixels are the
+same as in the whole frame, so a window's first row or column may be the second one of its cells.
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
-"""Kernels of the reactive mask, which says how much of the history each pixel must not use: 0 none of it, 1 all.
+"""Kernels of the reactive mask: the share of the history that each pixel must not use, from 0 (none) to 1 (all).
 
-What such a pixel leaves to the next frame does not move with the surface that is seen there then. So a pixel uses no
-more than its own mask allows, nor than that of the place where it was in the frame before: the larger of both counts.
-``last_reactive`` is the mask of the frame before, spread by a pixel, for the history is interpolated between pixels.
+What a reactive pixel leaves to the next frame does not move with the surface seen there. So a pixel is limited by its
+own mask and by the mask at the place where it was in the last frame; the larger of both counts. ``last_reactive`` is
+the last frame's mask, spread by a pixel because the history is interpolated between pixels.
 """
 
 import numpy as np

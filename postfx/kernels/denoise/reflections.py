@@ -1,7 +1,7 @@
-"""Kernel that gives smooth surfaces the motion of what they reflect.
+"""Kernel that gives smooth surfaces the motion of their reflections.
 
-A mirror shows its image as far behind it as the reflected thing is from it, along the view ray: that virtual point
-moves through the picture as any other (virtual motion in Zhdan 2021, "ReBLUR: A Hierarchical Recurrent Denoiser", Ray
+A mirror's image lies along the view ray, as far behind the mirror as the reflected point is from it. This virtual point
+moves through the picture like any other (virtual motion in Zhdan 2021, "ReBLUR: A Hierarchical Recurrent Denoiser", Ray
 Tracing Gems II, ch. 49). Convex mirrors bring it nearer, by the mirror equation 1 / image = 1 / distance + 2 curvature;
 rough ones, too, by the dominant direction of their lobe, (1 - r) (sqrt(1 - r) + r) with roughness r (Lagarde and de
 Rousiers 2014, "Moving Frostbite to Physically Based Rendering", on the dominant specular direction).
@@ -23,7 +23,7 @@ ROUGHEST = np.float32(0.3)
 STEP, BEND = np.float32(0.1), np.float32(0.9)
 """Most relative difference in depth of neighbours on one surface, and least cosine between their normals."""
 STILL, PART = np.float32(0.25), np.float32(0.05)
-"""Pixels, and part of the motion, by which that of a surface at rest may differ from what the camera gives it."""
+"""Pixels, and share of the motion, by which the motion of a surface at rest may differ from the camera's."""
 ZERO, ONE, FAR, NEAR = np.float32(0), np.float32(1), np.float32(1e9), np.float32(1e-6)
 
 
@@ -57,7 +57,7 @@ def motion_at(camera: np.ndarray, rx: Real, ry: Real, nearness: Real) -> tuple[R
 
 @inline
 def unit(normal: np.ndarray, y: int, x: int) -> tuple[Real, Real, Real]:
-    """A normal of length 1, zero where there is none."""
+    """The normal with length 1; zero if it has none."""
     a, b, c = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
     length = np.sqrt(a * a + b * b + c * c)
     scale = ONE / length if length > np.float32(0.1) else ZERO
@@ -80,7 +80,7 @@ def inverse_distance(hit_distance: np.ndarray, depth: np.ndarray, y: int, x: int
 @compiled
 def bend_between(normal: np.ndarray, depth: np.ndarray, camera: np.ndarray, first: np.ndarray, last: np.ndarray,
                  z: Real, facing: np.ndarray) -> Real:
-    """Change of the normal over that of the position between two pixels (y, x); NaN where one is beyond an edge.
+    """Change of the normal over that of the position between two pixels (y, x); NaN if an edge separates them.
 
     ``z`` and ``facing`` are depth and normal between them.
     """
@@ -116,7 +116,7 @@ def curvature(normal: np.ndarray, depth: np.ndarray, camera: np.ndarray, y: int,
 def reflection_rows(y0: int, y1: int, motion: np.ndarray, depth: np.ndarray, normal: np.ndarray, roughness: np.ndarray,
                     diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, hit_distance: np.ndarray,
                     camera: np.ndarray, reflected: np.ndarray) -> None:
-    """The motion, and of smooth surfaces at rest that mostly reflect, with a hit distance, that of what they show."""
+    """The motion; for smooth, mostly reflecting surfaces at rest with a hit distance, the motion of the reflection."""
     h, w = depth.shape[:2]
     for y in range(y0, y1):
         for x in range(w):

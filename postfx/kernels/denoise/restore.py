@@ -1,10 +1,10 @@
-"""Kernels that give back what the upscaler's network took for noise though it was not.
+"""Kernels that restore detail that the upscaler's network removed as noise.
 
-What the network removed, input minus result, is alike everywhere where it was noise and has structure where it was
-detail. Tiles of the picture are judged by that: by the correlations of near pixels of the difference, less what the
-whole frame has in common, for a renderer's filter may spread samples over several pixels; by those of far pixels,
-which no filter reaches; and by its size, for what is barely visible does no harm. Where most of what was removed is
-detail, the whole frame counts as clean. Only for results of the input's size, samples spread over the pixel.
+The removed part, input minus result, looks alike everywhere if it was noise, and has structure if it was detail. So the
+kernels judge tiles of the picture: by correlations of the difference between near pixels, less those of the whole
+frame, because a renderer's filter may spread samples over several pixels; by correlations between far pixels, which no
+filter reaches; and by its size, because barely visible differences do no harm. If most of the removed part is detail,
+the whole frame counts as clean. Only for results of the input's size with samples spread over the pixel.
 """
 
 import math
