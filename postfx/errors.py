@@ -45,12 +45,13 @@ and says how to fix it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 from typing import Any
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
     """': did you mean X?' for a word that is nearly a known one, or begins with one; else nothing."""
+    from difflib import get_close_matches  # on errors only
+
     names = list(known)
     begins = sorted((name for name in names if name and word.lower().startswith(name)), key=len)
     near = get_close_matches(word.lower(), names, 1, 0.6) or begins[-1:]

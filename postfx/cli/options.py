@@ -11,16 +11,14 @@ import argparse
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal, NamedTuple, NoReturn
 
 from postfx.errors import OptionError, suggest
 
 Changes = Literal["pixels", "rounding", "nothing"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Option:
+class Option(NamedTuple):  # not a dataclass, whose module would take longer to load than all of --help
     """An option and all that it means. With neither `metavar` nor `choices` it is a switch.
 
     Attributes:
@@ -55,8 +53,8 @@ class Option:
     sets: str = ""
     convert: Callable[[Any], Any] | None = None
     off: Any = None
-    excludes: Mapping[str, str] = field(default_factory=dict)
-    needs: Mapping[str, str] = field(default_factory=dict)
+    excludes: Mapping[str, str] = {}
+    needs: Mapping[str, str] = {}
     changes: Changes = "pixels"
     is_file: bool = False
     several: bool = False
@@ -95,8 +93,7 @@ class _StoreOneOrMore(argparse.Action):
         setattr(namespace, self.dest, values[0] if len(values) == 1 else values)
 
 
-@dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """Options under one title of --help; without a title they stand first."""
 
     title: str
