@@ -20,8 +20,7 @@ from postfx.frame import LINEAR, Frame, Role
 from postfx.io.dither import Dither, quantise
 from postfx.io.encode import JPEG, encode, halves, has_end, light_of, tag_codes, tag_light
 from postfx.io.exr.container import COMPRESSIONS
-from postfx.io.exr.nearest import enlargement_of
-from postfx.io.exr.passthrough import kept_attributes, set_attributes
+from postfx.io.exr.passthrough import enlargement_of, kept_attributes, set_attributes
 from postfx.io.image_file import reason_of
 from postfx.io.pattern import PLANE, Pattern, parse_pattern
 from postfx.io.sequence import Sequence

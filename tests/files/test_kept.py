@@ -15,7 +15,7 @@ from postfx.cli.run_options import explain_kept
 from postfx.errors import ReadError, WriteError
 from postfx.frame import Frame, Role
 from postfx.io.exr.container import ExrContainer
-from postfx.io.exr.nearest import Enlargement
+from postfx.io.exr.passthrough import Enlargement
 from postfx.io.sequence import read_sequence
 from postfx.io.windows import Window
 from postfx.io.writer import is_complete, write_frame

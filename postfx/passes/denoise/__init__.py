@@ -209,7 +209,8 @@ class DenoiseUpscale(Pass):
             colour = self._encode_network(commands, frame, ready)
         else:
             colour = ready.plain.encode(commands, frame)
-            ready.layers.resample(commands, frame, colour)
+            if ready.layers:
+                ready.layers.resample(commands, frame, colour)
         frame.set(Role.COLOUR, colour)
         ready.passthrough.encode(commands, frame)
         for role in (*PLANES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
@@ -225,7 +226,8 @@ class DenoiseUpscale(Pass):
             savings.begin(0.0, False, False)
             self._fresh = False
             plain = ready.strength.plain.encode(commands, frame)
-            ready.layers.resample(commands, frame, plain)
+            if ready.layers:
+                ready.layers.resample(commands, frame, plain)
             return plain
         band = None if cells is None else ready.frames.layout(cells)
         keep = self._fresh and not frame.reset and Role.MOTION in frame
@@ -240,14 +242,15 @@ class DenoiseUpscale(Pass):
         if ready.reflections:
             change = self._cameras.step(frame, keep and not still, savings.note_unfollowed)
             planes = ready.reflections.encode(commands, frame, change, planes)
-        layers, written = ready.layers.begin(commands, frame, planes, params, keep)
+        layers, written = ready.layers.begin(commands, frame, planes, params, keep) if ready.layers else ([], {})
         colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
         self._fresh, self._exposure = not frame.lost, frame.exposure
         rows = ready.frames.rows(band)
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
         if ready.strength:
             colour = ready.strength.encode(commands, frame, colour, rows, savings.note_unblended)
-        ready.layers.finish(commands, frame, denoised, colour, ready.restore, ready.strength, rows)
+        if ready.layers:
+            ready.layers.finish(commands, frame, denoised, colour, ready.restore, ready.strength, rows)
         return colour
 
     def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray | None:

@@ -248,7 +248,7 @@ class Frames:
 
     def rows(self, band: Band | None) -> Rows:
         """The rows of the output that hold something, of a frame or the tiles of one."""
-        return self._sizes.enlarged(band.own if band else (0, self._sizes.h))
+        return self._sizes.enlarged(band.own) if band else (0, self._sizes.height)
 
     @property
     def _band_shape(self) -> Shape:
@@ -295,12 +295,12 @@ class ReadyPlain(Ready):
 
     Attributes:
         plain: the input, resampled.
-        layers: parts of the picture.
+        layers: parts of the picture; None if it has none.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, parts: Sequence[Part]) -> None:
         super().__init__(device, spec, output)
-        self.layers = Layers(device, spec, output, parts, False, PartHistory(device, output, ()))
+        self.layers = Layers(device, spec, output, parts, False, PartHistory(device, output, ())) if parts else None
         self.plain = Plain(device, spec, output)
 
 
@@ -315,7 +315,7 @@ class ReadyNetwork(Ready):
         reflections: None if frames lack the planes for it.
         restore: at render size only, else None.
         strength: None where all of the picture is fully denoised.
-        layers: parts of the picture, and alpha.
+        layers: parts of the picture, and alpha; None without both.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str], history: History,
@@ -331,4 +331,5 @@ class ReadyNetwork(Ready):
         self.restore = Restore(device, output) if output == (spec.height, spec.width) else None
         full = strength == 1 and not spec.has(Role.STRENGTH)
         self.strength = None if full else Strength(device, spec, output, strength)
-        self.layers = Layers(device, spec, output, parts, alpha and spec.has(Role.ALPHA), part_history)
+        alpha = alpha and spec.has(Role.ALPHA)
+        self.layers = Layers(device, spec, output, parts, alpha, part_history) if parts or alpha else None

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.colour.interop import space_by_id, space_by_primaries
 from postfx.colour.primaries import LINEAR_SPACES, REC709, is_degenerate, round_to_known
 from postfx.errors import ColourError
-from postfx.io.colours import InputColours
+from postfx.io.colours import InputColours, space_by_id, space_by_primaries
 
 FORUM = ("lin_ap1_scene", "lin_ap0_scene", "lin_rec709_scene", "lin_p3d65_scene", "lin_rec2020_scene",
          "lin_adobergb_scene", "lin_ciexyzd65_scene", "srgb_rec709_scene", "g22_rec709_scene", "g18_rec709_scene",
