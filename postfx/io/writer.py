@@ -120,7 +120,7 @@ def write_frame(
         spec.attribute("compression", compression)
         set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
     with output_file(path) as temporary:
-        keep = enlargement_of(frame) is None if keep is None else keep
+        keep = not shown and enlargement_of(frame) is None if keep is None else keep  # only EXR keeps anything
         encode(temporary, path.suffix.lower(), spec, convert, relax, frame if keep else None)
     return path
 
