@@ -1,8 +1,8 @@
 """How many of postfx's files a frame passes on its way through `postfx run`, once all is prepared.
 
 `python -m tests.test_frame_path` lists them, with the functions in each. Numba reports compiled kernels to a profiler
-too; they are listed but do not count, for nobody steps through them. Neither does the manifest, which is written every
-few seconds and not for every frame.
+too; they are listed but do not count, for nobody steps through them. Neither do the manifest and checkpoints, which
+are written every few seconds and not for every frame.
 """
 
 from __future__ import annotations
@@ -66,10 +66,11 @@ def watched() -> Iterator[Watch]:
 
 def files_of(folder: Path, suffix: str, *options: str) -> dict[str, set[str]]:
     """Files, with functions, that a steady frame of the sample room passes."""
-    command = ["run", str(ROOM / "noisy.####.exr"), "-o", str(folder / f"out.####.{suffix}"), "--frames", f"1-{LAST}"]
+    command = ["run", str(ROOM / "noisy.####.exr"), "-o", str(folder / f"out.####.{suffix}"), "--frames", f"1-{LAST}",
+               "--model", "s", "--device", "cpu", "--threads", "2", "--run-up", "0", "--checkpoint", "1e9"]
     with pytest.MonkeyPatch.context() as patch, watched() as watch:
         patch.setattr("postfx.runs.folder.LEAST_SECONDS", 1e9)
-        assert main([*command, "--model", "s", "--device", "cpu", "--threads", "2", "--run-up", "0", *options]) == 0
+        assert main([*command, *options]) == 0
     return watch.found
 
 
