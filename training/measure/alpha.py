@@ -1,0 +1,102 @@
+"""Denoised alpha: composites over three backgrounds with alpha resampled, denoised and true.
+
+python -m training.measure.alpha [--model m] [--scales 1,2]
+
+Fur and a translucent disc, drawn by formula: 128x128 at 4 samples a pixel, six frames of a still camera, light with
+exponential noise; the truth has 256 samples a pixel (128 at 2x). Prints PSNR of the last frame's composites as sRGB.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import NamedTuple
+
+import numpy as np
+
+from postfx.bench.metrics import psnr
+from postfx.colour.curves import srgb_encode
+from postfx.frame import Frame, Role
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+
+SIDE, HAIRS, FRAMES, SAMPLES = 128, 140, 6, 4
+GREYS = {"black": 0.0, "grey": 0.18, "white": 1.0}
+
+
+class Hairs(NamedTuple):
+    """Root, way to the tip, half width at the root and colour of each hair, in pixels of the render."""
+
+    root: np.ndarray
+    way: np.ndarray
+    width: np.ndarray
+    colour: np.ndarray
+
+    @classmethod
+    def grown(cls) -> Hairs:
+        """The same hairs every time."""
+        random = np.random.default_rng(5)
+        root = np.stack([random.uniform(10, SIDE - 10, HAIRS), random.uniform(60, SIDE - 3, HAIRS)], 1)
+        angle, length = random.normal(-np.pi / 2, 0.5, HAIRS), random.uniform(25, 60, HAIRS)
+        way = length[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+        return cls(root, way, random.uniform(0.25, 0.9, HAIRS), random.uniform(0.15, 0.8, (HAIRS, 3)))
+
+    def hit(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Which hair is in front at places, -1 for none."""
+        found = np.full(x.shape, -1)
+        for i, (root, way, width) in enumerate(zip(self.root, self.way, self.width, strict=True)):
+            along = np.clip(((x - root[0]) * way[0] + (y - root[1]) * way[1]) / (way @ way), 0, 1)
+            apart = np.hypot(x - root[0] - along * way[0], y - root[1] - along * way[1])
+            found = np.where(apart < width * (1 - 0.7 * along), i, found)
+        return found
+
+
+def draw(hairs: Hairs, seed: int, samples: int, scale: int, noisy: bool) -> dict[Role, np.ndarray]:
+    """Premultiplied colour, alpha and albedo, means of so many samples a pixel."""
+    random, side = np.random.default_rng(seed), SIDE * scale
+    rows, columns = np.mgrid[:side, :side]
+    sums = {role: np.zeros((side, side, count)) for role, count in
+            ((Role.COLOUR, 3), (Role.ALPHA, 1), (Role.DIFFUSE_ALBEDO, 3))}
+    for _ in range(samples):
+        x, y = (columns + random.random((side, side))) / scale, (rows + random.random((side, side))) / scale
+        hair = hairs.hit(x, y)
+        disc = (random.random((side, side)) < np.clip(1 - np.hypot(x - 64, y - 28) / 20, 0, 1)) & (hair < 0)
+        albedo = np.where((hair >= 0)[..., None], hairs.colour[np.maximum(hair, 0)], 0.6 * disc[..., None])
+        light = random.exponential(1, (side, side, 1)) if noisy else 1.0
+        for role, value in ((Role.COLOUR, 0.8 * albedo * light), (Role.ALPHA, ((hair >= 0) | disc)[..., None]),
+                            (Role.DIFFUSE_ALBEDO, albedo)):
+            sums[role] += value
+    return {role: (total / samples).astype(np.float32) for role, total in sums.items()}
+
+
+def measure(model: str, scale: int) -> None:
+    """Print a row for each background."""
+    hairs, device = Hairs.grown(), Device("cpu")
+    true = draw(hairs, 99, 256 // scale, scale, noisy=False)
+    passes = [Pipeline([DenoiseUpscale(scale=scale, model=model, alpha=alpha)], device) for alpha in (False, True)]
+    for i in range(FRAMES):
+        planes = draw(hairs, i, SAMPLES, 1, noisy=True)
+        planes[Role.MOTION] = np.zeros((SIDE, SIDE, 2), np.float32)
+        planes[Role.DEPTH] = np.where(planes[Role.ALPHA] > 0, 5, 1e10).astype(np.float32)
+        results = [run(Frame(dict(planes), number=i, samples=SAMPLES)) for run in passes]
+    for name, grey in GREYS.items():
+        wanted = srgb_encode(np.clip(true[Role.COLOUR] + (1 - true[Role.ALPHA]) * grey, 0, 1))
+        picture = results[0][Role.COLOUR]
+        row = [psnr(srgb_encode(np.clip(picture + (1 - alpha) * grey, 0, 1)), wanted)
+               for alpha in (*(result[Role.ALPHA] for result in results), true[Role.ALPHA])]
+        print(f"| {scale}x | {name} | " + " | ".join(f"{value:.2f}" for value in row) + " |")
+
+
+def main() -> None:
+    """Measure as the command line says."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--model", default="m")
+    parser.add_argument("--scales", default="1,2")
+    arguments = parser.parse_args()
+    print("| | background | alpha resampled | alpha denoised | true alpha |")
+    for scale in arguments.scales.split(","):
+        measure(arguments.model, int(scale))
+
+
+if __name__ == "__main__":
+    main()
