@@ -195,6 +195,9 @@ class Layers:
         self._decodings = {name: new(f"decoding {name}", (5,)) for name in self._parts}
         self._complete = {group.first: new("complete", (1,)) for group in self._groups}
         self._plain = Resampler(device, "plain part", Role.COLOUR, self._render, output)
+        self._copies: dict[str, Tensor] = {}
+        self._identity = new("as it is", (5,))
+        self._identity.upload([1.0, 0.0, -LARGEST, LARGEST, 0.0])
         self._runs: list[str] = []
         self._raw: dict[str, Tensor] = {}
 
@@ -314,7 +317,10 @@ class Layers:
         if name != ALPHA_LAYER and self._channels[name] == 3:
             return frame.parts[name]
         given = frame.given[Role.ALPHA] if name == ALPHA_LAYER else frame.given_parts[name]
-        return self._device.wrap(f"{name}, three times", np.repeat(given, 3, axis=2))
+        if name not in self._copies:
+            self._copies[name] = self._device.heap.tensor(f"{name}, three times", (*self._render, 3))
+        self._copies[name].upload(np.repeat(given, 3, axis=2))
+        return self._copies[name]
 
     def _range(self, name: str, frame: ResidentFrame) -> tuple[float, float]:
         """What a layer's values are filtered between."""
@@ -358,9 +364,8 @@ class Layers:
             frame.parts[name] = value
             return
         output = self._between(f"output {name}", 1)
-        identity = self._device.wrap("as it is", np.array([1, 0, -LARGEST, LARGEST, 0], np.float32))
         table = ArgumentTable(self._device.compute_state(DECODE_ONE), {
-            "filtered": value, "decoding": identity, "plane": output})
+            "filtered": value, "decoding": self._identity, "plane": output})
         with commands.compute_encoder("decode") as encoder:
             encoder.barrier(after="compute", before="compute")
             encoder.dispatch(table.state, table)
