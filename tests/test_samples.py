@@ -5,6 +5,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import postfx
@@ -36,6 +37,14 @@ def test_both_directions_are_better_than_one(tmp_path):
     assert all(float(both) > float(forwards) for _, forwards, _, both in rows[:7])
     assert all(float(run_up) > float(forwards) for _, forwards, run_up, _ in rows[:3])
     assert (tmp_path / "a.png").stat().st_size > 100000
+
+
+def test_a_tone_mapper_outside_is_measured(tmp_path):
+    rows = [line.split() for line in run("external_tone_mapper.py", str(tmp_path)).splitlines()[1:]]
+    assert [row[0] for row in rows] == ["right", "x2", "x0.5", "drifting"]
+    made, found = (np.array([[float(row[at]), float(row[at + 2])] for row in rows]) for at in (1, 4))
+    np.testing.assert_allclose(found, made, atol=0.05)
+    assert [" ".join(row[7:]) for row in rows] == ["right", "too bright", "too dark", "drifting"]
 
 
 def test_reading_names_the_planes():

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from postfx.cli.run_options import FILES
+from postfx.cli.run_options import FILES, INPUT
 
 DESCRIPTION = """\
 Measure the exposure of a sequence where it is seen: a grey checkerboard, divided by the exposure that would be right,
@@ -17,8 +17,10 @@ feeding back.
 
 The board covers the picture, so the denoiser does not run: a frame takes the time to read its colour.
 
-For a tone mapper outside postfx, run 'POSTFX_EXPOSURE_TOOL=1 postfx run ...': the frames then hold the checkerboard,
-divided by the exposure of each, and must look mid grey and steady at the end of your chain.
+For a tone mapper or a grade outside postfx, 'POSTFX_EXPOSURE_TOOL=1 postfx run ...' writes frames that hold the
+checkerboard, divided by the exposure of each, which is in their headers (postfx:exposureUsed). Take them through your
+chain and hand back what comes out (--graded): it is measured. What your tone mapper makes of a chart at 0 EV (--chart)
+tells its curve (--response); without it, levels are read off the curve of --tonemap.
 """
 EXAMPLES = """\
 examples:
@@ -27,15 +29,17 @@ examples:
   postfx exposure shot/noisy.####.exr --exposure 1.5 --reference metadata
   postfx exposure shot/noisy.####.exr --views look/
   postfx exposure shot/noisy.####.exr --exposure auto --json
+  postfx exposure shot/noisy.####.exr --chart chart.exr
+  postfx exposure shot/noisy.####.exr --graded graded/shot.####.png --response chart.png
 
 exit codes: 0 right; 1 too dark, too bright or drifting; 2 an error whose message says how to fix it
 """
-MODES = "auto|smooth|metadata|EV"
+MODES = "auto|smooth|lit|metadata|EV"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
-    parser.add_argument("input", metavar="INPUT", help="pattern, folder or file, as for 'postfx run'")
+    INPUT.add_to(parser)
     parser.add_argument("--frames", metavar="RANGE", help="frames to measure, e.g. 1-100")
     parser.add_argument(
         "--exposure", default="auto", metavar=MODES, help="what is under test, as for 'postfx run' (default: auto)"
@@ -50,6 +54,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     tonemap = parser.add_mutually_exclusive_group()
     tonemap.add_argument("--tonemap", metavar="TAG", help="look of the tone mapper (default: as 'postfx run')")
     tonemap.add_argument("--no-tonemap", action="store_true", help="only expose, clip and encode")
+    parser.add_argument(
+        "--graded", metavar="FRAMES", help="what became of the boards of 'POSTFX_EXPOSURE_TOOL=1 postfx run' of INPUT "
+        "with the same --exposure, numbered alike: PNG, TIFF, JPEG or EXR",
+    )
+    parser.add_argument("--response", metavar="FILE", help="what your tone mapper made of the chart: with --graded")
+    parser.add_argument(
+        "--chart", metavar="EXR", help="write a chart of greys, from 8 stops below mid grey to 8 above, for your tone "
+        "mapper at 0 EV, and stop",
+    )
     parser.add_argument("--curve", metavar="PNG", help="write a picture of the exposure over the sequence")
     parser.add_argument(
         "--views",
@@ -66,7 +79,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Measure a sequence; returns the exit code."""
     from postfx.cli.exposure_check import ExposureCheck  # loads the runtime, which --help must not wait for
+    from postfx.exposure.graded import write_chart
 
+    if arguments.chart:
+        print(f"wrote    {write_chart(arguments.chart)}", file=sys.stderr)
+        return 0
     check = ExposureCheck(arguments)
     print(json.dumps(check.as_dict()) if arguments.json else check.text())
     for path in check.write_pictures():

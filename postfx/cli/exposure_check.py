@@ -11,8 +11,11 @@ from typing import Any
 import numpy as np
 
 from postfx.cli.run_options import FILES
+from postfx.errors import OptionError
 from postfx.exposure import colours_of
-from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot, debug
+from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot, debug, debug_graded, judge_view
+from postfx.exposure.graded import GradedBoards, read_response
+from postfx.exposure.response import OWN_CURVE
 from postfx.exposure.views import false_colour, log_c, luma, zebra
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
@@ -33,9 +36,18 @@ class ExposureCheck:
         self._sequence = Sequence(arguments.input, arguments.frames, arguments.profile,
                                   **FILES.values_for("sequence", arguments))
         self._device = Device(arguments.device)
-        self._report = debug(
-            colours_of(self._sequence), self._view(), arguments.exposure, arguments.reference, device=self._device
-        )
+        if arguments.response and not arguments.graded:
+            raise OptionError("--response tells how --graded frames are read: give both")
+        self._report = self._measure()
+
+    def _measure(self) -> Report:
+        """By the view, or by what another chain made of boards."""
+        given, frames = self._arguments, colours_of(self._sequence)
+        if not given.graded:
+            return debug(frames, self._view(), given.exposure, given.reference, device=self._device)
+        boards = GradedBoards(given.graded)
+        judged = read_response(given.response) if given.response else judge_view(self._view(), self._device)
+        return debug_graded(frames, boards.level, judged, given.exposure, given.reference)
 
     @property
     def is_right(self) -> bool:
@@ -49,6 +61,8 @@ class ExposureCheck:
             "source": str(self._sequence.pattern),
             "exposure": self._arguments.exposure,
             "reference": self._arguments.reference,
+            "graded": self._arguments.graded,
+            "read_by": report.curve,
             "verdict": report.verdict,
             "level_right": round(report.grey, 5),
             "measurable_ev": report.limits_ev,
@@ -63,12 +77,24 @@ class ExposureCheck:
             f"{self._sequence.pattern}: {len(report.readings)} frames, exposure {self._arguments.exposure}, "
             f"right is {self._arguments.reference}",
             f"verdict  {report.verdict}; mid grey is right at {report.grey:.1%} of the signal",
+            *self._read_by(),
             f"{'frames':<12}{'level':>8}{'mismatch':>17}{'drift':>10}  right exposure",
         ]
         for shot in report.shots:
             lines.append(_row(shot, report))
             lines += [f"likely   {shot.cause}"] if shot.cause else []
         return "\n".join(lines)
+
+    def _read_by(self) -> list[str]:
+        """By which curve levels of graded frames were read, and what that leaves open."""
+        given, curve = self._arguments, self._report.curve
+        if not given.graded:
+            return []
+        if not given.response:
+            return [f"read by  the curve of --tonemap {given.tonemap or 'aces2'}: if your chain has another one, give "
+                    "--response (--chart writes what it needs)"]
+        by = "the curve in" if curve == OWN_CURVE else f"{curve}, whose curve is that of"
+        return [f"read by  {by} {given.response}"]
 
     def write_pictures(self) -> Iterator[Path]:
         """Write what --curve and --views ask for; each path when it is there."""

@@ -49,6 +49,7 @@ from postfx.io.sequence import Sequence
 from postfx.io.writer import Existing, OutputFiles, write_frame
 from postfx.kernels.compile_cache import CompileWatch
 from postfx.passes.base import Pass
+from postfx.passes.exposure_tool import asked_form
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
 from postfx.plan import Skipped, from_files
@@ -88,10 +89,11 @@ class Job:
             else ExposureMeter(arguments.exposure)
         cuts = "auto" if arguments.cuts == "auto" else "none"
         denoising = None if arguments.no_denoise else self._values("denoiser")
-        both_ways = arguments.both_ways and arguments.strength != 0
+        covered = asked_form() == "whole"  # by a checkerboard, under which nothing is denoised
+        both_ways = arguments.both_ways and arguments.strength != 0 and not covered
         self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
                                     **self._values("denoiser")) if both_ways else None
-        self._run_up = make_run_up(arguments, self.sequence, cuts)
+        self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
         self._parts = self._found_parts()
         passes, left_out = self._passes(denoising, self._backwards is not None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,11 +19,17 @@ from postfx.exposure.metering import (
     shots,
     smooth_ev,
 )
-from postfx.exposure.views import luma
+from postfx.exposure.response import (
+    VIEW,
+    Board,
+    Calibration,
+    Response,
+    calibrate,
+    is_built_in,
+    known_curves,
+)
 from postfx.frame import Frame, Role
 from postfx.passes.base import Pass
-from postfx.passes.exposure_tool import CELLS, ExposureTool, cells
-from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
 TOLERANCE_EV = 0.2
@@ -39,10 +45,6 @@ SAME_EV = 0.125
 APPLIED_EV = 0.05  # the board's own error is smaller
 STEADY_EV = 0.1
 OPPOSED = -0.8  # correlation
-
-STEPS_EV = np.arange(-8.0, 8.01, 0.25)
-"""Stops at which a view's response is sampled."""
-HEIGHT = 20 * CELLS
 
 
 class Reading(NamedTuple):
@@ -100,12 +102,14 @@ class Report:
     Attributes:
         grey: level of mid grey at the right exposure.
         limits_ev: smallest and largest mismatch that the level can show; one at a limit may be larger.
+        curve: by which curve the level was read: the view's, a known one, or the chain's own.
     """
 
     readings: list[Reading]
     shots: list[Shot]
     grey: float
     limits_ev: tuple[float, float]
+    curve: str = VIEW
 
     @property
     def verdict(self) -> str:
@@ -125,36 +129,117 @@ def debug(
     """Measure the exposure of frames, read once in order; only their colour is needed.
 
     Args:
-        view: passes that show exposed scene-linear colour on a display, such as `[ToneMap()]`.
-        exposure: the mode under test: 'auto', 'smooth', 'metadata' or stops, as in `postfx run`.
+        view: passes that show exposed scene-linear colour on a display, such as `[ToneMap()]`, or your own.
+        exposure: the mode under test: 'auto', 'smooth', 'lit', 'metadata' or stops, as in `postfx run`.
         reference: the mode that would be right; 'smooth' is metered on the pictures.
-        chain: the passes after the upscaler, if they are not `view` but should have the same effect.
+        chain: the passes after the upscaler, if they are not `view`.
+
+    Passes of your own are judged by their own response, sampled on a ramp of light at 0 EV, so a curve of any kind is
+    right if it applies what it is told. Where it is the view's curve or a known one (`known_curves`), but brighter
+    throughout, that is a mistake, too.
 
     Raises ExposureError if a mode has no exposure for a frame, or there is no frame.
     """
-    told, right = _Mode(exposure), _Mode(reference)
-    found, width, aspect = [], 1.0, 1.0
-    for frame in frames:
-        found.append(MeterReading(frame.number, measure(frame[Role.COLOUR]), frame.reset))
-        told.see(frame)
-        right.see(frame)
-        width, aspect = SECONDS * frame_rate(frame), frame.spec.width / frame.spec.height
-    if not found:
-        raise ExposureError("there is no frame to measure: give at least one")
-    smooth = smooth_ev(found, width)
-    seen = Board(view, aspect, device)
-    response = Response(seen)
-    tested = seen if chain is None else Board(chain, aspect, device)
-    readings = []
-    for index, (number, _, cut) in enumerate(found):
-        ev = told.ev(number, smooth), right.ev(number, smooth)
-        multipliers = 2.0 ** ev[0], 2.0 ** ev[1], cut or index == 0
-        level = tested.level(*multipliers)
-        wanted = level if tested is seen else seen.level(*multipliers)
-        mismatch = response.ev_of(level), response.ev_of(wanted)
-        readings.append(Reading(number, cut, *ev, smooth[number], level, *mismatch))
-    judged = [_judged(readings[shot]) for shot in shots([item.cut for item in readings])]
-    return Report(readings, judged, response.grey, response.limits_ev)
+    told = _Told(frames, exposure, reference)
+    seen = Board(view, told.aspect, device)
+    tested = seen if chain is None else Board(chain, told.aspect, device)
+    judged = _judge_chain(view, seen, tested)
+    levels = [tested.level(*frame.multipliers, frame.begins) for frame in told.frames]
+    expected = [float(np.clip(frame.ordered_ev, *judged.response.limits_ev)) for frame in told.frames]
+    if judged.curve == VIEW:  # whose own history is no mistake
+        wanted = levels if tested is seen else [seen.level(*frame.multipliers, frame.begins) for frame in told.frames]
+        expected = [judged.response.ev_of(level) for level in wanted]
+    return _report(told.frames, levels, judged, list(map(judged.response.ev_of, levels)), expected)
+
+
+def debug_graded(
+    frames: Iterable[Frame],
+    level: Callable[[int], float],
+    judged: Calibration,
+    exposure: str | float = "auto",
+    reference: str | float = SMOOTH,
+) -> Report:
+    """The same of checkerboards that went through a chain elsewhere.
+
+    Args:
+        frames: of the render, as for `debug`.
+        level: frame number -> level of mid grey on what became of its board, such as
+            `postfx.exposure.graded.GradedBoards.level`.
+        judged: by what levels are read: `postfx.exposure.graded.read_response` or `judge_view`.
+        exposure: what the run of the boards was told, by which each is divided.
+
+    Raises ExposureError as `debug` does, and where a frame has no board.
+    """
+    told = _Told(frames, exposure, reference)
+    levels = [level(frame.number) for frame in told.frames]
+    found = [judged.response.ev_of(one) + frame.ordered_ev for one, frame in zip(levels, told.frames, strict=True)]
+    return _report(told.frames, levels, judged, found, [frame.ordered_ev for frame in told.frames])
+
+
+def judge_view(view: Sequence[Pass], device: Device | None = None) -> Calibration:
+    """Read levels by the response of a view, which is taken for that of the chain."""
+    return Calibration(Response.of_board(Board(view, device=device)), VIEW)
+
+
+def _judge_chain(view: Sequence[Pass], seen: Board, tested: Board) -> Calibration:
+    """A built-in view is right by definition, and so is a chain of the same curve; others are judged by their own."""
+    response = Response.of_board(tested)
+    if is_built_in(view):
+        shown = response if tested is seen else Response.of_board(seen)
+        if tested is seen or response.gain_over(shown) is not None:
+            return Calibration(shown, VIEW)
+    elif tested is not seen:
+        return calibrate(response, {VIEW: Response.of_board(seen)})
+    return calibrate(response, known_curves() | ({} if tested is seen else {VIEW: Response.of_board(seen)}))
+
+
+class _Frame(NamedTuple):
+    """A frame that the chain is told of: stops to expose by, stops that are right, and stops that the meter says;
+    whether a shot begins, by its file or as it is the first."""
+
+    number: int
+    cut: bool
+    begins: bool
+    exposure_ev: float
+    reference_ev: float
+    picture_ev: float
+
+    @property
+    def multipliers(self) -> tuple[float, float]:
+        return 2.0**self.exposure_ev, 2.0**self.reference_ev
+
+    @property
+    def ordered_ev(self) -> float:
+        """Stops that the chain is told to be too bright."""
+        return self.exposure_ev - self.reference_ev
+
+
+class _Told:
+    """What a chain is told, frame by frame; the frames are read once."""
+
+    def __init__(self, frames: Iterable[Frame], exposure: str | float, reference: str | float) -> None:
+        told, right = _Mode(exposure), _Mode(reference)
+        found, width, self.aspect = [], 1.0, 1.0
+        for frame in frames:
+            found.append(MeterReading(frame.number, measure(frame[Role.COLOUR]), frame.reset))
+            told.see(frame)
+            right.see(frame)
+            width, self.aspect = SECONDS * frame_rate(frame), frame.spec.width / frame.spec.height
+        if not found:
+            raise ExposureError("there is no frame to measure: give at least one")
+        smooth = smooth_ev(found, width)
+        self.frames = [_Frame(number, cut, cut or index == 0, told.ev(number, smooth), right.ev(number, smooth),
+                              smooth[number]) for index, (number, _, cut) in enumerate(found)]
+
+
+def _report(frames: Sequence[_Frame], levels: Sequence[float], judged: Calibration, found: Sequence[float],
+            expected: Sequence[float]) -> Report:
+    """The report of frames by the stops that each was found, and expected, to be too bright."""
+    readings = [Reading(frame.number, frame.cut, frame.exposure_ev, frame.reference_ev, frame.picture_ev, level,
+                        mismatch, wanted)
+                for frame, level, mismatch, wanted in zip(frames, levels, found, expected, strict=True)]
+    judged_shots = [_judged(readings[shot]) for shot in shots([item.cut for item in readings])]
+    return Report(readings, judged_shots, judged.response.grey, judged.response.limits_ev, judged.curve)
 
 
 class _Mode:
@@ -193,59 +278,6 @@ def _verdict(mismatch: np.ndarray, scene_moves: float) -> str:
     if abs(mismatch.mean()) <= TOLERANCE_EV:
         return RIGHT
     return BRIGHT if mismatch.mean() > 0 else DARK
-
-
-class Board:
-    """A chain of passes that only sees the checkerboard.
-
-    passes: those after the upscaler. aspect: width over height of the frames. The board is always 180 rows high, for it
-    looks the same at every size.
-    """
-
-    def __init__(self, passes: Sequence[Pass], aspect: float = 16 / 9, device: Device | None = None) -> None:
-        self._reference: dict[int, float] = {}
-        self._blank = np.zeros((HEIGHT, max(round(HEIGHT * aspect), 1), 3), np.float32)
-        tool = ExposureTool(reference=self._reference)
-        self._pipeline = Pipeline([tool, *passes], device, "metadata")
-
-    def level(self, exposure: float, reference: float, cut: bool) -> float:
-        """Level of mid grey on the board divided by `reference`, in a chain that is given `exposure`."""
-        number = len(self._reference)
-        self._reference[number] = reference
-        frame = Frame({Role.COLOUR: self._blank}, number=number, exposure=exposure, reset=cut)
-        return grey_level(self._pipeline(frame)[Role.COLOUR])
-
-
-class Response:
-    """A view's level of mid grey by stops of mismatch, as measured.
-
-    Attributes:
-        grey: level of the board at the right exposure.
-        limits_ev: stops between which the level depends on the exposure; beyond, a view is black or white.
-    """
-
-    def __init__(self, view: Board) -> None:
-        levels = [view.level(2.0**ev, 1.0, cut=True) for ev in STEPS_EV]
-        self._levels, rising = np.unique(np.maximum.accumulate(levels), return_index=True)
-        self._ev = STEPS_EV[rising]
-        self.grey = self.level_at(0.0)
-        self.limits_ev = float(self._ev[0]), float(self._ev[-1])
-
-    def level_at(self, ev: float) -> float:
-        """Level of mid grey that is `ev` stops too bright."""
-        return float(np.interp(ev, self._ev, self._levels))
-
-    def ev_of(self, level: float) -> float:
-        """Stops that mid grey of this level is too bright, within the limits."""
-        return float(np.interp(level, self._levels, self._ev))
-
-
-def grey_level(picture: np.ndarray) -> float:
-    """Mean of the levels of a board's two greys; picture: (height, width, 3), the chain's output."""
-    rows, columns = cells(*picture.shape[:2])
-    dark = rows[:, None] == columns[None, :]
-    level = luma(picture)
-    return float((level[dark].mean(dtype=np.float64) + level[~dark].mean(dtype=np.float64)) / 2)
 
 
 def likely_cause(readings: Sequence[Reading], drifting: bool) -> str | None:

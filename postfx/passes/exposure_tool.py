@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar, Never
+from typing import ClassVar, Literal, Never
 
 import numpy as np
 
+from postfx.errors import ExposureError
 from postfx.exposure import KEY
 from postfx.frame import FrameSpec, Role
-from postfx.kernels.image import CHECKERBOARD, turns
+from postfx.kernels.image import CHECKERBOARD, OVER, OVER_ALPHA, turns
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 
@@ -24,19 +25,20 @@ GREYS = (KEY * 2**-STOPS, KEY * 2**STOPS)
 
 
 class ExposureTool(Pass):
-    """Covers the frame with a checkerboard of two greys around 0.18, divided by the exposure.
+    """Covers the frame, or a part of it, with a checkerboard of two greys around 0.18, divided by the exposure.
 
     Software that applies the frame's exposure shows a steady mid grey. If the board is too dark, too bright or
-    changing, it applies another exposure. Alpha becomes 1; an overlay is removed.
+    changing, it applies another exposure. Alpha becomes 1 there; an overlay is removed.
 
     Options:
         reference: frame number -> multiplier to divide by; None: each frame's own exposure.
+        part: whether it covers no more than the lower left, see `board_area`.
     """
 
     name: ClassVar[str] = "exposure_tool"
 
-    def __init__(self, *, reference: Mapping[int, float] | None = None, **unknown: Never) -> None:
-        super().__init__(reference=reference, **unknown)
+    def __init__(self, *, reference: Mapping[int, float] | None = None, part: bool = False, **unknown: Never) -> None:
+        super().__init__(reference=reference, part=part, **unknown)
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         alpha = tuple(role for role in (Role.ALPHA,) if spec.has(role))
@@ -48,9 +50,17 @@ class ExposureTool(Pass):
         return None if spec.encoding == "scene-linear" else f"colour is {spec.encoding}, exposed already"
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
-        return (f"a checkerboard covers the picture, unset {VARIABLE} to see it",)
+        covered = "a part of the picture" if self.options["part"] else "the picture"
+        return (f"a checkerboard covers {covered}, unset {VARIABLE} to see it",)
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
+        if self.options["part"]:
+            self._compile_part(device, spec)
+        else:
+            self._compile_whole(device, spec)
+        super().compile(device, spec)
+
+    def _compile_whole(self, device: Device, spec: FrameSpec) -> None:
         self._greys = device.heap.tensor("greys", (2,))
         self._output = device.heap.transient("checkerboard", (spec.height, spec.width, 3))
         tensors = {"greys": self._greys, "output": self._output}
@@ -61,12 +71,23 @@ class ExposureTool(Pass):
         if spec.has(Role.ALPHA):
             self._opaque = device.heap.tensor("opaque", (spec.height, spec.width, 1))
             self._opaque.fill(1)
-        super().compile(device, spec)
+
+    def _compile_part(self, device: Device, spec: FrameSpec) -> None:
+        size = spec.height, spec.width
+        self._board = device.heap.tensor("checkerboard", (*size, 4))
+        kernels = {Role.COLOUR: OVER} | ({Role.ALPHA: OVER_ALPHA} if spec.has(Role.ALPHA) else {})
+        self._tables = {}
+        for role, kernel in kernels.items():
+            output = device.heap.transient(f"{role} under the board", (*size, spec.channels(role)))
+            self._tables[role] = ArgumentTable(device.compute_state(kernel), {"overlay": self._board, "output": output})
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         reference = self.options["reference"]
         exposure = frame.exposure if reference is None else reference[frame.number]
+        if self.options["part"]:
+            self._encode_part(commands, frame, exposure)
+            return
         self._greys.upload(np.array(GREYS) / exposure)
         with commands.compute_encoder("checkerboard") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
@@ -75,6 +96,25 @@ class ExposureTool(Pass):
         if Role.ALPHA in frame:
             frame.set(Role.ALPHA, self._opaque)
 
+    def _encode_part(self, commands: CommandBuffer, frame: ResidentFrame, exposure: float) -> None:
+        board = np.zeros(self._board.shape, np.float32)
+        area = board[board_area(board.shape[0], board.shape[1], part=True)]
+        rows, columns = cells(area.shape[0], area.shape[1])
+        area[..., :3] = np.where(rows[:, None] == columns[None, :], *GREYS)[..., None] / exposure
+        area[..., 3] = 1
+        self._board.upload(board)
+        with commands.compute_encoder("checkerboard") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            for role, table in self._tables.items():
+                table[str(role)] = frame[role]
+                encoder.dispatch(table.state, table)
+                frame.set(role, table["output"])
+
+
+def board_area(height: int, width: int, part: bool) -> tuple[slice, slice]:
+    """Rows and columns of a frame that the board covers: all, or the third of each that is at the lower left."""
+    return (slice(height - height // 3, height), slice(0, width // 3)) if part else (slice(0, height), slice(0, width))
+
 
 def cells(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     """Of each row and of each column 0 or 1; the darker grey is where both are the same."""
@@ -82,10 +122,35 @@ def cells(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     return turns(height, side), turns(width, side)
 
 
+def asked_form() -> Literal["whole", "part"] | None:
+    """The board that the environment asks for. Raises ExposureError for a word that means none."""
+    word = os.environ.get(VARIABLE, "").strip().lower()
+    if word in ("", "0", "false", "off", "no"):
+        return None
+    if word in ("1", "true", "on", "yes"):
+        return "whole"
+    if word != "part":
+        raise ExposureError(f"{VARIABLE}={word}: use 1, part (a board at the lower left, beside the picture), or 0")
+    return "part"
+
+
 def with_tool(passes: tuple[Pass, ...]) -> tuple[Pass, ...]:
-    """The passes, and the tool after the upscaler (first, without one) where the environment variable asks for it."""
-    asked = os.environ.get(VARIABLE, "0") not in ("", "0")
-    if not asked or any(isinstance(item, ExposureTool) for item in passes):
+    """The passes, and the tool after the upscaler (first, without one) where the environment variable asks for it.
+
+    Under a board that covers the whole frame nothing is denoised: the upscaler only gives the size.
+    """
+    form = asked_form()
+    if form is None or any(isinstance(item, ExposureTool) for item in passes):
         return passes
-    after = max((index for index, item in enumerate(passes, 1) if item.name == "denoise_upscale"), default=0)
-    return (*passes[:after], ExposureTool(), *passes[after:])
+    if form == "whole":
+        passes = tuple(_plain(item) for item in passes if item.name != "both_ways")
+    makers = ("denoise_upscale", "both_ways")
+    after = max((index for index, item in enumerate(passes, 1) if item.name in makers), default=0)
+    return (*passes[:after], ExposureTool(part=form == "part"), *passes[after:])
+
+
+def _plain(item: Pass) -> Pass:
+    """An upscaler that only resamples; other passes as they are."""
+    if item.name != "denoise_upscale":
+        return item
+    return type(item)(**{**item.options, "strength": 0.0, "budget": None, "reactive": "none"})

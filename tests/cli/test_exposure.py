@@ -175,3 +175,29 @@ def test_the_environment_draws_the_checkerboard_in_a_run(postfx, grey, tmp_path:
     board = pixels(tmp_path / "out/b.0002.exr")[..., :3]
     assert board.shape[:2] == (108, 192)  # at output size
     np.testing.assert_allclose(np.unique(board), 0.18 * 2.0 ** np.array([-0.25, 0.25]) / 2**EV, rtol=1e-3)
+
+
+def test_graded_frames_are_handed_back(grey, tmp_path: Path, monkeypatch, capsys) -> None:
+    grey(EV, EV)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("POSTFX_EXPOSURE_TOOL", "1")
+    boards = ["run", "in/", "-o", "boards/a.####.exr", "--no-denoise", "--device", "cpu", "--exposure", "lit"]
+    assert main(boards) == 0
+    monkeypatch.delenv("POSTFX_EXPOSURE_TOOL")
+    assert main(["exposure", "in/", "--chart", "chart.exr"]) == 0
+    for source in [*Path("boards").glob("*.exr"), Path("chart.exr")]:  # a curve of its own, a stop too bright
+        picture = oiio.ImageBuf(str(source))
+        light = picture.get_pixels(oiio.FLOAT)[..., :3] * picture.spec().getattribute("postfx:exposureUsed")
+        codes = np.clip(np.log2(1 + light * (2 if source.stem != "chart" else 1) * 9) / 8, 0, 1)
+        oiio.ImageBuf(codes.astype(np.float32)).write(f"{source.stem}.png", oiio.UINT8)
+    capsys.readouterr()
+    words = ["exposure", "in/", "--exposure", "lit", "--graded", "a.####.png", "--json", "--device", "cpu"]
+    assert main([*words, "--response", "chart.png"]) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert report["read_by"] == "its own" and report["graded"] == "a.####.png"
+    assert report["shots"][0]["mismatch_ev"] == pytest.approx(1, abs=0.05)
+    assert main([*words[:-3], "--frames", "1-2", "--response", "chart.png"]) == 1
+    assert "read by  the curve in chart.png" in capsys.readouterr().out
+    Path("a.0002.png").unlink()
+    assert main(words) == 2 and "a.0002.png: frame 2 is missing" in capsys.readouterr().err
+    assert main(["exposure", "in/", "--response", "chart.png"]) == 2

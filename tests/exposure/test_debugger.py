@@ -10,8 +10,9 @@ import pytest
 
 import postfx
 from postfx.exposure import ExposureError, ExposureMeter, colours_of, measure
-from postfx.exposure.debugger import Board, Report, Response, debug
-from postfx.passes.display import Display
+from postfx.exposure.debugger import Report, debug
+from postfx.exposure.response import Board, Response
+from postfx.passes.display import Display, View
 from postfx.passes.tonemap import ToneMap
 from postfx.runtime import Device
 from tests.exposure.scenes import picture, scene
@@ -48,7 +49,7 @@ def test_mid_grey_is_where_the_view_puts_it(device: Device) -> None:
 @pytest.mark.parametrize("needed", (0.0, 2.6, -1.3))
 def test_every_error_is_named_within_a_twentieth_of_a_stop(view, needed: float, device: Device) -> None:
     board = Board(view, device=device)
-    response = Response(board)
+    response = Response.of_board(board)
     for error in ERRORS:
         found = response.ev_of(board.level(2.0 ** (needed + error), 2.0**needed, cut=True))
         assert found == pytest.approx(error, abs=0.05)
@@ -65,7 +66,7 @@ def test_the_verdict_names_every_error_of_a_metered_scene(device: Device) -> Non
 def test_a_plain_grey_card_reads_the_same_error(view, device: Device) -> None:
     """A picture of another kind than the board that the response was sampled on."""
     card = postfx.Frame({postfx.Role.COLOUR: np.full((180, 320, 3), 0.18, np.float32)})
-    response = Response(Board(view, device=device))
+    response = Response.of_board(Board(view, device=device))
     for error in ERRORS:
         shown = postfx.Pipeline(view, device, float(error))(card)[postfx.Role.COLOUR]
         assert response.ev_of(float(shown.mean())) == pytest.approx(error, abs=0.05)
@@ -73,7 +74,7 @@ def test_a_plain_grey_card_reads_the_same_error(view, device: Device) -> None:
 
 def test_errors_between_the_samples_of_the_response_are_named_too(device: Device) -> None:
     board = Board([ToneMap()], device=device)
-    response = Response(board)
+    response = Response.of_board(board)
     for error in (-1.87, -0.61, 0.12, 0.37, 1.62):
         assert response.ev_of(board.level(2.0**error, 1.0, cut=True)) == pytest.approx(error, abs=0.05)
 
@@ -178,6 +179,35 @@ def test_a_tone_mapper_that_meters_for_itself(device: Device) -> None:
     wandering = Brighter(by=lambda number: 2.0 ** (number % 7 / 7))
     report = debug(scene([1.0] * 12), [ToneMap()], "smooth", chain=[wandering], device=device)
     assert report.verdict == "drifting" and "meters for itself" in cause(report)
+
+
+class Own(View):
+    """A tone mapper of one's own, which exposes by its own idea of what it is told; Reinhard by default."""
+
+    defaults = MappingProxyType({**View.defaults, "by": lambda told: told})
+
+    def encode(self, commands, frame) -> None:
+        told, frame.exposure = frame.exposure, self.options["by"](frame.exposure)
+        super().encode(commands, frame)
+        frame.exposure = told
+
+
+def test_a_tone_mapper_of_ones_own_is_judged_by_its_own_curve(device: Device) -> None:
+    """Alone, beside the default look, and beside the curve that it should have; right, and with each mistake."""
+    for view in ("reinhard", "neutral"):
+        for by, error in ((lambda told: told, 0.0), (lambda told: 2 * told, 1.0), (lambda told: told / 2, -1.0),
+                          (lambda told: 1.0, -1.5), (lambda told: told**2, 1.5), (lambda told: 1 / told, -3.0)):
+            for given in ({"view": [Own(view=view, by=by)]}, {"view": [ToneMap()], "chain": [Own(view=view, by=by)]},
+                          {"view": [View(view=view)], "chain": [Own(view=view, by=by)]}):
+                report = debug(scene([1.5] * 2), exposure="smooth", device=device, **given)
+                assert report.shots[0].mismatch_ev == pytest.approx(error, abs=0.05), (view, error, given)
+                wanted = "right" if error == 0 else "too bright" if error > 0 else "too dark"
+                assert report.verdict == wanted and ("besides" in (report.shots[0].cause or "")) == (error != 0)
+
+
+def test_a_tone_mapper_that_shows_all_light_alike_is_named(device: Device) -> None:
+    with pytest.raises(ExposureError, match="shows light of any brightness alike.*meters for itself"):
+        debug(scene([1.5]), [Own(by=lambda _: 2.0**-16)], "smooth", device=device)
 
 
 def fed_back(needed: float, count: int) -> list[postfx.Frame]:

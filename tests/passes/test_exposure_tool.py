@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx import DenoiseUpscale, Frame, FrameSpec, Pipeline, Role, ToneMap
-from postfx.passes.exposure_tool import CELLS, VARIABLE, ExposureTool, cells
+from postfx import BothWays, DenoiseUpscale, Frame, FrameSpec, Pipeline, Role, ToneMap
+from postfx.errors import ExposureError
+from postfx.passes.exposure_tool import CELLS, VARIABLE, ExposureTool, board_area, cells
 from postfx.runtime import Device
 
 SIZE = (54, 96)
@@ -64,7 +65,7 @@ def test_a_display_picture_is_left_alone() -> None:
     assert "exposed already" in (tool.skip(FrameSpec(8, 8, (Role.COLOUR,), "srgb")) or "")
 
 
-@pytest.mark.parametrize("value", ("0", "", None))
+@pytest.mark.parametrize("value", ("0", "", None, "false", "OFF", "no"))
 def test_nothing_is_drawn_unless_the_environment_asks(value: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
     if value is not None:
@@ -74,7 +75,7 @@ def test_nothing_is_drawn_unless_the_environment_asks(value: str | None, monkeyp
 
 def test_the_environment_draws_it_where_the_upscaler_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, "1")
-    assert names([DenoiseUpscale(), ToneMap()]) == ["denoise_upscale", "exposure_tool", "tonemap"]
+    assert names([DenoiseUpscale(), BothWays(), ToneMap()]) == ["denoise_upscale", "exposure_tool", "tonemap"]
     assert names([ToneMap()]) == ["exposure_tool", "tonemap"]
     assert names([DenoiseUpscale()]) == ["denoise_upscale", "exposure_tool"]
     assert names([ExposureTool(), ToneMap()]) == ["exposure_tool", "tonemap"]
@@ -84,3 +85,34 @@ def test_the_plan_tells_that_a_checkerboard_covers_the_picture(monkeypatch: pyte
     monkeypatch.setenv(VARIABLE, "1")
     plan = Pipeline([ToneMap()], Device("cpu")).explain(frame().spec)
     assert any(VARIABLE in remark for remark in plan.remarks)
+
+
+def test_under_a_whole_board_nothing_is_denoised(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+    monkeypatch.setenv(VARIABLE, "yes")
+    covered = Pipeline([DenoiseUpscale(scale=1.5, model="l", budget=9)], device, 1.0)
+    shown = covered(frame())[Role.COLOUR]
+    assert shown.shape == (81, 144, 3) and len(np.unique(shown)) == 2
+    assert covered.passes[0].options["strength"] == 0 and not device.models
+
+
+def test_a_part_leaves_the_rest_of_the_picture(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+    monkeypatch.setenv(VARIABLE, "part")
+    given = frame()
+    given.planes[Role.ALPHA] = np.zeros((*SIZE, 1), np.float32)
+    made = Pipeline([BothWays()], device, 2.0)
+    assert [item.name for item in made.passes] == ["both_ways", "exposure_tool"]
+    shown = made(given)
+    area = board_area(*SIZE, True)
+    assert shown[Role.COLOUR][area].shape == (18, 32, 3)
+    np.testing.assert_allclose(np.unique(shown[Role.COLOUR][area]), 0.18 * 2.0 ** np.array([-2.25, -1.75]), rtol=1e-5)
+    assert (shown[Role.ALPHA][area] == 1).all() and shown[Role.ALPHA].mean() == pytest.approx(1 / 9)
+    rest = np.ones(SIZE, bool)
+    rest[area] = False
+    assert np.array_equal(shown[Role.COLOUR][rest], given[Role.COLOUR][rest])
+    assert any("a checkerboard covers a part of the picture" in text for text in made.explain().remarks)
+
+
+def test_an_unknown_form_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "corner")
+    with pytest.raises(ExposureError, match="use 1, part"):
+        names([ToneMap()])
