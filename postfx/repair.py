@@ -14,6 +14,8 @@ ROWS = 256
 """Rows that are looked at together: that takes less memory than the whole picture."""
 KNOWN = 0.75
 """Share of a pixel's neighbours that must be finite: repairs one, two or three bad pixels, not the edge of a sun."""
+SIDE, RIM = 4, 0.375
+"""Longest side in pixels of a block of bad pixels that is repaired, and the share of finite neighbours at its rim."""
 MOST = 0.5
 """Share of bad pixels in the colour above which the frame is lost, and bad pixels count as black."""
 AROUND = tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x)
@@ -25,9 +27,11 @@ def repair_nonfinite(
     """The frame with its colour repaired, and role -> number of pixels that are not finite, for planes that have any.
 
     An infinite depth is a miss and does not count. A bad pixel of the colour gets the mean of its finite neighbours, if
-    at least 6 of 8 are finite (in proportion at the picture's edge). Other bad pixels stay: passes take NaN for 0 and
-    infinities for the largest light. If more than half of the colour is bad, all bad pixels become 0. The given frame
-    does not change. `scratch` is the memory budget for looking at planes and copying them.
+    at least 6 of 8 are finite (in proportion at the picture's edge). What is left of blocks of up to 4 x 4 pixels is
+    filled from the rim inwards. Larger blocks, lines two pixels wide and suns cannot be repaired, as nothing tells what
+    they should show: they stay, and passes take NaN for 0 and infinities for the largest light. If more than half of
+    the colour is bad, all bad pixels become 0. The given frame does not change. `scratch` is the memory budget for
+    looking at planes and copying them.
     """
     found = {role: bad for role in roles if (bad := find_nonfinite(frame[role], role, scratch)) is not None}
     counts = {role: int(bad.sum()) for role, bad in found.items()}
@@ -75,9 +79,23 @@ def _copy(plane: np.ndarray, scratch: Scratch | None) -> np.ndarray:
 
 
 def _fill(colour: np.ndarray, bad: np.ndarray) -> None:
-    """Write the mean of the finite neighbours into bad pixels that have enough of them."""
-    height, width = bad.shape
+    """Repair single bad pixels of the colour, then small blocks from the rim inwards."""
     rows, columns = np.nonzero(bad)
+    _fill_some(colour, bad, rows, columns, KNOWN)
+    left = bad.copy()
+    left[rows, columns] = ~np.isfinite(colour[rows, columns]).all(axis=1)
+    rows, columns = _in_small_blocks(left)
+    while rows.size:
+        filled = _fill_some(colour, left, rows, columns, RIM)
+        if not filled.any():
+            return
+        left[rows[filled], columns[filled]] = False
+        rows, columns = rows[~filled], columns[~filled]
+
+
+def _fill_some(colour: np.ndarray, bad: np.ndarray, rows: np.ndarray, columns: np.ndarray, share: float) -> np.ndarray:
+    """Write the mean of the finite neighbours into these pixels; (count,) whether each had a large enough share."""
+    height, width = bad.shape
     total, known, there = np.zeros((rows.size, 3)), np.zeros(rows.size), np.zeros(rows.size)
     for down, right in AROUND:
         y, x = rows + down, columns + right
@@ -86,5 +104,27 @@ def _fill(colour: np.ndarray, bad: np.ndarray) -> None:
         good = inside & ~bad[y, x]
         total += np.where(good[:, None], colour[y, x], 0)
         known, there = known + good, there + inside
-    enough = (known > 0) & (known >= KNOWN * there)
+    enough: np.ndarray = (known > 0) & (known >= share * there)
     colour[rows[enough], columns[enough]] = total[enough] / known[enough, None]
+    return enough
+
+
+def _in_small_blocks(bad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of bad pixels that have at most `SIDE` bad ones in a row, across and down."""
+    rows, columns = np.nonzero(bad)
+    for down, right in ((0, 1), (1, 0)):
+        run = _run(bad, rows, columns, down, right) + _run(bad, rows, columns, -down, -right) + 1
+        rows, columns = rows[run <= SIDE], columns[run <= SIDE]
+    return rows, columns
+
+
+def _run(bad: np.ndarray, rows: np.ndarray, columns: np.ndarray, down: int, right: int) -> np.ndarray:
+    """(count,): bad pixels in a row beside each pixel in one direction, counted up to `SIDE`."""
+    height, width = bad.shape
+    length, goes_on = np.zeros(rows.size, int), np.ones(rows.size, bool)
+    for step in range(1, SIDE + 1):
+        y, x = rows + step * down, columns + step * right
+        inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+        goes_on &= inside & bad[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+        length += goes_on
+    return length

@@ -442,7 +442,7 @@ def _frames(count: int) -> str:
 
 
 def _broken_text(role: str, found: dict[str, int]) -> str:
-    mend = ", mended from the pixels around where those are known" if role == Role.COLOUR else ""
+    mend = ", repaired from the pixels around where those are known" if role == Role.COLOUR else ""
     return f"{found['pixels']} pixel{'s' * (found['pixels'] > 1)} not finite in {_frames(found['frames'])}{mend}"
 
 

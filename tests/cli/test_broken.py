@@ -17,8 +17,8 @@ def test_pixels_that_are_not_finite_are_reported(postfx, write_exr, tmp_path):
     done = postfx("run", "in/shot.####.exr", "-o", "out/####.exr", "--model", "s", "--json", "--log", "log.jsonl")
     assert done.code == 0
     assert done.json["broken"] == {"colour": {"pixels": 4, "frames": 2}, "normal": {"pixels": 2, "frames": 2}}
-    mended = "mended from the pixels around where those are known"
-    assert f"broken   colour: 4 pixels not finite in 2 frames, {mended}" in done.err
+    repaired = "repaired from the pixels around where those are known"
+    assert f"broken   colour: 4 pixels not finite in 2 frames, {repaired}" in done.err
     assert "broken   normal: 2 pixels not finite in 2 frames\n" in done.err
     events = map(json.loads, (tmp_path / "log.jsonl").read_text().splitlines())
     assert [event["broken"] for event in events if event["event"] == "frame"] == [

@@ -70,6 +70,24 @@ def test_a_sun_that_overflowed_keeps_its_shape() -> None:
     assert counts == {Role.COLOUR: int(sun.sum())}
 
 
+def test_small_blocks_are_repaired_from_the_rim() -> None:
+    """Blocks of up to 4 x 4 pixels come out as the slope around them; larger ones, and lines two wide, stay."""
+    y, x = np.mgrid[:60, :60].astype(np.float32)
+    slope = np.stack([1 + 0.05 * x, 2 + 0.03 * y, 1 + 0.02 * (x + y)], -1)
+    for value in BAD:
+        broken = slope.copy()
+        for size in (2, 3, 4):
+            broken[10 * size : 10 * size + size, 20 : 20 + size] = value
+        broken[0:2, 0:2] = broken[0:4, 56:60] = broken[12:14, 40] = value  # at the picture's edge, and a pair
+        broken[45:50, 40:45] = broken[54:56, 5:25] = value
+        repaired, _ = repair_nonfinite(Frame({Role.COLOUR: broken}), (Role.COLOUR,))
+        found, stays = repaired[Role.COLOUR], np.zeros((60, 60), bool)
+        stays[45:50, 40:45] = stays[54:56, 5:25] = True
+        np.testing.assert_array_equal(~np.isfinite(found).all(2), stays)
+        assert np.abs(found[10:45] / slope[10:45] - 1).max() < 0.03
+        assert np.abs(found[:4] / slope[:4] - 1).max() < 0.08  # a corner has a rim on two sides only
+
+
 def test_frames_without_bad_pixels_are_passed_on_and_misses_do_not_count() -> None:
     planes = {Role.COLOUR: np.ones((300, 4, 3), np.float32), Role.DEPTH: np.full((300, 4, 1), np.inf, np.float32)}
     frame = Frame(planes)
