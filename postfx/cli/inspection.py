@@ -13,8 +13,8 @@ from postfx.doctor import examine
 from postfx.doctor.findings import Finding, exit_code
 from postfx.doctor.material import Reading, explain_roles, read_material
 from postfx.doctor.pictures import write_pictures
-from postfx.doctor.statistics import Values, count_values, noise_level
-from postfx.frame import DEPTH_MISS, ERROR_ROLES, ROLES, Frame, Role
+from postfx.doctor.statistics import Range, Values, count_values, noise_level, range_of
+from postfx.frame import ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match
 from postfx.io.profile import SOURCES
 from postfx.io.sequence import Sequence
@@ -65,16 +65,20 @@ class Inspection:
             "source": str(sequence.pattern),
             "frames": {"count": len(sequence), "first": sequence.numbers[0], "last": sequence.numbers[-1]},
             "examined": [frame.number for frame in material.frames],
+            "measured": material.measured,
             "absent_frames": [number for number in sequence.numbers if number not in sequence.present()],
             "profile": {"name": layout.profile.name, "title": layout.profile.title, "source": layout.profile.source},
             "width": spec.width,
             "height": spec.height,
             "roles": explain_roles(self._reading),
             "findings": [finding.as_dict() for finding in self.findings],
-            "planes": [_plane(frame[role], role, layout.planes[role], material.stored[role]) for role in spec.roles],
+            "planes": [
+                _plane(frame[role], role, layout.planes[role], material.stored[role], material.ranges[role])
+                for role in spec.roles
+            ],
             "guides": _guides(frame, self._reading),
             "missing": [
-                {"role": str(role), "mend": material.enable.get(role, "")}
+                {"role": str(role), "fix": material.enable.get(role, "")}
                 for role in Role if role not in frame and role not in (*ERROR_ROLES, Role.LATER)
             ],
             "header": _header(frame),
@@ -88,23 +92,21 @@ def _guides(frame: Frame, reading: Reading) -> dict[str, Any] | None:
         return None
     matches = reading.guides.planes
     held = [(role, frame.guides[role]) for role in frame.spec.guide_roles]
-    planes = [_plane(plane, role, matches[role], count_values(plane)) for role, plane in held]
+    planes = [_plane(plane, role, matches[role], count_values(plane), range_of(plane, role is Role.DEPTH))
+              for role, plane in held]
     jitter = list(frame.guide_jitter) if any(frame.guide_jitter) else None
     width, height = frame.guide_size
     return {"source": frame.guide_source, "width": width, "height": height, "jitter": jitter, "planes": planes}
 
 
-def _plane(pixels: np.ndarray, role: Role, match: Match, stored: Values) -> dict[str, Any]:
-    valid = np.isfinite(pixels)
-    valid &= (pixels < DEPTH_MISS) if role is Role.DEPTH else True
-    low, high = (float(pixels[valid].min()), float(pixels[valid].max())) if valid.any() else (None, None)
+def _plane(pixels: np.ndarray, role: Role, match: Match, stored: Values, extent: Range) -> dict[str, Any]:
     return {
         "role": str(role),
         "channels": match.names,
         "source": match.rule.source,
-        "min": low,
-        "max": high,
-        "misses": int((pixels >= DEPTH_MISS).sum()) if role is Role.DEPTH else 0,
+        "min": extent.low,
+        "max": extent.high,
+        "misses": extent.misses,
         "non_finite": stored.nan + stored.infinite,
         "nan": stored.nan,
         "infinite": stored.infinite,
@@ -136,6 +138,7 @@ def print_text(facts: dict[str, Any], exit_code: int) -> None:
 def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
     profile, examined = facts["profile"], len(facts["examined"])
     looked = f", {examined} examined" if facts["frames"]["count"] > 1 else ""
+    looked += f", ranges of {len(facts['measured'])}" if len(facts["measured"]) > examined else ""
     return [
         f"{facts['source']}: {_frames_text(facts['frames'])}{looked}: {VERDICTS[exit_code]}",
         f"profile {profile['name']} ({profile['title'] or 'own'}), {facts['width']}x{facts['height']}",
@@ -146,7 +149,7 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
         *(_plane_line(plane, profile["source"]) for plane in facts["planes"]),
         "",
         *_guide_lines(facts["guides"]),
-        *(f"missing  {item['role']}{': ' + item['mend'] if item['mend'] else ''}" for item in facts["missing"]),
+        *(f"missing  {item['role']}{': ' + item['fix'] if item['fix'] else ''}" for item in facts["missing"]),
         *(f"header   {name}: {value}" for name, value in facts["header"].items()),
         *(f"warning  {warning}" for warning in facts["warnings"]),
         *_absent_lines(facts["absent_frames"]),
@@ -158,7 +161,7 @@ def _finding_lines(finding: dict[str, str]) -> list[str | Text]:
     level = finding["level"]
     head = Text.assemble((f"{level:<9}", STYLES[level]), (finding["code"], "bold"),
                          f" ({finding['role']}): {finding['evidence']}")
-    return [head, f"{INDENT}likely: {finding['cause']}", f"{INDENT}mend:   {finding['mend']}"]
+    return [head, f"{INDENT}likely: {finding['cause']}", f"{INDENT}fix:    {finding['fix']}"]
 
 
 def _frames_text(frames: dict[str, int]) -> str:

@@ -1,4 +1,4 @@
-"""What a check finds, and what a set of findings means for the exit code."""
+"""Findings of the checks, and the exit code that follows from them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Finding:
 
     Attributes:
         level: an error spoils the result, a warning costs quality, information is good to know.
-        role: plane that it is about, a `Role` or 'sequence'.
+        role: the plane it is about, a `Role` or 'sequence'.
         code: stable name of the mistake.
         evidence: what was measured, with numbers.
         cause: the most likely mistake.
-        mend: what to do.
+        fix: what to do.
     """
 
     level: Level
@@ -36,26 +36,26 @@ class Finding:
     code: str
     evidence: str
     cause: str
-    mend: str
+    fix: str
 
     def as_dict(self) -> dict[str, str]:
         """The finding in plain types."""
         return {key: str(value) for key, value in asdict(self).items()}
 
 
-def error(role: str, code: str, evidence: str, cause: str, mend: str) -> Finding:
+def error(role: str, code: str, evidence: str, cause: str, fix: str) -> Finding:
     """A finding that spoils the result."""
-    return Finding(Level.ERROR, str(role), code, evidence, cause, mend)
+    return Finding(Level.ERROR, str(role), code, evidence, cause, fix)
 
 
-def warning(role: str, code: str, evidence: str, cause: str, mend: str) -> Finding:
+def warning(role: str, code: str, evidence: str, cause: str, fix: str) -> Finding:
     """A finding that costs quality."""
-    return Finding(Level.WARNING, str(role), code, evidence, cause, mend)
+    return Finding(Level.WARNING, str(role), code, evidence, cause, fix)
 
 
-def info(role: str, code: str, evidence: str, cause: str, mend: str) -> Finding:
+def info(role: str, code: str, evidence: str, cause: str, fix: str) -> Finding:
     """Something good to know."""
-    return Finding(Level.INFO, str(role), code, evidence, cause, mend)
+    return Finding(Level.INFO, str(role), code, evidence, cause, fix)
 
 
 def most_important_first(findings: Iterable[Finding]) -> list[Finding]:

@@ -1,7 +1,7 @@
-"""What depth says of the surfaces, and what the other planes must be to agree with it.
+"""Surfaces as depth describes them, and whether the other planes agree.
 
-Depth gives normals in camera space, view angles, and with two cameras motion. Stored depth, normals and roughness could
-each be meant in several ways; the right one is the one that fits. Camera space here is that of the picture: x right,
+Depth gives normals in camera space, view angles, and with two cameras motion. Stored depth, normals and roughness can
+each be read in several ways; the reading that fits is the right one. Camera space here is the picture's: x right,
 y down, z along the view axis.
 """
 
@@ -17,7 +17,7 @@ from postfx.depth import ray_slopes
 from postfx.doctor.statistics import finite
 from postfx.errors import IntegrationError
 from postfx.frame import DEPTH_MISS, Frame, Role, pixel_aspect
-from postfx.integrate.camera import perspective
+from postfx.integrate.camera import perspective, project, view_rays
 from postfx.integrate.motion import motion_from_depth
 from postfx.integrate.surfaces import split_sum
 
@@ -31,6 +31,11 @@ POINTS, LEAST_POINTS = 12000, 500
 LIKELY_FOV = tuple(range(20, 121, 10))
 AGREEING = 0.75
 """Share of the points that a fit must explain."""
+ONE_LENGTH = 0.2
+"""Share of normals of the greatest length above which they are scaled rather than averaged."""
+SAME_AXES = 3.0  # degrees
+NEAR_PLANES = tuple(0.0025 * 1.6**step for step in range(12))
+DEPTH_SCALES, SCALE_POINTS, RIGHT = 10.0 ** np.linspace(-5, 5, 161), 1000, 0.05
 
 
 class Points(NamedTuple):
@@ -49,6 +54,21 @@ class Fit(NamedTuple):
     matrix: np.ndarray
     angle: float
     fov_x: float
+
+
+class DepthScale(NamedTuple):
+    """How the cameras' motion differs from the stored one; lengths are medians in pixels.
+
+    `scale`: factor on depth that fits best; `error`, `error_as_it_is`: differences with it and without; `length`: of
+    the longer motion; `factor`: takes the cameras' motion to the stored one; `rest`: the difference that it leaves.
+    """
+
+    scale: float
+    error: float
+    error_as_it_is: float
+    length: float
+    factor: float
+    rest: float
 
 
 def is_hit(depth: np.ndarray) -> np.ndarray:
@@ -124,6 +144,15 @@ def are_unit(normals: np.ndarray) -> bool:
     return len(normals) > 0 and 0.97 < float(np.median(lengths_of(normals))) < 1.03
 
 
+def are_scaled(normals: np.ndarray) -> bool:
+    """Whether most have one length that is not 1; means of unit normals have many lengths, up to 1."""
+    lengths = lengths_of(normals)
+    longest = float(np.percentile(lengths, 99.5)) if lengths.size else 1.0
+    if longest > 1.03:
+        return True
+    return longest < 0.97 and float(np.mean(lengths > 0.98 * longest)) > ONE_LENGTH
+
+
 def is_unsigned(frame: Frame) -> bool:
     """Whether normals are stored as (n + 1) / 2."""
     normal = surface_normals(frame) if Role.NORMAL in frame else np.zeros((0, 3))
@@ -177,6 +206,61 @@ def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
     return result
 
 
+def world_axes(frame: Frame) -> list[np.ndarray]:
+    """Matrices from the picture's axes to the world's, by the axes that a camera may have; none without a camera."""
+    if frame.world_to_camera is None:
+        return []
+    rotation = frame.world_to_camera[:3, :3]
+    rotation = rotation / np.maximum(np.linalg.norm(rotation, axis=0, keepdims=True), 1e-12)
+    return [(rotation @ axes).T for axes in CAMERA_AXES]
+
+
+def explain_by_camera(frame: Frame, fit: Fit) -> np.ndarray | None:
+    """The header's matrix, if it takes the normals of depth to the stored ones hardly worse than what fits best.
+
+    Where one plane fills the picture, what fits best may be turned about that plane's normal.
+    """
+    found = {angle_by(frame, fit.fov_x, matrix): matrix for matrix in world_axes(frame)}
+    return found[min(found)] if found and min(found) < fit.angle + SAME_AXES else None
+
+
+def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
+    """The factor on depth by which the cameras explain the stored motion best; None without cameras or surfaces."""
+    if now.fov_x is None or before.fov_x is None or Role.DEPTH not in now or Role.MOTION not in now:
+        return None
+    points, (width, height) = smooth_points(now[Role.DEPTH]), (now.spec.width, now.spec.height)
+    if now.world_to_camera is None or before.world_to_camera is None or points.rows.size < LEAST_POINTS:
+        return None
+    try:
+        clip = _world_to_clip(now, now.world_to_camera, now.fov_x)
+        eye, directions = view_rays(width, height, clip, now.jitter)
+        earlier = _world_to_clip(before, before.world_to_camera, before.fov_x)
+    except IntegrationError:  # a matrix of zeros, or an angle that no camera has
+        return None
+    chosen = points.rows[:SCALE_POINTS], points.columns[:SCALE_POINTS]
+    way = directions[chosen] * now[Role.DEPTH][chosen].astype(np.float64)
+    at = np.stack([chosen[1], chosen[0]], -1) + 0.5 + np.asarray(now.jitter)
+    stored = now[Role.MOTION][chosen]
+
+    def motion(scale: float) -> np.ndarray:
+        result: np.ndarray = np.nan_to_num(project(eye + scale * way, earlier, width, height) - at, nan=1e4)
+        return result
+
+    def error(scale: float) -> float:
+        return _typical_length(motion(scale) - stored)
+
+    camera = motion(1.0)
+    factor = float(np.vdot(camera, stored) / max(float(np.vdot(camera, camera)), 1e-12))
+    as_it_is, rest = error(1.0), _typical_length(factor * camera - stored)
+    length = max(_typical_length(stored), _typical_length(camera))
+    scale = 1.0 if as_it_is < RIGHT * length else float(min(DEPTH_SCALES, key=error))
+    return DepthScale(scale, error(scale), as_it_is, length, factor, rest)
+
+
+def _typical_length(vectors: np.ndarray) -> float:
+    return float(np.median(lengths_of(vectors)))
+
+
 def _world_to_clip(frame: Frame, world_to_camera: np.ndarray, fov_x: float) -> np.ndarray:
     to_clip = perspective(fov_x, frame.spec.width, frame.spec.height, right="-x", up="+y", forward="+z",
                           pixel_aspect=pixel_aspect(frame.metadata))
@@ -205,9 +289,14 @@ class DepthKind:
     code: str
     name: str
     cause: str
-    mend: str
+    fix: str
     planar: Callable[[np.ndarray, np.ndarray], np.ndarray]
     in_unit: bool = False
+
+
+def _unscale(near: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Depth, in units of the far plane, from depth that was scaled to 0..1 between the near and the far plane."""
+    return lambda d, cosine: near + d * (1 - near)
 
 
 DEPTH_KINDS = (
@@ -221,6 +310,9 @@ DEPTH_KINDS = (
     DepthKind("depth-hyperbolic", "a depth buffer 0..1", "the depth buffer was written as it is",
               "write linear depth: near far / (far - value (far - near)), or give --depth device,near=...,far=...",
               lambda d, cosine: 1 / (1 - d), True),
+    *(DepthKind("depth-normalised", f"(depth - near) / (far - near) with near about {near:.2g} times far",
+                "depth was scaled to 0..1 between two planes", "write depth in scene units: near + value (far - near), "
+                "or give --depth normalised,near=...,far=...", _unscale(near), True) for near in NEAR_PLANES),
     DepthKind("depth-reversed", "1 - depth / far (near 1, far 0)", "depth scaled to 0..1 with near white",
               "write depth in scene units: (1 - value) far, or give --depth normalised-reversed,near=0,far=...",
               lambda d, cosine: 1 - d, True),
@@ -277,7 +369,7 @@ class RoughnessKind:
     code: str
     name: str
     cause: str
-    mend: str
+    fix: str
     linear: Callable[[np.ndarray], np.ndarray]
 
 

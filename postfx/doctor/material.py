@@ -4,13 +4,16 @@ has its role.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
-from postfx.doctor.geometry import Fit, fit_rotation
+import numpy as np
+
+from postfx.doctor.geometry import Fit, explain_by_camera, fit_rotation
 from postfx.doctor.motion_variants import Warped, warp_pair
-from postfx.doctor.statistics import Values, count_values
+from postfx.doctor.statistics import Range, Values, count_values, join_ranges, range_of, sum_values
 from postfx.errors import PostfxError
 from postfx.frame import Frame, Role
 from postfx.io.frame_reader import FrameFiles, GuideLayout
@@ -23,23 +26,35 @@ MOST_PAIRS = 7
 
 @dataclass
 class Material:
-    """Frames in order, without a hole between them, converted to the one convention but not clamped.
+    """Consecutive frames, converted to postfx's conventions but not clamped.
 
     Attributes:
         frames: at least one.
-        stored: role -> counts of odd values in the first frame as it is stored; what is absent is counted in `frames`.
+        stored: role -> counts of odd values in all frames as they are stored; what is absent is counted in `frames`.
         enable: role -> where the renderer switches a missing plane on.
         unreadable: why reading stopped early, '' when it did not.
+        ranges: role -> values over `measured`.
+        measured: numbers of the frames that ranges were taken from: `frames` and some of the rest of the sequence.
     """
 
     frames: list[Frame]
     stored: dict[Role, Values] = field(default_factory=dict)
     enable: dict[Role, str] = field(default_factory=dict)
     unreadable: str = ""
+    ranges: dict[Role, Range] = field(default_factory=dict)
+    measured: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        first = self.frames[0]
-        self.stored = {role: count_values(first[role]) for role in first.planes} | self.stored
+        self.stored = {role: sum_values(count_values(frame[role]) for frame in self.frames if role in frame)
+                       for role in self.frames[0].planes} | self.stored
+
+    def without(self, roles: Collection[str]) -> Material:
+        """The same frames without some planes, by names of roles; itself where none of them, or no other, is there."""
+        if not any(role in self.first for role in roles) or set(map(str, self.first.planes)) <= set(roles):
+            return self
+        frames = [replace(frame, planes={role: plane for role, plane in frame.planes.items() if role not in roles})
+                  for frame in self.frames]
+        return Material(frames, self.stored, self.enable, self.unreadable, self.ranges, self.measured)
 
     @property
     def first(self) -> Frame:
@@ -48,12 +63,12 @@ class Material:
 
     @property
     def middle(self) -> Frame:
-        """A frame that single pictures are judged by: not the first, which renderers often treat apart."""
+        """The frame by which single pictures are judged; the first is often special."""
         return self.frames[len(self.frames) // 2]
 
     @cached_property
     def pairs(self) -> list[tuple[Frame, Frame]]:
-        """Neighbours of one size, cuts included."""
+        """Consecutive frames of one size, cuts included."""
         both = zip(self.frames, self.frames[1:], strict=False)
         return [(a, b) for a, b in both if a.spec.width == b.spec.width and a.spec.height == b.spec.height]
 
@@ -64,7 +79,7 @@ class Material:
 
     @cached_property
     def shots(self) -> list[Warped]:
-        """The same without marked cuts and without pairs that have nothing in common."""
+        """`warped` without marked cuts and pairs that have nothing in common."""
         return [warped for warped in self.warped if not warped.now.reset and warped.is_related]
 
     @cached_property
@@ -74,8 +89,13 @@ class Material:
             return None
         return fit_rotation(self.middle)
 
+    @cached_property
+    def explained(self) -> np.ndarray | None:
+        """The matrix of the middle frame's header from the picture's axes to the world's; None if it does not fit."""
+        return explain_by_camera(self.middle, self.fit) if self.fit else None
 
-MOST_FRAMES, MOST_PIXELS = 8, 8_000_000
+
+MOST_FRAMES, MOST_PIXELS, MOST_SPREAD = 8, 8_000_000, 8
 
 
 @dataclass(frozen=True)
@@ -90,26 +110,62 @@ class Reading:
 def read_material(sequence: Sequence) -> Reading:
     """The first frames without a hole: up to 8, of large pictures fewer (8 million pixels, at least two frames).
 
-    Raises what reading the first frame raises; a later frame that cannot be read ends the reading.
+    Ranges and odd values are of these and of up to 8 more frames, spread evenly over the rest of the sequence. Raises
+    what reading the first frame raises; a later frame that cannot be read ends the reading, and the material says why.
     """
     first = sequence.numbers[0]
     with sequence.open(first) as files:
-        stored = {role: count_values(plane) for role, plane in _read_stored(files, first).planes.items()}
+        stored = [_count_stored(files, first)]
         frames = [_read_unclamped(files, first)]
         layout, guides = files.layout, files.guides
-    material = Material(frames, stored, {role: hint for role in Role if (hint := _hint(layout, role))})
-    spec = frames[0].spec
-    most = max(2, min(MOST_FRAMES, MOST_PIXELS // (spec.width * spec.height)))
-    for before, number in zip(sequence.numbers, sequence.numbers[1:most], strict=False):
-        if number not in sequence.present() or sequence.before(number, 1) != [before]:
-            break
+    material = Material(frames, {}, {role: hint for role in Role if (hint := _hint(layout, role))})
+    most = max(2, min(MOST_FRAMES, MOST_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
+    ranges = [_ranges(frames[0])]
+    numbers = _consecutive(sequence, most)
+    rest = [number for number in sequence.numbers if number not in numbers and number in sequence.present()]
+    spread = rest[:: -(-len(rest) // MOST_SPREAD)][1:] + rest[-1:] if rest else []
+    for number in dict.fromkeys([*numbers[1:], *spread]):
         try:
             with sequence.open(number) as files:
-                frames.append(_read_unclamped(files, number))
+                stored.append(_count_stored(files, number))
+                frame = _read_unclamped(files, number)
         except PostfxError as error:
             material.unreadable = str(error)
             break
+        ranges.append(_ranges(frame))
+        material.measured.append(number)
+        if number in numbers:
+            frames.append(frame)
+    material.measured.insert(0, first)
+    material.stored = _merge(stored, sum_values)
+    material.ranges = _merge(ranges, join_ranges)
     return Reading(material, layout, guides)
+
+
+def _consecutive(sequence: Sequence, most: int) -> list[int]:
+    """Numbers of the first frames, at most so many, up to a hole."""
+    numbers = list(sequence.numbers[:1])
+    for before, number in zip(sequence.numbers, sequence.numbers[1:most], strict=False):
+        if number not in sequence.present() or sequence.before(number, 1) != [before]:
+            break
+        numbers.append(number)
+    return numbers
+
+
+def _ranges(frame: Frame) -> dict[Role, Range]:
+    return {role: range_of(plane, role is Role.DEPTH) for role, plane in frame.planes.items()}
+
+
+Found = TypeVar("Found")
+
+
+def _merge(found: list[dict[Role, Found]], join: Callable[[Iterable[Found]], Found]) -> dict[Role, Found]:
+    """Role -> what was found in all frames that hold it, of the roles of the first frame."""
+    return {role: join(item[role] for item in found if role in item) for role in found[0]}
+
+
+def _count_stored(files: FrameFiles, number: int) -> dict[Role, Values]:
+    return {role: count_values(plane) for role, plane in _read_stored(files, number).planes.items()}
 
 
 def _read_unclamped(files: FrameFiles, number: int) -> Frame:

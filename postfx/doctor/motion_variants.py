@@ -1,9 +1,9 @@
-"""Ways in which motion vectors are commonly wrong, how each is put right, and which of them fits the pictures.
+"""Common mistakes in motion vectors, how to correct each, and which correction fits the pictures.
 
 The previous frame is warped onto this one by every variant of the motion, and scored on guides and colour. A score is
-the error of the warped pictures in units of their own contrast, that is of what one pixel of misregistration costs: 0
-is a perfect fit. Only pixels with contrast count; the fifth that fits worst is left out, which takes out occlusions; so
-are pixels that come from outside the picture.
+the error of the warped pictures in units of what one pixel of misregistration costs: 0 is a perfect fit. Only pixels
+with contrast count. The fifth that fits worst is left out, which removes occlusions, and so are pixels that come from
+outside the picture.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.colour.primaries import luminance
-from postfx.doctor.statistics import finite
+from postfx.doctor.statistics import finite, largest
 from postfx.frame import Frame, Role
 from postfx.sampling import bilinear, is_inside, local_mean
 
@@ -23,7 +23,10 @@ Size = tuple[int, int]
 SCALES = (0.5, 2.0, 2 / 3, 1 / 3)
 """Factors to pixels of the frame: from pixels of an output twice as large, of one half as large, and so on."""
 
-POINTS = 3000
+ENCODED_SCALES = tuple(2 ** (step / 4) for step in range(8, 45))
+"""Pixels that motion stored as a colour may span, in steps small enough to be told apart from the next."""
+
+POINTS = 1500
 CONTRASTY = 0.75
 OCCLUDED = 0.2
 LEAST_INSIDE = 0.5
@@ -41,17 +44,19 @@ class Variant:
         code: finding that it leads to; '' for the motion as it is.
         name: what the motion would have to be.
         cause: what was done to it.
-        mend: what to do with the stored values.
-        fix: (..., 2) motion, size (width, height) and jitter difference -> (..., 2) motion in pixels of the frame.
+        fix: what to do with the stored values.
+        correct: (..., 2) motion, size (width, height) and jitter difference -> (..., 2) motion in pixels of the frame.
         priority: of two variants that fit alike, the lower one is named.
+        is_colour: whether it makes sense for motion within 0..1 only.
     """
 
     code: str
     name: str
     cause: str
-    mend: str
-    fix: Callable[[np.ndarray, Size, np.ndarray], np.ndarray]
+    fix: str
+    correct: Callable[[np.ndarray, Size, np.ndarray], np.ndarray]
     priority: int = 0
+    is_colour: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,8 @@ _UNITS = (
     _Unit("in -1..1 of the image (ndc)", "normalised device coordinates were written instead of pixels", unit="ndc"),
     _Unit("in uv around 0.5, or ndc as (v + 1) / 2", _ENCODED, 1.0, "uv", -0.5, "motion-encoded"),
     _Unit("in uv as (v + 1) / 2", _ENCODED, 2.0, "uv", -0.5, "motion-encoded"),
+    *(_Unit(f"in pixels as v / {scale:.3g} + 0.5", _ENCODED, scale, offset=-0.5, code="motion-encoded")
+      for scale in ENCODED_SCALES),
 )
 
 
@@ -110,11 +117,12 @@ def _swapped(signs: tuple[int, int]) -> Variant:
 def _scaled(unit: _Unit, signs: tuple[int, int]) -> Variant:
     name = unit.name + (f", {_SIGNS[signs][1]}" if signs != (1, 1) else "")
 
-    def fix(motion: np.ndarray, size: Size, jitter: np.ndarray) -> np.ndarray:
+    def correct(motion: np.ndarray, size: Size, jitter: np.ndarray) -> np.ndarray:
         result: np.ndarray = (motion + _pair(unit.offset)) * _pair(unit.factor(size)) * _pair(signs)
         return result
 
-    return Variant(unit.code, name, unit.cause, _profile(unit, signs), fix, 2 if signs == (1, 1) else 3)
+    priority = (2 if signs == (1, 1) else 3) + (unit.unit == "pixels" and unit.offset != 0)
+    return Variant(unit.code, name, unit.cause, _profile(unit, signs), correct, priority, unit.offset != 0)
 
 
 def _profile(unit: _Unit, signs: tuple[int, int]) -> str:
@@ -126,8 +134,17 @@ def _profile(unit: _Unit, signs: tuple[int, int]) -> str:
     return f"in a profile {', '.join(keys)}"
 
 
-def _jittered(times: int | tuple[int, int], code: str, name: str, cause: str, mend: str) -> Variant:
-    return Variant(code, name, cause, mend, lambda motion, size, jitter: motion + _pair(times) * jitter, 4)
+def _rescaled_jitter(name: str, fix: str, factor: Callable[[Size], tuple[float, float]]) -> Variant:
+    def change(motion: np.ndarray, size: Size, jitter: np.ndarray) -> np.ndarray:
+        result: np.ndarray = motion + (_pair(factor(size)) - 1) * jitter
+        return result
+
+    return Variant("jitter-unit", f"right, with the jitter of the header {name}",
+                   "the header's jitter is not in pixels", fix, change, 4)
+
+
+def _jittered(times: int | tuple[int, int], code: str, name: str, cause: str, fix: str) -> Variant:
+    return Variant(code, name, cause, fix, lambda motion, size, jitter: motion + _pair(times) * jitter, 4)
 
 
 _SIGN_PAIRS = tuple(_SIGNS)
@@ -136,7 +153,7 @@ VARIANTS = (
     *(_swapped(signs) for signs in _SIGN_PAIRS),
     *(_scaled(unit, signs) for unit in _UNITS for signs in _SIGN_PAIRS),
     _jittered(-1, "motion-jitter", "without the jitter's change", "motion was taken between jittered positions",
-              "compute motion with matrices that hold no jitter, or add jitter of the frame before minus this one's"),
+              "compute motion with matrices that hold no jitter, or add the previous jitter minus this one's"),
     _jittered(1, "motion-jitter", "without the jitter's change, taken twice with the wrong sign",
               "the jitter was taken off with the wrong sign", "compute motion with matrices that hold no jitter"),
     _jittered(-2, "jitter-sign", "right, with the jitter of the header negated",
@@ -145,11 +162,19 @@ VARIANTS = (
               "negate y of postfx:jitter"),
     _jittered((-2, 0), "jitter-sign", "right, with x of the header's jitter negated",
               "x of the header's jitter is that of the projection", "negate x of postfx:jitter"),
+    _rescaled_jitter("in parts of the image (uv)", "multiply postfx:jitter by the picture's size",
+                     lambda size: (size[0], size[1])),
+    _rescaled_jitter("in -1..1 of the image (ndc)", "multiply postfx:jitter by half the picture's size",
+                     lambda size: (size[0] / 2, size[1] / 2)),
+    _rescaled_jitter("in -1..1 of the image (ndc) with y up", "multiply postfx:jitter by half the picture's size, and "
+                     "negate y", lambda size: (size[0] / 2, -size[1] / 2)),
+    _rescaled_jitter("twice as long", "multiply postfx:jitter by 2: it counts from -0.5 to 0.5", lambda size: (2, 2)),
+    _rescaled_jitter("half as long", "divide postfx:jitter by 2: it counts from -0.5 to 0.5", lambda size: (0.5, 0.5)),
     Variant("motion-worse-than-none", "0 everywhere", "vectors of another frame, or in a unit that is not known",
             "write the renderer's motion vectors for this frame, or leave the plane out",
             lambda motion, size, jitter: motion * 0, 5),
 )
-"""All variants; the first one is the motion as it is."""
+"""All variants; the first is the stored motion."""
 
 
 class Feature(NamedTuple):
@@ -173,8 +198,8 @@ class Warped:
         before, now: the frames.
         features: what they were compared by.
         scores: variant -> score; infinite where most of the picture comes from outside.
-        by_role: variant -> role -> score of that plane.
-        unrelated: score of places chosen at random: what pictures that have nothing in common would get.
+        by_role: variant -> role -> score by that plane.
+        unrelated: score of places chosen at random, as for pictures that have nothing in common.
         moved: mean length of the stored motion.
     """
 
@@ -194,7 +219,7 @@ class Warped:
 
     @property
     def as_it_is(self) -> float:
-        """Score of the motion as it is stored."""
+        """Score of the stored motion."""
         return self.scores[VARIANTS[0]]
 
     @property
@@ -210,13 +235,36 @@ def warp_pair(before: Frame, now: Frame) -> Warped | None:
         return None
     result, size = Warped(before, now, features), (now.spec.width, now.spec.height)
     result.moved = float(np.linalg.norm(finite(now[Role.MOTION]), axis=-1).mean())
-    for variant in VARIANTS:
-        result.by_role[variant] = {
-            f.role: _error(f, variant.fix(f.motion, size, result.jitter) + result.jitter) for f in features
-        }
+    colour_like = is_like_colour(now)
+    tried = [variant for variant in VARIANTS if colour_like or not variant.is_colour]
+    errors = {f.role: _errors(f, np.stack([v.correct(f.motion, size, result.jitter) + result.jitter for v in tried]))
+              for f in features}
+    for number, variant in enumerate(tried):
+        result.by_role[variant] = {role: float(values[number]) for role, values in errors.items()}
         result.scores[variant] = _mean(result.by_role[variant], features)
     result.unrelated = _unrelated(features)
     return result
+
+
+def is_like_colour(frame: Frame) -> bool:
+    """Whether motion lies within 0..1, most of it near 0.5: only then can it be stored as a colour."""
+    motion = finite(frame[Role.MOTION])
+    return bool(motion.min() >= 0 and motion.max() <= 1.001 and 0.2 < float(np.median(motion)) < 0.8)
+
+
+def score_variant(warped: Warped, variant: Variant) -> float:
+    """Score of any variant, also of one that is not in `VARIANTS`."""
+    size, jitter = (warped.now.spec.width, warped.now.spec.height), warped.jitter
+    errors = {f.role: _error(f, variant.correct(f.motion, size, jitter) + jitter) for f in warped.features}
+    return _mean(errors, warped.features)
+
+
+def scaled_variants() -> list[Variant]:
+    """Motion in a unit that is not known, from 1/128 to 128 times a pixel, in steps of the root of 2."""
+    units = [_Unit(f"about {factor:.3g} times as long", "motion was written in a unit that is not pixels of the frame, "
+                   "for example for each second or for a picture of another size", factor)
+             for factor in (2 ** (step / 2) for step in range(-14, 15)) if factor != 1]
+    return [_scaled(unit, signs) for unit in units for signs in _SIGN_PAIRS]
 
 
 def features_of(before: Frame, now: Frame) -> list[Feature]:
@@ -252,29 +300,39 @@ def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, mot
              rng: np.random.Generator) -> Feature | None:
     if min(now.shape[:2]) < 8:
         return None
-    across = np.abs(np.diff(now, axis=1, append=now[:, -1:])).max(2)
-    down = np.abs(np.diff(now, axis=0, append=now[-1:])).max(2)
+    across = largest(np.abs(np.diff(now, axis=1, append=now[:, -1:])))
+    down = largest(np.abs(np.diff(now, axis=0, append=now[-1:])))
     slope = across + down
     rows, columns = np.nonzero(slope > max(float(np.quantile(slope, CONTRASTY)), 1e-4))
     if rows.size < 100:
         return None
     chosen = rng.permutation(rows.size)[:POINTS]
     rows, columns = rows[chosen], columns[chosen]
-    steepness = slope[rows, columns]
+    steepness, at = slope[rows, columns], (rows.astype(np.float32), columns.astype(np.float32))
     contrast = float(np.minimum(steepness, np.quantile(steepness, 0.9)).mean())
-    return Feature(role, weight, before, now[rows, columns], rows, columns, motion[rows, columns], contrast)
+    return Feature(role, weight, before, now[rows, columns], *at, motion[rows, columns], contrast)
+
+
+def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
+    """Scores (count,) of shifts (count, points, 2); infinite for those that come from outside the picture mostly."""
+    x, y = feature.columns + shifts[..., 0], feature.rows + shifts[..., 1]
+    inside = is_inside(feature.before, x, y)
+    own = is_inside(feature.before, feature.columns + feature.motion[:, 0], feature.rows + feature.motion[:, 1])
+    warped = bilinear(feature.before, x.ravel(), y.ravel()).reshape(*x.shape, -1)
+    apart = np.abs(warped - feature.now)
+    apart = largest(apart).copy()
+    # Points that only this shift moves outside count too: otherwise a shift could hide what it makes worse.
+    used = inside | own
+    apart[~used] = np.inf
+    apart.sort(axis=1)
+    kept = np.maximum(((1 - OCCLUDED) * used.sum(1)).astype(int), 1)
+    sums = np.where(np.arange(apart.shape[1]) < kept[:, None], apart, 0).sum(1)
+    result: np.ndarray = np.where(inside.mean(1) < LEAST_INSIDE, np.inf, sums / kept / feature.contrast)
+    return result
 
 
 def _error(feature: Feature, shift: np.ndarray) -> float:
-    x, y = feature.columns + shift[:, 0], feature.rows + shift[:, 1]
-    inside = is_inside(feature.before, x, y)
-    if inside.mean() < LEAST_INSIDE:
-        return np.inf
-    own = is_inside(feature.before, feature.columns + feature.motion[:, 0], feature.rows + feature.motion[:, 1])
-    apart = np.abs(bilinear(feature.before, x, y) - feature.now)
-    # what only this shift throws out counts, too, or it would throw out what it makes worse
-    errors = apart.T.copy().max(0)[inside | own]  # a twentieth of the time of max(1)
-    return float(np.sort(errors)[: int((1 - OCCLUDED) * errors.size)].mean() / feature.contrast)
+    return float(_errors(feature, shift[None])[0])
 
 
 def _mean(errors: dict[Role, float], features: list[Feature]) -> float:
@@ -286,6 +344,6 @@ def _unrelated(features: list[Feature]) -> float:
     rng, errors = np.random.default_rng(2), {}
     for feature in features:
         height, width = feature.before.shape[:2]
-        places = rng.random((feature.rows.size, 2)) * (width - 1, height - 1)
+        places = rng.random((feature.rows.size, 2), np.float32) * _pair((width - 1, height - 1))
         errors[feature.role] = _error(feature, places - np.stack([feature.columns, feature.rows], -1))
     return _mean(errors, features)

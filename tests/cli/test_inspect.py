@@ -79,11 +79,11 @@ def test_warnings_only_are_1(inspect, shot):
     assert code == 1 and not codes(found, "error") and "missing-diffuse-albedo" in codes(found, "warning")
 
 
-def test_an_error_is_2_and_has_evidence_cause_and_mend(inspect, broken_room):
+def test_an_error_is_2_and_has_evidence_cause_and_fix(inspect, broken_room):
     code, found = inspect(broken_room(motion_Y=lambda y: -y))
     assert code == 2 and codes(found, "error") == {"motion-sign-y"}
     (finding,) = found["findings"]
-    assert set(finding) == {"level", "role", "code", "evidence", "cause", "mend"}
+    assert set(finding) == {"level", "role", "code", "evidence", "cause", "fix"}
     assert finding["role"] == "motion" and "y negated" in finding["evidence"]
 
 
@@ -94,11 +94,11 @@ def test_values_above_1_are_seen_though_reading_cuts_them_off(inspect, broken_ro
     assert plane["max"] > 1.3
 
 
-def test_nan_in_motion_is_seen_though_reading_mends_it(inspect, broken_room):
+def test_nan_in_motion_is_seen_in_all_frames_though_reading_repairs_it(inspect, broken_room):
     _, found = inspect(broken_room(motion_X=lambda x: np.where(np.arange(x.shape[1]) == 7, np.nan, x)))
     assert codes(found, "warning") == {"not-finite"}
     (plane,) = [plane for plane in found["planes"] if plane["role"] == "motion"]
-    assert plane["nan"] == 180 and plane["infinite"] == 0
+    assert plane["nan"] == 3 * 180 and plane["infinite"] == 0
 
 
 def test_a_broken_later_frame_is_a_finding(inspect, broken_room):
@@ -139,7 +139,7 @@ def test_text_has_the_worst_first_and_no_colour_in_a_pipe(postfx, broken_room):
     assert "there are errors" in lines[0] and "\x1b" not in done.out
     heads = [line.split()[0] for line in lines if line.startswith(("error ", "warning ", "info "))]
     assert heads[0] == "error" and heads == sorted(heads, key=["error", "warning", "info"].index)
-    assert any(line.strip().startswith("mend:   in a profile") for line in lines)
+    assert any(line.strip().startswith("fix:    in a profile") for line in lines)
 
 
 def test_depth_is_checked_as_it_would_be_read(inspect, broken_room):

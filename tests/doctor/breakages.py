@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from postfx.colour.curves import srgb_encode
 from postfx.doctor.geometry import fit_rotation, rays
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.sampling import local_mean
@@ -27,6 +28,7 @@ class Breakage:
         role: the role of that finding.
         apply: frames -> broken frames, or None where the sequence lacks what is to be broken.
         consequences: other errors that rightly follow from it.
+        whole: whether it takes the whole picture and five frames to find it, not only the middle of four.
     """
 
     name: str
@@ -34,6 +36,13 @@ class Breakage:
     role: str
     apply: Callable[[Frames], Frames | None]
     consequences: tuple[str, ...] = ()
+    whole: bool = False
+
+    @property
+    def shows_in_two(self) -> bool:
+        """Whether two frames are enough to find it."""
+        over_frames = ("motion", "jitter", "other", "cut", "reset", "samples", "exposure")
+        return not self.whole and not self.code.startswith(over_frames)
 
 
 def plane(role: Role, change: Change, *needs: str) -> Callable[[Frames], Frames | None]:
@@ -192,7 +201,135 @@ def times(factor: float | list[float]) -> Change:
     return lambda pixels, frame: pixels * np.float32(factor)
 
 
+def swapped_frames(role: Role, step: int = 1) -> Callable[[Frames], Frames | None]:
+    """The plane of a later frame, or of an earlier one, in every frame."""
+
+    def apply(frames: Frames) -> Frames | None:
+        if role not in frames[0]:
+            return None
+        return [replace(frame, planes={**frame.planes, role: frames[(at + step) % len(frames)][role]})
+                for at, frame in enumerate(frames)]
+
+    return apply
+
+
+def frozen(role: Role) -> Callable[[Frames], Frames | None]:
+    """The first frame's plane in every frame."""
+    return lambda frames: [replace(f, planes={**f.planes, role: frames[1][role]}) for f in frames]
+
+
+def reversed_frames(role: Role) -> Callable[[Frames], Frames]:
+    return lambda frames: [replace(frame, planes={**frame.planes, role: other[role]})
+                           for frame, other in zip(frames, frames[::-1], strict=True)]
+
+
+def repeated_pixels(pixels: np.ndarray, frame: Frame) -> np.ndarray:
+    return pixels[::2, ::2].repeat(2, 0).repeat(2, 1)[: pixels.shape[0], : pixels.shape[1]]
+
+
+def interpolated(pixels: np.ndarray, frame: Frame) -> np.ndarray:
+    """Half the resolution, enlarged by linear interpolation between pixel centres."""
+    for axis in (0, 1):
+        small = np.moveaxis(pixels, axis, 0)
+        small = (small[0::2] + small[1::2]) / 2
+        before, after = np.concatenate([small[:1], small[:-1]]), np.concatenate([small[1:], small[-1:]])
+        large = np.stack([0.75 * small + 0.25 * before, 0.75 * small + 0.25 * after], 1)
+        pixels = np.moveaxis(large.reshape(-1, *small.shape[1:]), 0, axis)
+    return pixels
+
+
+def upside_down(pixels: np.ndarray, frame: Frame) -> np.ndarray:
+    return pixels[::-1]
+
+
+def encoded(pixels: np.ndarray, frame: Frame) -> np.ndarray:
+    return srgb_encode(np.clip(pixels, 0, 1))
+
+
+def nan_block(pixels: np.ndarray, frame: Frame) -> np.ndarray:
+    """NaN in a block, from the second frame on."""
+    broken = pixels.copy()
+    if frame.number > 1:
+        broken[20:36, 24:40] = np.nan
+    return broken
+
+
+def one_value(value: float) -> Change:
+    return lambda pixels, frame: np.full_like(pixels, value)
+
+
+def facing(pixels: np.ndarray, frame: Frame) -> np.ndarray:
+    return np.broadcast_to(np.float32((0, 0, 1)), pixels.shape)
+
+
+def partly_camera_space(pixels: np.ndarray, frame: Frame) -> np.ndarray:
+    """Camera space in the left part of the picture."""
+    mixed, part = pixels.copy(), 2 * pixels.shape[1] // 5
+    mixed[:, :part] = camera_space(pixels, frame)[:, :part]
+    return mixed
+
+
+def moving_thing(frames: Frames) -> Frames:
+    """A disc that crosses the picture by (3, 1) pixels a frame, with the vectors of what is behind it."""
+    found = []
+    for at, frame in enumerate(frames):
+        height, width = frame.spec.height, frame.spec.width
+        y, x = np.indices((height, width)) - np.array((height / 2 + at, width / 2 + 3 * at))[:, None, None]
+        normal = np.stack([x, y, -np.sqrt(np.maximum(196.0 - x * x - y * y, 0))], -1) / 14
+        albedo = np.stack([0.5 + 0.3 * np.sin(0.9 * x), 0.4 + 0 * x, 0.3 + 0.2 * np.cos(0.7 * y)], -1)
+        shown = {Role.DIFFUSE_ALBEDO: albedo, Role.NORMAL: normal, Role.DEPTH: 1.5 + 0 * x[..., None]}
+        planes = {role: np.where((x * x + y * y < 196)[..., None], plane, frame[role]).astype(np.float32)
+                  for role, plane in shown.items() if role in frame}
+        found.append(replace(frame, planes={**frame.planes, **planes}))
+    return found
+
+
+def between_planes(depth: np.ndarray, frame: Frame) -> np.ndarray:
+    """(depth - near) / (far - near)."""
+    return (depth - 0.5) / (40.0 - 0.5)
+
+
+def scaled_depth(factor: float) -> Callable[[Frames], Frames | None]:
+    return plane(Role.DEPTH, hits(lambda depth, frame: factor * depth), "world_to_camera")
+
+
+def jitter_of_image(frames: Frames) -> Frames | None:
+    width, height = frames[0].spec.width, frames[0].spec.height
+    return jitter(1 / width, 1 / height)(frames)
+
+
+def shifted_jitter(frames: Frames) -> Frames | None:
+    if not any(any(frame.jitter) for frame in frames):
+        return None
+    return [replace(frame, jitter=(frame.jitter[0] + 0.5, frame.jitter[1] + 0.5)) for frame in frames]
+
+
+def flashes(pixels: np.ndarray, frame: Frame) -> np.ndarray:
+    """Every third frame is twice as bright."""
+    return pixels * np.float32(2.5 if frame.number % 3 == 0 else 1)
+
+
+def exposure_jumps(frames: Frames) -> Frames | None:
+    if frames[0].exposure is None:
+        return None
+    return [replace(frame, exposure=frame.exposure * (4 if frame.number > 2 else 1)) for frame in frames]
+
+
+def straight_alpha(frames: Frames) -> Frames:
+    """Colour with the alpha of soft discs, not multiplied by it."""
+    return [covers.with_plane(frame, Role.ALPHA, covers.puffs(frame)[..., 3:]) for frame in frames]
+
+
+def colour_again(frames: Frames) -> Frames | None:
+    """None where nothing is dark: there an albedo with the sRGB curve would look the same."""
+    albedo = frames[0][Role.DIFFUSE_ALBEDO].max(2)
+    if np.percentile(albedo[albedo > 0.004], 2) > 0.1:
+        return None
+    return plane(Role.COLOUR, lambda pixels, frame: pixels * frame[Role.DIFFUSE_ALBEDO])(frames)
+
+
 ALBEDO, NORMAL, ROUGH, DEPTH, MOTION = Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION
+COLOUR, SPECULAR = Role.COLOUR, Role.SPECULAR_ALBEDO
 
 BREAKAGES = [
     Breakage("albedo with noise of 0.08", "albedo-noisy", ALBEDO, plane(ALBEDO, noise(0.08)),
@@ -227,7 +364,8 @@ BREAKAGES = [
     Breakage("jitter header negated", "jitter-sign", "sequence", jitter(-1, -1)),
     Breakage("jitter header with y up", "jitter-sign", "sequence", jitter(1, -1)),
     Breakage("jitter header with x negated", "jitter-sign", "sequence", jitter(-1, 1)),
-    Breakage("jitter header though samples are spread", "jitter-unused", "sequence", unused_jitter),
+    Breakage("jitter header though samples are spread", "jitter-unused", "sequence", unused_jitter,
+             whole=True),
     Breakage("cut without reset", "cut-unmarked", "sequence", mirrored_second_half),
     Breakage("reset in every frame", "reset-needless", "sequence", reset_everywhere),
     Breakage("the same noise in every frame", "samples-correlated", Role.COLOUR, fixed_seed),
@@ -241,7 +379,7 @@ BREAKAGES = [
     Breakage("mask of particles inverted", "reactive-everywhere", Role.REACTIVE, added(Role.REACTIVE, inverted_mask)),
     Breakage("opaque colour of other samples", "opaque-samples", Role.OPAQUE_COLOUR,
              added(Role.OPAQUE_COLOUR, other_samples)),
-    Breakage("worldToCamera for column vectors", "matrix-transposed", "sequence", transposed),
+    Breakage("worldToCamera for column vectors", "matrix-transposed", "sequence", transposed, whole=True),
     Breakage("overlay of straight colour", "overlay-straight", Role.OVERLAY, covers.over(covers.straight)),
     Breakage("overlay with alpha in percent", "overlay-alpha", Role.OVERLAY, covers.over(covers.in_percent)),
     Breakage("overlay with its background", "overlay-opaque", Role.OVERLAY, covers.over(covers.opaque)),
@@ -249,4 +387,61 @@ BREAKAGES = [
              ("samples-correlated",)),
     Breakage("colour with and without transparents, no overlay", "overlay-missing", Role.OVERLAY, covers.two_colours),
     Breakage("half the field of view", "fov-mismatch", "sequence", other_fov),
+    Breakage("colour black", "colour-black", COLOUR, plane(COLOUR, times(0))),
+    Breakage("colour of half the resolution", "half-resolution", COLOUR, plane(COLOUR, repeated_pixels)),
+    Breakage("colour upside down", "flipped", COLOUR, plane(COLOUR, upside_down)),
+    Breakage("colour of the next frame", "other-frame", COLOUR, swapped_frames(COLOUR), whole=True),
+    Breakage("colour multiplied by albedo once more", "colour-times-albedo", COLOUR, colour_again, whole=True),
+    Breakage("flashes", "exposure-jump", COLOUR, plane(COLOUR, flashes)),
+    Breakage("exposure header jumps", "exposure-jump", "sequence", exposure_jumps),
+    Breakage("colour not multiplied by alpha", "alpha-straight", COLOUR, straight_alpha),
+    Breakage("albedo black", "black", ALBEDO, plane(ALBEDO, times(0))),
+    Breakage("albedo 0.8 everywhere", "constant", ALBEDO, plane(ALBEDO, one_value(0.8))),
+    Breakage("albedo with the sRGB curve", "albedo-encoded", ALBEDO, plane(ALBEDO, encoded), whole=True),
+    Breakage("albedo in the order B, G, R", "albedo-channels", ALBEDO, plane(ALBEDO, lambda a, f: a[..., ::-1]),
+             whole=True),
+    Breakage("albedo of the frame before", "other-frame", ALBEDO, swapped_frames(ALBEDO, -1)),
+    Breakage("albedo of one frame in all", "other-frame", ALBEDO, frozen(ALBEDO)),
+    Breakage("albedo of half the resolution", "half-resolution", ALBEDO, plane(ALBEDO, interpolated)),
+    Breakage("albedo upside down", "flipped", ALBEDO, plane(ALBEDO, upside_down)),
+    Breakage("block of NaN in albedo", "not-finite", ALBEDO, plane(ALBEDO, nan_block)),
+    Breakage("specular albedo black", "black", SPECULAR, plane(SPECULAR, times(0))),
+    Breakage("specular albedo mirrored", "flipped", SPECULAR, plane(SPECULAR, lambda s, f: s[:, ::-1])),
+    Breakage("normals 0", "black", NORMAL, plane(NORMAL, times(0))),
+    Breakage("one normal everywhere", "constant", NORMAL, plane(NORMAL, facing)),
+    Breakage("normals with y and z swapped", "normal-axes", NORMAL,
+             plane(NORMAL, lambda n, f: n[..., [0, 2, 1]], "world_to_camera"), whole=True),
+    Breakage("normals with x negated", "normal-axes", NORMAL, plane(NORMAL, times([-1, 1, 1]), "world_to_camera"),
+             whole=True),
+    Breakage("normals partly in camera space", "normal-mixed", NORMAL,
+             plane(NORMAL, partly_camera_space, "world_to_camera")),
+    Breakage("normals of the next frame", "other-frame", NORMAL, swapped_frames(NORMAL)),
+    Breakage("normals of half the resolution", "half-resolution", NORMAL, plane(NORMAL, repeated_pixels)),
+    Breakage("block of NaN in normals", "not-finite", NORMAL, plane(NORMAL, nan_block)),
+    Breakage("roughness 0.5 everywhere", "constant", ROUGH, plane(ROUGH, one_value(0.5))),
+    Breakage("roughness 0..255", "roughness-range", ROUGH, plane(ROUGH, times(255))),
+    Breakage("roughness of the next frame", "other-frame", ROUGH, swapped_frames(ROUGH)),
+    Breakage("depth 2 everywhere", "constant", DEPTH, plane(DEPTH, one_value(2))),
+    Breakage("depth in centimetres", "depth-scale", DEPTH, scaled_depth(100)),
+    Breakage("depth over the far plane", "depth-scale", DEPTH, scaled_depth(1 / 64)),
+    Breakage("depth 0..1 between near and far", "depth-normalised", DEPTH, plane(DEPTH, hits(between_planes)),
+             ("depth-scale",)),
+    Breakage("depth of the next frame", "other-frame", DEPTH, swapped_frames(DEPTH)),
+    Breakage("depth of half the resolution", "half-resolution", DEPTH, plane(DEPTH, repeated_pixels)),
+    Breakage("block of NaN in depth", "not-finite", DEPTH, plane(DEPTH, nan_block)),
+    Breakage("motion as v / 64 + 0.5", "motion-encoded", MOTION, plane(MOTION, lambda m, f: m / 64 + 0.5)),
+    Breakage("motion as v / 100 + 0.5, y up", "motion-encoded", MOTION,
+             plane(MOTION, lambda m, f: m * (1, -1) / 100 + 0.5)),
+    Breakage("motion for each second", "motion-scale", MOTION, plane(MOTION, times(24))),
+    Breakage("motion a tenth as long", "motion-scale", MOTION, plane(MOTION, times(0.1)), whole=True),
+    Breakage("motion of the next frame", "other-frame", MOTION, swapped_frames(MOTION)),
+    Breakage("motion in reversed order", "other-frame", MOTION, reversed_frames(MOTION)),
+    Breakage("motion of one frame in all", "other-frame", MOTION, frozen(MOTION)),
+    Breakage("motion of half the resolution", "half-resolution", MOTION, plane(MOTION, interpolated)),
+    Breakage("motion upside down", "flipped", MOTION, plane(MOTION, upside_down)),
+    Breakage("block of NaN in motion", "not-finite", MOTION, plane(MOTION, nan_block)),
+    Breakage("things moved by the world's vectors", "motion-of-things", MOTION, moving_thing),
+    Breakage("jitter in parts of the image", "jitter-unit", "sequence", jitter_of_image),
+    Breakage("jitter as a position 0..1", "jitter-offset", "sequence", shifted_jitter),
+    Breakage("jitter in -1..1", "jitter-range", "sequence", jitter(2, 2), ("jitter-unit",)),
 ]

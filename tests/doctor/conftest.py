@@ -1,9 +1,11 @@
 """Frames of unbroken sequences, and what the doctor says of frames."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from postfx.doctor import examine
@@ -19,6 +21,16 @@ FRAMES = "1-5"
 @cache
 def frames_of(folder: Path) -> tuple[Frame, ...]:
     return tuple(read_sequence(folder / "noisy.####.exr", frames=FRAMES))
+
+
+def middle_of(frame: Frame, width: int, height: int) -> Frame:
+    """The middle of a picture, seen by the same camera with a smaller field of view."""
+    top, left = (frame.spec.height - height) // 2, (frame.spec.width - width) // 2
+    planes = {role: np.ascontiguousarray(plane[top : top + height, left : left + width])
+              for role, plane in frame.planes.items()}
+    part = width / frame.spec.width
+    fov_x = frame.fov_x and float(2 * np.degrees(np.arctan(part * np.tan(np.radians(frame.fov_x) / 2))))
+    return replace(frame, planes=planes, fov_x=fov_x)
 
 
 @pytest.fixture(scope="session")

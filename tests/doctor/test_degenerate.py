@@ -53,7 +53,7 @@ def test_a_hit_distance_that_cannot_be_used_is_named(diagnose):
 def test_frames_of_several_sizes_are_named(diagnose):
     findings = diagnose([random((40, 48), 1), random((30, 36), 2), random((40, 48), 3)])
     (found,) = [finding for finding in findings if finding.code == "sizes-change"]
-    assert found.level == "info" and found.evidence == "frames are 48x40, 36x30" and "--size" in found.mend
+    assert found.level == "info" and found.evidence == "frames are 48x40, 36x30" and "--size" in found.fix
 
 
 @pytest.mark.parametrize("size", SIZES)

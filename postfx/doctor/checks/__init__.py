@@ -1,4 +1,4 @@
-"""All checks, in two lists. A check looks at the material and yields findings."""
+"""All checks, in lists. A check looks at the material and yields findings."""
 
 from __future__ import annotations
 
@@ -10,14 +10,19 @@ from postfx.doctor.material import Material
 
 Check = Callable[[Material], Iterator[Finding]]
 
+WHOLE_PLANE_CHECKS: tuple[Check, ...] = (
+    planes.uniform,
+    planes.misplaced,
+    planes.enlarged,
+)
+"""Planes that are wrong as a whole. What these name is left out of `COMPARING_CHECKS`, which it would only confuse."""
+
 PLANE_CHECKS: tuple[Check, ...] = (
-    planes.not_finite,
-    planes.negative,
-    planes.out_of_unit_range,
     geometry.depth_misses,
     geometry.depth_kind,
     geometry.normal_encoding,
     geometry.normal_space,
+    geometry.normal_mixed,
     geometry.normal_facing,
     geometry.albedo_above_one,
     geometry.albedo_noisy,
@@ -26,27 +31,44 @@ PLANE_CHECKS: tuple[Check, ...] = (
     geometry.roughness_kind,
     planes.overlay_alpha,
     planes.overlay_straight,
+    planes.alpha_straight,
 )
-"""Those that look at planes of one frame: they look at guides, too."""
+"""Planes of one frame, compared with each other."""
 
-CHECKS: tuple[Check, ...] = (
-    planes.unreadable,
-    planes.colour_clipped,
+COMPARING_CHECKS: tuple[Check, ...] = (
     motion.motion_variant,
     motion.motion_zero,
     *PLANE_CHECKS,
-    motion.one_frame,
-    motion.sizes_change,
+    geometry.albedo_encoded,
     motion.cut_unmarked,
     motion.reset_always,
+    motion.jitter_range,
     motion.jitter_missing,
     motion.samples_repeat,
     planes.reactive_everywhere,
     planes.opaque_samples,
     planes.exposure_mismatch,
+    planes.overlay_twice,
+)
+"""Planes compared with each other, and over frames."""
+
+VALUE_CHECKS: tuple[Check, ...] = (
+    planes.not_finite,
+    planes.negative,
+    planes.out_of_unit_range,
+)
+"""Values that no plane should hold."""
+
+SEQUENCE_CHECKS: tuple[Check, ...] = (
+    planes.unreadable,
+    planes.colour_clipped,
+    motion.one_frame,
+    motion.sizes_change,
     planes.hit_distance_unused,
     planes.missing,
-    planes.overlay_twice,
     planes.overlay_missing,
 )
-"""All, in the order of their findings where those are of one level."""
+"""What is there and what is not."""
+
+GUIDE_CHECKS: tuple[Check, ...] = (*VALUE_CHECKS, planes.enlarged, *PLANE_CHECKS)
+"""Those that make sense for the guides of a single frame, too."""

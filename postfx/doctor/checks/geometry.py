@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
+from itertools import permutations, product
 
 import numpy as np
 
+from postfx.colour.curves import srgb_decode
 from postfx.colour.primaries import luminance
 from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.geometry import (
@@ -14,9 +15,10 @@ from postfx.doctor.geometry import (
     DEPTH_KINDS,
     DepthKind,
     Fit,
-    angle_by,
+    are_scaled,
     are_unit,
     fit_depth_kinds,
+    fit_depth_scale,
     fit_rotation,
     fit_roughness,
     is_hit,
@@ -26,14 +28,16 @@ from postfx.doctor.geometry import (
     smooth_points,
     surface_normals,
     unit_normals,
+    world_axes,
 )
 from postfx.doctor.material import Material
-from postfx.doctor.statistics import correlation, finite, noise_level, percent
+from postfx.doctor.reflectance import measure_slopes
+from postfx.doctor.statistics import correlation, finite, largest, noise_level, percent
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.sampling import local_mean
 
 CLEARLY_OFF, WELL = 1.5, 5.0  # degrees between the normals of depth and the stored ones
-MUCH_BETTER = 0.4
+MUCH_BETTER, FOV_EXPLAINS = 0.4, 0.5
 FAR_AWAY = 50.0
 ANY_FOV = tuple(range(20, 122, 2))
 
@@ -77,7 +81,8 @@ def depth_kind(material: Material) -> Iterator[Finding]:
     stored = fits[DEPTH_KINDS[0]].angle
     kind = min(fits, key=lambda kind: fits[kind].angle)
     other = fit_rotation(frame, ANY_FOV) if frame.fov_x and stored >= CLEARLY_OFF else None
-    best = min(filter(None, (fits[kind], other)), key=lambda fit: fit.angle)
+    other = other if other and other.angle < FOV_EXPLAINS * fits[kind].angle else None
+    best = other or fits[kind]
     if stored < CLEARLY_OFF or best.angle >= min(MUCH_BETTER * stored, WELL):
         return
     if best is other:
@@ -85,7 +90,7 @@ def depth_kind(material: Material) -> Iterator[Finding]:
                       "vertical field of view, or another camera's", "write the horizontal field of view in degrees to "
                       "postfx:fovX")
     else:
-        yield error(Role.DEPTH, kind.code, _facing(best, stored, kind), kind.cause, kind.mend)
+        yield error(Role.DEPTH, kind.code, _facing(best, stored, kind), kind.cause, kind.fix)
 
 
 def _facing(fit: Fit, stored: float, kind: DepthKind = DEPTH_KINDS[0]) -> str:
@@ -95,6 +100,9 @@ def _facing(fit: Fit, stored: float, kind: DepthKind = DEPTH_KINDS[0]) -> str:
 
 SAME_AXES = 3.0  # degrees
 DEPTH_EXPLAINS = 4.0
+FEW_POINTS, FEW_MIXED = 500, 4.0  # the second in percent
+LEAST_MOVE, RIGHT_MOTION = 0.1, 0.1  # pixels, part of the motion
+AGREES, DIFFERS = np.cos(np.radians(5)), np.cos(np.radians(15))
 _FLIPS = [np.diag(signs) for signs in product((-1.0, 1.0), repeat=3)]
 
 
@@ -110,11 +118,16 @@ def normal_encoding(material: Material) -> Iterator[Finding]:
         evidence = f"no value below {normal.min():.2g}, and 2 n - 1 has length {decoded:.3f} in the median"
         yield error(Role.NORMAL, "normal-unsigned", evidence, "normals stored as colours, (n + 1) / 2",
                     "store signed values, or in a profile offset = [-0.5, -0.5, -0.5], scale = [2, 2, 2]")
-    elif not are_unit(normal):
+    elif not are_unit(normal) or are_scaled(normal):
         lengths = np.percentile(lengths_of(normal), (5, 50, 95))
         evidence = f"lengths {lengths[0]:.3g} / {lengths[1]:.3g} / {lengths[2]:.3g} (5th, 50th, 95th percentile)"
-        yield error(Role.NORMAL, "normal-length", evidence, "scaled, filtered, or not a normal", "write unit normals; "
-                    "where samples are averaged, of each sample before averaging")
+        if are_scaled(normal):
+            yield error(Role.NORMAL, "normal-length", evidence, "scaled, or not a normal", "write unit normals, or "
+                        "scale them in a profile")
+        else:
+            yield info(Role.NORMAL, "normal-averaged", evidence, "each pixel's normal is the mean of its samples', of "
+                       "which some missed or saw other surfaces: fur, leaves, volumes, motion blur, depth of field",
+                       "nothing: such a normal is a hint rather than the surface's, and is used as one")
 
 
 def normal_space(material: Material) -> Iterator[Finding]:
@@ -131,25 +144,52 @@ def normal_space(material: Material) -> Iterator[Finding]:
     if frame.world_to_camera is None:
         yield from _without_matrix(camera)
         return
-    if _explained(frame, fit) is not None:
+    if material.explained is not None:
         return
-    world = min(_worlds(frame), key=lambda matrix: _turn(fit.matrix, matrix))
+    world = min(world_axes(frame), key=lambda matrix: _turn(fit.matrix, matrix))
     off = _turn(fit.matrix, world)
     evidence = (f"normals are turned by {off:.3g} degrees from the world as worldToCamera has it, "
                 f"by {camera:.2g} degrees from the camera's axes")
     if camera < SAME_AXES:
         yield error(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space",
                     "write world normals, or in a profile space = \"camera\"")
-    elif (inverted := min(_turn(fit.matrix, -matrix) for matrix in _worlds(frame))) < SAME_AXES:
+    elif (inverted := min(_turn(fit.matrix, -matrix) for matrix in world_axes(frame))) < SAME_AXES:
         evidence = f"negated, they are within {inverted:.2g} degrees of what depth and camera say"
         yield error(Role.NORMAL, "normal-inverted", evidence, "normals point away from the viewer",
                     "negate them, in a profile scale = [-1, -1, -1]")
-    elif min(_turn(fit.matrix, axes @ frame.world_to_camera[:3, :3]) for axes in CAMERA_AXES) < SAME_AXES:
+    elif not _is_right(material) and min(
+            _turn(fit.matrix, axes @ frame.world_to_camera[:3, :3]) for axes in CAMERA_AXES) < SAME_AXES:
         yield error("sequence", "matrix-transposed", evidence, "worldToCamera stored for column vectors, or inverted",
                     "store it for row vectors (p_camera = p_world M)")
+    elif (other := _other_axes(frame, fit)) is not None:
+        evidence = f"with {other[0]} they are within {other[1]:.2g} degrees of what depth and camera say"
+        yield error(Role.NORMAL, "normal-axes", evidence, "the world of the normals has other axes than that of "
+                    "worldToCamera: channels swapped, one negated, or y up and z up mixed",
+                    "write normals and worldToCamera in the same world, or reorder the channels in a profile")
     else:
         yield warning("sequence", "matrix-mismatch", evidence, "worldToCamera of another frame or with other axes",
                       "give the matrix of this frame, for row vectors (p_camera = p_world M)")
+
+
+def normal_mixed(material: Material) -> Iterator[Finding]:
+    """Some normals in world space and some in camera space."""
+    frame = material.middle
+    if frame.world_to_camera is None or Role.NORMAL not in frame or Role.DEPTH not in frame or is_unsigned(frame):
+        return
+    points, fov = smooth_points(frame[Role.DEPTH]), frame.fov_x or (material.fit.fov_x if material.fit else None)
+    if fov is None or points.rows.size < FEW_POINTS:
+        return
+    if material.fit and material.fit.angle < DEPTH_EXPLAINS and material.explained is None:
+        return  # all normals are in one space, though not in the world's
+    seen, stored = normals_of_depth(frame, fov, points)[0], unit_normals(frame, points)
+    world = max((((seen @ matrix) * stored).sum(-1) for matrix in world_axes(frame)), key=lambda c: percent(c > AGREES))
+    camera = max((((seen @ flip) * stored).sum(-1) for flip in _FLIPS),
+                 key=lambda c: percent((c > AGREES) & (world < DIFFERS)))
+    shares = percent(world > AGREES), percent((camera > AGREES) & (world < DIFFERS))
+    if min(shares) > FEW_MIXED:
+        yield error(Role.NORMAL, "normal-mixed", f"{shares[0]:.3g} % of the normals are in world space, "
+                    f"{shares[1]:.3g} % in camera space", "shaders or objects that write different spaces",
+                    "write all in world space")
 
 
 def normal_facing(material: Material) -> Iterator[Finding]:
@@ -159,11 +199,30 @@ def normal_facing(material: Material) -> Iterator[Finding]:
         return
     points = smooth_points(frame[Role.DEPTH])
     seen, _ = normals_of_depth(frame, fit.fov_x, points)
-    explained = _explained(frame, fit)
+    explained = material.explained
     cosines = ((seen @ (fit.matrix if explained is None else explained)) * unit_normals(frame, points)).sum(-1)
     if (share := percent(cosines < -0.7)) > 1:
         yield warning(Role.NORMAL, "normal-facing", f"{share:.3g} % of the pixels point away from the viewer",
                       "normals of the geometry, not turned towards the viewer", "negate those with normal . view > 0")
+
+
+def _is_right(material: Material) -> bool:
+    """Whether worldToCamera explains the stored motion: a transposed one may explain normals with other axes, too."""
+    fits = [fit for pair in material.pairs if (fit := fit_depth_scale(*pair)) and fit.length > LEAST_MOVE]
+    return bool(fits) and all(fit.error_as_it_is < RIGHT_MOTION * fit.length for fit in fits)
+
+
+def _other_axes(frame: Frame, fit: Fit) -> tuple[str, float] | None:
+    """Order and signs of the channels that make normals fit the camera, in words, and the degrees left."""
+    found = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            changed = np.eye(3)[:, order] * signs
+            angle = min(_turn(fit.matrix, world @ changed.T) for world in world_axes(frame))
+            found.append((angle, ", ".join(("-" if sign < 0 else "") + "xyz"[axis]
+                                           for axis, sign in zip(order, signs, strict=True))))
+    angle, name = min(found)
+    return (f"channels in the order {name}", angle) if angle < SAME_AXES else None
 
 
 def _without_matrix(camera: float) -> Iterator[Finding]:
@@ -171,23 +230,6 @@ def _without_matrix(camera: float) -> Iterator[Finding]:
         evidence = f"normals are within {camera:.2g} degrees of the camera's axes; certain only with worldToCamera"
         yield warning(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space, or the camera looks "
                       "along an axis of the world and stands still", "write world normals and a worldToCamera header")
-
-
-def _explained(frame: Frame, fit: Fit) -> np.ndarray | None:
-    """The header's matrix, if it takes the normals of depth to the stored ones hardly worse than what fits best: where
-    one plane fills the picture that may be turned about its normal."""
-    if frame.world_to_camera is None:
-        return None
-    found = {angle_by(frame, fit.fov_x, matrix): matrix for matrix in _worlds(frame)}
-    return found[min(found)] if min(found) < fit.angle + SAME_AXES else None
-
-
-def _worlds(frame: Frame) -> list[np.ndarray]:
-    """Matrices from the picture's axes to the world's, by the axes that a camera may have."""
-    assert frame.world_to_camera is not None  # without it nobody asks
-    rotation = frame.world_to_camera[:3, :3]
-    rotation = rotation / np.maximum(np.linalg.norm(rotation, axis=0, keepdims=True), 1e-12)
-    return [(rotation @ axes).T for axes in CAMERA_AXES]
 
 
 def _turn(one: np.ndarray, other: np.ndarray) -> float:
@@ -201,6 +243,10 @@ NOISY_ALBEDO = 0.012
 MOST_ABOVE = 5.0  # percent of the pixels
 BRIGHT = 0.5
 SAME_NOISE = 0.5
+LEAST_SQUARES, TOO_STEEP, SWAPPED = 20, 1.2, -0.2
+ENCODED_DARK = 0.2
+"""Largest channel of the darkest albedos (2nd percentile): 0.04, which is a dark one, is encoded as 0.22."""
+MUCH_TOO_BRIGHT = 0.3  # percent
 
 
 def albedo_above_one(material: Material) -> Iterator[Finding]:
@@ -213,9 +259,9 @@ def albedo_above_one(material: Material) -> Iterator[Finding]:
         if share > 0:
             evidence = f"{share:.3g} % of the pixels above 1, largest {plane.max():.3g}"
             cause = "a light or a reflection seen in the plane, lit colour instead of reflectance, or a scale"
-            mend = "write reflectance without light; values above 1 are cut off"
+            fix = "write reflectance without light; values above 1 are cut off"
             level = error if share > MOST_ABOVE else warning if share > 0.1 else info
-            yield level(role, "albedo-above-one", evidence, cause, mend)
+            yield level(role, "albedo-above-one", evidence, cause, fix)
 
 
 def albedo_noisy(material: Material) -> Iterator[Finding]:
@@ -231,10 +277,55 @@ def albedo_noisy(material: Material) -> Iterator[Finding]:
         shared = _shared_noise(material.middle, plane)
         evidence = f"noise of {level:.3g} in the flattest quarter of the picture, mean {plane[used].mean():.3g}; "
         evidence += f"{shared:.2f} correlated with the colour's noise"
-        lit = shared > SAME_NOISE
+        lit = shared > SAME_NOISE and not _is_averaged(material.middle)
         cause = "the plane holds lit colour" if lit else "depth of field, motion blur or rough layers in the plane"
-        mend = "write reflectance without light" if lit else "write it at the first hit, or with more samples"
-        yield warning(role, "albedo-is-lit" if lit else "albedo-noisy", evidence, cause, mend)
+        fix = "write reflectance without light" if lit else "write it at the first hit, or with more samples"
+        yield warning(role, "albedo-is-lit" if lit else "albedo-noisy", evidence, cause, fix)
+
+
+def _is_averaged(frame: Frame) -> bool:
+    """Whether planes are means of few samples that saw different things: then their noise is the colour's."""
+    normals = surface_normals(frame) if Role.NORMAL in frame else np.zeros((0, 3))
+    return len(normals) > 0 and not are_scaled(normals) and percent(lengths_of(normals) < 0.9) > 20
+
+
+def albedo_encoded(material: Material) -> Iterator[Finding]:
+    """Albedo stored with a display curve, with red and blue swapped, or multiplied into colour once more."""
+    frames = [frame for frame in material.frames if Role.COLOUR in frame and Role.DIFFUSE_ALBEDO in frame]
+    if not frames or _is_averaged(material.middle):
+        return
+    albedo = np.concatenate([largest(finite(frame[Role.DIFFUSE_ALBEDO])).ravel() for frame in frames])
+    darkest = float(np.percentile(albedo[albedo > 0.004], 2)) if (albedo > 0.004).any() else 0.0
+    contrast, tint = measure_slopes(frames)
+    words = ("textures change colour {:.2f} times as much as the albedo (logarithms, upper quartile of {} squares), "
+             "where at most once is possible")
+    if contrast and contrast.squares >= LEAST_SQUARES and contrast.upper > TOO_STEEP:
+        evidence = words.format(contrast.upper, contrast.squares)
+        if darkest > ENCODED_DARK:
+            yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded", f"{evidence}; and its darkest part is {darkest:.2f}",
+                          "albedo stored with the sRGB curve, as a picture", "write it linear, or decode it: an "
+                          "encoded albedo leaves textures in the noise")
+        else:
+            yield warning(Role.COLOUR, "colour-times-albedo", evidence, "colour was multiplied by albedo once more",
+                          "write light times albedo once")
+    elif darkest > ENCODED_DARK and (share := _too_bright(material.middle)) > MUCH_TOO_BRIGHT:
+        yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded", f"nothing is darker than {darkest:.2f}, and {share:.3g} % "
+                      "of the pixels reflect more than 1.03 in sum; decoded from sRGB, nearly none do",
+                      "albedo stored with the sRGB curve, as a picture", "write it linear")
+    if tint and tint.squares >= LEAST_SQUARES and tint.median < SWAPPED and tint.upper < 0:
+        yield warning(Role.DIFFUSE_ALBEDO, "albedo-channels", f"where the albedo turns red, colour turns blue (slope "
+                      f"{tint.median:.2f}, {tint.squares} squares)", "channels in the order B, G, R, of albedo or of "
+                      "colour", 'swap them, in a profile channels = ["BGR"]')
+
+
+def _too_bright(frame: Frame) -> float:
+    """Percent of pixels whose albedos add up to more than 1.03, but to less than 1.01 if the diffuse one is decoded."""
+    if Role.SPECULAR_ALBEDO not in frame:
+        return 0.0
+    specular, diffuse = finite(frame[Role.SPECULAR_ALBEDO]), finite(frame[Role.DIFFUSE_ALBEDO])
+    bright = largest(specular + diffuse) > 1.03
+    decoded = largest(specular + srgb_decode(np.clip(diffuse, 0, 1))) > 1.01
+    return percent(bright) if percent(decoded) < 0.1 * percent(bright) else 0.0
 
 
 def _shared_noise(frame: Frame, albedo: np.ndarray) -> float:
@@ -285,4 +376,4 @@ def roughness_kind(material: Material) -> Iterator[Finding]:
         evidence = (f"specular albedo is explained with an error of {fit.errors[kind]:.3g} if the plane is "
                     f"{kind.name}, of {fit.as_it_is:.3g} as linear roughness ({fit.pixels} pixels); "
                     f"certainty {certain:.0%}")
-        yield (error if certain >= 0.5 else warning)(Role.ROUGHNESS, kind.code, evidence, kind.cause, kind.mend)
+        yield (error if certain >= 0.5 else warning)(Role.ROUGHNESS, kind.code, evidence, kind.cause, kind.fix)

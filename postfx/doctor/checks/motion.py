@@ -8,10 +8,19 @@ from itertools import product
 import numpy as np
 
 from postfx.colour.primaries import luminance
+from postfx.doctor.alignment import find_movers
 from postfx.doctor.findings import Finding, error, info, warning
-from postfx.doctor.geometry import motion_of_camera
+from postfx.doctor.geometry import DepthScale, fit_depth_scale, motion_of_camera
 from postfx.doctor.material import Material
-from postfx.doctor.motion_variants import RELATED, VARIANTS, Variant, Warped, score_offset
+from postfx.doctor.motion_variants import (
+    RELATED,
+    VARIANTS,
+    Variant,
+    Warped,
+    scaled_variants,
+    score_offset,
+    score_variant,
+)
 from postfx.doctor.statistics import correlation, finite, noise_level
 from postfx.frame import Frame, Role
 from postfx.sampling import local_mean
@@ -20,28 +29,113 @@ BETTER, BETTER_BY_JITTER, BETTER_THAN_NONE = 0.85, 0.95, 0.65
 """Parts of the score as it is that another variant must stay below."""
 MOST_PAIRS_AGREE = 0.75
 TELLING = 0.05  # misfit, in units of what a pixel costs: below, motion is right
-ALIKE = 1.03
+ALIKE, LIKE_COLOUR = 1.03, 1.15
+"""Parts of the best score that count as no worse; where motion lies within 0..1 only, a colour may score worse."""
 SEARCHED = 12  # pixels each way
 CLEARLY_MOVED = 0.75
 LEAST_CAMERA_MOTION = 0.1  # pixels
-JITTER_CODES = ("motion-jitter", "jitter-sign")
+JITTER_CODES = ("motion-jitter", "jitter-sign", "jitter-unit")
+USEFUL = 0.7
+"""Part of the score of no motion at all that right motion stays below."""
+SOME_PAIRS = 2
+LEAST_LENGTH, CAMERA_DISAGREES, SCALE_EXPLAINS = 0.2, 0.3, 0.1
+"""Least length in pixels of motion that cameras are compared with; parts of it that count as off, and as explained."""
+PLANAR = 5.0  # degrees between the normals of depth and the stored ones, above which depth is not understood
+RIGHT_UNIT = 0.9
+LEAST_BLOCKS = 4
+NO_JITTER = 0.02  # pixels
+SHIFTED_SAMPLES = 0.501
+NOISE_ONLY = 1.0
+"""Score of chance below which planes have no more structure than noise."""
 
 
 def motion_variant(material: Material) -> Iterator[Finding]:
-    """The variant that fits clearly better than the motion as it is."""
+    """The variant that fits clearly better than the stored motion."""
     shots = [warped for warped in material.shots if warped.moved > 0]
     if not shots:
         yield from _untested(material)
         return
     best = best_variant(shots)
     if best is None:
+        yield from _by_other_means(material, shots)
         return
-    code, cause, mend = best.code, best.cause, best.mend
+    if best.code in JITTER_CODES and (unit := _unit_by_cameras(_camera_fits(material, shots), shots)):
+        yield unit  # without its motion a picture seems to move with the jitter alone
+        return
+    code, cause, fix = best.code, best.cause, best.fix
+    if code == "motion-worse-than-none" and (scaled := best_scale(shots)):
+        best, code, cause, fix = scaled, scaled.code, scaled.cause, scaled.fix
     if code == "motion-jitter" and not _follows_jitter(shots):
         code, cause = "jitter-unused", "the header gives a jitter that the samples do not have"
-        mend = "leave postfx:jitter out where samples are spread over the pixel"
+        fix = "leave postfx:jitter out where samples are spread over the pixel"
     role = "sequence" if code.startswith("jitter") else Role.MOTION
-    yield error(role, code, _evidence(shots, best), cause, mend)
+    yield error(role, code, _evidence(shots, best), cause, fix)
+
+
+def _by_other_means(material: Material, shots: list[Warped]) -> Iterator[Finding]:
+    """Motion that no usual variant puts right: another unit, depth that does not fit, or things that move alone."""
+    if scaled := best_scale(shots):
+        yield error(Role.MOTION, scaled.code, _evidence(shots, scaled), scaled.cause, scaled.fix)
+        return
+    if fits := _camera_fits(material, shots):
+        yield _unit_by_cameras(fits, shots) or _cameras_disagree(fits)
+        return
+    yield from _movers([shots[0], shots[-1]] if len(shots) > 1 else shots)
+
+
+def _camera_fits(material: Material, shots: list[Warped]) -> list[DepthScale]:
+    """How the cameras' motion differs from the stored one; empty where it does not, or depth is not understood."""
+    if material.fit and material.fit.angle > PLANAR:
+        return []
+    fits = [fit for w in shots[:SOME_PAIRS] if (fit := fit_depth_scale(w.before, w.now)) and fit.length > LEAST_LENGTH]
+    return fits if all(fit.error_as_it_is > CAMERA_DISAGREES * fit.length for fit in fits) else []
+
+
+def _camera_evidence(fits: list[DepthScale]) -> tuple[str, float]:
+    length, apart = (float(np.median([getattr(fit, name) for fit in fits])) for name in ("length", "error_as_it_is"))
+    return f"worldToCamera and depth give motion that is {apart:.3g} pixels off in the median, of {length:.3g}", length
+
+
+def _unit_by_cameras(fits: list[DepthScale], shots: list[Warped]) -> Finding | None:
+    """Motion that is the cameras' but for one factor, if the pictures say so as well."""
+    if not fits:
+        return None
+    evidence, length = _camera_evidence(fits)
+    factor, rest = (float(np.median([getattr(fit, name) for fit in fits])) for name in ("factor", "rest"))
+    if not factor or abs(factor - 1) < 0.1 or rest > SCALE_EXPLAINS * length:
+        return None
+    scale = np.float32(1 / factor)
+    unit = Variant("motion-scale", f"{scale:.3g} times as long", "motion in a unit that is not pixels of the frame",
+                   f"in a profile scale = [{scale:.4g}, {scale:.4g}]", lambda motion, size, jitter: motion * scale)
+    if sum(score_variant(w, unit) for w in shots) > RIGHT_UNIT * sum(w.as_it_is for w in shots):
+        return None
+    evidence += f"; {rest:.2g} pixels if motion is {unit.name}"
+    return error(Role.MOTION, unit.code, evidence, unit.cause, unit.fix)
+
+
+def _cameras_disagree(fits: list[DepthScale]) -> Finding:
+    evidence, length = _camera_evidence(fits)
+    scale, least = (float(np.median([getattr(fit, name) for fit in fits])) for name in ("scale", "error"))
+    if least < SCALE_EXPLAINS * length and abs(np.log10(scale)) > 0.05:
+        return error(Role.DEPTH, "depth-scale", f"{evidence}; {least:.2g} pixels if depth is about {scale:.3g} times "
+                     "as large", "depth in another unit than worldToCamera, or divided by the far plane",
+                     f"write depth in the unit of the camera's position, or in a profile scale = [{scale:.3g}]")
+    return warning(Role.MOTION, "motion-mismatch", evidence, "vectors or camera matrices of another frame, or a "
+                   "picture in which everything moves", "write the vectors and the matrix of this frame")
+
+
+def _movers(shots: list[Warped]) -> Iterator[Finding]:
+    """Things that move although their vectors are those of the world around them."""
+    found = [next((thing for thing in find_movers(w.before, w.now) if thing.blocks >= LEAST_BLOCKS), None)
+             for w in shots]
+    things = [(w, thing) for w, thing in zip(shots, found, strict=True) if thing]
+    if things and len(things) == len(shots):
+        warped, thing = max(things, key=lambda pair: pair[1].blocks)
+        evidence = (f"frame {warped.now.number}: around pixel ({thing.x}, {thing.y}), {thing.blocks} blocks of 8 x 8 "
+                    f"pixels come from {thing.step} pixels beside where their vectors point")
+        yield error(Role.MOTION, "motion-of-things", evidence, "only the camera's motion was written: things "
+                    "that move or deform have the vectors of the world behind them",
+                    "write vectors from where each thing was in the previous frame, animation and deformation included")
 
 
 def motion_zero(material: Material) -> Iterator[Finding]:
@@ -67,27 +161,49 @@ def _by_picture(warped: Warped) -> str:
     best = min(scores, key=lambda at: scores[at])
     if scores[best] >= min(CLEARLY_MOVED * scores[0, 0], RELATED * warped.unrelated):
         return ""
-    return f"but the frame before fits better ({scores[best]:.3g}, not {scores[0, 0]:.3g}) when moved by {best} pixels"
+    return (f"but the previous frame fits better ({scores[best]:.3g}, not {scores[0, 0]:.3g}) when moved by {best} "
+            "pixels")
 
 
 def best_variant(shots: list[Warped]) -> Variant | None:
-    """The simplest of the variants that fit best; None when the motion as it is does."""
+    """The simplest of the variants that fit best; None when the stored motion fits best."""
     ratios = {variant: _ratio(shots, variant) for variant in VARIANTS if variant.code}
     good = {variant: ratio for variant, ratio in ratios.items() if _is_better(shots, variant, ratio)}
     if not good:
         return None
     least = min(good.values())
+    if any(variant.is_colour and good[variant] <= LIKE_COLOUR * least for variant in good):
+        good = {variant: ratio for variant, ratio in good.items() if variant.is_colour}
+        least = min(good.values())
     return min((v for v in good if good[v] <= ALIKE * least), key=lambda v: (v.priority, good[v]))
 
 
+def best_scale(shots: list[Warped]) -> Variant | None:
+    """An unusual unit of the motion that fits clearly better; None where motion as it is beats no motion at all."""
+    still = next(variant for variant in VARIANTS if variant.code == "motion-worse-than-none")
+    some = shots[:SOME_PAIRS]
+    stored = float(np.mean([warped.as_it_is for warped in some]))
+    if stored < USEFUL * float(np.mean([warped.scores[still] for warped in some])):
+        return None
+    scores = {variant: float(np.mean([score_variant(warped, variant) for warped in some]))
+              for variant in scaled_variants()}
+    best = min(scores, key=lambda variant: scores[variant])
+    if scores[best] >= BETTER * min(stored, float(np.mean([warped.scores[still] for warped in some]))):
+        return None
+    for warped in shots:
+        warped.scores[best] = score_variant(warped, best)
+        warped.by_role[best] = warped.by_role[VARIANTS[0]]
+    return best
+
+
 def _ratio(shots: list[Warped], variant: Variant) -> float:
-    scores = [warped.scores[variant] for warped in shots]
+    scores = [warped.scores.get(variant, np.inf) for warped in shots]
     stored = [min(warped.as_it_is, warped.unrelated) for warped in shots]
     return float(np.sum(scores) / max(np.sum(stored), 1e-9))
 
 
 def _is_better(shots: list[Warped], variant: Variant, ratio: float) -> bool:
-    wins = np.mean([warped.scores[variant] < warped.as_it_is for warped in shots])
+    wins = np.mean([warped.scores.get(variant, np.inf) < warped.as_it_is for warped in shots])
     least = BETTER_BY_JITTER if variant.code in JITTER_CODES else BETTER
     least = BETTER_THAN_NONE if variant.code == "motion-worse-than-none" else least
     telling = np.mean([warped.as_it_is for warped in shots]) > TELLING
@@ -98,7 +214,7 @@ def _evidence(shots: list[Warped], best: Variant) -> str:
     stored, fitting = (float(np.mean([min(w.scores[v], w.unrelated) for w in shots])) for v in (VARIANTS[0], best))
     roles = ", ".join(str(role) for role in shots[0].by_role[best])
     ranking = sorted((v for v in VARIANTS if v is not best), key=lambda v: _ratio(shots, v))
-    return (f"the frame before, warped, fits {stored / max(fitting, 1e-9):.3g} times better if the motion is "
+    return (f"the previous frame, warped, fits {stored / max(fitting, 1e-9):.3g} times better if the motion is "
             f"{best.name}: misfit {fitting:.3g} instead of {stored:.3g} "
             f"(chance {np.mean([w.unrelated for w in shots]):.3g}), over {len(shots)} pairs by {roles}; of "
             f"{len(VARIANTS)} variants the next is '{ranking[0].name}'")
@@ -130,7 +246,7 @@ JITTER_PAIRS = 5
 
 
 def one_frame(material: Material) -> Iterator[Finding]:
-    """Too few frames for what shows over frames only."""
+    """Too few frames for checks that compare frames."""
     if not material.pairs:
         count = len(material.frames)
         yield info("sequence", "one-frame", f"{count} frame{'s' * (count > 1)} to look at",
@@ -146,34 +262,52 @@ def sizes_change(material: Material) -> Iterator[Finding]:
 
 
 def cut_unmarked(material: Material) -> Iterator[Finding]:
-    """Motion leads to a picture that has nothing in common with this one."""
+    """A frame that has nothing in common with the one its motion points to."""
     new = [w for w in material.warped if not w.now.reset and not w.is_related]
     if not new:
         return
+    if all(w.unrelated < NOISE_ONLY for w in new):
+        yield info(Role.MOTION, "motion-untested", "sign, axes and scale of the motion cannot be told",
+                   "the planes are mostly noise, as in fog or thick fur", "render them with more samples")
+        return
     scores = ", ".join(f"frame {w.now.number}: {min(w.scores.values()) / w.unrelated:.2f}" for w in new[:4])
-    evidence = f"the frame before, warped by any variant of the motion, fits hardly better than by chance (1): {scores}"
+    evidence = f"the previous frame, warped by any variant of the motion, fits hardly better than chance (1): {scores}"
     if len(new) == len(material.warped) and len(new) > 1:
-        yield error(Role.MOTION, "motion-no-fit", evidence, "motion that is none, or frames of different shots",
+        yield error(Role.MOTION, "motion-no-fit", evidence, "motion that means nothing, or frames of different shots",
                     "look at the picture of the motion (--pictures), write the renderer's motion vectors")
     else:
-        yield warning("sequence", "cut-unmarked", evidence, "first frame of a cut, with motion vectors as if it were "
-                      "none", "write postfx:reset = 1 to that frame, or process the shots one by one")
+        yield warning("sequence", "cut-unmarked", evidence, "a cut whose first frame has motion vectors as if it "
+                      "went on", "write postfx:reset = 1 in that frame, or process the shots one by one")
 
 
 def reset_always(material: Material) -> Iterator[Finding]:
-    """Every frame says that it begins a shot, though it continues the one before."""
+    """Every frame claims to begin a shot, though it continues the previous one."""
     marked = [w for w in material.warped if w.now.reset and w.is_related]
     if marked:
         numbers = ", ".join(str(w.now.number) for w in marked[:8])
-        evidence = f"frames {numbers} say postfx:reset, but fit the frame before ({marked[0].as_it_is:.2f} of " \
+        evidence = f"frames {numbers} say postfx:reset, but fit the previous frame ({marked[0].as_it_is:.2f} of " \
                    f"{marked[0].unrelated:.2f})"
         yield warning("sequence", "reset-needless", evidence, "the header was copied from the first frame",
                       "write postfx:reset at cuts only: the history is dropped there")
 
 
+def jitter_range(material: Material) -> Iterator[Finding]:
+    """Jitter that is not a position within the pixel minus 0.5."""
+    jitter = np.array([frame.jitter for frame in material.frames])
+    if np.abs(jitter).max() <= SHIFTED_SAMPLES:
+        return
+    evidence = f"jitter from {jitter.min():.3g} to {jitter.max():.3g}"
+    if jitter.min() >= 0 and jitter.max() <= 1:
+        yield error("sequence", "jitter-offset", evidence, "positions within the pixel, 0..1",
+                    "write postfx:jitter = position - 0.5")
+    else:
+        yield warning("sequence", "jitter-range", evidence, "not in pixels, or in pixels of a larger picture",
+                      "write the sample's position minus 0.5 in pixels of the frame, -0.5..0.5")
+
+
 def jitter_missing(material: Material) -> Iterator[Finding]:
-    """Pictures that shift against each other by parts of a pixel, without a jitter header."""
-    if any(any(frame.jitter) for frame in material.frames) or len(material.shots) < 3:
+    """Pictures that shift by fractions of a pixel from frame to frame, without a jitter header."""
+    if any(max(map(abs, frame.jitter)) > NO_JITTER for frame in material.frames) or len(material.shots) < 3:
         return
     shots = material.shots[:JITTER_PAIRS]
     found, scores = np.split(np.array([_shift(warped) for warped in shots]), [2], axis=1)

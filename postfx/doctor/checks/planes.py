@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from postfx.colour.primaries import luminance
+from postfx.doctor.alignment import PLANES, compare_edges
 from postfx.doctor.findings import Finding, error, info, warning
+from postfx.doctor.geometry import is_hit
 from postfx.doctor.material import Material
-from postfx.doctor.statistics import correlation, finite, percent
+from postfx.doctor.statistics import correlation, finite, largest, percent
 from postfx.exposure import measure
-from postfx.frame import Role
+from postfx.frame import Frame, Role
 from postfx.sampling import local_mean
 
 
@@ -40,7 +42,7 @@ FOLLOWING = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_
 
 
 def hit_distance_unused(material: Material) -> Iterator[Finding]:
-    """A hit distance without what it takes to follow reflections by it."""
+    """A hit distance without the planes and headers needed to follow reflections."""
     first = material.first
     if Role.SPECULAR_HIT_DISTANCE not in first:
         return
@@ -53,7 +55,7 @@ def hit_distance_unused(material: Material) -> Iterator[Finding]:
 
 
 def missing(material: Material) -> Iterator[Finding]:
-    """Planes that would make the result better, and colour, without which there is none."""
+    """Planes that would improve the result, and colour, without which there is none."""
     if Role.COLOUR not in material.first:
         yield error(Role.COLOUR, "missing-colour", "no colour plane was found", "another name or layer",
                     "name it in a profile (--profile FILE.toml)")
@@ -62,15 +64,22 @@ def missing(material: Material) -> Iterator[Finding]:
             continue
         evidence = f"no plane; without it results were {cost.least:.2f} to {cost.most:.2f} dB worse (docs/quality.md)"
         where = material.enable.get(role, "")
-        mend = f"switch it on: {where}" if where else "render it, or name it in a profile (--profile FILE.toml)"
+        fix = f"switch it on: {where}" if where else "render it, or name it in a profile (--profile FILE.toml)"
         alone = role is Role.MOTION and not material.pairs
         level = warning if (cost.least + cost.most) / 2 >= MATTERS_DB and not alone else info
-        yield level(role, f"missing-{role.replace('_', '-')}", evidence, "not rendered, or named otherwise", mend)
+        yield level(role, f"missing-{role.replace('_', '-')}", evidence, "not rendered, or named otherwise", fix)
 
 
 MANY = 50.0  # percent
 NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS,
                   Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR)
+UNIFORM = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH, Role.ROUGHNESS)
+BLACK, MOST_LISTED = 1e-4, 8
+ENLARGED = {"repetition": (1, -1), "linear interpolation": (-0.5, 1.5, -1.5, 0.5)}
+"""Differences that are 0 in every other place of a plane enlarged two times."""
+LEAST_SIDE, LEAST_ROWS, EXACT = 32, 12, 0.08
+FLIP_FITS, FLIP_LEAST = 1.5, 0.13
+OTHER_FITS, OTHER_LEAST, SHARED, MOST_OFF, LEAST_FRAMES = 1.15, 0.03, 0.12, 0.6, 3
 IN_UNIT_RANGE = (Role.ALPHA, Role.STRENGTH, Role.REACTIVE)
 
 
@@ -83,8 +92,132 @@ def not_finite(material: Material) -> Iterator[Finding]:
             continue
         evidence = f"{values.nan} NaN, {infinite} infinite of {values.total} values ({share:.3g} %)"
         cause = "division by zero in a shader or light, or a plane that was never written"
-        mend = "find the material with a picture of the plane (--pictures); values that are not finite count as 0"
-        yield (error if share > MANY else warning)(role, "not-finite", evidence, cause, mend)
+        fix = "find the material with a picture of the plane (--pictures); values that are not finite count as 0"
+        yield (error if share > MANY else warning)(role, "not-finite", evidence, cause, fix)
+
+
+def uniform(material: Material) -> Iterator[Finding]:
+    """Planes that are black, or hold one value everywhere, though the picture shows something."""
+    for role in UNIFORM:
+        frames = [frame for frame in material.frames if role in frame and _shows_surfaces(frame)]
+        sizes = {frame.number: float(np.abs(finite(frame[role])).max(initial=0)) for frame in frames}
+        black = [number for number, size in sizes.items() if size < BLACK]
+        spread = {float(value) for frame in frames for value in _extremes(frame[role])}
+        if black and role is not Role.DEPTH:
+            evidence = f"0 everywhere in frame{'s' * (len(black) > 1)} {_listed(black)} of {len(frames)} looked at"
+            wrong = role is Role.NORMAL or (role is Role.DIFFUSE_ALBEDO and not _is_metal(material.middle))
+            yield (error if wrong else info)(role, "black", evidence, "the pass is switched off or was never written"
+                                             if wrong else "switched off, or nothing in view has any",
+                                             "render it, or leave the plane out: a black plane misleads")
+        elif frames and not black and len(spread) == (1 if role is not Role.NORMAL else 0):
+            yield _constant(role, next(iter(spread)), len(frames))
+        elif frames and not black and role is Role.NORMAL and all(_is_one_value(frame[role]) for frame in frames):
+            yield _constant(role, float(frames[0][role].max()), len(frames))
+
+
+def _constant(role: Role, value: float, frames: int) -> Finding:
+    level = info if role in (Role.ROUGHNESS, Role.SPECULAR_ALBEDO) else warning
+    return level(role, "constant", f"{value:.4g} everywhere in {frames} frame{'s' * (frames > 1)}",
+                 "a default instead of the pass, or an override material", "render it, or leave the plane out")
+
+
+def _shows_surfaces(frame: Frame) -> bool:
+    """Whether the picture is lit, and depth, where there is any, shows something."""
+    lit = Role.COLOUR not in frame or float(np.abs(finite(frame[Role.COLOUR])).max(initial=0)) > BLACK
+    return lit and (Role.DEPTH not in frame or percent(is_hit(frame[Role.DEPTH])) > 1 or not frame[Role.DEPTH].any())
+
+
+def _is_metal(frame: Frame) -> bool:
+    """Whether what is seen reflects so much specularly that nothing diffuse need be there."""
+    return Role.SPECULAR_ALBEDO in frame and float(np.median(largest(finite(frame[Role.SPECULAR_ALBEDO])))) > 0.3
+
+
+def _extremes(plane: np.ndarray) -> tuple[float, float]:
+    return float(finite(plane).min()), float(finite(plane).max())
+
+
+def _is_one_value(plane: np.ndarray) -> bool:
+    return bool((plane == plane[:1, :1]).all())
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers[:MOST_LISTED])) + " ..." * (len(numbers) > MOST_LISTED)
+
+
+def enlarged(material: Material) -> Iterator[Finding]:
+    """Planes of half the resolution, enlarged to the size of the others."""
+    for role in (Role.COLOUR, *PLANES):
+        if role in material.middle and (how := _enlarged_how(material.middle[role])):
+            yield error(role, "half-resolution", f"along rows and columns, 1 pixel of 2 follows from others by {how}",
+                        "rendered at half the resolution and enlarged", "write it at the size of the colour")
+
+
+def _enlarged_how(plane: np.ndarray) -> str:
+    """'repetition', 'linear interpolation', or '' for a plane of full resolution."""
+    plane = np.where(np.isfinite(plane), np.clip(plane, -1e4, 1e4), 0).astype(np.float32)
+    if min(plane.shape[:2]) < LEAST_SIDE:
+        return ""
+    for how, taps in ENLARGED.items():
+        ratios = [_phase_ratio(along, np.array(taps, np.float32)) for along in (plane, plane.swapaxes(0, 1))]
+        if all(ratio < EXACT for ratio in ratios):
+            return how
+    return ""
+
+
+def _phase_ratio(plane: np.ndarray, taps: np.ndarray) -> float:
+    """Size of a difference down columns in one phase over that in the other; 1 where too few rows tell."""
+    count = len(plane) - len(taps) + 1
+    size = np.abs(sum(tap * plane[at : at + count] for at, tap in enumerate(taps)))
+    told = np.minimum(size, 10 * size.mean()).mean(axis=(1, 2))
+    phases = told[0::2], told[1::2]
+    if min(np.count_nonzero(phase > 0.01 * told.mean()) for phase in phases) == 0:
+        other = max(phases, key=np.sum)
+        return 0.0 if np.count_nonzero(other > 0.01 * told.mean()) >= LEAST_ROWS else 1.0
+    low, high = sorted(float(phase.mean()) for phase in phases)
+    return low / max(high, 1e-12) if np.count_nonzero(told > 0.01 * told.mean()) >= LEAST_ROWS else 1.0
+
+
+def misplaced(material: Material) -> Iterator[Finding]:
+    """Planes of another frame than their own, and planes that are flipped, by their outlines."""
+    frames = [frame for frame in material.frames if frame.spec.width == material.first.spec.width
+              and frame.spec.height == material.first.spec.height]
+    frozen = _frozen(frames)
+    for role in frozen:
+        yield error(role, "other-frame", f"the same to the bit in frames {_listed([f.number for f in frames])}, while "
+                    "other planes change", "the plane of one frame was written to all", "write each frame's own plane")
+    for role, placement in compare_edges(frames).items():
+        flip = max(placement.flips, key=lambda name: placement.flips[name])
+        if placement.flips[flip] > FLIP_FITS * max(placement.own, 0) + FLIP_LEAST:
+            yield error(role, "flipped", f"its outlines fit those of the other planes with a correlation of "
+                        f"{placement.own:.2f}, but {placement.flips[flip]:.2f} when {flip}", "rows or columns written "
+                        "the other way round", "write all planes from the upper left corner")
+        elif role not in frozen and len(placement.at) >= LEAST_FRAMES:
+            yield from _of_other_frame(role, placement.frames, [frames[at].number for at in placement.at])
+
+
+def _of_other_frame(role: Role, table: np.ndarray, numbers: list[int]) -> Iterator[Finding]:
+    own, other = np.diag(table), table - 2 * np.eye(len(table))
+    source = other.argmax(1)
+    off = other.max(1) > np.maximum(np.maximum(OTHER_FITS * own, own + OTHER_LEAST), SHARED)
+    if off.mean() > MOST_OFF and len(set(source[off])) >= 2:
+        fits = ", ".join(f"frame {numbers[source[at]]} holds that of {numbers[at]}" for at in np.nonzero(off)[0][:3])
+        evidence = (f"by its outlines {fits} (correlation {other.max(1)[off].mean():.2f}, with its own frame's planes "
+                    f"{own[off].mean():.2f})")
+        yield error(role, "other-frame", evidence, "the plane was written a frame late or early, or frames are in "
+                    "another order", "write each frame's own plane")
+
+
+def _frozen(frames: Sequence[Frame]) -> list[Role]:
+    """Planes that never change and show something, where most others change."""
+    if len(frames) < 2:
+        return []
+    pairs = list(zip(frames, frames[1:], strict=False))
+    roles = [role for role in (*PLANES, Role.COLOUR) if all(role in frame for frame in frames)]
+    still = [role for role in roles if all(np.array_equal(a[role], b[role], equal_nan=True) for a, b in pairs)
+             and not _is_one_value(frames[0][role])]
+    changing = [role for role in roles if role not in still and role is not Role.COLOUR
+                and not _is_one_value(frames[0][role])]
+    return [role for role in still if role is not Role.COLOUR] if len(changing) >= max(2, len(still)) else []
 
 
 def negative(material: Material) -> Iterator[Finding]:
@@ -111,7 +244,7 @@ def out_of_unit_range(material: Material) -> Iterator[Finding]:
 
 
 def colour_clipped(material: Material) -> Iterator[Finding]:
-    """Colour that ends at exactly 1: made for a display."""
+    """Colour that ends at exactly 1, as if made for a display."""
     if Role.COLOUR not in material.first:
         return
     colour = material.first[Role.COLOUR]
@@ -131,11 +264,12 @@ def unreadable(material: Material) -> Iterator[Finding]:
 
 LEAST_COVERAGE, LEAST_CHANGE, FEW = 0.02, 0.02, 200
 STRAIGHT = 0.3
+MOST_NOISE = 0.2  # stops of coverage between neighbours that noise of the colour does not hide
 NARROW, WIDE, TWICE = 2, 16, 0.4
 
 
 def overlay_alpha(material: Material) -> Iterator[Finding]:
-    """Coverage that is none, or that hides everything."""
+    """Coverage outside 0..1, or that hides everything."""
     if Role.OVERLAY not in material.middle:
         return
     alpha = finite(material.middle[Role.OVERLAY])[..., 3]
@@ -149,7 +283,7 @@ def overlay_alpha(material: Material) -> Iterator[Finding]:
 
 
 def overlay_straight(material: Material) -> Iterator[Finding]:
-    """Colour that does not fall with its coverage."""
+    """Overlay colour that is not multiplied by its coverage."""
     if Role.OVERLAY not in material.middle:
         return
     slope, pairs = _slope(finite(material.middle[Role.OVERLAY]))
@@ -160,8 +294,20 @@ def overlay_straight(material: Material) -> Iterator[Finding]:
                       "write premultiplied colour, or multiply it by alpha; else edges are too bright")
 
 
+def alpha_straight(material: Material) -> Iterator[Finding]:
+    """Colour that is not multiplied by its alpha."""
+    frame = material.middle
+    if not all(role in frame for role in (Role.COLOUR, Role.ALPHA)):
+        return
+    slope, pairs = _slope(finite(np.concatenate([frame[Role.COLOUR], frame[Role.ALPHA]], axis=2)), MOST_NOISE)
+    if pairs >= FEW and slope < STRAIGHT:
+        yield warning(Role.COLOUR, "alpha-straight", f"where alpha doubles, colour becomes {2**slope:.2f} times as "
+                      f"bright, not 2 times ({pairs} pairs of neighbours)", "colour that is not multiplied by alpha",
+                      "write premultiplied colour: else edges are too bright")
+
+
 def overlay_twice(material: Material) -> Iterator[Finding]:
-    """Colour that holds the overlay already."""
+    """Colour that already holds the overlay."""
     frame = material.middle
     if not all(role in frame for role in (Role.COLOUR, Role.OVERLAY)):
         return
@@ -171,7 +317,7 @@ def overlay_twice(material: Material) -> Iterator[Finding]:
     shared = correlation(_detail(np.minimum(light, np.percentile(light, 90)))[used], change[used])
     if used.sum() >= FEW and shared > TWICE:
         yield warning(Role.OVERLAY, "overlay-twice", f"detail of the colour is {shared:.2f} correlated with what the "
-                      "overlay changes", "the colour holds the overlay already: it would be there twice",
+                      "overlay changes", "the colour already holds the overlay, which would appear twice",
                       "write the colour before transparents, as colour or beside it as 'opaque', or give --overlay "
                       "ignore")
 
@@ -188,7 +334,7 @@ def overlay_missing(material: Material) -> Iterator[Finding]:
                    "of an overlay", "write the transparents as 'overlay', premultiplied RGBA")
 
 
-def _slope(overlay: np.ndarray) -> tuple[float, int]:
+def _slope(overlay: np.ndarray, least_change: float = LEAST_CHANGE) -> tuple[float, int]:
     """How the logarithm of the light grows with that of the coverage from pixel to pixel, and the pairs that tell: 1 of
     premultiplied colour, 0 of straight one."""
     light, alpha = luminance(np.maximum(overlay[..., :3], 0)), overlay[..., 3]
@@ -196,13 +342,13 @@ def _slope(overlay: np.ndarray) -> tuple[float, int]:
     logs = [np.log2(np.where(used, plane, 1)) for plane in (light, alpha)]
     lit, covered = (np.concatenate([np.diff(log, axis=axis).ravel() for axis in (0, 1)]) for log in logs)
     both = np.concatenate([(used[1:] & used[:-1]).ravel(), (used[:, 1:] & used[:, :-1]).ravel()])
-    both &= np.abs(covered) > LEAST_CHANGE
+    both &= np.abs(covered) > least_change
     lit, covered = lit[both], covered[both]
     return float(np.median(lit / covered)) if both.any() else 1.0, int(both.sum())
 
 
 def _detail(plane: np.ndarray) -> np.ndarray:
-    """Without what is finer or coarser, of which noise and shading make most."""
+    """Detail of middle size: without noise, which is finer, and shading, which is coarser."""
     result: np.ndarray = local_mean(plane[..., None], NARROW) - local_mean(plane[..., None], WIDE)
     return result
 
@@ -212,7 +358,7 @@ DIFFERENT, ALIKE_NEIGHBOURS = 25.0, 65.0  # percent: of pixels, and of neighbour
 
 
 def reactive_everywhere(material: Material) -> Iterator[Finding]:
-    """A mask that makes nearly every pixel a first frame's."""
+    """A mask that drops the history nearly everywhere."""
     frame = material.middle
     if Role.REACTIVE in frame and (share := percent(frame[Role.REACTIVE] > 0.5)) > MOST_REACTIVE:
         evidence = f"{share:.3g} % of the pixels ignore more than half of their history"
@@ -240,16 +386,35 @@ def opaque_samples(material: Material) -> Iterator[Finding]:
 
 
 MISMATCH_EV = 2.0
+JUMP_EV = 0.75
 UNUSUAL_EV = 8.0
 
 
+def _jumps(frames: list[Frame], metered: dict[int, float]) -> Iterator[Finding]:
+    """Frames of one shot that are suddenly brighter or darker, by colour or by the header's exposure."""
+    bright = {frame.number: math.log2(frame.exposure) if frame.exposure and 0 < frame.exposure < math.inf else 0.0
+              for frame in frames}
+    for before, now in zip(frames, frames[1:], strict=False):
+        if now.reset or before.number not in metered or now.number not in metered:
+            continue
+        header, colour = bright[now.number] - bright[before.number], metered[before.number] - metered[now.number]
+        if abs(header + colour) > JUMP_EV:
+            role = "sequence" if abs(header) > abs(colour) else Role.COLOUR
+            yield warning(role, "exposure-jump", f"from frame {before.number} to {now.number} the picture becomes "
+                          f"{header + colour:+.2f} EV brighter ({colour:+.2f} by its colour, {header:+.2f} by the "
+                          "header)", "a light that is switched, auto exposure in the render, or a header that does not "
+                          "follow the colour", "render with one exposure; mark a cut with postfx:reset = 1")
+            return
+
+
 def exposure_mismatch(material: Material) -> Iterator[Finding]:
-    """Exposure header against what metering brings to mid grey, which the tone mapper expects."""
+    """The header's exposure against metering, which brings the picture to mid grey."""
     frames = [frame for frame in material.frames if Role.COLOUR in frame]
     metered = {frame.number: ev for frame in frames if (ev := measure(frame[Role.COLOUR])) is not None}
     if frames and not metered:
-        yield warning(Role.COLOUR, "colour-black", "every frame looked at is black", "lights off, or another layer's "
-                      "colour", "check that the colour plane is the beauty pass")
+        yield warning(Role.COLOUR, "colour-black", f"black in all of {len(frames)} frames", "lights off, or another "
+                      "layer's colour", "check that the colour plane is the beauty pass")
+    yield from _jumps(frames, metered)
     headers = {frame.number: frame.exposure for frame in frames if frame.exposure is not None}
     if any(not 0 < value < math.inf for value in headers.values()):
         yield error("sequence", "exposure-invalid", f"exposure in the header: {next(iter(headers.values()))}",

@@ -24,7 +24,7 @@ function drawFindings() {
   else row(table, ["", "what", "evidence", "likely cause and fix"], true);
   for (const finding of findings) {
     const level = element("td", null, finding.level, `level ${finding.level}`), cause = element("td", null, finding.cause);
-    element("div", cause, finding.mend, "mend");
+    element("div", cause, finding.fix, "fix");
     row(table, [level, `${finding.code} (${finding.role})`, finding.evidence, cause]);
   }
 }

@@ -1,0 +1,164 @@
+"""Whether planes lie where they should: edges of one frame's planes coincide, and blocks move as their vectors say.
+
+Planes of one frame show the same outlines. A plane whose outlines fit another frame better, or fit when it is flipped
+or moved, was written to the wrong place. And where a block of the previous frame, moved by the vectors, does not fit
+but fits after a further step, the vectors are not those of what is seen there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from postfx.doctor.statistics import blocks, finite, largest
+from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.sampling import bilinear, is_inside, local_mean
+
+PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)
+GUIDES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL)
+WINDOW = 512
+"""Longer side in pixels of the part of large pictures, in their middle, that is looked at."""
+STRONGEST = 0.98
+BLOCK, REACH, MOST_BLOCKS = 8, 8, 48
+STANDS_OUT, LEAST_MISFIT = 4.0, 0.04
+"""A block fits badly when its error is this many medians, and no less than this."""
+FITS = 0.4
+"""Part of its error that the right step leaves a block."""
+ALIKE, CERTAIN = 1, 3
+"""Pixels by which the steps of one thing's blocks may differ, and those that fit one block."""
+
+FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "upside down": lambda edges: edges[::-1],
+    "mirrored left to right": lambda edges: edges[:, ::-1],
+    "turned by 180 degrees": lambda edges: edges[::-1, ::-1],
+}
+
+
+class Placement(NamedTuple):
+    """Correlations of a plane's edges with those of the other planes of its frame.
+
+    `at`: places in the sequence of the frames where it has edges; `own`: as it is; `frames`: (frames, frames), row: the
+    frame, column: where the plane is from; `flips`: flipped.
+    """
+
+    at: list[int]
+    own: float
+    frames: np.ndarray
+    flips: dict[str, float]
+
+
+class Mover(NamedTuple):
+    """A thing that does not move as its vectors say: its place, the missing step in pixels, and its count of blocks."""
+
+    x: int
+    y: int
+    step: tuple[int, int]
+    blocks: int
+
+
+def compare_edges(frames: Sequence[Frame]) -> dict[Role, Placement]:
+    """How each plane's edges coincide with those of the others; needs frames of one size with two planes or more."""
+    edges = [{role: found for role in (*PLANES, Role.COLOUR) if role in frame
+              and (found := _edges(_window(frame[role]), role)) is not None} for frame in frames]
+    return {role: placement for role in dict.fromkeys(role for found in edges for role in found)
+            if (placement := _placement(edges, role))}
+
+
+def find_movers(before: Frame, now: Frame) -> list[Mover]:
+    """Things whose vectors are not their own, the largest first; by albedos and normals, which hold no shadows."""
+    roles = [role for role in GUIDES if role in before and role in now]
+    if not roles or Role.MOTION not in now or min(now.spec.width, now.spec.height) < 4 * BLOCK:
+        return []
+    old, new = (np.concatenate([_window(finite(frame[role])) for role in roles], -1) for frame in (before, now))
+    motion = _window(finite(now[Role.MOTION])) + np.float32(np.subtract(now.jitter, before.jitter))
+    steps = np.array([(right, down) for down in range(-REACH, REACH + 1) for right in range(-REACH, REACH + 1)])
+    found = []
+    for row, column in _bad_blocks(old, new, motion):
+        errors = _step_errors(old, new, motion, row, column, steps.astype(np.float32))
+        fitting, best = steps[errors < FITS * errors[len(steps) // 2]], steps[errors.argmin()]
+        if len(fitting) and np.abs(fitting - best).max() <= CERTAIN:  # else any step along an edge would do
+            found.append((column * BLOCK, row * BLOCK, int(best[0]), int(best[1])))
+    return _cluster(found)
+
+
+def _window(plane: np.ndarray) -> np.ndarray:
+    height, width = plane.shape[:2]
+    top, left = max(0, height - WINDOW) // 2, max(0, width - WINDOW) // 2
+    return plane[top : top + WINDOW, left : left + WINDOW]
+
+
+def _edges(plane: np.ndarray, role: Role) -> np.ndarray | None:
+    """Strength of the edges, of mean 0 and length 1; None without any."""
+    if min(plane.shape[:2]) < 8:
+        return None
+    if role is Role.DEPTH:
+        plane = np.log(np.clip(np.nan_to_num(plane, nan=DEPTH_MISS), 1e-3, 1e4))
+    elif role is Role.COLOUR:
+        light = local_mean(np.maximum(finite(plane), 0).mean(2, keepdims=True), 1)
+        plane = local_mean(np.log(light / max(float(light.mean()), 1e-6) + np.float32(1e-2)), 1)
+    plane = np.clip(finite(plane), -1e4, 1e4)
+    strength = largest(np.abs(np.diff(plane, axis=1)))[:-1] + largest(np.abs(np.diff(plane, axis=0)))[:, :-1]
+    top = float(np.quantile(strength, STRONGEST))
+    if top < 1e-6:
+        return None
+    strength = np.minimum(strength / np.float32(top), 1)
+    strength -= strength.mean()
+    length = float(np.linalg.norm(strength))
+    result: np.ndarray = strength / np.float32(length)
+    return result if length > 1e-3 else None
+
+
+def _placement(edges: list[dict[Role, np.ndarray]], role: Role) -> Placement | None:
+    at = [number for number, found in enumerate(edges) if role in found and found.keys() - {role, Role.COLOUR}]
+    if not at:
+        return None
+    others = [_normalise(np.sum([e for r, e in edges[number].items() if r not in (role, Role.COLOUR)], axis=0))
+              for number in at]
+    own = [edges[number][role] for number in at]
+    table = np.array([[float(np.vdot(other, plane)) for plane in own] for other in others])
+    flips = {name: float(np.mean([np.vdot(other, flip(plane)) for other, plane in zip(others, own, strict=True)]))
+             for name, flip in FLIPS.items()}
+    return Placement(at, float(np.mean(np.diag(table))), table, flips)
+
+
+def _normalise(edges: np.ndarray) -> np.ndarray:
+    result: np.ndarray = edges / max(float(np.linalg.norm(edges)), 1e-6)
+    return result
+
+
+def _bad_blocks(old: np.ndarray, new: np.ndarray, motion: np.ndarray) -> list[tuple[int, int]]:
+    """(row, column) of blocks that fit worse than most, the worst first."""
+    rows, columns = np.indices(new.shape[:2])
+    x, y = columns.astype(np.float32) + motion[..., 0], rows.astype(np.float32) + motion[..., 1]
+    apart = largest(np.abs(bilinear(old, x.ravel(), y.ravel()).reshape(new.shape) - new))
+    errors = blocks(np.where(is_inside(old, x, y), apart, 0), BLOCK)
+    least = max(STANDS_OUT * float(np.median(errors)), LEAST_MISFIT)
+    bad = np.argwhere(errors > least)
+    worst = np.argsort(-errors[bad[:, 0], bad[:, 1]])[:MOST_BLOCKS]
+    return [(int(row), int(column)) for row, column in bad[worst]]
+
+
+def _step_errors(old: np.ndarray, new: np.ndarray, motion: np.ndarray, row: int, column: int,
+                 steps: np.ndarray) -> np.ndarray:
+    """(steps,): mean error of every other pixel of a block after each further step (x, y)."""
+    part = slice(row * BLOCK, (row + 1) * BLOCK, 2), slice(column * BLOCK, (column + 1) * BLOCK, 2)
+    y, x = np.mgrid[part].astype(np.float32)
+    places = np.stack([x, y], -1).reshape(-1, 2) + motion[part].reshape(-1, 2) + steps[:, None]
+    values = bilinear(old, places[..., 0].ravel(), places[..., 1].ravel())
+    apart = largest(np.abs(values.reshape(*places.shape[:2], -1) - new[part].reshape(-1, new.shape[2])))
+    result: np.ndarray = apart.mean(1)
+    return result
+
+
+def _cluster(found: list[tuple[int, int, int, int]]) -> list[Mover]:
+    """Blocks (x, y, step x, step y) that take the same step, as things."""
+    rest, things = np.array(found, int).reshape(-1, 4), []
+    while len(rest):
+        near = [(np.abs(rest[:, 2:] - step) <= ALIKE).all(1) for step in rest[:, 2:]]
+        members = max(near, key=np.sum)
+        x, y, right, down = np.median(rest[members], axis=0).astype(int)
+        things.append(Mover(int(x), int(y), (int(right), int(down)), int(members.sum())))
+        rest = rest[~members]
+    return [thing for thing in things if thing.step != (0, 0)]
