@@ -94,6 +94,18 @@ def test_values_above_1_are_seen_though_reading_cuts_them_off(inspect, broken_ro
     assert plane["max"] > 1.3
 
 
+def test_ranges_are_of_the_whole_sequence(inspect, write_exr):
+    """Eight frames are examined; ranges and odd values are also of frames spread over the rest."""
+    for number in range(1, 21):
+        value = np.full((8, 8), np.nan if number == 20 else number, np.float32)
+        value[0, 0] = number
+        folder = write_exr(f"s.{number:04d}.exr", dict.fromkeys("RGB", value)).parent
+    _, found = inspect(folder / "s.####.exr")
+    (plane,) = found["planes"]
+    assert found["examined"] == list(range(1, 9)) and found["measured"][-1] == 20 and len(found["measured"]) <= 16
+    assert (plane["min"], plane["max"], plane["nan"]) == (1, 20, 63 * 3)
+
+
 def test_nan_in_motion_is_seen_in_all_frames_though_reading_repairs_it(inspect, broken_room):
     _, found = inspect(broken_room(motion_X=lambda x: np.where(np.arange(x.shape[1]) == 7, np.nan, x)))
     assert codes(found, "warning") == {"not-finite"}
