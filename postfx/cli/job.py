@@ -24,6 +24,7 @@ from postfx.cli.run_options import (
     display_passes,
     explain_kept,
     explain_overlay,
+    is_shown,
     make_run_up,
     refuse_layer,
 )
@@ -94,6 +95,9 @@ class Job:
         self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
                                     **self._values("denoiser")) if both_ways else None
         self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
+        is_picture = self.outputs is not None and self.outputs.display
+        native = not is_shown(is_picture, **self._values("look"))  # before any file is opened, which tells of it
+        self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
         self._parts = self._found_parts()
         passes, left_out = self._passes(denoising, self._backwards is not None)
@@ -354,7 +358,6 @@ class Job:
         passes += [create("both_ways")] if both_ways else []
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
         shown, not_shown = display_passes(self.outputs is not None and self.outputs.display, **self._values("look"))
-        self.sequence.colours = dataclasses.replace(self.sequence.colours, native=not shown)
         return passes + shown, left_out + not_shown
 
     def _found_parts(self) -> tuple[Part, ...]:

@@ -265,6 +265,11 @@ def announce_run_up(check: Callable[[], None], tell: Callable[[str], None]) -> C
     return before_frame
 
 
+def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None = None, **_: object) -> bool:
+    """Whether the options of a look, and files that hold pictures, ask for colours of a display."""
+    return is_picture or display is not None or tonemap is not None
+
+
 def display_passes(
     is_picture: bool, tonemap: str | None = None, no_tonemap: bool = False, display: str | None = None
 ) -> tuple[list[Pass], list[Skipped]]:
@@ -278,7 +283,7 @@ def display_passes(
     from postfx.passes.registry import create
     from postfx.plan import Skipped
 
-    if not is_picture and display is None and tonemap is None:
+    if not is_shown(is_picture, tonemap, display):
         why = "--no-tonemap" if no_tonemap else "EXR output stays scene-linear; --tonemap changes that"
         return [], [Skipped("tonemap", why)]
     shown_on = str(parse_display(display or "srgb"))
