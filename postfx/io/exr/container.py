@@ -36,7 +36,6 @@ from postfx.io.exr.header import (
     Header,
     read_headers,
 )
-from postfx.kernels.pixel_formats import predict_bytes
 
 MAX_SIDE = 1 << 24
 """Largest width and height that is taken for an image's."""
@@ -393,6 +392,8 @@ def _lines(channels: Sequence[np.ndarray], line_bytes: int) -> np.ndarray:
 
 
 def _compress(lines: np.ndarray) -> bytes:
+    from postfx.kernels.pixel_formats import predict_bytes  # loads Numba, which reading must not wait for
+
     plain = lines.reshape(-1)
     differences = np.empty_like(plain)
     predict_bytes(plain, differences)
