@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import postfx
-from postfx.io.dither import Dither, quantise
+from postfx.io.encode import Dither, quantise
 from postfx.runtime import Device
 
 LOOKS = ("aces2", "agx", "pbr_neutral", "local", "auto")

@@ -17,8 +17,7 @@ from postfx.colour.displays import Display, parse_display
 from postfx.errors import OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file
 from postfx.frame import LINEAR, Frame, Role
-from postfx.io.dither import Dither, quantise
-from postfx.io.encode import JPEG, encode, halves, has_end, light_of, tag_codes, tag_light
+from postfx.io.encode import JPEG, Dither, encode, halves, has_end, light_of, quantise, tag_codes, tag_light
 from postfx.io.exr.container import COMPRESSIONS
 from postfx.io.exr.passthrough import enlargement_of, kept_attributes, set_attributes
 from postfx.io.image_file import reason_of

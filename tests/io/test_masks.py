@@ -292,7 +292,7 @@ def test_counts_of_cycles_are_numbers_or_shares(write: Callable[..., Path]) -> N
 
 def test_what_cannot_tell_that_it_has_converged(write: Callable[..., Path], tmp_path: Path) -> None:
     path = write(converged("m2_image.", "XYZ", 0.5), generatedBy="Mitsuba version 3.6.0")
-    for leave, message in (("converged:0.01", "'converged:0.01': plane 'second_moment' tells the error only with the"),
+    for leave, message in (("converged:0.01", "'converged:0.01': plane 'second_moment' gives the error only with the"),
                            ("converged:64spp", "'converged:64spp': the number of samples is unknown: render the"),
                            ("converged", "'converged': give a relative error, such as converged:0.01, or a number")):
         with pytest.raises(StrengthError, match=message):
