@@ -219,7 +219,7 @@ def reason_of(fetch: Callable[[], str]) -> str:
 STARTS = (b"#?RADIANCE", b"#?RGBE")
 MAX_HEADER = 64 << 10
 """Bytes within which the size has to stand."""
-_SIZE = re.compile(rb"\n([-+])([XY]) +(\d{1,9}) +([-+])([XY]) +(\d{1,9})\n")
+_SIZE = re.compile(rb"([-+])([XY]) +(\d{1,9}) +([-+])([XY]) +(\d{1,9})")
 
 
 _MOST = 1e15
@@ -265,11 +265,12 @@ class RadianceHeader:
 
 def parse_header(start: bytes, path: Path) -> RadianceHeader:
     """Header at the start of a file. Raises ReadError where it is broken, or holds CIE XYZ."""
-    found = _SIZE.search(start)
+    facts, _, rest = start.partition(b"\n\n")
+    found = _SIZE.fullmatch(rest.partition(b"\n")[0])
     if found is None or {found[2], found[5]} != {b"X", b"Y"}:
         raise ReadError(f"{path}: broken file: its header has no size; render or copy this frame again")
     exposure, primaries = np.ones(3), None
-    for line in start[: found.start()].decode("latin-1").splitlines():
+    for line in facts.decode("latin-1").splitlines():
         key, _, value = line.partition("=")
         if key == "EXPOSURE":
             exposure = exposure * _numbers(value, 1, line, path)

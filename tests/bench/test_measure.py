@@ -57,7 +57,7 @@ def test_the_first_use_of_a_machine_does_not_count(task, tmp_path, monkeypatch):
     runs = []
     times = run_task(task(OTHERS[-1]), runs.append)
     assert list((tmp_path / "cache").rglob("*.nbc"))
-    assert runs == [1, 2] and times["first_ms"] < 1000 and len(times["wall_ms"]) == 2
+    assert runs == [1, 2] and times["first_ms"] < 5000 and len(times["wall_ms"]) == 2
     assert (tmp_path / "out.0001.exr").is_file()
 
 

@@ -17,23 +17,25 @@ SMALL_DENOISER = REPOSITORY / "tests/training/small_denoiser.py"
 
 @pytest.fixture(scope="session")
 def exported_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the models 'denoise_upscale.small', 'denoise_upscale.small.guides' and 'denoise_upscale.low'."""
+    """Folder of the models 'denoise_upscale.small' and 'doubting', each with and without guides, and 'low'."""
     torch = pytest.importorskip("torch")
-    folder, sources = tmp_path_factory.mktemp("models"), [*(REPOSITORY / "training").rglob("*.py"), SMALL_DENOISER]
+    folder = tmp_path_factory.mktemp("models")
+    sources = [*(REPOSITORY / "training").rglob("*.py"), SMALL_DENOISER, Path(__file__)]
     copy_made_once("small-models", sources, torch.__version__, _export, folder)
     return folder
 
 
 def _export(folder: Path) -> None:
-    from tests.training.small_denoiser import LOW, small_model
+    from tests.training.small_denoiser import DOUBTING, LOW, small_model
     from training.denoise.export import card, export_trunk
     from training.export import write_card
 
     for guides, name in ((False, "denoise_upscale.small.onnx"), (True, "denoise_upscale.small.guides.onnx")):
         export_trunk(small_model(guides).trunk, folder / name)
-    low, path = small_model(config=LOW), folder / "denoise_upscale.low.onnx"
-    error = export_trunk(low.trunk, path)
-    write_card(path, card({"config": LOW.as_dict(), "weights": low.state_dict(), "notes": {}}, "low", error, {}))
+    for tag, config in (("low", LOW), ("doubting", DOUBTING), ("doubting.guides", DOUBTING)):
+        model, path = small_model(tag.endswith(".guides"), config), folder / f"denoise_upscale.{tag}.onnx"
+        checkpoint = {"config": model.config.as_dict(), "weights": model.state_dict(), "notes": {}}
+        write_card(path, card(checkpoint, tag, export_trunk(model.trunk, path), {}))
 
 
 @pytest.fixture

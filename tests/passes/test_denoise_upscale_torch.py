@@ -49,9 +49,10 @@ def in_torch(model: network.DenoiseUpscale, frames: list[Frame], size: tuple[int
 
 
 def broken_frames(size: tuple[int, int]) -> list[Frame]:
-    """Four frames with what no file should hold in the second; lone pixels of colour would be mended."""
+    """Four frames with what no file should hold in the second; small blocks of colour would be repaired."""
     frames = [noisy(i, *size, exposure=exposure, reset=i == CUT) for i, exposure in enumerate(EXPOSURES)]
-    frames[1][Role.COLOUR][3:5, 4:6], frames[1][Role.DEPTH][5, 6], frames[1][Role.NORMAL][7, 8] = np.nan, np.nan, np.inf
+    frames[1][Role.COLOUR][3:9, 4:10] = frames[1][Role.DEPTH][5, 6] = np.nan
+    frames[1][Role.NORMAL][7, 8] = np.inf
     return frames
 
 

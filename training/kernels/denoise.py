@@ -247,6 +247,7 @@ class Accumulate(nn.Module):
     def _doubt(here: Tensor, means: Tensor) -> Tensor:
         """Share of the mean in the reflectance: nothing where there is but one cell."""
         share = 0.5 - 0.5 * here[:, PLANE_TRUST:PLANE_TRUST + 1]
+        share = torch.where((share >= 0) & (share <= 1), share, 0)  # a broken answer doubts nothing
         return share * torch.sym_min(means.shape[0] - 1, 1)
 
 

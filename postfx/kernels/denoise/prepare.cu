@@ -132,7 +132,8 @@ __device__ inline Colour doubted(const Colour& own, const View& means, int v, in
         const float second = above[right] + (below[right] - above[right]) * down.share;
         mean[c] = first + (second - first) * across.share;
     }
-    const float doubt = 0.5f - 0.5f * trust;
+    const float share = 0.5f - 0.5f * trust;
+    const float doubt = share >= 0.0f && share <= 1.0f ? share : 0.0f;  // a broken answer doubts nothing
     return {own.r - (own.r - mean[0]) * doubt, own.g - (own.g - mean[1]) * doubt, own.b - (own.b - mean[2]) * doubt};
 }
 

@@ -158,6 +158,7 @@ def doubt_row(y: int, top: int, left: int, h: int, w: int, means: np.ndarray, tr
         before, after = int(place) - first, min(int(place) + 1, (w - 1) // TRUST_CELL) - first
         across = place - np.float32(int(place))
         doubt = HALF - HALF * trust[x]
+        doubt = doubt if ZERO <= doubt <= ONE else ZERO  # a broken answer doubts nothing
         for c in range(3):
             mean = line[before, c] + (line[after, c] - line[before, c]) * across
             factor[x, c] -= (factor[x, c] - mean) * doubt

@@ -8,11 +8,10 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from training import ops  # noqa: E402
 from training.datagen import formula  # noqa: E402
 from training.datagen.clip_file import load_clip  # noqa: E402
 from training.denoise.dataset import ClipPool, collate, to_batch  # noqa: E402
-from training.denoise.loss import explained_by_motion, reproject_reference  # noqa: E402
+from training.denoise.loss import display, explained_by_motion, reproject_reference  # noqa: E402
 
 CPU, SIDE = torch.device("cpu"), 32
 
@@ -62,7 +61,7 @@ def test_vectors_lead_to_where_things_were() -> None:
         scene, formula.grid(SIDE, SIDE, 1, 3, CPU), t)), SIDE, SIDE) for t in (0, 1))
     quiet = dataclasses.replace(formula.draw_sampling(6, CPU), quiet=torch.ones(6, 1, 1, 1, dtype=torch.bool))
     motion = planes_of(scene, quiet, 1)[:, 14:]
-    shown = [ops.display(picture) for picture in (before, now)]
+    shown = [display(picture) for picture in (before, now)]
     same = explained_by_motion(shown[1], reproject_reference(shown[0], motion))
     still = explained_by_motion(shown[1], shown[0])
     assert same.mean() > 0.85 and same.mean() > still.mean() + 0.1
