@@ -442,8 +442,8 @@ def _frames(count: int) -> str:
 
 
 def _broken_text(role: str, found: dict[str, int]) -> str:
-    mend = ", repaired from the pixels around where those are known" if role == Role.COLOUR else ""
-    return f"{found['pixels']} pixel{'s' * (found['pixels'] > 1)} not finite in {_frames(found['frames'])}{mend}"
+    repaired = ", repaired from the pixels around where those are known" if role == Role.COLOUR else ""
+    return f"{found['pixels']} pixel{'s' * (found['pixels'] > 1)} not finite in {_frames(found['frames'])}{repaired}"
 
 
 def _listed(numbers: list[int]) -> str:

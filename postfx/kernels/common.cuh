@@ -296,6 +296,16 @@ __device__ inline void blend_history(float current, float kept, size_t at, float
     output.at[at] = expm1f(blended) * darken;
 }
 
+// The same for all channels of an output pixel.
+__device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const View& params, const View& warped,
+                                   const View& output, const View& history) {
+    const float darken = 1.0f / params.at[EXPOSURE];
+    const size_t at = 3 * pixel;
+    blend_history(found.colour.r, found.kept, at, darken, warped, output, history);
+    blend_history(found.colour.g, found.kept, at + 1, darken, warped, output, history);
+    blend_history(found.colour.b, found.kept, at + 2, darken, warped, output, history);
+}
+
 [[maybe_unused]] const float LARGEST = 3.402823466e38f;
 
 // What is not finite counts as 0.

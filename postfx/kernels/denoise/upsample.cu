@@ -8,11 +8,7 @@ extern "C" __global__ void denoise_upsample(View radiance, View fine, View moved
     const Window part = window_of(window);
     const int v = min(part.out_top + y, part.height - 1), u = min(part.out_left + x, part.width - 1);
     const Enlarged found = enlarged(u, v, part, radiance, fine, moved, past, params, keep);
-    const float darken = 1.0f / params.at[EXPOSURE];
-    const int at = 3 * (y * width + x);
-    blend_history(found.colour.r, found.kept, at, darken, warped, output, next_history);
-    blend_history(found.colour.g, found.kept, at + 1, darken, warped, output, next_history);
-    blend_history(found.colour.b, found.kept, at + 2, darken, warped, output, next_history);
+    blend_pixel(found, y * width + x, params, warped, output, next_history);
 }
 
 // Enlarges light of a part of the picture and blends it with the past, all linear: the same arguments, with the part's
@@ -71,11 +67,7 @@ extern "C" __global__ void denoise_upsample_guided(View radiance, View fine, Vie
                          trusted(trust, place_of(v, part.h, part.height, part.top, moved.size[0]),
                                  place_of(u, part.w, part.width, part.left, moved.size[1]))};
     const Enlarged found = enlarged<BY_GUIDES>(u, v, part, radiance, fine, moved, past, params, keep, guide);
-    const float darken = 1.0f / params.at[EXPOSURE];
-    const int at = 3 * (y * width + x);
-    blend_history(found.colour.r, found.kept, at, darken, warped, output, next_history);
-    blend_history(found.colour.g, found.kept, at + 1, darken, warped, output, next_history);
-    blend_history(found.colour.b, found.kept, at + 2, darken, warped, output, next_history);
+    blend_pixel(found, y * width + x, params, warped, output, next_history);
 }
 
 // At the render size, where samples lie at the centres of the output's pixels: radiance without reflectance, which is
@@ -96,9 +88,5 @@ extern "C" __global__ void denoise_upsample_unscaled(View radiance, View fine, V
     View seen = radiance;
     if (!centred) seen.at += 3 * size_t(radiance.size[1]) * radiance.size[2];
     const Enlarged found = enlarged<BY_OWN>(u, v, part, seen, fine, moved, past, params, keep, guide);
-    const float darken = 1.0f / params.at[EXPOSURE];
-    const int at = 3 * (y * width + x);
-    blend_history(found.colour.r, found.kept, at, darken, warped, output, next_history);
-    blend_history(found.colour.g, found.kept, at + 1, darken, warped, output, next_history);
-    blend_history(found.colour.b, found.kept, at + 2, darken, warped, output, next_history);
+    blend_pixel(found, y * width + x, params, warped, output, next_history);
 }
