@@ -11,8 +11,9 @@ from postfx.errors import (
     ModelError,
 )
 from postfx.runtime.capture import Capture
-from postfx.runtime.commands import CommandBuffer, ComputeEncoder, MachineLearningEncoder
+from postfx.runtime.commands import CommandBuffer
 from postfx.runtime.device import Device
+from postfx.runtime.encoders import ComputeEncoder, MachineLearningEncoder
 from postfx.runtime.heap import Heap
 from postfx.runtime.models import Library
 from postfx.runtime.states import ArgumentTable, Binding, CompiledComputeState, PipelineState, PortableComputeState

@@ -1,24 +1,23 @@
-"""Command buffers and their encoders: record, commit, run, wait."""
+"""Command buffers: commands are recorded, committed, run and waited for."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby
 from operator import attrgetter
-from typing import Any, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
-from postfx.errors import BindingError, CommandError, CommandTimeout, EncodingError
+from postfx.errors import CommandError, CommandTimeout, EncodingError
 from postfx.runtime.capture import CapturableDevice, Recorder
-from postfx.runtime.hazards import Footprint, Hazards, RecordedCommands, check_dispatch
+from postfx.runtime.encoders import ComputeEncoder, Dispatch, Encoder, MachineLearningEncoder, Record
+from postfx.runtime.hazards import Footprint, Hazards, RecordedCommands
 from postfx.runtime.heap import Placement
 from postfx.runtime.memory import Memory
-from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.session import first_line
-from postfx.runtime.states import ArgumentTable, State
-from postfx.runtime.tensor import Allocation, Tensor, TensorDevice
+from postfx.runtime.tensor import Allocation, Tensor
 from postfx.runtime.threads import CommandQueue
 
 E = TypeVar("E", bound="Encoder")
@@ -366,141 +365,6 @@ def _timings(memory: Memory, spans: Sequence[Span]) -> dict[int, tuple[str, floa
         before = timings.get(span.encoder, (span.label, 0.0))[1]
         timings[span.encoder] = span.label, before + memory.milliseconds(span.begin, span.end)
     return timings
-
-
-Stages = str | Iterable[str]
-
-_STAGES_TEXT = " and ".join(f"'{stage}'" for stage in STAGES)
-
-
-class Encoder:
-    """Records commands of one stage. Use it as a context manager; leaving it ends the encoder."""
-
-    stage: str
-
-    def __init__(self, commands: CommandBuffer, label: str, number: int) -> None:
-        self._commands = commands
-        self._number = number
-        self._ended = False
-        self.label = label
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.end()
-
-    def end(self) -> None:
-        """No more commands are taken. Ending twice does nothing."""
-        if not self._ended:
-            self._ended = True
-            self._commands.end_encoder()
-
-    def barrier(
-        self, after: Stages | None = None, before: Stages | None = None, before_queue: Stages | None = None
-    ) -> None:
-        """Order commands. Three forms, as in Metal 4:
-
-        - `barrier()`, inside an encoder: every dispatch recorded so far in this encoder comes before every later one
-          in it.
-        - `barrier(after=, before=)`, the consumer's: dispatches of the `after` stages in earlier encoders come before
-          dispatches of the `before` stages that follow, in this encoder and all later ones.
-        - `barrier(after=, before_queue=)`, the producer's: dispatches of the `after` stages recorded so far, in this
-          encoder and earlier ones, come before dispatches of the `before_queue` stages in all later encoders, not in
-          this one.
-
-        "Earlier" and "later" refer to the whole queue, including other command buffers.
-
-        Args:
-            after: 'compute', 'machine-learning' or both.
-            before, before_queue: the same.
-
-        Raises EncodingError if a stage mask is empty or names an unknown stage, or if the masks fit none of the forms.
-        """
-        if after is None and before is None and before_queue is None:
-            self._record(EncoderBarrier(self._number))
-        elif after is not None and before is not None and before_queue is None:
-            self._record(ConsumerBarrier(self._number, self._mask(after, "after"), self._mask(before, "before")))
-        elif after is not None and before is None and before_queue is not None:
-            masks = self._mask(after, "after"), self._mask(before_queue, "before_queue")
-            self._record(ProducerBarrier(self._number, *masks))
-        else:
-            raise EncodingError(self._no_form(after, before, before_queue))
-
-    def _dispatch(self, state: State, table: ArgumentTable) -> None:
-        if state.stage != self.stage:
-            fix = f"use commands.{state.stage.replace('-', '_')}_encoder()"
-            message = f"'{self.label}' takes {self.stage} work, but {state.command} is {state.stage} work: {fix}"
-            raise EncodingError(message)
-        device: TensorDevice = self._commands.device
-        if state.device is not device:
-            raise EncodingError(f"'{self.label}': {state.command} was made for another device")
-        if table.state is not state:
-            made, fix = table.state.command, f"make one for {state.command}"
-            raise BindingError(f"'{self.label}': the argument table was made for {made}: {fix}")
-        try:
-            arguments = table.arguments()
-        except BindingError as error:
-            raise BindingError(f"'{self.label}': {error}") from None
-        accesses = arguments.reads, arguments.writes
-        names = self.label, state.command, self.stage, self._number
-        kept = None if arguments.execute else arguments  # the commit places the transient ones
-        dispatch = Dispatch(*names, *accesses, arguments.execute, state.model, state, kept)
-        check_dispatch(dispatch)
-        self._record(dispatch)
-
-    def _record(self, record: Record) -> None:
-        if self._ended:
-            raise EncodingError(f"encoder '{self.label}' has ended: open a new one")
-        self._commands.record(record)
-
-    def _no_form(self, after: Stages | None, before: Stages | None, before_queue: Stages | None) -> str:
-        if before is not None and before_queue is not None:
-            fix = "record one barrier with before= and another with before_queue="
-        elif after is None:
-            fix = f"give after= too, with {'before=' if before_queue is None else 'before_queue='}"
-        else:
-            fix = "give before= (this and later encoders) or before_queue= (later encoders) too"
-        return f"barrier in '{self.label}': {fix}; for the commands of this encoder alone, barrier() takes no stages"
-
-    def _mask(self, stages: Stages, side: str) -> frozenset[str]:
-        try:
-            mask = frozenset((stages,) if isinstance(stages, str) else stages)
-        except TypeError:  # not iterable: named below
-            mask = frozenset((str(stages),))
-        if not mask:
-            raise EncodingError(f"barrier in '{self.label}': the {side}= stage mask is empty: name {_STAGES_TEXT}")
-        unknown = sorted(str(stage) for stage in mask.difference(STAGES))
-        if unknown:
-            message = f"the {side}= stage mask names '{unknown[0]}', which is no stage: stages are {_STAGES_TEXT}"
-            raise EncodingError(f"barrier in '{self.label}': {message}")
-        return mask
-
-
-class ComputeEncoder(Encoder):
-    """Records kernels."""
-
-    stage = "compute"
-
-    def dispatch(self, state: State, table: ArgumentTable) -> None:
-        """Record one run of a kernel on the tensors that are in the table now.
-
-        Raises BindingError for unbound or unfitting arguments, HazardError for aliased ones.
-        """
-        self._dispatch(state, table)
-
-
-class MachineLearningEncoder(Encoder):
-    """Records networks."""
-
-    stage = "machine-learning"
-
-    def dispatch_network(self, state: State, table: ArgumentTable) -> None:
-        """Record one run of a network on the tensors that are in the table now.
-
-        Raises BindingError for unbound or unfitting arguments, HazardError for aliased ones.
-        """
-        self._dispatch(state, table)
 
 
 NAMED = 4

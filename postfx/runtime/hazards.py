@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, Protocol
 
 from postfx.errors import CommandError, HazardError
+from postfx.runtime.encoders import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.memory import Ranges
-from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.tensor import Allocation, Tensor, TensorState, Transient, Use
 
 
@@ -397,16 +397,6 @@ def _conflict(dispatches: Sequence[Dispatch], first: int, second: int) -> Confli
         for tensor in later
         if any(tensor.overlaps(other) for other in earlier)
     )
-
-
-def check_dispatch(dispatch: Dispatch) -> None:
-    """HazardError when one dispatch reads and writes, or writes twice, the same memory."""
-    for index, written in enumerate(dispatch.writes):
-        for other in (*dispatch.reads, *dispatch.writes[:index]):
-            if written.overlaps(other):
-                pair = f"'{other.name}' and '{written.name}'" if other.name != written.name else f"'{written.name}'"
-                message = f"{dispatch} has {pair} on the same memory, one of them written: bind separate tensors"
-                raise HazardError(message, "aliasing", written.name, None, dispatch.label)
 
 
 def _released_error(tensor: Tensor, dispatch: Dispatch) -> HazardError:

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from postfx.caching import LRUCache
+from postfx.runtime.encoders import Dispatch, EncoderBarrier, Record
 from postfx.runtime.hazards import predecessors
 from postfx.runtime.memory import ALIGNMENT, Chunk, Memory, Ranges
-from postfx.runtime.records import Dispatch, EncoderBarrier, Record
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient, size_in_bytes
 
 CHUNK = 64 << 20

@@ -67,7 +67,7 @@ class CapturedNetwork:
 
 @dataclass
 class CapturedDispatch:
-    """One kernel or network run; see `postfx.runtime.records.Dispatch`.
+    """One kernel or network run; see `postfx.runtime.encoders.Dispatch`.
 
     Attributes:
         index: its number in the capture, from 0 in the order of commit.

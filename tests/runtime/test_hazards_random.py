@@ -7,8 +7,8 @@ import random
 
 import pytest
 
+from postfx.runtime.encoders import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
 from postfx.runtime.hazards import Footprint, find_conflict, predecessors
-from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
 from postfx.runtime.tensor import Tensor
 
 MEMORY = 12

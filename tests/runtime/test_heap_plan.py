@@ -7,9 +7,9 @@ import random
 
 import pytest
 
+from postfx.runtime.encoders import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
 from postfx.runtime.hazards import predecessors
 from postfx.runtime.heap import Present, make_plan
-from postfx.runtime.records import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
 
 SERIAL = 8
 

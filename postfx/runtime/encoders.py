@@ -1,0 +1,240 @@
+"""Encoders and what they record: dispatches and the barriers that order them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, Self
+
+from postfx.errors import BindingError, EncodingError, HazardError
+from postfx.runtime.states import Arguments, ArgumentTable, State
+from postfx.runtime.tensor import Tensor, TensorDevice
+
+STAGES = ("compute", "machine-learning")
+"""Stages of the queue: compute kernels and networks."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dispatch:
+    """One recorded kernel or network run.
+
+    Attributes:
+        label: label of the encoder, with its groups.
+        command: its name in messages, for example "network 'denoise_upscale.m'".
+        stage: one of `STAGES`.
+        encoder: number of the encoder within the device; barriers refer to it.
+        reads, writes: the tensors that were bound when it was recorded.
+        execute: does the work; None until a commit gives transient tensors their memory.
+        model: file of the network; None for a kernel.
+        state: the kernel or network that runs.
+        arguments: the tensors as bound, if some are transient.
+    """
+
+    label: str
+    command: str
+    stage: str
+    encoder: int
+    reads: tuple[Tensor, ...]
+    writes: tuple[Tensor, ...]
+    execute: Callable[[], None] | None
+    model: Path | None = None
+    state: State | None = None
+    arguments: Arguments | None = None
+
+    def __str__(self) -> str:
+        return f"'{self.label}' ({self.command})"
+
+
+@dataclass(frozen=True)
+class EncoderBarrier:
+    """Orders the dispatches of one encoder: all before it, then all after it.
+
+    Metal 4's `barrierAfterEncoderStages:beforeEncoderStages:`; an encoder has one stage, so it needs no masks.
+    """
+
+    encoder: int
+
+
+@dataclass(frozen=True)
+class ConsumerBarrier:
+    """Dispatches of `after` in earlier encoders come before later dispatches of `before`, here and in later encoders.
+
+    Metal 4's `barrierAfterQueueStages:beforeStages:`.
+    """
+
+    encoder: int
+    after: frozenset[str]
+    before: frozenset[str]
+
+
+@dataclass(frozen=True)
+class ProducerBarrier:
+    """Dispatches of `after` recorded so far, here and in earlier encoders, come before dispatches of `before` in later
+    ones.
+
+    Metal 4's `barrierAfterStages:beforeQueueStages:`.
+    """
+
+    encoder: int
+    after: frozenset[str]
+    before: frozenset[str]
+
+
+Barrier = EncoderBarrier | ConsumerBarrier | ProducerBarrier
+Record = Dispatch | Barrier
+
+Stages = str | Iterable[str]
+"""What a barrier orders: one stage or several of them."""
+
+_STAGES_TEXT = " and ".join(f"'{stage}'" for stage in STAGES)
+
+
+class Recording(Protocol):
+    """What an encoder needs of the command buffer that it records into."""
+
+    @property
+    def device(self) -> TensorDevice: ...
+
+    def record(self, record: Record) -> None: ...
+
+    def end_encoder(self) -> None: ...
+
+
+class Encoder:
+    """Records commands of one stage. Use it as a context manager; leaving it ends the encoder."""
+
+    stage: str
+
+    def __init__(self, commands: Recording, label: str, number: int) -> None:
+        self._commands = commands
+        self._number = number
+        self._ended = False
+        self.label = label
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """No more commands are taken. Ending twice does nothing."""
+        if not self._ended:
+            self._ended = True
+            self._commands.end_encoder()
+
+    def barrier(
+        self, after: Stages | None = None, before: Stages | None = None, before_queue: Stages | None = None
+    ) -> None:
+        """Order commands. Three forms, as in Metal 4:
+
+        - `barrier()`, inside an encoder: every dispatch recorded so far in this encoder comes before every later one
+          in it.
+        - `barrier(after=, before=)`, the consumer's: dispatches of the `after` stages in earlier encoders come before
+          dispatches of the `before` stages that follow, in this encoder and all later ones.
+        - `barrier(after=, before_queue=)`, the producer's: dispatches of the `after` stages recorded so far, in this
+          encoder and earlier ones, come before dispatches of the `before_queue` stages in all later encoders, not in
+          this one.
+
+        "Earlier" and "later" refer to the whole queue, including other command buffers.
+
+        Args:
+            after: 'compute', 'machine-learning' or both.
+            before, before_queue: the same.
+
+        Raises EncodingError if a stage mask is empty or names an unknown stage, or if the masks fit none of the forms.
+        """
+        if after is None and before is None and before_queue is None:
+            self._record(EncoderBarrier(self._number))
+        elif after is not None and before is not None and before_queue is None:
+            self._record(ConsumerBarrier(self._number, self._mask(after, "after"), self._mask(before, "before")))
+        elif after is not None and before is None and before_queue is not None:
+            masks = self._mask(after, "after"), self._mask(before_queue, "before_queue")
+            self._record(ProducerBarrier(self._number, *masks))
+        else:
+            raise EncodingError(self._no_form(after, before, before_queue))
+
+    def _dispatch(self, state: State, table: ArgumentTable) -> None:
+        if state.stage != self.stage:
+            fix = f"use commands.{state.stage.replace('-', '_')}_encoder()"
+            message = f"'{self.label}' takes {self.stage} work, but {state.command} is {state.stage} work: {fix}"
+            raise EncodingError(message)
+        if state.device is not self._commands.device:
+            raise EncodingError(f"'{self.label}': {state.command} was made for another device")
+        if table.state is not state:
+            made, fix = table.state.command, f"make one for {state.command}"
+            raise BindingError(f"'{self.label}': the argument table was made for {made}: {fix}")
+        try:
+            arguments = table.arguments()
+        except BindingError as error:
+            raise BindingError(f"'{self.label}': {error}") from None
+        accesses = arguments.reads, arguments.writes
+        names = self.label, state.command, self.stage, self._number
+        kept = None if arguments.execute else arguments  # the commit places the transient ones
+        dispatch = Dispatch(*names, *accesses, arguments.execute, state.model, state, kept)
+        check_dispatch(dispatch)
+        self._record(dispatch)
+
+    def _record(self, record: Record) -> None:
+        if self._ended:
+            raise EncodingError(f"encoder '{self.label}' has ended: open a new one")
+        self._commands.record(record)
+
+    def _no_form(self, after: Stages | None, before: Stages | None, before_queue: Stages | None) -> str:
+        if before is not None and before_queue is not None:
+            fix = "record one barrier with before= and another with before_queue="
+        elif after is None:
+            fix = f"give after= too, with {'before=' if before_queue is None else 'before_queue='}"
+        else:
+            fix = "give before= (this and later encoders) or before_queue= (later encoders) too"
+        return f"barrier in '{self.label}': {fix}; for the commands of this encoder alone, barrier() takes no stages"
+
+    def _mask(self, stages: Stages, side: str) -> frozenset[str]:
+        try:
+            mask = frozenset((stages,) if isinstance(stages, str) else stages)
+        except TypeError:  # not iterable: named below
+            mask = frozenset((str(stages),))
+        if not mask:
+            raise EncodingError(f"barrier in '{self.label}': the {side}= stage mask is empty: name {_STAGES_TEXT}")
+        unknown = sorted(str(stage) for stage in mask.difference(STAGES))
+        if unknown:
+            message = f"the {side}= stage mask names '{unknown[0]}', which is no stage: stages are {_STAGES_TEXT}"
+            raise EncodingError(f"barrier in '{self.label}': {message}")
+        return mask
+
+
+class ComputeEncoder(Encoder):
+    """Records kernels."""
+
+    stage = "compute"
+
+    def dispatch(self, state: State, table: ArgumentTable) -> None:
+        """Record one run of a kernel on the tensors that are in the table now.
+
+        Raises BindingError for unbound or unfitting arguments, HazardError for aliased ones.
+        """
+        self._dispatch(state, table)
+
+
+class MachineLearningEncoder(Encoder):
+    """Records networks."""
+
+    stage = "machine-learning"
+
+    def dispatch_network(self, state: State, table: ArgumentTable) -> None:
+        """Record one run of a network on the tensors that are in the table now.
+
+        Raises BindingError for unbound or unfitting arguments, HazardError for aliased ones.
+        """
+        self._dispatch(state, table)
+
+
+def check_dispatch(dispatch: Dispatch) -> None:
+    """HazardError when one dispatch reads and writes, or writes twice, the same memory."""
+    for index, written in enumerate(dispatch.writes):
+        for other in (*dispatch.reads, *dispatch.writes[:index]):
+            if written.overlaps(other):
+                pair = f"'{other.name}' and '{written.name}'" if other.name != written.name else f"'{written.name}'"
+                message = f"{dispatch} has {pair} on the same memory, one of them written: bind separate tensors"
+                raise HazardError(message, "aliasing", written.name, None, dispatch.label)
