@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -28,6 +26,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if worker and hasattr(os, "sched_setaffinity"):
         number, cores = int(worker["workerid"].removeprefix("gw")), sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, cores[number::worker["workercount"]] or cores)
+    config.pluginmanager.import_plugin("postfx.testing")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -47,32 +46,3 @@ def shared_dir() -> Path:
     if not (folder / "sequences").is_dir():
         pytest.skip(f"{folder} is not there")
     return folder
-
-
-@pytest.fixture
-def write_exr(tmp_path: Path) -> Callable[..., Path]:
-    """Writes channels (name -> height x width array) as a single-part file."""
-    import numpy as np
-    import OpenImageIO as oiio
-
-    def write(name: str, channels: Mapping[str, Any], **header) -> Path:
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        height, width = next(iter(channels.values())).shape
-        spec = oiio.ImageSpec(width, height, len(channels), "float")
-        spec.channelnames = tuple(channels)
-        origin, display = header.pop("origin", (0, 0)), header.pop("display", None)
-        spec.x, spec.y = origin
-        if display:
-            spec.full_x, spec.full_y, spec.full_width, spec.full_height = display
-        for key, value in header.items():
-            kind = {2: "float2", 16: "matrix"}.get(np.size(value))
-            values = (oiio.TypeDesc(kind), tuple(map(float, value))) if kind else (value,)
-            spec.attribute(key.replace("__", ":"), *values)
-        output = oiio.ImageOutput.create(str(path))
-        assert output.open(str(path), spec)
-        assert output.write_image(np.stack(list(channels.values()), axis=-1).astype(np.float32))
-        output.close()
-        return path
-
-    return write

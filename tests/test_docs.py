@@ -1,7 +1,10 @@
 """The examples in docs/passes.md, docs/runtime.md, docs/integration.md and docs/masks.md do what their text says."""
 
 import importlib
+import json
+import os
 import re
+import subprocess
 import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -11,7 +14,7 @@ import pytest
 
 from postfx import integrate, read_sequence
 from postfx.passes import registry
-from postfx.runtime import Device, Library
+from tests.kernels import host_cuda
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
@@ -21,35 +24,69 @@ def blocks(name: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", (DOCS / name).read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.fixture
-def vignette(tmp_path, monkeypatch):
-    """The example pass, installed as the document says; the rest of the document's code."""
-    module, *rest = blocks("passes.md", "python")
-    (tmp_path / "vignette.py").write_text(module)
-    (point,) = re.findall(r'^(\w+) = "(.+)"$', blocks("passes.md", "toml")[0], re.MULTILINE)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(registry, "_installed", lambda: {point[0]: EntryPoint(*point, registry.GROUP)})
-    importlib.invalidate_caches()
-    yield rest
-    sys.modules.pop("vignette", None)
+@pytest.fixture(scope="module")
+def vignette(tmp_path_factory) -> Path:
+    """The example package of passes.md with its files under the names that the document gives them."""
+    folder = tmp_path_factory.mktemp("vignette")
+    text = (DOCS / "passes.md").read_text(encoding="utf-8")
+    for paragraph, code in re.findall(r"\n\n([^\n].*?)\n\n```\w+\n(.*?)```", text, re.DOTALL):
+        names = re.findall(r"`([\w/]+\.(?:py|toml|cu))`", paragraph.rpartition("\n\n")[2])
+        if names:
+            path = folder / names[-1]
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(code)
+    (folder / "samples").symlink_to(DOCS.parent / "samples")
+    return folder
 
 
-def test_the_example_pass_runs(vignette, capsys):
+def test_the_example_package_is_made_installed_and_run_as_written(vignette):
+    """Every shell block of the document in turn; what pip installs goes to a folder of its own."""
+    pytest.importorskip("torch")
+    pytest.importorskip("hatchling")
+    site, tools = vignette / "site", vignette / "tools"
+    tools.mkdir()
+    (tools / "pip").write_text('#!/bin/sh\nexec python -m pip "$@"\n')  # some environments come without it
+    (tools / "pip").chmod(0o755)
+    paths = [str(tools), str(Path(sys.executable).parent), os.environ["PATH"]]
+    environment = {**os.environ, "PATH": os.pathsep.join(paths), "PYTHONPATH": str(site), "PIP_TARGET": str(site),
+                   "PIP_NO_BUILD_ISOLATION": "0", "PIP_NO_INDEX": "1",
+                   "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    done = subprocess.run(["sh", "-e"], input="".join(blocks("passes.md", "sh")), env=environment, cwd=vignette,
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "vignette  (postfx-vignette 1.0)\n    Darkens the corners of the picture.\n    options: amount=0.3\n" \
+        in done.stdout
+    order = [done.stdout.index(f"pass {number}  {name}") for number, name in ((1, "denoise_upscale"), (2, "vignette"))]
+    assert order == sorted(order)
+    assert len(list((vignette / "out").glob("dark.*.exr"))) == 2
+    facts = json.loads((vignette / "out/postfx.manifest.json").read_text())["runs"].popitem()[1]
+    assert facts["settings"]["pass"] == "['vignette,amount=0.5']" and facts["passes"]["vignette"] == {"amount": 0.5}
+    assert facts["versions"]["pass vignette"] == "postfx-vignette 1.0"
+    assert re.search(r"(\d+) passed", done.stdout) and "failed" not in done.stdout
+
+
+def test_the_example_pass_runs_in_python(vignette, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(vignette)
+    point = EntryPoint("vignette", "postfx_vignette:Vignette", registry.GROUP)
+    monkeypatch.setattr(registry, "_installed", lambda: {"vignette": (point,)})
+    (code,) = (block for block in blocks("passes.md", "python") if "pipeline.explain" in block)
     names = {}
-    exec(vignette[0], names)
+    exec(code, names)
     assert names["result"]["colour"][0, 0, 0] < 0.51 and "pass 1  vignette: reads colour" in capsys.readouterr().out
     assert list(names["pipeline"].timings) == ["vignette"]
 
 
-def test_the_examples_own_tests_pass(vignette, tmp_path):
-    pytest.importorskip("torch")
-    _, portable, tests = vignette
-    names = {}
-    exec(portable, names)
-    names["export"](str(tmp_path / "vignette.onnx"))
-    exec(tests, names)
-    names["test_corners_lose_the_amount_and_the_centre_nothing"](Device("cpu"))
-    names["test_the_portable_kernel_agrees"](Library(tmp_path))
+def test_the_examples_cuda_source_computes_what_its_rows_do(vignette, monkeypatch):
+    if host_cuda.COMPILER is None:
+        pytest.skip("there is no g++")
+    monkeypatch.syspath_prepend(vignette)
+    kernel = importlib.import_module("postfx_vignette").VIGNETTE
+    colour, amount = np.random.default_rng(0).random((9, 14, 3), np.float32), np.float32([0.4])
+    arrays = {"colour": colour, "amount": amount, "output": np.zeros_like(colour)}
+    host_cuda.run(kernel, arrays)
+    output = np.zeros_like(colour)
+    kernel.rows(0, 9, colour, amount, output)
+    np.testing.assert_allclose(arrays["output"], output, rtol=1e-5)
 
 
 def test_the_runtime_example_runs(tmp_path, monkeypatch, capsys):

@@ -86,7 +86,7 @@ TWICE_AS_LARGE = Kernel(
 
 
 class Double(Pass):
-    """Doubles colour by a network, `times` times over."""
+    """Doubles colour by a network of the `library`, `times` times over."""
 
     name = "double"
     defaults = {"library": None, "times": 1}

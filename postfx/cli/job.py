@@ -41,7 +41,7 @@ from postfx.cli.summary import (
     missed_budget,
 )
 from postfx.cuts import CutDetector
-from postfx.errors import PostfxError, WriteError
+from postfx.errors import OptionError, PostfxError, WriteError
 from postfx.exposure import APPLIED, SMOOTH, USED, ExposureMeter, SmoothExposure, colours_of, measure
 from postfx.files import WriteBehind, read_ahead, read_patiently
 from postfx.frame import Frame, Part, Role
@@ -51,7 +51,7 @@ from postfx.io.writer import Existing, OutputFiles, write_frame
 from postfx.kernels.compile_cache import CompileWatch
 from postfx.passes.base import Pass
 from postfx.passes.exposure_tool import asked_form
-from postfx.passes.registry import create
+from postfx.passes.registry import create, insert_passes, parse_pass
 from postfx.pipeline import Pipeline
 from postfx.plan import Skipped, from_files
 from postfx.runs.run import Options, Run, provenance_of
@@ -358,7 +358,12 @@ class Job:
         passes += [create("both_ways")] if both_ways else []
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
         shown, not_shown = display_passes(self.outputs is not None and self.outputs.display, **self._values("look"))
-        return passes + shown, left_out + not_shown
+        asked = map(parse_pass, getattr(self._arguments, "pass") or ())
+        chain = insert_passes([*passes, *shown], tuple(asked), len(passes))
+        if both_ways and chain[0].name != "denoise_upscale":
+            raise OptionError(f"--both-ways denoises frames as they are in their files, before pass '{chain[0].name}': "
+                              "let the pass run after=denoise_upscale, or leave --both-ways out")
+        return chain, left_out + not_shown
 
     def _found_parts(self) -> tuple[Part, ...]:
         """Parts of the picture that --aov and --aov-denoise ask for; none where the output cannot hold them."""

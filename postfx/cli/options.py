@@ -39,6 +39,8 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
         is_file: whether it names files, of which images record the name without the folder.
         several: whether it may be given more than one value, as when a shell replaces wildcards: the value is then a
             list.
+        repeated: whether it may be given more than once: the value is then a list.
+        shows: makes a text that is printed instead of doing anything.
     """
 
     flag: str
@@ -58,6 +60,8 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
     changes: Changes = "pixels"
     is_file: bool = False
     several: bool = False
+    repeated: bool = False
+    shows: Callable[[], str] | None = None
 
     @property
     def name(self) -> str:
@@ -76,11 +80,15 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
     def add_to(self, group: argparse._ActionsContainer) -> None:
         """Add it to a parser or a group."""
         names = [name for name in (self.short, self.flag) if name]
+        if self.shows is not None:
+            group.add_argument(*names, action=_Show, help=self.help, const=self.shows)
+            return
         if self.metavar is None and not self.choices:
             group.add_argument(*names, action="store_true", help=self.help)
             return
         extra: dict[str, Any] = {} if self.bare is None else {"nargs": "?", "const": self.bare}
         extra |= {"nargs": "+", "action": _StoreOneOrMore} if self.several else {}
+        extra |= {"action": "append"} if self.repeated else {}
         group.add_argument(*names, metavar=self.metavar, type=self.type or str, choices=self.choices or None,
                            default=self.default, help=self.help, **extra)
 
@@ -91,6 +99,18 @@ class _StoreOneOrMore(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any,
                  option_string: str | None = None) -> None:
         setattr(namespace, self.dest, values[0] if len(values) == 1 else values)
+
+
+class _Show(argparse.Action):
+    """Prints a text and ends the process, as --help does."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, const: Callable[[], str], **rest: Any) -> None:
+        super().__init__(option_strings, dest, nargs=0, const=const, **rest)
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any,
+                 option_string: str | None = None) -> None:
+        print(self.const())
+        parser.exit()
 
 
 class Section(NamedTuple):

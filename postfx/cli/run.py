@@ -47,6 +47,9 @@ examples:
   postfx run shot/noisy.####.exr -o out/hdr.####.png --tonemap ocio: --display pq,peak=1000
   postfx run shot/noisy.####.exr -o out/p3.####.tif --tonemap neutral --display p3 --colourspace acescg
   postfx run shot/noisy.####.exr -o out/film.####.png --tonemap film.cube,input=ACEScct
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --pass vignette,amount=0.5
+  postfx run shot/noisy.####.exr -o out/picture.####.png --pass grain,after=tonemap --explain
+  postfx run --passes
   POSTFX_EXPOSURE_TOOL=1 postfx run shot/noisy.####.exr -o out/grey.####.exr
 
 POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx exposure --help'.

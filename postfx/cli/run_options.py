@@ -165,7 +165,18 @@ def _roles_unread(overlay: str) -> tuple[Role, ...]:
     return (Role.OVERLAY,) if overlay == "ignore" else ()
 
 
+def _list_passes() -> str:
+    from postfx.passes.registry import describe_passes
+
+    return describe_passes()
+
+
 PASSES = Section("passes", (
+    Option(flag="--pass", metavar="NAME[,OPTION=VALUE]", repeated=True,
+           help="also run a pass, such as one of another package, before the picture is tone-mapped, or before=PASS or "
+           "after=PASS: e.g. vignette,amount=0.5,after=tonemap; may be given more than once (docs/passes.md)"),
+    Option(flag="--passes", changes="nothing", shows=_list_passes,
+           help="list all passes that are installed, with their options, then stop"),
     Option(flag="--scale", metavar="S", type=float, either="size", sets="denoiser.scale",
            excludes=_FOR_DENOISER,
            help="output size over render size, 1 to 3 (default: the size of the guides, or 2 without guides)"),

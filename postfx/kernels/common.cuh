@@ -1,17 +1,5 @@
-// What the CUDA kernels share: tensors, positions and the small functions of postfx/kernels/numeric.py. Constants such
-// as MAX_COLOUR come before: postfx/kernels/cuda_source.py prints them.
-//
-// A kernel takes one View for each of its bindings, in their order. A thread makes one pixel: x counts the axis after
-// `row_axis`, y that axis itself (postfx/kernels/kernel.py). Kernels whose row binding has one axis run as one block.
-
-struct View {
-    float* __restrict__ at;
-    int size[4];
-};
-
-#define PIXEL(width, height) \
-    const int x = blockIdx.x * blockDim.x + threadIdx.x, y = blockIdx.y * blockDim.y + threadIdx.y; \
-    if (x >= (width) || y >= (height)) return
+// What the CUDA kernels of postfx share beside view.cuh: positions and the small functions of
+// postfx/kernels/numeric.py. Constants such as MAX_COLOUR come before: postfx/kernels/cuda_source.py prints them.
 
 struct Colour {
     float r, g, b;

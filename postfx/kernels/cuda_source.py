@@ -1,4 +1,7 @@
-"""Sources of the CUDA kernels: a family a file, behind the constants of Python and what all families share."""
+"""Sources of the CUDA kernels: a family a file, behind the constants of Python and what all families share.
+
+A plug-in's kernels come from files in its own folder, and share nothing with ours but what an argument is.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from postfx.kernels.denoise import layout
+from postfx.kernels.kernel import Kernel
 
-SOURCES = Path(__file__).parent
+SOURCES = Path(__file__).resolve().parent
 _KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\(\w+\) )?(\w+)\(')
 _LAYOUT = (
     "HIDDEN", "KERNEL", "TAP_WEIGHTS", "BLEND", "SHARPEN", "MIX", "DISTRUST", "IMPORTANCE", "MEMORY", "FINE",
@@ -25,19 +29,17 @@ CONSTANTS: dict[str, int | float | np.float32] = {
 """Numbers that CUDA kernels take from Python, by name."""
 
 
-def has_source(name: str) -> bool:
-    """Whether a kernel is written for CUDA."""
-    return name in _families()
-
-
-def family_of(name: str) -> Path:
-    """The file that holds a kernel."""
-    return _families()[name]
+def find_source(kernel: Kernel) -> Path | None:
+    """The file that holds a kernel; None where it is not written for CUDA."""
+    return _families(kernel.home or SOURCES).get(kernel.name)
 
 
 def read_source(family: Path) -> str:
-    """All that is compiled for a family of kernels: the constants, what all families share, and its file."""
-    return print_constants() + (SOURCES / "common.cuh").read_text() + family.read_text()
+    """All that is compiled for a file of kernels: what a kernel's arguments are, for ours also the constants and what
+    all families share, and the file."""
+    is_own = family.is_relative_to(SOURCES)
+    shared = print_constants() + (SOURCES / "common.cuh").read_text() if is_own else ""
+    return (SOURCES / "view.cuh").read_text() + shared + family.read_text()
 
 
 def print_constants() -> str:
@@ -48,6 +50,7 @@ def print_constants() -> str:
 
 
 @cache
-def _families() -> dict[str, Path]:
-    """Every kernel's file by the kernel's name."""
-    return {name: path for path in SOURCES.rglob("*.cu") for name in _KERNEL.findall(path.read_text())}
+def _families(folder: Path) -> dict[str, Path]:
+    """Every kernel's file by the kernel's name: below our folder, or in a plug-in's."""
+    sources = sorted(folder.rglob("*.cu") if folder == SOURCES else folder.glob("*.cu"))
+    return {name: path for path in sources for name in _KERNEL.findall(path.read_text())}

@@ -1,17 +1,30 @@
-"""The compute kernel: named tensor arguments and a function that computes rows of its output."""
+"""The compute kernel: named tensor arguments, a function that computes rows of its output, and where its other forms
+are: a portable one in ONNX, and a source for CUDA.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+
+from postfx.system import models_dir
+
+_PACKAGE = Path(__file__).resolve().parent.parent
 
 
 @dataclass(frozen=True)
 class Kernel:
     """One small compute kernel, over float32 tensors unless `types` says otherwise.
 
-    On the CPU `Device.compute_state(kernel)` runs `rows`, split into bands over the device's threads. Elsewhere it
-    runs the portable definition, `models/kernels/<name>.onnx`, whose inputs and outputs carry the names given here.
+    On the CPU `Device.compute_state(kernel)` runs `rows`, split into bands over the device's threads. On a GPU it runs
+    the kernel's CUDA source. Where there is none, it runs the portable definition, an ONNX file whose inputs and
+    outputs carry the names given here.
+
+    The kernels that come with postfx have their portable definitions in `models/kernels`. Those of a plug-in are found
+    in the folder of the module that defines `rows`, or in `folder`: `<name>.onnx`, and CUDA functions of the kernel's
+    name in any file `*.cu`. A kernel of a plug-in never gets a form of ours, whatever its name.
 
     Attributes:
         name: the kernel's and its portable file's name, for example 'slice_apply'.
@@ -26,6 +39,7 @@ class Kernel:
             check bounds, so shapes given here are checked for them; they also let the device compile `rows` before
             the first frame.
         types: binding name -> element type, if not float32.
+        folder: where a plug-in keeps the other forms, if not beside the module of `rows`.
     """
 
     name: str
@@ -35,6 +49,7 @@ class Kernel:
     row_axis: tuple[str, int]
     shapes: Mapping[str, tuple[int | str, ...]] = field(default_factory=dict, hash=False)
     types: Mapping[str, str] = field(default_factory=dict, hash=False)
+    folder: Path | None = None
 
     def __post_init__(self) -> None:
         names = self.reads + self.writes
@@ -50,3 +65,17 @@ class Kernel:
     def fixed_shape(self, name: str) -> tuple[int, ...]:
         """The shape of a binding without symbols; ValueError if it has some."""
         return tuple(int(size) for size in self.shapes[name])
+
+    @property
+    def home(self) -> Path | None:
+        """Folder of a plug-in's other forms; None for a kernel that comes with postfx."""
+        if self.folder is not None:
+            return self.folder
+        code = getattr(getattr(self.rows, "py_func", self.rows), "__code__", None)  # of Numba's dispatchers, too
+        folder = Path(code.co_filename).resolve().parent if code else Path(os.devnull)
+        return None if folder.is_relative_to(_PACKAGE) else folder
+
+    @property
+    def portable(self) -> Path:
+        """The file of the portable definition, which may not exist."""
+        return (self.home or models_dir() / "kernels") / f"{self.name}.onnx"

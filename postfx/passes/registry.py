@@ -1,16 +1,22 @@
-"""Finding passes by name: entry points of the group `postfx.passes`, and those that come with postfx.
+"""Finding passes by name, and making them of words such as 'vignette,amount=0.5'.
 
-The latter are listed here too, so that a checkout works without being installed.
+Passes are entry points of the group `postfx.passes`. Those that come with postfx are listed here too, so that a
+checkout works without being installed; no other package can take their names.
 """
 
 from __future__ import annotations
 
+import json
+import re
+from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from inspect import Parameter
+from typing import Any, NamedTuple
 
-from postfx.errors import RegistryError
+from postfx.errors import OptionError, PassOptionError, PostfxError, RegistryError, suggest
 from postfx.passes.base import Pass
+from postfx.version import __version__
 
 GROUP = "postfx.passes"
 BUILT_IN = {
@@ -23,6 +29,9 @@ BUILT_IN = {
     "exposure_tool": "postfx.passes.exposure_tool:ExposureTool",
 }
 """Entry points of the passes that come with postfx, as in pyproject.toml."""
+BEFORE, AFTER = "before", "after"
+"""What says where a pass stands; no pass may have options of these names."""
+_COMMA = re.compile(r",(?=\w+=)")
 
 
 def names() -> tuple[str, ...]:
@@ -31,28 +40,165 @@ def names() -> tuple[str, ...]:
 
 
 def load(name: str) -> type[Pass]:
-    """The class of a pass. Raises RegistryError if the name is unknown or its target is not a pass."""
-    point = _built_in(name) or _installed().get(name)
-    if point is None:
-        raise RegistryError(f"no pass '{name}': there are {', '.join(names())}")
+    """The class of a pass. Raises RegistryError if the name is unknown or its target is not a pass of that name."""
+    points = [EntryPoint(name, BUILT_IN[name], GROUP)] if name in BUILT_IN else _installed().get(name, ())
+    if not points:
+        raise RegistryError(f"no pass '{name}'{suggest(name, names()) or ':'} there are {', '.join(names())}")
+    if len(points) > 1:
+        raise RegistryError(f"pass '{name}' comes with {' and with '.join(map(package_of, points))}: "
+                            "uninstall all but one of them")
     try:
-        found = point.load()
+        found = points[0].load()
     except Exception as error:  # other people's code
         raise RegistryError(f"pass '{name}' cannot be loaded: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Pass)):
         raise RegistryError(f"pass '{name}' points to {found!r}, which is no subclass of postfx.passes.base.Pass")
+    if getattr(found, "name", None) != name:
+        raise RegistryError(f"pass '{name}' points to a class whose name is '{getattr(found, 'name', '')}': "
+                            f"set name = \"{name}\" in {found.__qualname__}")
+    if taken := {BEFORE, AFTER} & set(found.defaults):
+        raise RegistryError(f"pass '{name}' has an option '{taken.pop()}', which says where a pass stands: rename it")
     return found
 
 
 def create(name: str, **options: Any) -> Pass:
     """A pass by name. Raises RegistryError for an unknown name, PassOptionError for an unknown option."""
-    return load(name)(**options)
+    kind = load(name)
+    try:
+        return kind(**options)
+    except PostfxError:
+        raise
+    except Exception as error:  # other people's code
+        raise PassOptionError(f"pass '{name}' cannot be made: {error}") from error
+
+
+def package_of(point: EntryPoint) -> str:
+    """Name and version of the package that an entry point comes with."""
+    return f"{point.dist.name} {point.dist.version}" if point.dist else "a package without a name"
+
+
+def plug_ins() -> dict[str, str]:
+    """Name -> package and version, of the passes that do not come with postfx."""
+    return {name: ", ".join(map(package_of, points)) for name, points in _installed().items() if name not in BUILT_IN}
+
+
+def describe_passes() -> str:
+    """All passes, a paragraph each: name, package, options with their defaults, and the first line of the docstring."""
+    return "\n".join(line for name in names() for line in _description(name))
+
+
+def _description(name: str) -> list[str]:
+    hidden = [point for point in _installed().get(name, ()) if name in BUILT_IN]
+    origin = plug_ins().get(name, f"postfx {__version__}")
+    try:
+        kind = load(name)
+    except RegistryError as error:
+        return [f"{name}  ({origin})", f"    {error}"]
+    options = ", ".join(key if value is Parameter.empty else f"{key}={_spell(value)}"
+                        for key, value in kind.defaults.items())
+    lines = [f"{name}  ({origin})", f"    {(kind.__doc__ or '').strip().partition(chr(10))[0]}",
+             f"    options: {options or 'none'}"]
+    return lines + [f"    a pass of this name in {package_of(point)} is not used: rename it" for point in hidden]
+
+
+def _spell(value: Any) -> str:
+    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+class Asked(NamedTuple):
+    """A pass as words ask for it: its name, its options as texts, and which pass it stands before or after."""
+
+    name: str
+    options: dict[str, str]
+    before: str | None = None
+    after: str | None = None
+
+
+def parse_pass(text: str) -> Asked:
+    """Of 'NAME[,option=value]...[,before=PASS|after=PASS]'. Raises OptionError for anything else."""
+    name, *words = _COMMA.split(text.strip())
+    if not re.fullmatch(r"[\w.-]+", name):
+        raise OptionError(f"--pass {text}: give a name and options, e.g. vignette,amount=0.5,before=tonemap")
+    options: dict[str, str] = {}
+    for word in words:
+        key, _, value = word.partition("=")
+        if key in options:
+            raise OptionError(f"--pass {text}: '{key}' is given twice")
+        options[key] = value
+    before, after = options.pop(BEFORE, None), options.pop(AFTER, None)
+    if before and after:
+        raise OptionError(f"--pass {text}: a pass stands before or after another one, not both")
+    return Asked(name, options, before, after)
+
+
+def make_asked(asked: Asked) -> Pass:
+    """The pass, its options read as values of the same kind as their defaults.
+
+    Raises RegistryError for an unknown name, PassOptionError for an unknown option or a value of another kind.
+    """
+    defaults = load(asked.name).defaults
+    options = {key: _value(asked.name, key, text, defaults.get(key)) for key, text in asked.options.items()}
+    return create(asked.name, **options)
+
+
+_BOOLEANS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+
+
+def _value(name: str, key: str, text: str, default: Any) -> Any:
+    try:
+        if isinstance(default, bool):
+            return _BOOLEANS[text.lower()]
+        if isinstance(default, int | float):
+            return type(default)(text)
+    except (KeyError, ValueError):
+        kind = {bool: "true or false", int: "a whole number"}.get(type(default), "a number")
+        raise PassOptionError(f"pass '{name}': {key}={text} is not {kind}") from None
+    if isinstance(default, str):
+        return text
+    try:
+        return None if text == "none" else json.loads(text)
+    except ValueError:
+        return text
+
+
+def insert_passes(chain: Sequence[Pass], asked: Sequence[Asked], default: int) -> list[Pass]:
+    """A chain with passes that were asked for; those without a place stand before position `default` of it.
+
+    Passes of one place stand in the order in which they were asked for, and may name each other. Raises OptionError
+    for a place that is not in the chain.
+    """
+    added = [(one, make_asked(one)) for one in asked]
+    free = [instance for one, instance in added if not (one.before or one.after)]
+    result = [*chain[:default], *free, *chain[default:]]
+    waiting = [pair for pair in added if pair[0].before or pair[0].after]
+    behind: dict[Pass, int] = {}  # how many stand behind a pass already
+    while waiting:
+        placed = next((pair for pair in waiting if _at(result, pair[0]) is not None), None)
+        if placed is None:
+            anchor, there = waiting[0][0].before or waiting[0][0].after, [instance.name for instance in result]
+            raise OptionError(f"--pass {waiting[0][0].name}: no pass '{anchor}' runs here"
+                              f"{suggest(str(anchor), there) or ':'} there are {', '.join(there) or 'none'}")
+        waiting.remove(placed)
+        one, instance = placed
+        at = _at(result, one) or 0
+        if one.after:
+            anchor_pass = result[at]
+            behind[anchor_pass] = behind.get(anchor_pass, 0) + 1
+            at += behind[anchor_pass]
+        result.insert(at, instance)
+    return result
+
+
+def _at(chain: Sequence[Pass], one: Asked) -> int | None:
+    """Where the pass stands that another one is to stand before or after."""
+    return next((at for at, instance in enumerate(chain) if instance.name == (one.before or one.after)), None)
 
 
 @cache
-def _installed() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=GROUP)}
-
-
-def _built_in(name: str) -> EntryPoint | None:
-    return EntryPoint(name, BUILT_IN[name], GROUP) if name in BUILT_IN else None
+def _installed() -> dict[str, tuple[EntryPoint, ...]]:
+    """Name -> entry points of other packages than postfx."""
+    found: dict[str, tuple[EntryPoint, ...]] = {}
+    for point in entry_points(group=GROUP):
+        if BUILT_IN.get(point.name) != point.value:
+            found[point.name] = (*found.get(point.name, ()), point)
+    return found

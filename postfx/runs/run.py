@@ -24,6 +24,7 @@ from postfx.errors import Interrupted, ReadError, WriteError
 from postfx.frame import Frame
 from postfx.io.sequence import Sequence
 from postfx.io.writer import Existing, OutputFiles
+from postfx.passes.registry import plug_ins
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan, Skipped
 from postfx.runs.checkpoint import load_checkpoint
@@ -120,9 +121,11 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
     place = {"name": device.name, "provider": device.placement.provider, "threads": device.threads}
     library = Library()
     models = {name: library.sha256(name) for name in library.names()}
-    decisive = [settings, passes, versions(), place, plan.as_dict(), models, *also]
+    packages, active = plug_ins(), {step.instance.name for step in plan.steps}
+    used = versions() | {f"pass {name}": package for name, package in packages.items() if name in active}
+    decisive = [settings, passes, used, place, plan.as_dict(), models, *also]
     text = json.dumps(decisive, sort_keys=True, default=str)
-    return Provenance(settings, passes, versions(), place, hashlib.sha256(text.encode()).hexdigest(), files)
+    return Provenance(settings, passes, used, place, hashlib.sha256(text.encode()).hexdigest(), files)
 
 
 def versions() -> dict[str, str]:

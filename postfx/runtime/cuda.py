@@ -18,7 +18,7 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.errors import DeviceError, ModelError
-from postfx.kernels.cuda_source import family_of, read_source
+from postfx.kernels.cuda_source import read_source
 from postfx.runtime.memory import address
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ PIXELS, ONE_BLOCK = (32, 8), (32, 32)
 
 
 class View(ctypes.Structure):
-    """A tensor in the layout that kernels expect: see postfx/kernels/common.cuh."""
+    """A tensor in the layout that kernels expect: see postfx/kernels/view.cuh."""
 
     _fields_ = (("at", ctypes.c_void_p), ("size", ctypes.c_int * 4))
 
@@ -106,13 +106,16 @@ class CudaMemory:
         self._enter()
         self._stream.sync()
 
-    def launcher(self, name: str, columns: int, rows: int, tensors: Sequence[Tensor]) -> Callable[[], None]:
-        """A function that puts a kernel on the stream, with a thread for each pixel, or in one block without columns.
+    def launcher(
+        self, name: str, source: Path, columns: int, rows: int, tensors: Sequence[Tensor]
+    ) -> Callable[[], None]:
+        """A function that puts a kernel of a source file on the stream, with a thread for each pixel, or in one block
+        without columns.
 
         Raises ModelError when it cannot be compiled.
         """
         self._enter()
-        kernel = _compiled(name, self._device.arch)
+        kernel = _compiled(name, source, self._device.arch)
         block = PIXELS if columns else ONE_BLOCK
         grid = (-(-columns // block[0]), -(-rows // block[1])) if columns else (1, 1)
         views = [View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4])) for tensor in tensors]
@@ -140,11 +143,11 @@ class CudaMemory:
 
 
 @cache
-def _compiled(name: str, arch: str) -> Any:
+def _compiled(name: str, source: Path, arch: str) -> Any:
     try:
-        return _compiled_family(family_of(name), arch).get_kernel(name)
+        return _compiled_family(source, arch).get_kernel(name)
     except Exception as error:
-        raise ModelError(f"kernel '{name}' cannot be compiled for sm_{arch}: {error}") from error
+        raise ModelError(f"kernel '{name}' of {source} cannot be compiled for sm_{arch}: {error}") from error
 
 
 @cache

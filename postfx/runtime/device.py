@@ -16,7 +16,7 @@ import numpy as np
 import onnxruntime as ort
 
 from postfx.errors import BindingError, DeviceError, ModelError, PostfxError
-from postfx.kernels.cuda_source import has_source
+from postfx.kernels.cuda_source import find_source
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer, wait_for_all
 from postfx.runtime.cuda import CudaMemory
@@ -28,7 +28,7 @@ from postfx.runtime.session import Placement, Session, first_line
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import Allocation, Tensor
 from postfx.runtime.threads import CommandQueue, Helpers
-from postfx.system import Scratch, models_dir, usable_cores
+from postfx.system import Scratch, usable_cores
 
 if TYPE_CHECKING:
     from postfx.kernels.kernel import Kernel
@@ -44,8 +44,7 @@ class Device:
             sources on a GPU. If False, use their portable ONNX definitions.
         memory: bytes of memory for the process, as a number or like '4G'. Tensors beyond it go to temporary files, and
             passes work in tiles. CPU only; 'auto' then means the CPU.
-        kernels: library of the portable definitions; default: the `kernels` folder of the models that come with
-            postfx.
+        kernels: library of portable definitions that go before those which come with the kernels.
         graphs: launch commands that ran before on the same tensors as one CUDA graph.
 
     Attributes:
@@ -202,17 +201,24 @@ class Device:
         return next(self._encoders)
 
     def _make_state(self, kernel: Kernel) -> State:
-        if self._compiled and isinstance(self.memory, CudaMemory) and has_source(kernel.name):
-            return CudaComputeState(self, kernel, self.memory)
+        if self._compiled and isinstance(self.memory, CudaMemory) and (source := find_source(kernel)):
+            return CudaComputeState(self, kernel, self.memory, source)
         if self._compiled and self.memory.host_visible:
             return CompiledComputeState(self, kernel)
         return self._portable_state(kernel)
 
     def _portable_state(self, kernel: Kernel) -> PortableComputeState:
-        library = self._kernels or Library(models_dir() / "kernels")
-        session = Session(library.load(kernel.name), kernel.name, self.placement, {})
+        session = Session(self._portable_model(kernel), kernel.name, self.placement, {})
         _check_portable(kernel, session)
         return PortableComputeState(self, kernel, session)
+
+    def _portable_model(self, kernel: Kernel) -> bytes:
+        if self._kernels and kernel.name in self._kernels.names():
+            return self._kernels.load(kernel.name)
+        if not kernel.portable.is_file():
+            raise ModelError(f"kernel '{kernel.name}' has no form that runs on {self!r}: there is no "
+                             f"'{kernel.portable}' (docs/passes.md says how to export it)")
+        return Library(kernel.portable.parent).load(kernel.name)
 
 
 def _within(scratch: Scratch, memory: Memory, name: str) -> HostMemory:

@@ -164,14 +164,14 @@ class CompiledComputeState(ComputeState):
 class CudaComputeState(ComputeState):
     """A kernel that runs by its CUDA source."""
 
-    def __init__(self, device: StateDevice, kernel: Kernel, memory: CudaMemory) -> None:
+    def __init__(self, device: StateDevice, kernel: Kernel, memory: CudaMemory, source: Path) -> None:
         super().__init__(device, kernel)
-        self._memory = memory
+        self._memory, self._source = memory, source
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that puts the kernel on the GPU's stream."""
         rows, *columns = self._extent(tensors)
-        return self._memory.launcher(self.name, columns[0] if columns else 0, rows, tensors)
+        return self._memory.launcher(self.name, self._source, columns[0] if columns else 0, rows, tensors)
 
 
 def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:

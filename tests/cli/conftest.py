@@ -1,43 +1,10 @@
 """Running the command line as people do, on small files."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-
-from postfx.cli.main import main
-
-
-class Outcome(NamedTuple):
-    """Exit code and outputs of a command."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> dict[str, Any]:
-        return json.loads(self.out)
-
-
-@pytest.fixture
-def postfx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture) -> Callable[..., Outcome]:
-    """Runs `postfx ARGUMENTS` in the test's folder and process: a start of Python takes longer than most runs."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> Outcome:
-        capfd.readouterr()
-        try:
-            code = main(arguments)
-        except SystemExit as ended:
-            assert ended.code is None or isinstance(ended.code, int), ended.code
-            code = ended.code or 0
-        return Outcome(code, *capfd.readouterr())
-
-    return run
 
 
 @pytest.fixture

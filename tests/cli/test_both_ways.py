@@ -71,6 +71,7 @@ def test_a_frame_of_another_aspect_is_skipped(postfx, noise, write_exr):
 @pytest.mark.parametrize(("option", "why"), [
     (("--no-denoise",), "--both-ways is for the denoiser, which --no-denoise leaves out: give one of them"),
     (("--memory", "4G"), "--both-ways keeps results of 32 frames, --memory keeps to a size: give one of them"),
+    (("--pass", "exposure_tool,before=denoise_upscale"), "--both-ways denoises frames as they are in their files"),
     (("--budget", "50"), "--both-ways runs every frame twice, --budget keeps to a time: give one of them"),
 ])
 def test_options_that_do_not_go_together(postfx, noise, option, why):

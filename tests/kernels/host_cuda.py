@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from postfx.kernels.cuda_source import family_of, read_source
+from postfx.kernels.cuda_source import find_source, read_source
 from postfx.kernels.kernel import Kernel
 from postfx.system import private_folder
 
@@ -64,7 +64,7 @@ def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
     name, axis = kernel.row_axis
     shape = arrays[name].shape
     rows, columns = shape[axis], shape[axis + 1] if axis + 1 < len(shape) else 1
-    function = getattr(_library(family_of(kernel.name)), f"run_{kernel.name}")
+    function = getattr(_library(find_source(kernel)), f"run_{kernel.name}")
     function.argtypes = [ctypes.c_int, ctypes.c_int, *[View] * len(kernel.reads + kernel.writes)]
     function(columns, rows, *(view(arrays[binding]) for binding in kernel.reads + kernel.writes))
 

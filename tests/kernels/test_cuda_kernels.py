@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from postfx.kernels.cuda_source import has_source
+from postfx.kernels.cuda_source import find_source
 from postfx.kernels.denoise.restore import DETAIL, JUDGE, TILE
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
@@ -17,7 +17,7 @@ from tests.kernels.test_denoise_kernels import assert_same
 
 pytestmark = pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
 
-WRITTEN = [kernel for kernel in KERNELS if has_source(kernel.name)]
+WRITTEN = [kernel for kernel in KERNELS if find_source(kernel)]
 
 
 @pytest.fixture(scope="module")

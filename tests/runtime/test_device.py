@@ -1,13 +1,17 @@
 """Devices: choice, kernels in bands and by their portable definitions, steady state, memory out of the host's sight."""
 
+import dataclasses
 import gc
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import onnxruntime
 import pytest
 
+from postfx.kernels.cuda_source import find_source, read_source
+from postfx.kernels.image import RESAMPLE
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import (
     ArgumentTable,
@@ -115,7 +119,7 @@ def test_compiled_and_portable_kernels_agree(kernel, kernels):
 
 def test_missing_portable_definition(kernels):
     device = Device("cpu", compiled_kernels=False, kernels=kernels)
-    with pytest.raises(ModelError, match="no model 'blur'"):
+    with pytest.raises(ModelError, match="kernel 'blur' has no form that runs on Device.'cpu'"):
         device.compute_state(Kernel("blur", ("a",), ("b",), print, ("b", 0)))
 
 
@@ -224,3 +228,25 @@ def test_threads_end_with_the_device():
     while threading.active_count() > before and time.monotonic() < deadline:
         time.sleep(0.01)
     assert threading.active_count() <= before
+
+
+def test_a_foreign_kernel_never_gets_a_form_of_ours(tmp_path, kernels):
+    """It has the name of a kernel of ours, and brings its own forms, or none."""
+    binding = ("image", "rows", "columns"), ("output",)
+    foreign = Kernel("resample", *binding, print, ("output", 0), folder=tmp_path)
+    assert find_source(RESAMPLE) and find_source(foreign) is None and RESAMPLE.home is None
+    with pytest.raises(ModelError, match=f"no form that runs on .*: there is no '{tmp_path}/resample.onnx'"):
+        Device("cpu", compiled_kernels=False).compute_state(foreign)
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "own.cu").write_text('extern "C" __global__ void resample(View image, View output) {}\n')
+    own = dataclasses.replace(foreign, folder=other)
+    assert find_source(own) == other / "own.cu" and "TAP_WEIGHTS" not in read_source(other / "own.cu")
+    assert "struct View" in read_source(other / "own.cu") and "TAP_WEIGHTS" in read_source(find_source(RESAMPLE))
+    assert toys.ADD.home == Path(toys.__file__).parent
+
+
+def test_a_foreign_kernel_runs_by_the_portable_form_beside_it(tmp_path):
+    toys.make_kernels(tmp_path)
+    foreign = dataclasses.replace(toys.ADD, folder=tmp_path)
+    assert isinstance(Device("cpu", compiled_kernels=False).compute_state(foreign), PortableComputeState)

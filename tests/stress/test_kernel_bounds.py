@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import Role
-from postfx.kernels.cuda_source import has_source
+from postfx.kernels.cuda_source import find_source
 from postfx.kernels.denoise.reflections import REFLECTIONS
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
@@ -91,7 +91,7 @@ def exact_upscaler(kernel: Kernel, case: denoise_cases.Case) -> dict[str, np.nda
 
 
 def has_cuda(kernel: Kernel) -> bool:
-    return host_cuda.COMPILER is not None and has_source(kernel.name)
+    return host_cuda.COMPILER is not None and find_source(kernel)
 
 
 def bound(kernel: Kernel, way: str) -> float:
