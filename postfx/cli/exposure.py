@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Measure a sequence; returns the exit code."""
     from postfx.cli.exposure_check import ExposureCheck  # loads the runtime, which --help must not wait for
-    from postfx.exposure.graded import write_chart
+    from postfx.exposure.response import write_chart
 
     if arguments.chart:
         print(f"wrote    {write_chart(arguments.chart)}", file=sys.stderr)

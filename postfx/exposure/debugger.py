@@ -164,8 +164,8 @@ def debug_graded(
     Args:
         frames: of the render, as for `debug`.
         level: frame number -> level of mid grey on what became of its board, such as
-            `postfx.exposure.graded.GradedBoards.level`.
-        judged: by what levels are read: `postfx.exposure.graded.read_response` or `judge_view`.
+            `postfx.exposure.response.GradedBoards.level`.
+        judged: by what levels are read: `postfx.exposure.response.read_response` or `judge_view`.
         exposure: what the run of the boards was told, by which each is divided.
 
     Raises ExposureError as `debug` does, and where a frame has no board.

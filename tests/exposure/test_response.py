@@ -12,8 +12,7 @@ from postfx import Frame, Pipeline, Role
 from postfx.colour.curves import srgb_encode
 from postfx.errors import ExposureError
 from postfx.exposure.debugger import debug_graded, judge_view
-from postfx.exposure.graded import GradedBoards, read_response, write_chart
-from postfx.exposure.response import OWN_CURVE
+from postfx.exposure.response import OWN_CURVE, GradedBoards, read_response, write_chart
 from postfx.passes.exposure_tool import ExposureTool
 from postfx.passes.tonemap import ToneMap
 from postfx.runtime import Device
