@@ -300,6 +300,8 @@ class Frame:
         parts: name -> array (height, width, 1 or 3) of a part of the picture, such as a light group, in radiance like
             the colour; or of another plane that is to be denoised with it.
         part_sources: name of a part -> how files store it.
+        views: name -> frame of another view of the same moment, such as the right eye of a stereo pair; the frame
+            itself is the first view.
 
     Two frames are equal when all of that is, NaN being equal to NaN; only the files that they come from may differ.
     `print` shows a table of the planes, and a notebook the picture as well.
@@ -326,6 +328,7 @@ class Frame:
     colour_source: ColourSource | None = None
     parts: dict[str, np.ndarray] = field(default_factory=dict)
     part_sources: dict[str, PartSource] = field(default_factory=dict)
+    views: dict[str, Frame] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.planes:

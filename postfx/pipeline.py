@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import os
 import threading
@@ -66,6 +67,9 @@ class Pipeline:
         exposure: multiplier used for the last frame; None before the first and when no pass ran.
         cut: whether the last frame was found to begin another shot.
         broken: how many pixels of which planes of the last frame were not finite, see `postfx.repair.repair_nonfinite`.
+
+    The other views of a frame (`Frame.views`) run through copies of the passes, each with its own history, and with the
+    exposure and the cuts of the frame itself; times and counts are those of all views.
     """
 
     def __init__(
@@ -92,12 +96,13 @@ class Pipeline:
         self._begins = True  # nothing is known of the frames before
         self._flow = Flow(self.device)
         self._own_device = device
+        self._cuts = cuts
+        self._views: dict[str, Pipeline] = {}
 
     def __reduce__(self) -> tuple[Callable[..., Pipeline], tuple[Any, ...]]:
         """Pickled by what it was made of: the copy is not compiled and has no history. Without a device of its own it
         runs on the default device of the process that it comes to."""
-        cuts = "auto" if self._detector else "none"
-        return _make_pipeline, (self.passes, self._own_device, self._meter, cuts, self._run_up)
+        return _make_pipeline, (self.passes, self._own_device, self._meter, self._cuts, self._run_up)
 
     def __call__(self, frame: Frame) -> Frame:
         """The frame after all passes; the given frame is not changed. For one thread at a time.
@@ -112,6 +117,8 @@ class Pipeline:
             return self._processed(dataclasses.replace(frame, metadata=dict(frame.metadata)))
         except BaseException:
             self._reset_passes()
+            for own in self._views.values():
+                own._reset_passes()
             raise
 
     def _processed(self, frame: Frame) -> Frame:
@@ -128,14 +135,37 @@ class Pipeline:
         self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
         run = self._run_up_to(frame, plan)
         result = self._flow.run(run, plan, self.exposure, is_lost(frame, self.broken), frame)
-        self._begins, self.timings = False, self._flow.timings
+        self._begins, self.timings = False, dict(self._flow.timings)
+        views = {name: self._process_view(name, dataclasses.replace(view, reset=view.reset or self.cut))
+                 for name, view in frame.views.items()}
+        return dataclasses.replace(result, views=views)
+
+    def _process_view(self, name: str, frame: Frame) -> Frame:
+        own = self._of_view(name)
+        result = own(frame)
+        self.ahead += own.ahead
+        self.timings = {step: self.timings.get(step, 0.0) + own.timings.get(step, 0.0)
+                        for step in {**self.timings, **own.timings}}
+        self.broken = {role: self.broken.get(role, 0) + own.broken.get(role, 0)
+                       for role in {**self.broken, **own.broken}}
         return result
 
-    def compile(self, spec: FrameSpec) -> Plan:
+    def _of_view(self, name: str) -> Pipeline:
+        """The pipeline of another view."""
+        if name not in self._views:
+            of_view = getattr(self._run_up, "of_view", None)
+            passes = [copy.copy(item) for item in self.passes]
+            self._views[name] = Pipeline(passes, self.device, _SharedExposure(self), "none", of_view and of_view(name))
+        return self._views[name]
+
+    def compile(self, spec: FrameSpec, views: Sequence[str] = ()) -> Plan:
         """Make the passes ready for frames of a spec, so that the first one does not wait for it; the plan.
 
+        views: names of the other views that each frame will hold, which have the same spec.
         Networks are loaded and kernels compiled. Raises ModelError and the like, as the first frame would.
         """
+        for name in views:
+            self._of_view(name).compile(spec)
         return self._planned(spec)
 
     def explain(self, spec: FrameSpec | None = None) -> Plan:
@@ -158,6 +188,8 @@ class Pipeline:
         if self._detector:
             self._detector.reset()
         self._reset_passes()
+        for own in self._views.values():
+            own.reset()
 
     def remembers(self, plan: Plan) -> bool:
         """Whether what comes out, with this plan, may depend on the frames before."""
@@ -171,9 +203,10 @@ class Pipeline:
         if self.plan is None:
             return None
         found = {name: part.history() for name, part in self._rememberers().items() if hasattr(part, "history")}
-        if len(found) < len(self._rememberers()) or any(history is None for history in found.values()):
+        found |= {f"{_VIEW}{name}": own.history() for name, own in self._views.items()}
+        if len(found) < len(self._rememberers()) + len(self._views) or None in found.values():
             return None
-        return {f"{name}/{key}": array for name, history in found.items() for key, array in history.items()}
+        return {f"{name}/{key}": array for name, history in found.items() for key, array in (history or {}).items()}
 
     def recall(self, frame: Frame, history: Mapping[str, np.ndarray]) -> None:
         """Go on as a pipeline whose last frame was `frame`, and that then had this `history`.
@@ -184,10 +217,12 @@ class Pipeline:
         self._planned(frame.spec)
         try:
             for key in history:
-                self._rememberers()[key.partition("/")[0]]
+                if not key.startswith(_VIEW):
+                    self._rememberers()[key.partition("/")[0]]
             for name, part in self._rememberers().items():
-                own = {key.removeprefix(f"{name}/"): a for key, a in history.items() if key.startswith(f"{name}/")}
-                part.recall(own)
+                part.recall(_histories_under(name, history))
+            for name, view in frame.views.items():
+                self._of_view(name).recall(view, _histories_under(f"{_VIEW}{name}", history))
             self._begins = False
         except (KeyError, ValueError, IndexError, BindingError) as error:
             self.reset()
@@ -236,6 +271,25 @@ class Pipeline:
         self._begins = True
         for instance in self.passes:
             instance.reset()
+
+
+_VIEW = "view "
+"""Before the names of other views in a history."""
+
+
+def _histories_under(name: str, history: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {key.removeprefix(f"{name}/"): array for key, array in history.items() if key.startswith(f"{name}/")}
+
+
+class _SharedExposure(ExposureMeter):
+    """Meter of a pipeline that runs another view of the frames of another one: both eyes see the same exposure."""
+
+    def __init__(self, first: Pipeline) -> None:
+        super().__init__("metadata")
+        self._first = first
+
+    def __call__(self, frame: Frame) -> float:
+        return self._first.exposure or 1.0
 
 
 def _make_pipeline(

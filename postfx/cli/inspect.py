@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from postfx.cli.run_options import DEPTH, FILES, INPUT
+from postfx.cli.run_options import DEPTH, FILES, INPUT, refuse_several_views
 
 DESCRIPTION = """\
 Find what is wrong with a sequence: reads up to eight consecutive frames from the first one (or the first of --frames),
@@ -51,6 +51,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.cli.inspection import Inspection, print_text  # loads NumPy and OpenImageIO: --help must not wait
     from postfx.cli.report import write_inspection
 
+    refuse_several_views(arguments, "inspect")
     inspection = Inspection(arguments.input, arguments.frames, arguments.profile, arguments.guides, arguments.depth,
                             arguments.colourspace, arguments.layer, arguments.view)
     if arguments.pictures:

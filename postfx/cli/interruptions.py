@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import signal
 import threading
 from collections.abc import Callable
@@ -46,8 +45,7 @@ class Standin:
     def __init__(
         self, sequence: Sequence, passes: list[Pass], device: Device, exposure: ExposureMeter | SmoothExposure
     ) -> None:
-        self._sequence = copy.copy(sequence)
-        self._sequence.guides, self._sequence.leave = None, ()
+        self._sequence = sequence.pictures()
         self._pipeline = Pipeline(passes, device, exposure, "none")
 
     def __call__(self, number: int) -> Processed:

@@ -7,7 +7,7 @@ import dataclasses
 import tempfile
 import time
 from collections import Counter
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from postfx.cli.run_options import (
     is_shown,
     make_run_up,
     refuse_layer,
+    refuse_views,
 )
 from postfx.cli.summary import (
     Explanation,
@@ -37,6 +38,7 @@ from postfx.cli.summary import (
     Report,
     describe_frames,
     describe_sizes,
+    describe_views,
     guides_in,
     missed_budget,
 )
@@ -103,11 +105,15 @@ class Job:
         passes, left_out = self._passes(denoising, self._backwards is not None)
         self.left_out += left_out
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up)
-        with self.sequence.open(self.first) as files:
+        refuse_views(self.sequence, self.outputs)
+        with ExitStack() as stack:
+            files = stack.enter_context(self.sequence.open(self.first))
             self.left_out += explain_overlay(arguments, files)
             spec = files.spec()
             self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards else spec)
-            self.kept, left_out = explain_kept(arguments, files, (self.plan.output.width, self.plan.output.height))
+            others = [stack.enter_context(self.sequence.reader(view).open(self.first)) for view in self.sequence.views]
+            size = self.plan.output.width, self.plan.output.height
+            self.kept, left_out = explain_kept(arguments, files, size, others)
             self.left_out += left_out
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
@@ -157,8 +163,8 @@ class Job:
     def headline(self) -> str:
         """What comes of what, in a line."""
         to = f" to {self.outputs.path(self.first).with_name(self.outputs.pattern)}" if self.outputs else ""
-        sizes = describe_sizes(self.plan, self.sequence)
-        return f"{self.sequence.pattern}{to}: {describe_frames(self.sequence)}, {sizes}"
+        sizes, views = describe_sizes(self.plan, self.sequence), describe_views(self.sequence)
+        return f"{self.sequence.pattern}{to}: {describe_frames(self.sequence)}, {sizes}{views}"
 
     def run(self) -> None:
         """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
@@ -244,7 +250,7 @@ class Job:
         can tell of."""
         begin = time.perf_counter()
         if self.plan.steps:
-            self.pipeline.compile(self.plan.input)
+            self.pipeline.compile(self.plan.input, self.sequence.views)
         if self._watch.count:
             self._warm_up()
         self._prepared = Prepared(time.perf_counter() - begin, self._watch.seconds, self._watch.count)
@@ -390,7 +396,7 @@ class Job:
             frames = listed[listed.index(number):]
             try:
                 return Inspection(given.input, frames, given.profile, given.guides, given.depth,
-                                  given.colourspace, given.layer, given.view)
+                                  given.colourspace, given.layer, self.sequence.view)
             except PostfxError:
                 if number == numbers[-1]:
                     raise

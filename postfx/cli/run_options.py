@@ -12,7 +12,7 @@ change:
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,9 +81,11 @@ FRAMES = Section("", (
 ))
 
 
-def explain_kept(arguments: argparse.Namespace, files: FrameFiles, size: tuple[int, int]) -> tuple[str, list[Skipped]]:
+def explain_kept(
+    arguments: argparse.Namespace, files: FrameFiles, size: tuple[int, int], views: Iterable[FrameFiles] = ()
+) -> tuple[str, list[Skipped]]:
     """A line on the channels that a frame's file holds beside the picture and an output of a size keeps, '' for none;
-    and those that it does not."""
+    and those that it does not. views: of the other views that are written."""
     from postfx.frame import Role
     from postfx.io.writer import is_display_format
     from postfx.plan import Skipped
@@ -92,8 +94,9 @@ def explain_kept(arguments: argparse.Namespace, files: FrameFiles, size: tuple[i
     if arguments.keep == "none" or is_picture or Role.COLOUR not in files.layout.planes:
         return "", []
     colour = files.match(Role.COLOUR)
-    planes = [files.layout.planes[role] for role in (Role.COLOUR, Role.ALPHA) if role in files.layout.planes]
-    parts = (found.channels for found in files.parts.values())
+    planes = [one.layout.planes[role] for one in (files, *views) for role in (Role.COLOUR, Role.ALPHA)
+              if role in one.layout.planes]
+    parts = (found.channels for one in (files, *views) for found in one.parts.values())
     touched = {(channel.part.index, channel.name) for channels in (*(match.channels for match in planes), *parts)
                for channel in channels}
     others = {(part.index, name) for part in colour.channels[0].file.parts for name in part.channels} - touched
@@ -310,6 +313,23 @@ def display_passes(
     return [mapper] + ([create("display", display=shown_on)] if made_for != shown_on else []), []
 
 
+def refuse_views(sequence: Sequence, outputs: OutputFiles | None) -> None:
+    """WriteError if files cannot hold all views that are asked for."""
+    from postfx.errors import WriteError
+
+    if sequence.views and outputs and outputs.display:
+        raise WriteError(f"{outputs.pattern}: only EXR holds several views: write EXR, or run once for each with "
+                         f"--view {sequence.view}, --view {sequence.views[0]}")
+
+
+def refuse_several_views(arguments: argparse.Namespace, verb: str) -> None:
+    """OptionError if more than one view is given to a verb that looks at one."""
+    from postfx.errors import OptionError
+
+    if arguments.view and (arguments.view == "all" or "," in arguments.view):
+        raise OptionError(f"--view {arguments.view}: 'postfx {verb}' looks at one view: give --view with one name")
+
+
 def refuse_layer(arguments: argparse.Namespace, outputs: OutputFiles | None) -> None:
     """WriteError if the overlay cannot be written beside the colour: its light is scene-linear."""
     from postfx.errors import WriteError
@@ -346,8 +366,9 @@ COLOURSPACE = Option(
 
 LAYER = Option(flag="--layer", metavar="NAME", sets="sequence.layer",
                help="view layer or other layer to read (default: of several view layers that with the most planes)")
-VIEW = Option(flag="--view", metavar="NAME", sets="sequence.view",
-              help="view of stereo files to read, e.g. left (default: the first)")
+VIEW = Option(flag="--view", metavar="NAMES", sets="sequence.view",
+              help="view of stereo files to read, e.g. left (default: the first); 'postfx run' takes several "
+              "(left,right or all), each with its own history, and writes them into one EXR as they came")
 FILES = Options(Section("", (COLOURSPACE, LAYER, VIEW)))
 """What every verb that reads frames must let the user say about them."""
 

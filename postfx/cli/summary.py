@@ -93,6 +93,11 @@ def describe_sizes(plan: Plan, sequence: Sequence) -> str:
     return change if output != shown else f"{output[0]}x{output[1]}, not enlarged"
 
 
+def describe_views(sequence: Sequence) -> str:
+    """Which views are read, '' where files hold one."""
+    return f", views {', '.join(filter(None, (sequence.view, *sequence.views)))}" if sequence.views else ""
+
+
 class FrameProgress:
     """Counts finished frames. Use as a context manager.
 

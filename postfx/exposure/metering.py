@@ -7,7 +7,6 @@ meters the whole sequence first, then follows it by a smooth curve that looks bo
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -209,7 +208,7 @@ def colours_of(sequence: FrameSequence, lenient: bool = False) -> Iterator[Frame
 
     If `lenient`, frames that cannot be read are skipped.
     """
-    own = copy.copy(sequence)  # a copy: cuts depend on the frame that was read last
+    own = sequence.reader()  # cuts depend on the frame that was read last
     own.rewind()
     return (frame for _, frame in read_ahead(own.numbers, lambda number: _colour_of(own, number, lenient)) if frame)
 

@@ -9,13 +9,13 @@ import errno
 import io
 import os
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio
@@ -26,9 +26,10 @@ from postfx.colour.displays import KINDS, Display
 from postfx.colour.primaries import D50_XYZ, Chromaticities, adapt, to_xyz
 from postfx.errors import ReadError
 from postfx.frame import Frame
-from postfx.io.exr.container import ExrContainer, picture_part, write_container
+from postfx.io.exr.container import ExrContainer, Rows, picture_part, write_container
 from postfx.io.exr.header import Header, read_headers
 from postfx.io.exr.passthrough import merge_source
+from postfx.io.exr.views import View, merge_views
 from postfx.io.windows import Pixels
 from postfx.kernels.pixel_formats import dither_rows, halve, look_up, paeth
 
@@ -211,15 +212,15 @@ _PIECE = 16 << 20  # bytes in float32 that are converted and written at once
 
 def encode(
     path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None,
-    keep: Frame | None = None,
+    keep: Frame | None = None, views: Sequence[Picture] = (),
 ) -> None:
-    """Encode a file; an EXR with everything else that the source of `keep` holds.
+    """Encode a file; an EXR with everything else that the source of `keep` holds, or of several views.
 
     Raises OSError unless all bytes are in the file, which the encoders of JPEG, PNG and TIFF do not tell; ReadError
     when what is kept cannot be read.
     """
     if suffix == ".exr":
-        whole = _write_exr(path, spec, convert, relax, keep) == path.stat().st_size
+        whole = _write_exr(path, spec, convert, relax, keep, views) == path.stat().st_size
     else:
         write = _write_jpeg if suffix in JPEG else _write_png if _is_own_png(suffix, spec) else _encode
         write(path, suffix, spec, convert, relax)
@@ -228,13 +229,33 @@ def encode(
         raise OSError(errno.ENOSPC, "the file has no end")
 
 
+class Picture(NamedTuple):
+    """One view of several that go into a file: its pixels, and the frame that they are of."""
+
+    spec: oiio.ImageSpec
+    convert: Pixels
+    frame: Frame
+
+
 def _write_exr(
-    path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None, keep: Frame | None
+    path: Path, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None, keep: Frame | None,
+    views: Sequence[Picture]
 ) -> int:
     """Scanlines, in ZIP in a third of the time that OpenImageIO takes; returns the file's bytes.
 
     Each chunk goes straight into the file, together with the channels and parts that are kept.
     """
+    with ExitStack() as stack:
+        if views:
+            pictures = [View(*_header_and_rows(view.spec, view.convert, relax), view.frame) for view in views]
+            parts = merge_views(pictures, keep is not None, stack)
+        else:
+            header, rows = _header_and_rows(spec, convert, relax)
+            parts = merge_source(header, rows, keep, stack) if keep else [picture_part(header, rows)]
+        return write_container(path, parts)
+
+
+def _header_and_rows(spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> tuple[Header, Rows]:
     header = _exr_header(spec)
     places = [spec.channelnames.index(channel.name) for channel in header.channels]
 
@@ -244,9 +265,7 @@ def _write_exr(
             relax()
         return [pixels[:, :, place] for place in places]
 
-    with ExitStack() as stack:
-        parts = merge_source(header, rows, keep, stack) if keep else [picture_part(header, rows)]
-        return write_container(path, parts)
+    return header, rows
 
 
 def _exr_header(spec: oiio.ImageSpec) -> Header:

@@ -223,6 +223,7 @@ class FrameFiles:
         guides: planes at output size, or None.
         alone: what is left as it is, or None.
         area: rectangle that the planes of the frame's size cover, or None without any.
+        views: of stereo files, those that hold a colour, the one that is read first; empty for files of one view.
         parts: layers that are parts of the picture, by name, of those that were asked for.
     """
 
@@ -242,6 +243,7 @@ class FrameFiles:
     ) -> None:
         self._stack, self._without = ExitStack(), without
         self._layer, self._view = layer, view
+        self.views: tuple[str, ...] = ()
         try:
             self._files = {word: self._stack.enter_context(ImageFile(path)) for word, path in paths.items()}
             self.path = next(iter(self._files.values())).path
@@ -316,6 +318,15 @@ class FrameFiles:
             frame.part_sources = {name: part.source for name, part in self.parts.items()}
         return frame
 
+    def held(
+        self, roles: Iterable[Role] | None, guides: Iterable[Role] | None
+    ) -> tuple[list[Role] | None, list[Role] | None]:
+        """Those of these roles and guides that are there, and the colour whether it is or not."""
+        offered = self.guides.planes if self.guides else {}
+        there = {*self.layout.planes, *self._made(), Role.COLOUR, *(offered if guides is None else ())}
+        return (None if roles is None else [Role(role) for role in roles if role in there],
+                None if guides is None else [Role(role) for role in guides if role in offered])
+
     def guide(self, role: Role) -> Match:
         """Where a guide is; MissingPlaneError when it is not there at output size."""
         if self.guides is None or role not in self.guides.planes:
@@ -361,9 +372,7 @@ class FrameFiles:
         layout = make_layout(index, self._attributes(), chosen, depth, self._without, self._layer)
         others = [view for view in index.views[1:]
                   if make_layout(ChannelIndex(self._files, view), {}, layout.profile).planes.get(Role.COLOUR)]
-        if others:
-            layout.warnings.append(f"view {index.views[0]} is read; {', '.join(others)} not, and is only copied where "
-                                   "the output keeps other channels: --view NAME chooses")
+        self.views = (index.views[0], *others) if others else ()
         return index, layout
 
     def _look_wider(
@@ -401,12 +410,20 @@ class FrameFiles:
     def _own_guides(
         self, paths: Mapping[str, Path], profile: str | None, depth: DepthOption | None
     ) -> GuideLayout:
-        files = self._stack.enter_context(FrameFiles(paths, profile, depth=depth, without=self._without))
+        view = self._guides_view(paths)
+        files = self._stack.enter_context(FrameFiles(paths, profile, depth=depth, without=self._without, view=view))
         if self.guides:
             names = ", ".join(self.guides.planes)
             self.layout.warnings.append(f"planes {names} are larger than the colour: not read beside the guides given")
         self.layout.warnings += [f"guides: {warning}" for warning in files.layout.warnings]
         return planes_that_guide(files.layout, files.path)
+
+    def _guides_view(self, paths: Mapping[str, Path]) -> str | None:
+        """The view that is read, where the files of the guides hold several as well."""
+        if not self._index.views:
+            return None
+        with ImageFile(next(iter(paths.values()))) as file:
+            return next((view for view in ChannelIndex({"": file}).views if view == self._index.views[0]), None)
 
     def _wanted(
         self, roles: Iterable[Role] | None, guides: Iterable[Role] | None

@@ -37,6 +37,9 @@ class Sequence:
         leave: what is left as it is.
         left_alone: how much of the frames read so far that is.
         parts: which layers are read as parts of the picture; may be replaced.
+        view: of stereo files, the view that frames are of; None for the first, until a frame was opened.
+        views: other views that are read with each frame, into `Frame.views`; those of 'all' are known as soon as a
+            frame was opened.
     """
 
     def __init__(
@@ -59,14 +62,16 @@ class Sequence:
     ) -> None:
         self._scratch = scratch
         self.parts = parse_parts(aov, aov_denoise)
-        self._layer, self._view = layer, view
+        self._layer = layer
+        self.view, self.views, self._all_views = parse_views(view)
+        self._known_views = (self.view, *self.views)
         self.pattern, named = locate(source)
         self.profile = profile
         self.depth = None if depth is None else parse_depth(depth)
         self.cuts = None if cuts is None else frozenset(cuts)
         self.leave = () if leave is None else parse_leave(leave)
         self._named = False
-        self._area: Area | None = None  # of the first frame that was opened
+        self._areas: dict[str | None, Area | None] = {}  # of each view's first frame that was opened
         self.left_alone = Coverage()
         self.colours = parse_colourspace(colourspace)
         self.without = frozenset(map(Role, without))
@@ -92,10 +97,17 @@ class Sequence:
             yield self._read(number, previous)
             previous = number
 
-    def reader(self) -> Sequence:
-        """The same frames, read as they are now, for whoever reads them beside: `left_alone` is its own."""
+    def reader(self, view: str | None = None) -> Sequence:
+        """The same frames, of one view alone, for whoever reads them beside: `left_alone` is its own."""
         found = copy.copy(self)
         found.left_alone = Coverage()
+        found.view, found.views, found._all_views = view or self.view, (), False
+        return found
+
+    def pictures(self) -> Sequence:
+        """The same frames without guides, and without what is left as it is."""
+        found = copy.copy(self)
+        found.guides, found.leave = None, ()
         return found
 
     def rewind(self) -> None:
@@ -164,9 +176,10 @@ class Sequence:
 
     def shown_size(self, width: int, height: int) -> tuple[int, int]:
         """Width and height of the display window of an output of a size, which is larger where there is overscan."""
-        if self._area is None:
+        found = self._areas.get(self.view)
+        if found is None:
             return width, height
-        display, area = self._area
+        display, area = found
         shown = scaled_windows(area, display, display, width, height).display
         return shown.width, shown.height
 
@@ -174,12 +187,16 @@ class Sequence:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
         guides, strict = self.guide_files(number), not self._named
         files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self.without,
-                           self._area, self._layer, self._view, self.parts)
+                           self._areas.get(self.view), self._layer, self.view, self.parts)
         self._layer = self._layer or files.layout.chosen_layer
-        self._area = self._area or files.area
         self._named = True  # a thing that was found need not be in every frame
+        if self._all_views and files.views:
+            self.view, *others = files.views
+            self.views, self._known_views, self._all_views = tuple(others), files.views, False
+        self._areas[self.view] = self._areas.get(self.view) or files.area
         try:
             found = files.layout.warnings + self.colours.warnings(files.layout.attributes)
+            found += self._warn_of_views(files.views)
         except ColourError as error:
             files.close()
             raise ColourError(f"{files.path}: {error}") from None
@@ -213,9 +230,23 @@ class Sequence:
         self, number: int, previous: int | None, planes: Iterable[Role] | None = None,
         guides: Iterable[Role] | None = None
     ) -> Frame:
-        """A frame that comes after `previous`."""
+        """A frame that comes after `previous`, with all views."""
+        planes = None if planes is None else tuple(planes)
+        frame = self._read_view(number, previous, planes, guides)
+        for view in self.views:
+            frame.views[view] = self.reader(view)._read_view(number, previous, planes, guides, is_lenient=True)
+        return frame
+
+    def _read_view(
+        self, number: int, previous: int | None, planes: Iterable[Role] | None = None,
+        guides: Iterable[Role] | None = None, is_lenient: bool = False
+    ) -> Frame:
+        """Likewise, one view; if `is_lenient`, without the planes that it does not have, unless it is the colour."""
         with self.open(number) as files:
-            frame = files.read(number, self.planes if planes is None else planes, guides, self._scratch)
+            wanted = self.planes if planes is None else planes
+            if is_lenient:
+                wanted, guides = files.held(wanted, guides)
+            frame = files.read(number, wanted, guides, self._scratch)
             if files.alone:
                 self.left_alone.add(files.alone.shares)
         self.colours.apply(frame)
@@ -223,6 +254,11 @@ class Sequence:
         after_gap = self._is_after_gap(number, previous)
         frame.reset = (frame.reset if self.cuts is None else number in self.cuts) or after_gap
         return frame
+
+    def _warn_of_views(self, views: tuple[str, ...]) -> list[str]:
+        others = ", ".join(view for view in views[1:] if view not in self._known_views)
+        return [f"view {views[0]} is read; {others} not, and is only copied where the output keeps other channels: "
+                "--view all denoises all of them"] if others else []
 
     def _is_after_gap(self, number: int, previous: int | None) -> bool:
         if previous is None or previous == number - self._step:
@@ -274,7 +310,8 @@ def read_sequence(
             turned to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.
         without: roles of planes to take as absent, such as `Role.OVERLAY`.
         layer: view layer or other layer whose channels are read; None for that with the most planes.
-        view: of stereo files, such as 'left'; None for the first.
+        view: of stereo files, such as 'left'; None for the first. Several, such as 'left,right', or 'all': each frame
+            is of the first one and holds the others in `Frame.views`.
 
     Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError,
     ReadError or StrengthError.
@@ -283,6 +320,22 @@ def read_sequence(
         pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave, colourspace=colourspace,
         without=without, layer=layer, view=view,
     )
+
+
+def parse_views(text: str | None) -> tuple[str | None, tuple[str, ...], bool]:
+    """First view (None for the file's first), the others, and whether all are meant, of 'left', 'left,right' or 'all'.
+
+    Raises SequenceError where a name is given twice or is empty.
+    """
+    if text is None or text == ALL_VIEWS:
+        return None, (), text == ALL_VIEWS
+    names = [name.strip() for name in text.split(",")]
+    if not all(names) or len(set(names)) < len(names):
+        raise SequenceError(f"views '{text}': name each view once, like left,right, or give all")
+    return names[0], tuple(names[1:]), False
+
+
+ALL_VIEWS = "all"
 
 
 def _step(numbers: list[int]) -> int:

@@ -17,7 +17,7 @@ from postfx.colour.displays import Display, parse_display
 from postfx.errors import OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file
 from postfx.frame import LINEAR, Frame, Role
-from postfx.io.encode import JPEG, Dither, encode, halves, has_end, light_of, quantise, tag_codes, tag_light
+from postfx.io.encode import JPEG, Dither, Picture, encode, halves, has_end, light_of, quantise, tag_codes, tag_light
 from postfx.io.exr.container import COMPRESSIONS
 from postfx.io.exr.passthrough import enlargement_of, kept_attributes, set_attributes
 from postfx.io.image_file import reason_of
@@ -84,7 +84,8 @@ def write_frame(
 
     EXR holds linear light: a display-encoded frame is decoded, in its display's primaries, and 1 is white. The input's
     windows are scaled to the frame's size, and its useful header attributes kept. Beside scene-linear colour also an
-    overlay that was not composited, as a layer of that name, and the frame's parts, under the names that they had.
+    overlay that was not composited, as a layer of that name, and the frame's parts, under the names that they had. All
+    views of a frame go into one EXR, under the names that they had in its source.
 
     Other files hold code values within the display window; 8 bits are dithered. They are tagged with the display that
     they are for, see `postfx.io.encode`. Linear frames are clipped to 0..1 there and encoded as sRGB, so tone-map them
@@ -110,17 +111,24 @@ def write_frame(
     path = Path(path)
     shown = is_display_format(path)
     check_storage(path, bits, compression, frame.encoding)
+    if shown and frame.views:
+        raise WriteError(f"{path}: {path.suffix[1:].upper()} holds one view: write EXR, or choose one with --view NAME")
     half = half if bits is None else bits == 16
-    convert = _code_pixels(frame, path, Dither(dither), bits) if shown else _linear_pixels(frame, half)
-    windows = output_windows(frame)
-    convert = cut(convert, windows.area, windows.display if shown else windows.data)
-    spec = _spec(frame, windows, convert(slice(0, 1)), path)
-    if not shown:
-        spec.attribute("compression", compression)
-        set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
+    pictures = []
+    for view in (frame, *frame.views.values()):
+        convert = _code_pixels(view, path, Dither(dither), bits) if shown else _linear_pixels(view, half)
+        windows = output_windows(view)
+        convert = cut(convert, windows.area, windows.display if shown else windows.data)
+        spec = _spec(view, windows, convert(slice(0, 1)), path)
+        if not shown:
+            spec.attribute("compression", compression)
+            set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
+        pictures.append(Picture(spec, convert, view))
     with output_file(path) as temporary:
         keep = not shown and enlargement_of(frame) is None if keep is None else keep  # only EXR keeps anything
-        encode(temporary, path.suffix.lower(), spec, convert, relax, frame if keep else None)
+        first, *others = pictures
+        encode(temporary, path.suffix.lower(), first.spec, first.convert, relax, frame if keep else None,
+               pictures if others else ())
     return path
 
 

@@ -70,6 +70,9 @@ class Backwards:
     def __init__(self, sequence: Sequence, device: Device | None = None,
                  exposure: str | float | ExposureMeter | SmoothExposure = "auto", cuts: str = "auto",
                  prepare: Callable[[Frame], Frame] = lambda frame: frame, **options: Any) -> None:
+        self._of_view: Callable[[str], Backwards] = lambda view: Backwards(
+            sequence.reader(view), device, exposure, cuts, prepare, **options)
+        self._views: dict[str, Backwards] = {}
         after = sequence.after(sequence.numbers[-1], RUN_UP) if sequence.numbers else ()
         self._given, self._numbers, self._asked = sequence, (*sequence.numbers, *after), len(sequence)
         self._at = {number: index for index, number in enumerate(sequence.numbers)}
@@ -89,7 +92,7 @@ class Backwards:
     def reset(self) -> None:
         """Drop all results; the next frame may be any frame."""
         self._ahead.reset()
-        self._last, self._results = -1, {}
+        self._last, self._results, self._views = -1, {}, {}
 
     def part(self, number: int) -> tuple[int, int] | None:
         """First and last frame that have to run before this one gets its result; None if it has one already."""
@@ -98,7 +101,7 @@ class Backwards:
         return number, self._numbers[self._limits(self._at[number])[1] - 1]
 
     def __call__(self, frame: Frame, wanted: bool = True, check: Callable[[], None] = lambda: None) -> Frame:
-        """The frame with the plane `later` among its guides.
+        """The frame, and its other views, with the plane `later` among their guides.
 
         wanted: if False, the frame only updates the history and its plane is 0. check: called between two frames in
         reverse order; it may raise.
@@ -113,7 +116,16 @@ class Backwards:
                 share = np.empty(ahead.shape, np.float32)
                 share_by_length(ahead, result.length, share)
                 premultiply(share, result.colour.astype(np.float32) / np.float32(result.exposure), later)
-        return dataclasses.replace(frame, guides={**frame.guides, Role.LATER: later})
+        views = {name: self._add_later(name, view, wanted, check) for name, view in frame.views.items()}
+        return dataclasses.replace(frame, guides={**frame.guides, Role.LATER: later}, views=views)
+
+    def _add_later(self, name: str, frame: Frame, wanted: bool, check: Callable[[], None]) -> Frame:
+        if name not in self._views:
+            self._views[name] = self._of_view(name)
+        later = self._views[name]
+        found = later(frame, wanted, check)
+        self.milliseconds = (self.milliseconds or 0) + later.milliseconds if later.milliseconds else self.milliseconds
+        return found
 
     def _guides(self, spec: FrameSpec) -> GuideSpec:
         """Guides for a spec, with `later` at the size of the denoiser's output."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -33,6 +34,8 @@ class RunUp:
         cuts: as for the `Pipeline`.
         prepare: applied to frames after reading, as for the frames in order.
 
+        view: of stereo files, the view whose frames run; None for the first.
+
     Frames that cannot be read or run are skipped without an error; the frames between them and the first one still run.
 
     Attributes:
@@ -41,16 +44,24 @@ class RunUp:
     """
 
     def __init__(self, sequence: Sequence, frames: int = FRAMES, cuts: str = "auto",
-                 prepare: Callable[[Frame], Frame] = lambda frame: frame) -> None:
+                 prepare: Callable[[Frame], Frame] = lambda frame: frame, view: str | None = None) -> None:
+        self._view = view
         self._sequence, self._frames, self._find_cuts, self._prepare = sequence, frames, cuts == "auto", prepare
         self.on_frame: Callable[[int, int], None] = lambda first, number: None
         self._next = dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True))
+
+    def of_view(self, view: str) -> RunUp:
+        """The same for another view of the sequence."""
+        found = copy.copy(self)
+        found._view = view
+        found.on_frame = lambda first, number: self.on_frame(first, number)
+        return found
 
     def after(self, number: int) -> list[int]:
         """Numbers of the frames to run before this one, in sequence order, according to their headers."""
         found = self._sequence.after(number, self._frames)
         follows = found and self._next.get(number, found[0]) == found[0]  # frames before the range lead to it
-        return list(takewhile(partial(_continues_shot, self._sequence.reader()), found)) if follows else []
+        return list(takewhile(partial(_continues_shot, self._sequence.reader(self._view)), found)) if follows else []
 
     def __call__(self, frame: Frame, run: Callable[[Frame], None]) -> Frame:
         """Run the frames after a first one in reverse order. Returns the first frame, ready to run after them."""
@@ -59,7 +70,7 @@ class RunUp:
             return frame
         detector = CutDetector() if self._find_cuts else None
         later: Frame | None = None
-        for _, other in read_ahead(reversed(numbers), partial(self._read, self._sequence.reader(), frame)):
+        for _, other in read_ahead(reversed(numbers), partial(self._read, self._sequence.reader(self._view), frame)):
             if other is not None:
                 self.on_frame(frame.number, other.number)
             has_run = other is not None and _try_run(_mark_cut(reverse_motion(other, later), detector), run)

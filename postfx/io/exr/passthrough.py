@@ -178,10 +178,10 @@ def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> lis
     if frame.source is None or Path(frame.source).suffix.lower() != ".exr":
         return [picture_part(own, rows)]
     source = stack.enter_context(ExrContainer(Path(frame.source)))
-    return _Merge(own, rows, source, frame, stack).parts()
+    return Merge(own, rows, source, frame, stack).parts()
 
 
-class _Merge:
+class Merge:
     """A picture and the file that its render was read from."""
 
     def __init__(self, own: Header, rows: Rows, source: ExrContainer, frame: Frame, stack: ExitStack) -> None:
@@ -195,12 +195,12 @@ class _Merge:
         if self._enlargement:
             return _with_names(self._enlarged(self._enlargement))
         in_place = self._is_in_place()
-        header = self._header(headers[index], in_place)
+        header = self.header(headers[index], in_place)
         if in_place:
-            parts = [self._together(part, header) if part == index else self._as_stored(part, header)
+            parts = [self._together(part, header) if part == index else self.as_stored(part, header)
                      for part in range(len(headers))]
         else:
-            parts = [picture_part(header, self._rows), *(self._as_stored(part, header) for part in range(len(headers)))]
+            parts = [picture_part(header, self._rows), *(self.as_stored(part, header) for part in range(len(headers)))]
         return _with_names(parts)
 
     def _is_in_place(self) -> bool:
@@ -211,12 +211,12 @@ class _Merge:
         flat = render.part_type in (SCANLINES, TILES)
         return same and plain and flat and self._stored.channels == ("R", "G", "B")
 
-    def _as_stored(self, part: int, picture: Header) -> NewPart:
+    def as_stored(self, part: int, picture: Header) -> NewPart:
         """A part of the source with its pixels as they are."""
-        header = self._beside(part, picture)
+        header = self.beside(part, picture)
         return NewPart(header, self._source.counts[part], self._source.copy_chunks(part))
 
-    def _beside(self, part: int, picture: Header) -> Header:
+    def beside(self, part: int, picture: Header) -> Header:
         """Header of a part of the source, with what the whole file shares as the picture has it."""
         header = Header(dict(self._source.headers[part].attributes))
         for name in _SHARED:
@@ -232,7 +232,7 @@ class _Merge:
         """The picture, and the source's flat parts at its size, without the render's colour."""
         file = self._stack.enter_context(ImageFile(self._source.path, checked=True))
         index, fresh = self._stored.part, {channel.name for channel in self._own.channels}
-        picture, parts = self._header(self._source.headers[index], in_place=False), []
+        picture, parts = self.header(self._source.headers[index], in_place=False), []
         joined = NewPart(picture, 0, ())
         display = next(part.display for part in file.parts if part.index == index)
         for part in file.parts:
@@ -243,17 +243,17 @@ class _Merge:
             pixels = {name: axis for (own, name), axis in self._stored.pixels.items() if own == part.index}
             larger = enlargement.window(part.data)
             if kept and part.display != display:  # of a file of two sizes, as where guides have the output's
-                parts += [self._as_stored(part.index, picture)] if part.data == self._own.data else []
+                parts += [self.as_stored(part.index, picture)] if part.data == self._own.data else []
             if not kept or part.display != display:
                 continue
             rows = enlarged_rows(file, part, names, enlargement, pixels)
             if part.index == index and larger == self._own.data and self._stored.channels == ("R", "G", "B"):
-                picture = self._header(self._source.headers[index], in_place=True)
-                self._check_zip(picture)
+                picture = self.header(self._source.headers[index], in_place=True)
+                self.check_zip(picture)
                 picture.set("channels", "chlist", pack_channels(self._own.channels + kept))
                 joined = picture_part(picture, _join(picture, self._own, self._rows, names, rows))
             else:
-                parts.append(picture_part(_resized(self._beside(part.index, picture), larger, kept), rows))
+                parts.append(picture_part(resize_header(self.beside(part.index, picture), larger, kept), rows))
         return [joined if joined.count else picture_part(picture, self._rows), *parts]
 
     def _together(self, part: int, header: Header) -> NewPart:
@@ -263,21 +263,21 @@ class _Merge:
         if not rest:
             return picture_part(header, self._rows)
         header.set("channels", "chlist", pack_channels(self._own.channels + rest))
-        self._check_zip(header)
+        self.check_zip(header)
         source = self._stack.enter_context(ImageFile(self._source.path, checked=True))
         (render,) = (one for one in source.parts if one.index == part)
         old = [channel.name for channel in rest]
         return picture_part(header, _join(header, self._own, self._rows, old,
                                       lambda first, last: source.read_stored(render, old, first, last)))
 
-    def _check_zip(self, header: Header) -> None:
+    def check_zip(self, header: Header) -> None:
         """WriteError unless a part that holds the picture and other channels is compressed by ZIP."""
         if header.compression != ZIP:
             name = COMPRESSIONS[header.compression]
             raise WriteError(f"{self._source.path}: has channels that stay in the picture's part bit for bit, with ZIP "
                              f"only: leave --compression {name} out, or give --keep none")
 
-    def _header(self, render: Header, in_place: bool) -> Header:
+    def header(self, render: Header, in_place: bool) -> Header:
         """Header of the picture's part: what the writer gave it, and what the render's says that it did not change."""
         own = self._own.attributes
         found = {name: own[name] for name in _STRUCTURE if name in own}
@@ -314,7 +314,7 @@ def _join(header: Header, own: Header, rows: Rows, names: list[str], others: Row
     return joined
 
 
-def _resized(header: Header, data: Window, channels: list[ChannelInfo]) -> Header:
+def resize_header(header: Header, data: Window, channels: list[ChannelInfo]) -> Header:
     """Header of a part with these channels in another data window, as ZIP-compressed scanlines."""
     header.attributes.pop("tiles", None)
     header.set("channels", "chlist", pack_channels(channels))
