@@ -20,8 +20,8 @@ from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import GUIDE_ROLES, Frame, FrameSpec, Role
 from postfx.passes.base import MOST_SIZES, Pass, ResidentFrame
 from postfx.passes.exposure_tool import with_tool
-from postfx.plan import Plan, Skipped, Step, make_plan
-from postfx.repair import is_lost, repair_nonfinite
+from postfx.plan import Plan, Skip, Step, make_plan
+from postfx.repair import is_unusable, repair_nonfinite
 from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor
 
 MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
@@ -88,7 +88,7 @@ class Pipeline:
         self.timings: dict[str, float] = {}
         self.exposure: float | None = None
         self.cut = False
-        self.broken: dict[Role, int] = {}
+        self.bad_pixels: dict[Role, int] = {}
         self.ahead: tuple[float, ...] = ()
         self._meter = exposure if callable(exposure) else ExposureMeter(exposure)
         self._detector = CutDetector() if cuts == "auto" else None
@@ -124,9 +124,9 @@ class Pipeline:
     def _processed(self, frame: Frame) -> Frame:
         plan, self.ahead = self._planned(frame.spec), ()
         if not plan.steps:
-            self.timings, self.exposure, self.cut, self.broken = {}, None, False, {}
+            self.timings, self.exposure, self.cut, self.bad_pixels = {}, None, False, {}
             return frame
-        frame, self.broken = repair_nonfinite(frame, plan.planes, self.device.scratch)
+        frame, self.bad_pixels = repair_nonfinite(frame, plan.planes, self.device.scratch)
         self.cut = self._is_cut(frame)
         if self.cut:
             frame = dataclasses.replace(frame, reset=True)
@@ -134,7 +134,7 @@ class Pipeline:
             self._reset_passes()
         self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
         run = self._run_up_to(frame, plan)
-        result = self._flow.run(run, plan, self.exposure, is_lost(frame, self.broken), frame)
+        result = self._flow.run(run, plan, self.exposure, is_unusable(frame, self.bad_pixels), frame)
         self._begins, self.timings = False, dict(self._flow.timings)
         views = {name: self._process_view(name, dataclasses.replace(view, reset=view.reset or self.cut))
                  for name, view in frame.views.items()}
@@ -146,8 +146,8 @@ class Pipeline:
         self.ahead += own.ahead
         self.timings = {step: self.timings.get(step, 0.0) + own.timings.get(step, 0.0)
                         for step in {**self.timings, **own.timings}}
-        self.broken = {role: self.broken.get(role, 0) + own.broken.get(role, 0)
-                       for role in {**self.broken, **own.broken}}
+        self.bad_pixels = {role: self.bad_pixels.get(role, 0) + own.bad_pixels.get(role, 0)
+                       for role in {**self.bad_pixels, **own.bad_pixels}}
         return result
 
     def _of_view(self, name: str) -> Pipeline:
@@ -175,12 +175,12 @@ class Pipeline:
             return make_plan(self.passes, spec)
         if self.plan is None:
             raise FrameError("there is no plan yet: give explain() a FrameSpec, or process a frame first")
-        return dataclasses.replace(self.plan, skipped=(*self.plan.skipped, *self.left_out()))
+        return dataclasses.replace(self.plan, skips=(*self.plan.skips, *self.savings()))
 
-    def left_out(self) -> list[Skipped]:
+    def savings(self) -> list[Skip]:
         """What the passes spared the frames so far, with the time that it saved."""
         steps = self.plan.steps if self.plan else ()
-        return [Skipped(f"{step.name}: {what}", why) for step in steps for what, why in step.instance.left_out()]
+        return [Skip(f"{step.name}: {what}", why) for step in steps for what, why in step.instance.savings()]
 
     def reset(self) -> None:
         """Drop all history: the next frame is treated as the first of a sequence."""
@@ -264,7 +264,7 @@ class Pipeline:
         frame, broken = repair_nonfinite(dataclasses.replace(frame), plan.planes, self.device.scratch)
         if frame.reset:
             self._reset_passes()
-        self._flow.run_ahead(frame, plan, steps, self.exposure or 1.0, is_lost(frame, broken))
+        self._flow.run_ahead(frame, plan, steps, self.exposure or 1.0, is_unusable(frame, broken))
         self.ahead += (sum(self._flow.timings.values()),)
 
     def _reset_passes(self) -> None:
@@ -318,31 +318,31 @@ class Flow:
         """Give back what was kept ready for the frames so far."""
         self._copies.clear()
 
-    def run(self, frame: Frame, plan: Plan, exposure: float, lost: bool, given: Frame) -> Frame:
+    def run(self, frame: Frame, plan: Plan, exposure: float, unusable: bool, given: Frame) -> Frame:
         """The frame that comes out; of `given` are the planes that no pass touches, and what is no plane."""
-        with self._uploaded(frame, plan, exposure, lost) as resident:
+        with self._uploaded(frame, plan, exposure, unusable) as resident:
             inputs = dict(resident.tensors)
             with self._device.results_lock:  # the next commit may take the memory of the results
                 self._run(plan.steps, resident)
                 for step in plan.steps:
-                    step.instance.ran(self.timings[step.name])
+                    step.instance.note_time(self.timings[step.name])
                 return _finished(given, plan, resident, inputs)
 
-    def run_ahead(self, frame: Frame, plan: Plan, steps: Sequence[Step], exposure: float, lost: bool) -> None:
+    def run_ahead(self, frame: Frame, plan: Plan, steps: Sequence[Step], exposure: float, unusable: bool) -> None:
         """Take a frame through the first steps of a plan, for nothing but their history."""
-        with self._uploaded(frame, plan, exposure, lost) as resident:
-            resident.wanted = False
+        with self._uploaded(frame, plan, exposure, unusable) as resident:
+            resident.history_only = True
             with self._device.results_lock:
                 self._run(steps, resident)
 
     @contextmanager
-    def _uploaded(self, frame: Frame, plan: Plan, exposure: float, lost: bool) -> Iterator[ResidentFrame]:
+    def _uploaded(self, frame: Frame, plan: Plan, exposure: float, unusable: bool) -> Iterator[ResidentFrame]:
         inputs = {role: self._input(role, frame[role]) for role in plan.planes}
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
         parts = {name: self._input(f"part {name}", frame.parts[name]) for name in plan.parts}
         try:
-            resident = _resident(frame, plan.input, inputs, guides, exposure, lost)
-            resident.parts, resident.given_parts = dict(parts), {name: frame.parts[name] for name in parts}
+            resident = _resident(frame, plan.input, inputs, guides, exposure, unusable)
+            resident.parts, resident.host_parts = dict(parts), {name: frame.parts[name] for name in parts}
             yield resident
         finally:
             for tensor in (*inputs.values(), *guides.values(), *parts.values()):
@@ -357,7 +357,7 @@ class Flow:
         return self._device.wrap(name, array, copy)
 
     def _run(self, steps: Sequence[Step], resident: ResidentFrame) -> None:
-        commands = self._device.command_buffer(f"frame {resident.number}", captured=resident.wanted)
+        commands = self._device.command_buffer(f"frame {resident.number}", captured=not resident.history_only)
         try:
             for step in steps:
                 _encode(step, commands, resident)
@@ -382,7 +382,7 @@ def _wait(commands: CommandBuffer) -> None:
 
 def _resident(
     frame: Frame, spec: FrameSpec, tensors: dict[Role, Tensor], guides: dict[Role, Tensor], exposure: float,
-    lost: bool
+    unusable: bool
 ) -> ResidentFrame:
     return ResidentFrame(
         spec=spec,
@@ -393,13 +393,13 @@ def _resident(
         jitter=frame.jitter,
         exposure=exposure,
         reset=frame.reset,
-        lost=lost,
+        unusable=unusable,
         samples=frame.samples,
         world_to_camera=frame.world_to_camera,
         fov_x=frame.fov_x,
         metadata=frame.metadata,
-        given={role: frame[role] for role in tensors},
-        given_guides={role: frame.guides[role] for role in guides},
+        host_planes={role: frame[role] for role in tensors},
+        host_guides={role: frame.guides[role] for role in guides},
     )
 
 

@@ -38,7 +38,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Skipped:
+class Skip:
     """Something that is left out, and why."""
 
     what: str
@@ -53,7 +53,7 @@ class Plan:
         available: spec of the frame as it is offered.
         planes: roles that must be read, in the order of `Role`; everything else may stay in the file.
         steps: active passes in order.
-        skipped: passes and planes that are left out, and why.
+        skips: passes and planes that are left out, and why.
         remarks: what the active passes have to say about the result.
         output: spec of the frame that comes out.
         guides: roles of the guides that must be read, likewise.
@@ -63,7 +63,7 @@ class Plan:
     available: FrameSpec
     planes: tuple[Role, ...]
     steps: tuple[Step, ...]
-    skipped: tuple[Skipped, ...]
+    skips: tuple[Skip, ...]
     output: FrameSpec
     remarks: tuple[str, ...] = ()
     guides: tuple[Role, ...] = ()
@@ -87,7 +87,7 @@ class Plan:
             "guides": [str(role) for role in self.guides],
             "parts": list(self.parts),
             "passes": [_step_dict(step) for step in self.steps],
-            "skipped": [{"what": item.what, "why": item.why} for item in self.skipped],
+            "skipped": [{"what": item.what, "why": item.why} for item in self.skips],
             "remarks": list(self.remarks),
             "output": _spec_dict(self.output),
         }
@@ -101,7 +101,7 @@ class Plan:
         lines += [("guides", text) for text in self._guides_text()]
         lines += [("parts", ", ".join(self.parts))] if self.parts else []
         lines += [(f"pass {number}", _step_text(step)) for number, step in enumerate(self.steps, 1)]
-        lines += [("skips", f"{item.what}: {item.why}") for item in self.skipped]
+        lines += [("skips", f"{item.what}: {item.why}") for item in self.skips]
         lines += [("note", remark) for remark in self.remarks]
         lines += [("output", _spec_text(self.output))]
         return "\n".join(f"{head:<8}{text}" for head, text in lines)
@@ -123,23 +123,23 @@ def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
     PassContractError when a pass declares an output that cannot be.
     """
     steps: list[Step] = []
-    skipped: list[Skipped] = []
+    skipped: list[Skip] = []
     current = spec
     for instance, name in zip(passes, _step_names(passes), strict=True):
         reason = instance.skip(current)
         if reason is not None:
-            skipped.append(Skipped(name, reason))
+            skipped.append(Skip(name, reason))
             continue
         step = Step(name, instance, current, instance.reflect(current))
         _check(step, spec)
         steps.append(step)
         current = step.reflection.output
     planes, guides = _needed(spec, steps), _needed_guides(spec, steps)
-    skipped += [Skipped(f"plane '{role}'", "no pass reads it") for role in spec.roles if role not in planes]
+    skipped += [Skip(f"plane '{role}'", "no pass reads it") for role in spec.roles if role not in planes]
     skipped += _unread_guides(spec, guides)
     read = {name for step in steps for name in step.reflection.parts}
     parts = tuple(name for name in spec.part_names if name in read)
-    skipped += [Skipped(f"part '{name}'", "no pass reads it") for name in spec.part_names if name not in parts]
+    skipped += [Skip(f"part '{name}'", "no pass reads it") for name in spec.part_names if name not in parts]
     return _narrowed(Plan(spec, planes, tuple(steps), tuple(skipped), current, guides=guides, parts=parts))
 
 
@@ -171,10 +171,10 @@ def _needed_guides(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
     return tuple(role for role in spec.guide_roles if role in used)
 
 
-def _unread_guides(spec: FrameSpec, used: Sequence[Role]) -> list[Skipped]:
+def _unread_guides(spec: FrameSpec, used: Sequence[Role]) -> list[Skip]:
     if spec.guide_roles and not used:
-        return [Skipped("guides", "no pass reads them")]
-    return [Skipped(f"guide '{role}'", "no pass reads it") for role in spec.guide_roles if role not in used]
+        return [Skip("guides", "no pass reads them")]
+    return [Skip(f"guide '{role}'", "no pass reads it") for role in spec.guide_roles if role not in used]
 
 
 def _check(step: Step, spec: FrameSpec) -> None:

@@ -38,14 +38,14 @@ def repair_nonfinite(
     if Role.COLOUR not in found:
         return frame, counts
     colour, bad = _copy(frame[Role.COLOUR], scratch), found[Role.COLOUR]
-    if is_lost(frame, counts):
+    if is_unusable(frame, counts):
         colour[bad] = 0
     else:
         _fill(colour, bad)
     return dataclasses.replace(frame, planes={**frame.planes, Role.COLOUR: colour}), counts
 
 
-def is_lost(frame: Frame, counts: dict[Role, int]) -> bool:
+def is_unusable(frame: Frame, counts: dict[Role, int]) -> bool:
     """Whether a frame with these counts is lost: more than half of its colour is not finite."""
     return Role.COLOUR in counts and counts[Role.COLOUR] > MOST * frame[Role.COLOUR][..., 0].size
 

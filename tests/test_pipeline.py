@@ -161,7 +161,7 @@ def test_nothing_to_do(device):
     result = pipeline(frame)
     assert result is not frame and result[Role.COLOUR] is frame[Role.COLOUR]
     assert pipeline.timings == {} and pipeline.exposure is None
-    assert pipeline.explain().skipped[0].why == "times is 0"
+    assert pipeline.explain().skips[0].why == "times is 0"
 
 
 def test_timings_of_each_pass(device, library):

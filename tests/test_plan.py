@@ -7,7 +7,7 @@ import pytest
 from postfx.errors import MissingPlaneError, PassContractError
 from postfx.frame import FrameSpec, GuideSpec, Role
 from postfx.passes.base import Pass, Reflection
-from postfx.plan import Skipped, make_plan
+from postfx.plan import Skip, make_plan
 from tests import toys
 
 SPEC = FrameSpec(6, 10, (Role.COLOUR, Role.ALPHA, Role.DEPTH, Role.NORMAL))
@@ -46,7 +46,7 @@ def test_order_is_kept_and_specs_are_handed_on():
 def test_only_needed_planes_are_read():
     plan = make_plan([toys.Sum()], SPEC)
     assert plan.planes == (Role.COLOUR, Role.ALPHA) and plan.input.roles == plan.planes
-    assert Skipped("plane 'depth'", "no pass reads it") in plan.skipped
+    assert Skip("plane 'depth'", "no pass reads it") in plan.skips
     assert make_plan([toys.Enlarge()], SPEC).planes == (Role.COLOUR, Role.ALPHA, Role.DEPTH)
 
 
@@ -64,7 +64,7 @@ def test_planes_that_an_earlier_pass_writes_are_not_read():
 def test_skipped_passes_are_left_out_with_their_reason():
     plan = make_plan([Encode(), toys.Double(times=0), Encode()], FrameSpec(6, 10, (Role.COLOUR,)))
     assert [step.name for step in plan.steps] == ["encode"]
-    assert plan.skipped == (Skipped("double", "times is 0"), Skipped("encode 2", "colour is encoded already"))
+    assert plan.skips == (Skip("double", "times is 0"), Skip("encode 2", "colour is encoded already"))
 
 
 def test_the_same_pass_twice_gets_a_number():
@@ -147,14 +147,14 @@ GUIDED = FrameSpec(6, 10, (Role.COLOUR,), guides=GUIDES)
 def test_only_guides_that_a_pass_reads_are_read():
     plan = make_plan([toys.AddGuide()], GUIDED)
     assert plan.guides == (Role.DIFFUSE_ALBEDO,) == plan.input.guide_roles == plan.steps[0].uses_guides
-    assert plan.skipped == (Skipped("guide 'normal'", "no pass reads it"),)
+    assert plan.skips == (Skip("guide 'normal'", "no pass reads it"),)
     assert plan.output == FrameSpec(12, 20, (Role.COLOUR,))
 
 
 def test_guides_that_no_pass_reads_are_the_same_spec_to_the_passes():
     one, other = (make_plan([toys.Sum()], FrameSpec(6, 10, (Role.COLOUR,), guides=guides))
                   for guides in (GUIDES, GuideSpec(12, 20, (Role.DEPTH,))))
-    assert one.guides == other.guides == () and Skipped("guides", "no pass reads them") in one.skipped
+    assert one.guides == other.guides == () and Skip("guides", "no pass reads them") in one.skips
     assert one.steps[0].input == other.steps[0].input
 
 

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from postfx.bench import require
 from postfx.bench.measure import Material, Sources, Task, output_pattern, run_task, score, timing
-from postfx.bench.methods import LeftOut, catalogue, select
+from postfx.bench.methods import Omission, catalogue, select
 from postfx.bench.report import ablations, choices, compare, front, write_csv
 from postfx.errors import BenchError, WriteError
 from postfx.frame import Role
@@ -54,7 +54,7 @@ class Bench:
         kind, motion = device.name.split(":")[0], self.material.spec.has(Role.MOTION)
         lost = [str(role) for role in ABSENT if self.material.spec.has(role)] if wish.ablations else []
         found = catalogue(Library().names(), kind, bool(self.material.spec.guides), motion, lost)
-        self.methods, self.left_out = select(found, wish.methods, wish.models)
+        self.methods, self.omissions = select(found, wish.methods, wish.models)
         if any(method.quality for method in self.methods):
             require("pyoidn", "pyoidn", "runs Open Image Denoise (--methods ours,plain leaves it out)")
         try:
@@ -70,10 +70,10 @@ class Bench:
                 try:
                     rows.append(self._row(method, progress))
                 except BenchError as error:
-                    self.left_out = (*self.left_out, LeftOut(method.title, str(error)))
+                    self.omissions = (*self.omissions, Omission(method.title, str(error)))
                     progress.failed(method.name, str(error))
         if not rows:
-            raise BenchError(f"no method could be measured; the last error: {self.left_out[-1].why}")
+            raise BenchError(f"no method could be measured; the last error: {self.omissions[-1].why}")
         facts = self._facts(rows)
         self._write(facts)
         return facts
@@ -99,7 +99,7 @@ class Bench:
     def _row(self, method: Any, progress: BenchProgress) -> dict[str, Any]:
         progress.begin(method.name)
         task = self._task(method)
-        time = timing(run_task(task, progress.ran), self._device)
+        time = timing(run_task(task, progress.note_runs), self._device)
         progress.scoring()
         scores = score(self.material, task.output)
         summary = scores.summary()
@@ -131,7 +131,7 @@ class Bench:
             "fronts": {figure: front(choices(rows), figure, time) for figure in ("psnr_late", "flicker_late")},
             "against_best_baseline": compare(choices(rows)),
             "ablations": ablations(rows),
-            "left_out": [item._asdict() for item in self.left_out],
+            "left_out": [item._asdict() for item in self.omissions],
         }
 
 
@@ -179,7 +179,7 @@ class BenchProgress:
         self._count += 1
         self._bar.update(self._task, doing=f"{method}: warming up", completed=(self._count - 1) * (self._runs + 1))
 
-    def ran(self, runs: int) -> None:
+    def note_runs(self, runs: int) -> None:
         """So many of its runs are done."""
         method = self._methods[self._count - 1]
         self._bar.update(self._task, doing=f"{method}: {runs} of {self._runs} runs", advance=1)

@@ -59,7 +59,7 @@ class Method:
     without: tuple[str, ...] = ()
 
 
-class LeftOut(NamedTuple):
+class Omission(NamedTuple):
     """What is not measured, and why."""
 
     what: str
@@ -70,7 +70,7 @@ class Catalogue(NamedTuple):
     """Methods that can be measured, and what is left out."""
 
     methods: tuple[Method, ...]
-    left_out: tuple[LeftOut, ...]
+    omissions: tuple[Omission, ...]
 
 
 OTHERS = (
@@ -91,18 +91,18 @@ def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool, lo
     names = [name.removeprefix(f"{PASS}.") for name in models
              if name.startswith(f"{PASS}.") and not name.endswith(UNSCALED)]  # the others take them
     methods: list[Method] = []
-    left_out: list[LeftOut] = _absent(names, guides)
+    omissions: list[Omission] = _absent(names, guides)
     for name in sorted(names, key=_place):
         made = _of_model(name, motion)
         reason = _unfit(made[0], device, guides)
         methods += [] if reason else made + _ablations(made[0], lost)
-        left_out += [LeftOut(made[0].title, reason)] if reason else []
+        omissions += [Omission(made[0].title, reason)] if reason else []
     for method in OTHERS:
         if method.accumulated and not motion:
-            left_out.append(LeftOut(method.title, "the frames have no motion plane"))
+            omissions.append(Omission(method.title, "the frames have no motion plane"))
         else:
             methods.append(method)
-    return Catalogue(tuple(methods), tuple(left_out))
+    return Catalogue(tuple(methods), tuple(omissions))
 
 
 def select(found: Catalogue, names: str | None, models: str | None) -> Catalogue:
@@ -122,7 +122,7 @@ def select(found: Catalogue, names: str | None, models: str | None) -> Catalogue
     )
     if not methods:
         raise BenchError(f"--methods {names} --models {models} leaves nothing to measure: leave one of them out")
-    kept = tuple(item for item in found.left_out if item.what.split(" ")[0] in chosen_tags or not models)
+    kept = tuple(item for item in found.omissions if item.what.split(" ")[0] in chosen_tags or not models)
     return Catalogue(methods, kept)
 
 
@@ -159,12 +159,12 @@ def _unfit(method: Method, device: str, guides: bool) -> str | None:
     return None
 
 
-def _absent(names: list[str], guides: bool) -> list[LeftOut]:
+def _absent(names: list[str], guides: bool) -> list[Omission]:
     """Precisions that networks do not come in and, for frames with guides, networks that do not read them."""
     tags = dict.fromkeys(name.split(".")[0] for name in names)
     wanted = [(tag, precision) for tag in tags for precision in PRECISIONS if precision != "fp32"]
     wanted += [(tag, GUIDES) for tag in tags if guides]
-    return [LeftOut(f"{tag} {word}", f"there is no model {PASS}.{tag}.{word}")
+    return [Omission(f"{tag} {word}", f"there is no model {PASS}.{tag}.{word}")
             for tag, word in wanted if f"{tag}.{word}" not in names]
 
 

@@ -9,7 +9,7 @@ from enum import StrEnum
 from types import FrameType
 from typing import Any, TypeVar
 
-from postfx.cli.summary import RESAMPLED, Fault, Processed
+from postfx.cli.summary import RESAMPLED, Fault, FrameResult
 from postfx.errors import (
     FrameError,
     GuideError,
@@ -48,14 +48,14 @@ class Standin:
         self._sequence = sequence.pictures()
         self._pipeline = Pipeline(passes, device, exposure, "none")
 
-    def __call__(self, number: int) -> Processed:
+    def __call__(self, number: int) -> FrameResult:
         """The frame to write. Raises as reading does."""
         try:
             frame = self._sequence.read(number, (Role.COLOUR, Role.ALPHA))
         except MissingPlaneError:
             frame = self._sequence.read(number, (Role.COLOUR,))
         result = self._pipeline(frame)
-        return Processed(frame, result, self._pipeline.exposure, broken=self._pipeline.broken)
+        return FrameResult(frame, result, self._pipeline.exposure, bad_pixels=self._pipeline.bad_pixels)
 
 
 class Faults:
@@ -95,7 +95,7 @@ class Faults:
                 self._note(Fault(number, str(error)))
             return None
 
-    def instead(self, number: int) -> Processed | None:
+    def instead(self, number: int) -> FrameResult | None:
         """What to write for a frame that failed; None for nothing."""
         if self._standin is None:
             return None

@@ -33,8 +33,8 @@ from postfx.cli.summary import (
     Explanation,
     ExposureUsed,
     FrameProgress,
-    Prepared,
-    Processed,
+    FrameResult,
+    Preparation,
     Report,
     describe_frames,
     describe_sizes,
@@ -55,7 +55,7 @@ from postfx.passes.base import Pass
 from postfx.passes.exposure_tool import asked_form
 from postfx.passes.registry import create, insert_passes, parse_pass
 from postfx.pipeline import Pipeline
-from postfx.plan import Skipped, from_files
+from postfx.plan import Skip, from_files
 from postfx.runs.run import Options, Run, provenance_of
 from postfx.runs.schedule import Work
 from postfx.runtime import Device
@@ -83,7 +83,7 @@ class Job:
         refuse_layer(arguments, self.outputs)
         if self.outputs and not arguments.explain:
             self.outputs.check(self.sequence.numbers)
-        self.left_out: list[Skipped] = []
+        self.skips: list[Skip] = []
         self._smooth = arguments.exposure == SMOOTH
         policy = OnError(arguments.on_error)
         if policy is OnError.STOP and not (arguments.explain or arguments.skip_existing):
@@ -102,19 +102,19 @@ class Job:
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
         self._parts = self._found_parts()
-        passes, left_out = self._passes(denoising, self._backwards is not None)
-        self.left_out += left_out
+        passes, skips = self._passes(denoising, self._backwards is not None)
+        self.skips += skips
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up)
         refuse_views(self.sequence, self.outputs)
         with ExitStack() as stack:
             files = stack.enter_context(self.sequence.open(self.first))
-            self.left_out += explain_overlay(arguments, files)
+            self.skips += explain_overlay(arguments, files)
             spec = files.spec()
             self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards else spec)
             others = [stack.enter_context(self.sequence.reader(view).open(self.first)) for view in self.sequence.views]
             size = self.plan.output.width, self.plan.output.height
-            self.kept, left_out = explain_kept(arguments, files, size, others)
-            self.left_out += left_out
+            self.kept, skips = explain_kept(arguments, files, size, others)
+            self.skips += skips
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits, arguments.compression)
@@ -127,14 +127,14 @@ class Job:
         self._capture = FrameCapture(device, check=not arguments.explain, **self._values("capture"))
         self._page = RunReport(self.sequence, self.pipeline, self.plan, self._inspect, check=not arguments.explain,
                                **self._values("page"))
-        self._seconds, self._prepared = 0.0, Prepared()
+        self._seconds, self._preparation = 0.0, Preparation()
         self._exposure = ExposureUsed(str(arguments.exposure), self._is_exposed)
         self._frame_ms: list[float] = []
         self._ahead_ms: list[float] = []
         self._pass_ms: dict[str, list[float]] = {}
-        self._chosen: dict[str, Counter[str]] = {}
+        self._choices: dict[str, Counter[str]] = {}
         self._cuts: list[int] = []
-        self._broken: dict[str, dict[str, int]] = {}
+        self._bad_pixels: dict[str, dict[str, int]] = {}
         self._written: list[str] = []
 
     def _values(self, part: str) -> dict[str, Any]:
@@ -143,7 +143,7 @@ class Job:
     def explained(self) -> Explanation:
         """What would run."""
         exposure = self._exposure if self._exposure.multipliers else self._exposure_of_first()
-        return Explanation(self.plan, self.sequence, self.first, self.left_out, self._run_up, exposure)
+        return Explanation(self.plan, self.sequence, self.first, self.skips, self._run_up, exposure)
 
     def _exposure_of_first(self) -> ExposureUsed:
         """What --exposure says of the first frame, by its colour alone."""
@@ -170,42 +170,42 @@ class Job:
         """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
         begin = None
         progress = FrameProgress(len(self.sequence))
-        self._watch = CompileWatch(progress.compiling)
+        self._watch = CompileWatch(progress.note_compilation)
         try:
             with progress, self._watch, Stop(progress.note) as stop, self._open_run() as run:
                 self._warnings = run.warnings
-                self.left_out += run.left_out
+                self.skips += run.skips
                 self._announce(run, progress)
                 if run.works:
                     self._prepare()
-                begin = progress.start(len(run.left_out))
+                begin = progress.start(len(run.skips))
                 self._process_all(run, stop, progress)
         finally:
-            later = self._watch.seconds - self._prepared.compiling
+            later = self._watch.seconds - self._preparation.compile_seconds
             self._seconds = time.perf_counter() - begin - later if begin else 0.0
-            self._prepared = Prepared(self._prepared.seconds + later, self._watch.seconds, self._watch.count)
+            self._preparation = Preparation(self._preparation.seconds + later, self._watch.seconds, self._watch.count)
 
     def report(self, failure: BaseException | None = None) -> Report:
         """What happened so far."""
         return Report(
             frames=len(self._written),
-            wanted=len(self.sequence),
+            total=len(self.sequence),
             seconds=self._seconds,
-            prepared=self._prepared,
+            preparation=self._preparation,
             frame_ms=self._frame_ms,
             pass_ms=self._pass_ms,
             ahead_ms=self._ahead_ms,
-            skipped=[*self.plan.skipped, *self.left_out, *self.pipeline.left_out()],
+            skips=[*self.plan.skips, *self.skips, *self.pipeline.savings()],
             warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *self._capture.warnings,
                       *self._exposure.warnings(),
-                      *missed_budget(self._arguments.budget, self._pass_ms, self._chosen)],
-            chosen={name: dict(counts) for name, counts in self._chosen.items()},
+                      *missed_budget(self._arguments.budget, self._pass_ms, self._choices)],
+            choices={name: dict(counts) for name, counts in self._choices.items()},
             outputs=self._written,
             guides=guides_in(self.plan, {"scale", "size"} & {*self._values("denoiser")} != set()),
             exposure=self._exposure,
             cuts=self._cuts,
-            left_alone=self.sequence.left_alone,
-            broken=self._broken,
+            coverage=self.sequence.coverage,
+            bad_pixels=self._bad_pixels,
             capture=self._capture.page,
             faults=self._faults.found,
             error=str(failure) or "interrupted" if failure is not None else None,
@@ -253,7 +253,7 @@ class Job:
             self.pipeline.compile(self.plan.input, self.sequence.views)
         if self._watch.count:
             self._warm_up()
-        self._prepared = Prepared(time.perf_counter() - begin, self._watch.seconds, self._watch.count)
+        self._preparation = Preparation(time.perf_counter() - begin, self._watch.seconds, self._watch.count)
 
     def _warm_up(self) -> None:
         """Compile what no pass compiles ahead: metering, the search for cuts, the files' encoding."""
@@ -312,7 +312,7 @@ class Job:
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame
 
-    def _process(self, work: Work, frame: Frame) -> Processed | None:
+    def _process(self, work: Work, frame: Frame) -> FrameResult | None:
         """A frame after the passes; None if they failed and the run goes on."""
         begin, passes, compiling = time.perf_counter(), self.pipeline, self._watch.seconds
         result = self._faults.attempt(work.number, work.write, partial(passes, frame))
@@ -324,25 +324,25 @@ class Job:
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
-        done = Processed(frame, result, passes.exposure, passes.cut, milliseconds, passes.timings, passes.broken)
+        done = FrameResult(frame, result, passes.exposure, passes.cut, milliseconds, passes.timings, passes.bad_pixels)
         if work.write:
             self._note(done, milliseconds)
         return done
 
-    def _note(self, done: Processed, milliseconds: float) -> None:
+    def _note(self, done: FrameResult, milliseconds: float) -> None:
         """Keep what a frame took and what was chosen for it."""
         self._frame_ms.append(milliseconds)
         backwards = self._backwards.milliseconds if self._backwards else None
         for name, elapsed in {**({} if backwards is None else {BACKWARDS: backwards}), **done.passes}.items():
             self._pass_ms.setdefault(name, []).append(elapsed)
-        for role, pixels in done.broken.items():
-            found = self._broken.setdefault(str(role), {"pixels": 0, "frames": 0})
+        for role, pixels in done.bad_pixels.items():
+            found = self._bad_pixels.setdefault(str(role), {"pixels": 0, "frames": 0})
             found["pixels"], found["frames"] = found["pixels"] + pixels, found["frames"] + 1
         for step in self.plan.steps:
-            if choice := step.instance.chosen():
-                self._chosen.setdefault(step.name, Counter())[choice] += 1
+            if choice := step.instance.choice():
+                self._choices.setdefault(step.name, Counter())[choice] += 1
 
-    def _write(self, run: Run, done: Processed, progress: FrameProgress) -> None:
+    def _write(self, run: Run, done: FrameResult, progress: FrameProgress) -> None:
         number, result, used = done.source.number, done.result, done.exposure
         told = {} if used is None else {APPLIED if self._is_exposed else USED: used}
         write = partial(write_frame, self._files().path(number), result, relax=self._relax,
@@ -354,11 +354,11 @@ class Job:
             self._written.append(str(path))
             progress.advance(str(path))
 
-    def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False) -> tuple[list[Pass], list[Skipped]]:
+    def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False) -> tuple[list[Pass], list[Skip]]:
         """The passes, the first with these options, or without a denoiser if they are None; and what is left out."""
-        passes, left_out = [], []
+        passes, skips = [], []
         if denoising is None:
-            left_out.append(Skipped("denoise_upscale", "--no-denoise"))
+            skips.append(Skip("denoise_upscale", "--no-denoise"))
         else:
             passes.append(create("denoise_upscale", **denoising, **({"parts": self._parts} if self._parts else {})))
         passes += [create("both_ways")] if both_ways else []
@@ -369,14 +369,14 @@ class Job:
         if both_ways and chain[0].name != "denoise_upscale":
             raise OptionError(f"--both-ways denoises frames as they are in their files, before pass '{chain[0].name}': "
                               "let the pass run after=denoise_upscale, or leave --both-ways out")
-        return chain, left_out + not_shown
+        return chain, skips + not_shown
 
     def _found_parts(self) -> tuple[Part, ...]:
         """Parts of the picture that --aov and --aov-denoise ask for; none where the output cannot hold them."""
         if self.sequence.parts is None:
             return ()
         if (self.outputs is not None and self.outputs.display) or any(self._values("look").values()):
-            self.left_out.append(Skipped("parts of the picture", "they are light of the scene, the output is not"))
+            self.skips.append(Skip("parts of the picture", "they are light of the scene, the output is not"))
             self.sequence.parts = None
             return ()
         with self.sequence.open(self.first) as files:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postfx.cli.inspection import Inspection
-from postfx.cli.summary import Processed, Report
+from postfx.cli.summary import FrameResult, Report
 from postfx.colour.curves import srgb_decode
 from postfx.errors import ReportError
 from postfx.exposure import ExposureMeter, measure
@@ -56,7 +56,7 @@ class RunReport:
         """Say which frames will be written, in order."""
         self._log = FrameLog(numbers, self._look, "after")
 
-    def add(self, done: Processed) -> None:
+    def add(self, done: FrameResult) -> None:
         """Look at a frame that just came out."""
         if self._path is None:
             return

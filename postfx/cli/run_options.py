@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from postfx.io.sequence import Sequence
     from postfx.io.writer import OutputFiles
     from postfx.passes.base import Pass
-    from postfx.plan import Skipped
+    from postfx.plan import Skip
     from postfx.temporal.run_up import RunUp
 
 # Modules that load NumPy or the runtime are imported inside functions: --help must not wait for them.
@@ -83,12 +83,12 @@ FRAMES = Section("", (
 
 def explain_kept(
     arguments: argparse.Namespace, files: FrameFiles, size: tuple[int, int], views: Iterable[FrameFiles] = ()
-) -> tuple[str, list[Skipped]]:
+) -> tuple[str, list[Skip]]:
     """A line on the channels that a frame's file holds beside the picture and an output of a size keeps, '' for none;
     and those that it does not. views: of the other views that are written."""
     from postfx.frame import Role
     from postfx.io.writer import is_display_format
-    from postfx.plan import Skipped
+    from postfx.plan import Skip
 
     is_picture = arguments.output and Path(arguments.output).suffix and is_display_format(arguments.output)
     if arguments.keep == "none" or is_picture or Role.COLOUR not in files.layout.planes:
@@ -107,7 +107,7 @@ def explain_kept(
         return f"keeps   {count} bit for bit (--keep none leaves them out)", []
     if arguments.keep == "all":
         return f"keeps   {count}, enlarged by the nearest pixel, without the render's own colour", []
-    return "", [Skipped(count, "they have the render's size; --keep all enlarges them by the nearest pixel")]
+    return "", [Skip(count, "they have the render's size; --keep all enlarges them by the nearest pixel")]
 
 
 # Logs and resuming
@@ -286,7 +286,7 @@ def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None =
 
 def display_passes(
     is_picture: bool, tonemap: str | None = None, no_tonemap: bool = False, display: str | None = None
-) -> tuple[list[Pass], list[Skipped]]:
+) -> tuple[list[Pass], list[Skip]]:
     """Passes that make pictures for a display, and what is left out. is_picture: the files hold such pictures.
 
     Raises ColourError for an unknown display or view.
@@ -295,14 +295,14 @@ def display_passes(
     from postfx.colour.views import is_view
     from postfx.passes.display import View
     from postfx.passes.registry import create
-    from postfx.plan import Skipped
+    from postfx.plan import Skip
 
     if not is_shown(is_picture, tonemap, display):
         why = "--no-tonemap" if no_tonemap else "EXR output stays scene-linear; --tonemap changes that"
-        return [], [Skipped("tonemap", why)]
+        return [], [Skip("tonemap", why)]
     shown_on = str(parse_display(display or "srgb"))
     if no_tonemap:
-        return [create("display", display=shown_on)], [Skipped("tonemap", "--no-tonemap")]
+        return [create("display", display=shown_on)], [Skip("tonemap", "--no-tonemap")]
     if tonemap and is_view(tonemap):
         view = View(view=tonemap, display=shown_on)
         mapper: Pass = view
@@ -338,15 +338,15 @@ def refuse_layer(arguments: argparse.Namespace, outputs: OutputFiles | None) -> 
         raise WriteError("--overlay separate writes a layer, which only EXR holds: write EXR, or composite the overlay")
 
 
-def explain_overlay(arguments: argparse.Namespace, files: FrameFiles) -> list[Skipped]:
+def explain_overlay(arguments: argparse.Namespace, files: FrameFiles) -> list[Skip]:
     """What is not composited, and the colour that is not denoised because another one is."""
     from postfx.frame import Role
-    from postfx.plan import Skipped
+    from postfx.plan import Skip
 
-    found = [] if arguments.overlay == "composite" else [Skipped("overlay", f"--overlay {arguments.overlay}")]
+    found = [] if arguments.overlay == "composite" else [Skip("overlay", f"--overlay {arguments.overlay}")]
     colour = files.match(Role.COLOUR)
     if colour.rule.role is Role.OPAQUE_COLOUR:
-        found.append(Skipped("colour with transparents", f"{colour.names} is denoised under the overlay"))
+        found.append(Skip("colour with transparents", f"{colour.names} is denoised under the overlay"))
     return found
 
 

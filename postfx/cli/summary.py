@@ -16,7 +16,7 @@ from postfx.frame import Frame, Role
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.masks.entries import Coverage
-from postfx.plan import Plan, Skipped, from_files
+from postfx.plan import Plan, Skip, from_files
 from postfx.temporal.run_up import RunUp
 
 SHOWN_FRAMES = 3
@@ -31,7 +31,7 @@ class Explanation:
 
     Attributes:
         plan: of the first frame that can be read, which has the number `first`.
-        left_out: what the arguments leave out, and why.
+        skips: what the arguments leave out, and why.
         run_up: what runs before the first frame of a shot.
         exposure: of that frame, or the mode alone where all frames have to be metered.
     """
@@ -39,14 +39,14 @@ class Explanation:
     plan: Plan
     sequence: Sequence
     first: int
-    left_out: list[Skipped]
+    skips: list[Skip]
     run_up: RunUp | None
     exposure: ExposureUsed
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
         plan, missing = self.plan.as_dict(), self.sequence.missing()
-        plan["skipped"] += [asdict(item) for item in self.left_out]
+        plan["skipped"] += [asdict(item) for item in self.skips]
         if alone := self._alone():
             plan["left_alone"] = alone.as_dict()
         return {**plan, "ahead": self._ahead(), "frames": len(self.sequence), "missing": missing,
@@ -56,10 +56,10 @@ class Explanation:
     def __str__(self) -> str:
         first, frames = self.first, describe_frames(self.sequence)
         lines = [f"input   {self.sequence.pattern}: {frames}", str(self.plan)]
-        lines += [f"skips   {item.what}: {item.why}" for item in self.left_out]
+        lines += [f"skips   {item.what}: {item.why}" for item in self.skips]
         if alone := self._alone():
             lines.append(f"leaves  of frame {first}: {alone}")
-        if self.exposure.applied:
+        if self.exposure.is_applied:
             one = f"frame {first} by " if len(self.exposure.multipliers) == 1 else ""
             known = self.exposure.multipliers
             lines.append(f"exposes {one}{self.exposure}" if known else "exposes all frames by what metering them gives")
@@ -71,7 +71,7 @@ class Explanation:
     def _alone(self) -> Coverage | None:
         """What the first frame leaves as it is, where that is asked for."""
         asked = self.sequence.leave and Role.STRENGTH in self.plan.planes
-        return self.sequence.left_alone_of(self.first) if asked else None
+        return self.sequence.coverage_of(self.first) if asked else None
 
     def _ahead(self) -> list[int]:
         """Frames that are run before the first one, in the order in which they are."""
@@ -133,7 +133,7 @@ class FrameProgress:
         """Print a line above the bar."""
         self._console.print(text, highlight=False, soft_wrap=True)
 
-    def compiling(self, count: int) -> None:
+    def note_compilation(self, count: int) -> None:
         """Tell that kernels are compiled, so many so far."""
         text, now = "compiling kernels for this processor, on the first run only", time.perf_counter()
         self._bar.update(self._task, description=f"compiling kernels, {count} done")
@@ -169,30 +169,30 @@ class ExposureUsed:
 
     Attributes:
         mode: as --exposure says it.
-        applied: whether it is in the pixels, as in pictures; else it was a hint to the denoiser alone.
+        is_applied: whether it is in the pixels, as in pictures; else it was a hint to the denoiser alone.
         multipliers: frame number -> multiplier.
         lit: multipliers of the same frames that their headers ask for, 1 where they ask for nothing.
     """
 
     mode: str = "auto"
-    applied: bool = False
+    is_applied: bool = False
     multipliers: dict[int, float] = field(default_factory=dict)
     lit: dict[int, float] = field(default_factory=dict)
 
     @property
-    def metered(self) -> bool:
+    def is_metered(self) -> bool:
         """Whether the pictures told it, and not their author."""
         return self.mode in ("auto", "smooth")
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
         ev = [round(log2(value), 4) for value in self.multipliers.values()]
-        return {"mode": self.mode, "metered": self.metered, "applied": self.applied,
+        return {"mode": self.mode, "metered": self.is_metered, "applied": self.is_applied,
                 "ev": [min(ev), max(ev)] if ev else None, "multipliers": self.multipliers}
 
     def __str__(self) -> str:
         how = _HOW.get(self.mode, "as given")
-        if not self.metered:
+        if not self.is_metered:
             return f"{_stops(self.multipliers)}, {how}"
         known = "" if set(self.lit.values()) <= {1.0} else ", by the header"
         return f"{_stops(self.multipliers)}, {how} (as it was lit: {_stops(self.lit)}{known}, with --exposure lit)"
@@ -200,7 +200,7 @@ class ExposureUsed:
     def warnings(self) -> list[str]:
         """That a dark scene comes out bright, which nobody may have wanted."""
         more = [log2(value / self.lit.get(number, 1.0)) for number, value in self.multipliers.items()]
-        if not (self.applied and self.metered and more and median(more) >= NIGHT_EV):
+        if not (self.is_applied and self.is_metered and more and median(more) >= NIGHT_EV):
             return []
         return [f"metering shows this {median(more):.1f} EV brighter than it was lit: a night shot comes out as day; "
                 "--exposure lit keeps the light"]
@@ -214,17 +214,17 @@ def _stops(multipliers: Mapping[int, float]) -> str:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class Preparation:
     """What the frames did not take: seconds until the first one, those of them in which kernels were compiled, and how
     many kernels, because no earlier run kept them."""
 
     seconds: float = 0.0
-    compiling: float = 0.0
-    compiled: int = 0
+    compile_seconds: float = 0.0
+    kernels: int = 0
 
 
 @dataclass(frozen=True)
-class Processed:
+class FrameResult:
     """A frame that came out of a run, and how.
 
     Attributes:
@@ -234,7 +234,7 @@ class Processed:
         cut: whether its picture was found to begin a shot.
         milliseconds: in the passes; None for a stand-in.
         passes: pass name -> milliseconds on the device.
-        broken: plane -> pixels that were not finite.
+        bad_pixels: plane -> pixels that were not finite.
     """
 
     source: Frame
@@ -243,7 +243,7 @@ class Processed:
     cut: bool = False
     milliseconds: float | None = None
     passes: Mapping[str, float] = field(default_factory=dict)
-    broken: Mapping[Role, int] = field(default_factory=dict)
+    bad_pixels: Mapping[Role, int] = field(default_factory=dict)
 
     @property
     def lit(self) -> float:
@@ -254,7 +254,8 @@ class Processed:
         """What the log says."""
         passes = {name: round(elapsed, 3) for name, elapsed in self.passes.items()}
         took = None if self.milliseconds is None else round(self.milliseconds, 3)
-        return {"ms": took, "passes": passes, "exposure": self.exposure, "cut": self.cut, "broken": dict(self.broken)}
+        return {"ms": took, "passes": passes, "exposure": self.exposure, "cut": self.cut,
+                "broken": dict(self.bad_pixels)}
 
 
 LEFT_OUT, RESAMPLED = "left out", "resampled"
@@ -275,23 +276,23 @@ class Report:
 
     Attributes:
         frames: count of frames written in this run.
-        wanted: count of frames of the input.
-        seconds: wall time of the frames, reading and writing included, without what was `prepared`.
+        total: count of frames of the input.
+        seconds: wall time of the frames, reading and writing included, without the `preparation`.
         frame_ms: milliseconds in the passes for each written frame, without reading and writing. That of the first
             one of each shot includes its run-up.
         pass_ms: pass name -> milliseconds on the device for each written frame.
-        prepared: what it took to load networks and compile kernels before.
+        preparation: what it took to load networks and compile kernels before.
         ahead_ms: milliseconds on the device for each frame of the run-ups.
-        skipped: passes, planes and frames that were left out, and why.
+        skips: passes, planes and frames that were left out, and why.
         warnings: what was odd, each once.
         outputs: paths that were written.
-        chosen: pass name -> what it chose (a network) -> frames, of passes that choose.
+        choices: pass name -> what it chose (a network) -> frames, of passes that choose.
         guides: size of the planes at output size, roles that were used, and whether the output's size follows from
             them; None without guides.
         exposure: by how much frames were exposed.
         cuts: frames at which a cut was found in the pictures.
-        left_alone: how much of the frames --leave left as it is.
-        broken: plane -> pixels that were not finite and frames that had them.
+        coverage: how much of the frames --leave left as it is.
+        bad_pixels: plane -> pixels that were not finite and frames that had them.
         capture: path of the capture's page, or None.
         page: path of the page that --report asks for, or None.
         faults: frames that failed, which the run went on after.
@@ -299,21 +300,21 @@ class Report:
     """
 
     frames: int
-    wanted: int
+    total: int
     seconds: float
     frame_ms: list[float]
     pass_ms: dict[str, list[float]]
-    skipped: list[Skipped]
+    skips: list[Skip]
     warnings: list[str]
     outputs: list[str]
-    prepared: Prepared = Prepared()
+    preparation: Preparation = Preparation()
     ahead_ms: list[float] = field(default_factory=list)
-    chosen: dict[str, dict[str, int]] = field(default_factory=dict)
+    choices: dict[str, dict[str, int]] = field(default_factory=dict)
     guides: dict[str, Any] | None = None
     exposure: ExposureUsed = ExposureUsed()
     cuts: list[int] = field(default_factory=list)
-    left_alone: Coverage = field(default_factory=Coverage)
-    broken: dict[str, dict[str, int]] = field(default_factory=dict)
+    coverage: Coverage = field(default_factory=Coverage)
+    bad_pixels: dict[str, dict[str, int]] = field(default_factory=dict)
     capture: str | None = None
     page: str | None = None
     faults: list[Fault] = field(default_factory=list)
@@ -324,22 +325,23 @@ class Report:
         result = {
             "frames": self.frames,
             "seconds": round(self.seconds, 3),
-            "prepared": {"seconds": round(self.prepared.seconds, 3), "compiling": round(self.prepared.compiling, 3),
-                         "compiled": self.prepared.compiled},
+            "prepared": {"seconds": round(self.preparation.seconds, 3),
+                         "compiling": round(self.preparation.compile_seconds, 3),
+                         "compiled": self.preparation.kernels},
             "ms_per_frame": _spread(self.frame_ms),
             "passes": {name: round(median(times), 3) for name, times in self.pass_ms.items()},
             "run_up": {"frames": len(self.ahead_ms), "ms_per_frame": _spread(self.ahead_ms)},
-            "skipped": [{"what": item.what, "why": item.why} for item in self.skipped],
+            "skipped": [{"what": item.what, "why": item.why} for item in self.skips],
             "warnings": self.warnings,
             "outputs": self.outputs,
             "guides": self.guides,
-            "chosen": self.chosen,
+            "chosen": self.choices,
             "exposure": self.exposure.as_dict(),
             "cuts": self.cuts,
-            "broken": self.broken,
+            "broken": self.bad_pixels,
         }
-        if self.left_alone.frames:
-            result["left_alone"] = self.left_alone.as_dict()
+        if self.coverage.frames:
+            result["left_alone"] = self.coverage.as_dict()
         if self.faults:
             result["faults"] = [asdict(fault) for fault in self.faults]
         ends = {"capture": self.capture, "report": self.page, "error": self.error}
@@ -347,23 +349,23 @@ class Report:
 
     def summary(self) -> str:
         """The report in a few lines."""
-        lines = [f"{self.frames} of {self.wanted} frames in {self.seconds:.1f} s{self._speed()}"]
-        if self.prepared.compiled:
-            lines.append(f"compiled {self.prepared.compiled} kernels in {self.prepared.compiling:.1f} s, which is not "
-                         "in these times; they are kept for the next run")
+        lines = [f"{self.frames} of {self.total} frames in {self.seconds:.1f} s{self._speed()}"]
+        if kernels := self.preparation.kernels:
+            lines.append(f"compiled {kernels} kernels in {self.preparation.compile_seconds:.1f} s, which is not in "
+                         "these times; they are kept for the next run")
         lines += [f"ran      {name}: {median(times):.1f} ms a frame" for name, times in self.pass_ms.items()]
         if self.ahead_ms:
             lines.append(f"ran      {_frames(len(self.ahead_ms))} in reverse order, for a history of the first ones: "
                          f"{median(self.ahead_ms):.1f} ms a frame")
-        lines += [f"chose    {name}: {_counted(counts)}" for name, counts in self.chosen.items()]
-        if self.exposure.applied and self.exposure.multipliers:
+        lines += [f"chose    {name}: {_counted(counts)}" for name, counts in self.choices.items()]
+        if self.exposure.is_applied and self.exposure.multipliers:
             lines.append(f"exposure {self.exposure}")
         lines += [f"guides   {_guides_text(self.guides)}"] if self.guides else []
         lines += [f"cuts     found at {_listed(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
-        if self.left_alone.frames:
-            lines.append(f"left     {self.left_alone}")
+        if self.coverage.frames:
+            lines.append(f"left     {self.coverage}")
         lines += self._fault_lines()
-        lines += [f"broken   {role}: {_broken_text(role, found)}" for role, found in self.broken.items()]
+        lines += [f"broken   {role}: {_broken_text(role, found)}" for role, found in self.bad_pixels.items()]
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
         lines += [f"warning  {warning}" for warning in self.warnings]
         lines += [f"capture  {self.capture}"] if self.capture else []
@@ -386,10 +388,10 @@ class Report:
     def _skipped_by_reason(self) -> list[tuple[str, str]]:
         """Planes together, since they share a reason; of frames the first few."""
         planes = [
-            item.what.removeprefix("plane ").strip("'") for item in self.skipped if item.what.startswith("plane ")
+            item.what.removeprefix("plane ").strip("'") for item in self.skips if item.what.startswith("plane ")
         ]
-        frames = [item for item in self.skipped if item.what.startswith("frame ")]
-        passes = [item for item in self.skipped if not item.what.startswith(("plane ", "guide ", "frame "))]
+        frames = [item for item in self.skips if item.what.startswith("frame ")]
+        passes = [item for item in self.skips if not item.what.startswith(("plane ", "guide ", "frame "))]
         rows = [(item.what, item.why) for item in passes + frames[:SHOWN_FRAMES]]
         rows += [("planes " + ", ".join(planes), "no pass reads them")] if planes else []
         more = len(frames) - SHOWN_FRAMES

@@ -72,7 +72,7 @@ class Sequence:
         self.leave = () if leave is None else parse_leave(leave)
         self._named = False
         self._areas: dict[str | None, Area | None] = {}  # of each view's first frame that was opened
-        self.left_alone = Coverage()
+        self.coverage = Coverage()
         self.colours = parse_colourspace(colourspace)
         self.without = frozenset(map(Role, without))
         self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth)
@@ -98,9 +98,9 @@ class Sequence:
             previous = number
 
     def reader(self, view: str | None = None) -> Sequence:
-        """The same frames, of one view alone, for whoever reads them beside: `left_alone` is its own."""
+        """The same frames, of one view alone, for whoever reads them beside: `coverage` is its own."""
         found = copy.copy(self)
-        found.left_alone = Coverage()
+        found.coverage = Coverage()
         found.view, found.views, found._all_views = view or self.view, (), False
         return found
 
@@ -219,7 +219,7 @@ class Sequence:
         with self.open(number) as files:
             return files.begins_shot
 
-    def left_alone_of(self, number: int) -> Coverage:
+    def coverage_of(self, number: int) -> Coverage:
         """How much of a frame `leave`, which must be given, leaves as it is."""
         with self.open(number) as files:
             files.read(number, [Role.STRENGTH], [])
@@ -248,7 +248,7 @@ class Sequence:
                 wanted, guides = files.held(wanted, guides)
             frame = files.read(number, wanted, guides, self._scratch)
             if files.alone:
-                self.left_alone.add(files.alone.shares)
+                self.coverage.add(files.alone.shares)
         self.colours.apply(frame)
         self._last = number
         after_gap = self._is_after_gap(number, previous)

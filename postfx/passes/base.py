@@ -57,15 +57,15 @@ class ResidentFrame:
             output is no longer jittered sets it to (0, 0).
         exposure: multiplier used for this frame, > 0; colour times exposure is what the viewer should see.
         reset: True when history must be dropped before this frame.
-        lost: True when most of the colour was no number and now is 0: the next frame builds better on none than on it.
+        unusable: True when most of the colour was not finite and became 0: the next frame should not build on it.
         samples, world_to_camera, fov_x, metadata, guide_jitter: as in `postfx.frame.Frame`.
         guides: role -> tensor at output size, like `tensors`; only those that passes read.
-        given: role -> plane on the host, of planes that no pass replaced so far: to decide what to record.
-        given_guides: likewise, of the guides.
+        host_planes: role -> plane on the host, for planes that no pass has replaced: to decide what to record.
+        host_guides: likewise, for guides.
         parts: name -> tensor of a part that passes read, see `postfx.frame.Frame`.
-        given_parts: likewise, on the host.
+        host_parts: likewise, for parts.
         blank: roles of planes that a pass replaced and that are 0 everywhere.
-        wanted: False where nothing but the history of the frame is.
+        history_only: True when only the history that passes keep of this frame is needed, not its picture.
     """
 
     spec: FrameSpec
@@ -74,19 +74,19 @@ class ResidentFrame:
     jitter: tuple[float, float] = (0.0, 0.0)
     exposure: float = 1.0
     reset: bool = False
-    lost: bool = False
+    unusable: bool = False
     samples: int | None = None
     world_to_camera: np.ndarray | None = None
     fov_x: float | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
     guides: dict[Role, Tensor] = field(default_factory=dict)
     guide_jitter: tuple[float, float] = (0.0, 0.0)
-    given: dict[Role, np.ndarray] = field(default_factory=dict)
-    given_guides: dict[Role, np.ndarray] = field(default_factory=dict)
+    host_planes: dict[Role, np.ndarray] = field(default_factory=dict)
+    host_guides: dict[Role, np.ndarray] = field(default_factory=dict)
     parts: dict[str, Tensor] = field(default_factory=dict)
-    given_parts: dict[str, np.ndarray] = field(default_factory=dict)
+    host_parts: dict[str, np.ndarray] = field(default_factory=dict)
     blank: set[Role] = field(default_factory=set)
-    wanted: bool = True
+    history_only: bool = False
 
     def __getitem__(self, role: Role) -> Tensor:
         """Tensor of a plane; FrameError when the frame does not hold it."""
@@ -106,7 +106,7 @@ class ResidentFrame:
 
     def is_blank(self, role: Role) -> bool:
         """Whether a plane is known to be 0 everywhere."""
-        return role in self.blank or (role in self.given and not self.given[role].any())
+        return role in self.blank or (role in self.host_planes and not self.host_planes[role].any())
 
     def set(self, role: Role, tensor: Tensor, blank: bool = False) -> None:
         """Replace or add a plane: a float32 tensor (height, width, channels) that a recorded command writes, or, if it
@@ -115,7 +115,7 @@ class ResidentFrame:
             expected = f"(height, width, {ROLES[role].channels}) float32"
             raise FrameError(f"tensor '{tensor.name}' is {tensor.shape} {tensor.dtype}: plane '{role}' is {expected}")
         self.tensors[role] = tensor
-        self.given.pop(role, None)
+        self.host_planes.pop(role, None)
         (self.blank.add if blank else self.blank.discard)(role)
 
 
@@ -195,14 +195,14 @@ class Pass:
             state = "not compiled" if self._spec is None else "compiled for another spec"
             raise NotCompiledError(f"pass '{self.name}' is {state}: call compile(device, frame.spec) before encode")
 
-    def ran(self, milliseconds: float) -> None:
+    def note_time(self, milliseconds: float) -> None:
         """Called with the device time of the last frame's commands."""
 
-    def chosen(self) -> str | None:
+    def choice(self) -> str | None:
         """The pass's choice for the last frame, as a word for the user; None if it has no choice."""
         return None
 
-    def left_out(self) -> tuple[tuple[str, str], ...]:
+    def savings(self) -> tuple[tuple[str, str], ...]:
         """Work that the frames since `compile` did not need, each with the reason and the measured time it saved."""
         return ()
 

@@ -66,11 +66,11 @@ class Overlay(Pass):
                 encoder.dispatch(table.state, table)
                 frame.set(role, table["output"])
 
-    def ran(self, milliseconds: float) -> None:
+    def note_time(self, milliseconds: float) -> None:
         if self._recorded:
             self._times = [*self._times[1 - LATEST:], milliseconds]
 
-    def left_out(self) -> tuple[tuple[str, str], ...]:
+    def savings(self) -> tuple[tuple[str, str], ...]:
         if not self._blank:
             return ()
         saved = f"which takes {median(self._times):.1f} ms a frame" if self._times else "time not measured yet"

@@ -133,7 +133,7 @@ class View(Pass):
     def skip(self, spec: FrameSpec) -> str | None:
         return None if spec.encoding == "scene-linear" else f"colour is {spec.encoding} already"
 
-    def chosen(self) -> str | None:
+    def choice(self) -> str | None:
         return self._view.title
 
     def compile(self, device: Device, spec: FrameSpec) -> None:

@@ -26,7 +26,7 @@ from postfx.io.sequence import Sequence
 from postfx.io.writer import Existing, OutputFiles
 from postfx.passes.registry import plug_ins
 from postfx.pipeline import Pipeline
-from postfx.plan import Plan, Skipped
+from postfx.plan import Plan, Skip
 from postfx.runs.checkpoint import load_checkpoint
 from postfx.runs.folder import RunFolder
 from postfx.runs.locks import Process
@@ -175,14 +175,14 @@ class Run:
 
     Attributes:
         works: the frames to run, in order.
-        left_out: frames that need no work, and why.
+        skips: frames that need no work, and why.
         warnings: oddities of existing files.
     """
 
     def __init__(self, outputs: OutputFiles, sequence: Sequence, pipeline: Pipeline, plan: Plan,
                  provenance: Provenance, options: Options) -> None:
         self.works: list[Work] = []
-        self.left_out: list[Skipped] = []
+        self.skips: list[Skip] = []
         self.warnings: list[str] = []
         self._outputs, self._sequence, self._pipeline, self._plan = outputs, sequence, pipeline, plan
         self._provenance, self._options = provenance, options
@@ -280,7 +280,7 @@ class Run:
         self._folder.note({**facts, "status": "running"}, pending)
         self.works = self._scheduled(wanted)
         self._log("begin", **facts, frames=len(names), wanted=len(wanted))
-        for item in self.left_out:
+        for item in self.skips:
             self._log("skip", what=item.what, why=item.why)
         for text in self.warnings:
             self._log("warning", text=text)
@@ -298,7 +298,7 @@ class Run:
             if not found.kept:
                 wanted.add(number)
                 continue
-            self.left_out.append(Skipped(f"frame {number}", f"{path} exists and is complete"))
+            self.skips.append(Skip(f"frame {number}", f"{path} exists and is complete"))
             self.warnings += [f"{path} {found.why}"] if found.why else []
             others += [number] if known and not self._is_alike(known) else []
         if others:

@@ -27,19 +27,19 @@ def test_networks_for_1x_are_what_the_others_run_there():
 
 
 def test_what_is_left_out_says_why():
-    left_out = dict(catalogue(MODELS, "cpu", guides=False, motion=False).left_out)
-    assert left_out["m fp16"] == "fp16 is for cuda, not for cpu"
-    assert left_out["l int8"] == "there is no model denoise_upscale.l.int8"
-    assert left_out["m fp32 guides"] == "the frames have no planes at output size"
-    assert left_out["accumulation"] == "the frames have no motion plane"
+    omissions = dict(catalogue(MODELS, "cpu", guides=False, motion=False).omissions)
+    assert omissions["m fp16"] == "fp16 is for cuda, not for cpu"
+    assert omissions["l int8"] == "there is no model denoise_upscale.l.int8"
+    assert omissions["m fp32 guides"] == "the frames have no planes at output size"
+    assert omissions["accumulation"] == "the frames have no motion plane"
 
 
 def test_a_network_that_reads_guides():
     found = catalogue(MODELS, "cuda", guides=True, motion=False)
     guided = next(method for method in found.methods if method.guides)
     assert (guided.name, guided.model, guided.title) == ("m-guides", "m", "m fp32 guides")
-    left_out = dict(catalogue(MODELS, "cuda", guides=True, motion=False).left_out)
-    assert left_out["s guides"] == "there is no model denoise_upscale.s.guides" and "m guides" not in left_out
+    omissions = dict(catalogue(MODELS, "cuda", guides=True, motion=False).omissions)
+    assert omissions["s guides"] == "there is no model denoise_upscale.s.guides" and "m guides" not in omissions
     assert "m-fp16" in names(found) and "m-int8" not in names(found)
     assert not any(method.alone or method.accumulated for method in found.methods)
 

@@ -19,7 +19,7 @@ from postfx.io.exr.passthrough import Enlargement
 from postfx.io.sequence import read_sequence
 from postfx.io.windows import Window
 from postfx.io.writer import is_complete, write_frame
-from postfx.plan import Skipped
+from postfx.plan import Skip
 from tests.files.exr_files import (
     COMPRESSIONS,
     HEIGHT,
@@ -290,7 +290,7 @@ def test_what_stays_in_the_pictures_part_is_kept_by_zip_only(tmp_path: Path) -> 
 def test_the_command_line_keeps_nothing_beside_a_larger_picture_but_when_asked(shot, tmp_path: Path) -> None:
     source = str(shot(1) / "shot.0001.exr")
 
-    def told(*words: str) -> tuple[str, list[Skipped]]:
+    def told(*words: str) -> tuple[str, list[Skip]]:
         arguments = make_parser().parse_args(["run", source, "-o", str(tmp_path / "out/"), *words])
         with read_sequence(source).open(1) as files:
             return explain_kept(arguments, files, (2 * WIDTH, 2 * HEIGHT))

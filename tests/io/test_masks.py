@@ -162,16 +162,16 @@ def test_in_pieces_all_is_the_same(write: Callable[..., Path]) -> None:
     whole, pieces = (Sequence(path, leave="logo,sky_sun=0.5,auto=0.2", scratch=scratch) for scratch in
                      (None, Scratch(4096)))
     np.testing.assert_array_equal(pieces.read(1)[Role.STRENGTH], whole.read(1)[Role.STRENGTH])
-    assert str(pieces.left_alone) == str(whole.left_alone)
+    assert str(pieces.coverage) == str(whole.coverage)
 
 
 def test_what_is_left_alone_is_counted(write: Callable[..., Path]) -> None:
     path = write(colours() | ranks("CryptoObject"), **header())
     sequence = Sequence(path, leave="sky_*,logo=0.5")
-    assert sequence.left_alone_of(1).as_dict() == {
+    assert sequence.coverage_of(1).as_dict() == {
         "frames": 1, "share": 0.5, "covered": {"sky_*": round((3 + 2 / 3) / 6, 4), "logo=0.5": round(1 / 18, 4)}}
     sequence.read(1), sequence.read(1, [Role.COLOUR])
-    assert str(sequence.left_alone) == "50.0 % of the pixels are not denoised at all: sky_* covers 61.1 %, " \
+    assert str(sequence.coverage) == "50.0 % of the pixels are not denoised at all: sky_* covers 61.1 %, " \
                                        "logo=0.5 covers 5.6 %"
 
 
@@ -274,8 +274,8 @@ def test_what_renderers_tell_of_their_error(
     sequence = Sequence(write(channels, **header), leave="converged:0.01")
     found = sequence.read(1)[Role.STRENGTH][:, :, 0]
     assert (found[:26] == 0).all() and (found[32:] == 1).all()
-    assert str(sequence.left_alone).endswith(f"converged:0.01 covers 43.8 % by {basis}")
-    assert sequence.left_alone.as_dict()["basis"] == {"converged:0.01": basis}
+    assert str(sequence.coverage).endswith(f"converged:0.01 covers 43.8 % by {basis}")
+    assert sequence.coverage.as_dict()["basis"] == {"converged:0.01": basis}
 
 
 def test_counts_of_cycles_are_numbers_or_shares(write: Callable[..., Path]) -> None:
@@ -287,7 +287,7 @@ def test_counts_of_cycles_are_numbers_or_shares(write: Callable[..., Path]) -> N
         sequence = Sequence(path, leave="converged:256spp=0.5")
         found = sequence.read(1)[Role.STRENGTH][:, :, 0]
         assert (found[:28] == 0.5).all() and (found[32:] == 1).all()
-        assert "by plane 'sample_count'" in str(sequence.left_alone)
+        assert "by plane 'sample_count'" in str(sequence.coverage)
 
 
 def test_what_cannot_tell_that_it_has_converged(write: Callable[..., Path], tmp_path: Path) -> None:

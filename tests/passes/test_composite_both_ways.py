@@ -39,8 +39,8 @@ def test_weights_count_pixel_by_pixel(passes):
 
 def test_it_says_why_it_does_nothing():
     spec = Frame({Role.COLOUR: np.ones((6, 8, 3), np.float32)}).spec
-    (skipped,) = [item for item in make_plan([BothWays()], spec).skipped if item.what == "both_ways"]
-    assert skipped.why == "later frames were not processed"
+    (skip,) = [item for item in make_plan([BothWays()], spec).skips if item.what == "both_ways"]
+    assert skip.why == "later frames were not processed"
 
 
 def test_the_upscaler_hands_the_plane_on_as_it_is():

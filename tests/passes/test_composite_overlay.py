@@ -166,7 +166,7 @@ def test_frames_with_and_without_content_take_turns(device: Device) -> None:
     found = [pipeline(frame)[Role.COLOUR] for frame in frames]
     np.testing.assert_array_equal(found[0], found[2])
     np.testing.assert_array_equal(found[1], frames[1][Role.COLOUR])
-    (skipped,) = pipeline.left_out()
+    (skipped,) = pipeline.savings()
     assert "ms a frame" in skipped.why
 
 

@@ -122,7 +122,7 @@ def test_a_budget_chooses_among_them() -> None:
     upscaler, chosen = pipeline.passes[0], []
     for number in range(1, 7):
         pipeline(noisy(number))
-        chosen.append(upscaler.chosen())
+        chosen.append(upscaler.choice())
     assert chosen[0] == "s" and chosen[-1] == "m" and ran(pipeline) == {"s.1x", "m.1x"}
 
 
@@ -202,7 +202,7 @@ def test_a_recalled_history_of_a_budget_is_of_the_same_network() -> None:
     whole = chain(size=OUTPUT, budget=1000)
     for number in range(6):
         whole(sized(number, 1))
-    assert whole.passes[0].chosen() == "m"
+    assert whole.passes[0].choice() == "m"
     again = chain(size=OUTPUT, budget=1000)
     again.recall(sized(5, 1), {name: np.array(value) for name, value in whole.history().items()})
     assert again.passes[0]._history._model == "denoise_upscale.m.1x"
@@ -231,5 +231,5 @@ def test_under_a_mask_the_network_sees_the_whole_frame_which_is_judged() -> None
     frame.planes[Role.STRENGTH] = np.zeros((96, 96, 1), np.float32)
     frame.planes[Role.STRENGTH][:8, :8] = 1
     colour = pipeline(frame)[Role.COLOUR]
-    assert ran(pipeline) == {"m.1x"} and not any("network" in line.what for line in pipeline.left_out())
+    assert ran(pipeline) == {"m.1x"} and not any("network" in line.what for line in pipeline.savings())
     np.testing.assert_array_equal(colour[32:], frame[Role.COLOUR][32:])

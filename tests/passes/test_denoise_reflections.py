@@ -31,7 +31,7 @@ def device() -> Device:
 
 def resident(frame: Frame) -> ResidentFrame:
     return ResidentFrame(frame.spec, {}, frame.number, frame.jitter, world_to_camera=frame.world_to_camera,
-                         fov_x=frame.fov_x, metadata=frame.metadata, given=dict(frame.planes))
+                         fov_x=frame.fov_x, metadata=frame.metadata, host_planes=dict(frame.planes))
 
 
 def params_of(before: Frame, now: Frame) -> np.ndarray | str:
@@ -192,7 +192,7 @@ def test_the_plan_and_the_report_tell(device: Device) -> None:
     assert "specular_hit_distance; writes colour" in str(pipeline.plan).replace("roughness, ", "")
     assert "smooth reflections move by their hit distance" in str(pipeline.plan)
     assert ("denoise_upscale: motion of reflections for 2 frames", NO_CAMERA) in [
-        (line.what, line.why) for line in pipeline.left_out()]
+        (line.what, line.why) for line in pipeline.savings()]
     assert np.isfinite(results[-1][Role.COLOUR]).all()
     fewer = replace(frames[0], planes={role: plane for role, plane in frames[0].planes.items() if role != Role.NORMAL})
     plan = pipeline.explain(fewer.spec)
@@ -203,4 +203,4 @@ def test_with_changing_sizes(device: Device) -> None:
     pipeline = Pipeline([DenoiseUpscale(size=(2 * WIDTH, 2 * HEIGHT), model="s")], device, exposure=0.0)
     for number, (width, height) in enumerate(((96, 54), (80, 45), (96, 54))):
         assert np.isfinite(pipeline(scene.frame(number, width, height))[Role.COLOUR]).all()
-    assert not any("reflections" in line.what for line in pipeline.left_out())
+    assert not any("reflections" in line.what for line in pipeline.savings())

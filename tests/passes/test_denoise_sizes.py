@@ -114,7 +114,7 @@ def test_what_a_size_needs_is_made_once_and_the_rest_is_let_go(
         used.append(device.heap.used)
     assert made == [96, 80, 64] + [92, 88, 84, 76, 72, 68, 96] * 2
     assert len(upscaler._sizes) == MOST_SIZES and abs(used[-1] - used[13]) < 0.01 * used[-1]
-    (line,) = [line for line in pipeline.left_out() if "change" in line.what]
+    (line,) = [line for line in pipeline.savings() if "change" in line.what]
     assert line.what == "denoise_upscale: preparation at 4 of 20 changes of size"
 
 
@@ -153,7 +153,7 @@ def test_with_a_mask_alpha_a_budget_and_guides(device: Device) -> None:
         frame.planes[Role.STRENGTH][:, : width // 3] = 1
         result = pipeline(guided(frame, *OUTPUT[::-1]))
         assert result.spec.width == OUTPUT[0] and np.isfinite(result[Role.COLOUR]).all() and Role.ALPHA in result
-    assert upscaler.chosen() == "m"
+    assert upscaler.choice() == "m"
 
 
 def test_without_a_network_only_the_input_is_resampled(device: Device) -> None:

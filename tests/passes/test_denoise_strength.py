@@ -83,7 +83,7 @@ def test_strength_1_everywhere_is_not_blended(size: tuple[int, int], scale: floa
     found = [pipeline(masked(frame, value))[Role.COLOUR] for frame, value in zip(frames, strengths, strict=True)]
     wanted = run(frames, device, scale=scale)
     assert [np.array_equal(one, other) for one, other in zip(found, wanted, strict=True)] == [True, False, True]
-    told = {item.what: item.why for item in pipeline.explain().skipped}
+    told = {item.what: item.why for item in pipeline.explain().skips}
     assert told["denoise_upscale: blend with the input for 2 frames"] == "strength is 1 everywhere"
 
 

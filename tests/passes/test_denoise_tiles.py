@@ -77,7 +77,7 @@ def test_a_masked_frame_is_the_whole_frame_where_it_is_active(
         outside = np.kron(mask, np.ones((2, 2))) == 0
         outside &= full(1 - mask)
         np.testing.assert_array_equal(found[outside], resampled(frame, Role.COLOUR, 2)[outside])
-    assert any("strength is 0 there" in item.why for item in tiled.explain().skipped)
+    assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
 
 
 def test_what_has_not_converged_is_as_in_a_run_of_the_whole(device: Device, room: list[Frame]) -> None:
@@ -91,7 +91,7 @@ def test_what_has_not_converged_is_as_in_a_run_of_the_whole(device: Device, room
         active = resampled(masked(frame, strength[:, :, 0]), Role.STRENGTH, 2)[:, :, 0] == 1
         error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
         assert active.sum() > 10000 and error[active].max() < 1e-3
-    assert any("strength is 0 there" in item.why for item in tiled.explain().skipped)
+    assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
 
 
 @pytest.mark.parametrize("model", ["s", "m", "l"])
@@ -134,7 +134,7 @@ def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool, 
         error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
         assert active.sum() > 1000 and error[active].max() < 1e-3
         np.testing.assert_array_equal(found[without], resampled(part, Role.COLOUR, scale)[without])
-    assert any("strength is 0 there" in item.why for item in tiled.explain().skipped)
+    assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
 
 
 def test_a_mask_that_moves_never_shows_what_is_not_there(device: Device) -> None:
@@ -182,7 +182,7 @@ def test_nothing_active_runs_no_network_and_drops_the_history(device: Device, ro
     found = tiled(masked(room[2], 1))[Role.COLOUR]
     fixed = Pipeline([DenoiseUpscale(model="s")], device, exposure=np.log2(tiled.exposure))
     np.testing.assert_array_equal(found, fixed(room[2])[Role.COLOUR])
-    assert any("strength is 0 everywhere" in item.why for item in tiled.explain().skipped)
+    assert any("strength is 0 everywhere" in item.why for item in tiled.explain().skips)
 
 
 def test_a_mask_that_moves_every_frame_makes_few_networks_ready(device: Device, monkeypatch) -> None:
@@ -225,5 +225,5 @@ def test_a_still_picture_is_not_moved(device: Device) -> None:
     still, moving = (Pipeline([DenoiseUpscale()], device, exposure=0.0) for _ in range(2))
     for one, other in zip(frames, tiny, strict=True):
         np.testing.assert_array_equal(still(one)[Role.COLOUR], moving(other)[Role.COLOUR])
-    reasons = [item.why for item in still.explain().skipped]
-    assert "nothing moves" in reasons and "nothing moves" not in [item.why for item in moving.explain().skipped]
+    reasons = [item.why for item in still.explain().skips]
+    assert "nothing moves" in reasons and "nothing moves" not in [item.why for item in moving.explain().skips]

@@ -139,9 +139,9 @@ def test_a_firefly_does_not_stay(model: str, rooms: list[Frame], device: Device)
 def test_bad_pixels_are_counted(rooms: list[Frame], device: Device) -> None:
     chain = pipeline("s.fp32", device)
     chain(rooms[0])
-    assert chain.broken == {}
+    assert chain.bad_pixels == {}
     frame = changed(changed(rooms[1], Role.COLOUR, np.nan, (slice(3, 5), 7)), Role.NORMAL, np.inf, (0, 0, 1))
     chain(frame)
-    assert chain.broken == {Role.COLOUR: 2, Role.NORMAL: 1}
+    assert chain.bad_pixels == {Role.COLOUR: 2, Role.NORMAL: 1}
     chain(rooms[2])
-    assert chain.broken == {}
+    assert chain.bad_pixels == {}

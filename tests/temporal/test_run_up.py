@@ -215,8 +215,8 @@ def test_what_comes_out_is_the_frame_itself(noisy, device):
         expected, found = plain(frame), passes(frame)
         assert (found.number, found.reset, found.spec) == (expected.number, expected.reset, expected.spec)
         assert passes.exposure == plain.exposure
-    assert [item.what for item in plain.left_out()] == ["denoise_upscale: history for 1 frame"]
-    assert passes.left_out() == []
+    assert [item.what for item in plain.savings()] == ["denoise_upscale: history for 1 frame"]
+    assert passes.savings() == []
 
 
 def test_passes_behind_the_denoiser_do_not_run_ahead(noisy, device):

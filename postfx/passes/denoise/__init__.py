@@ -167,16 +167,16 @@ class DenoiseUpscale(Pass):
         tags = (*(tag for tag in smaller if has_model(model_of(tag, ending))), self._tag)
         return {tag: model_of(tag, ending, self._device) for tag in tags}
 
-    def ran(self, milliseconds: float) -> None:
+    def note_time(self, milliseconds: float) -> None:
         if self.strength:
             self._savings.note_time(milliseconds)
             if self._ladder:
                 self._ladder.note_time(milliseconds)
 
-    def left_out(self) -> tuple[tuple[str, str], ...]:
+    def savings(self) -> tuple[tuple[str, str], ...]:
         return self._savings.lines() if self.strength else ()
 
-    def chosen(self) -> str | None:
+    def choice(self) -> str | None:
         return self._used if self.budget else None
 
     def reset(self) -> None:
@@ -221,7 +221,7 @@ class DenoiseUpscale(Pass):
     def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame, ready: ReadyNetwork) -> Tensor:
         """The denoised colour, blended by strength; the history stays fully denoised."""
         cells = self._active(frame, ready)
-        savings = self._savings if frame.wanted else Savings()
+        savings = self._savings if not frame.history_only else Savings()
         if ready.strength and cells is not None and not cells.any():
             savings.begin(0.0, False, False)
             self._fresh = False
@@ -244,7 +244,7 @@ class DenoiseUpscale(Pass):
             planes = ready.reflections.encode(commands, frame, change, planes)
         layers, written = ready.layers.begin(commands, frame, planes, params, keep) if ready.layers else ([], {})
         colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
-        self._fresh, self._exposure = not frame.lost, frame.exposure
+        self._fresh, self._exposure = not frame.unusable, frame.exposure
         rows = ready.frames.rows(band)
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
         if ready.strength:
@@ -257,12 +257,12 @@ class DenoiseUpscale(Pass):
         """Where the frame's strength is not 0, as squares of 4 pixels; None where that is not known, or where the
         whole frame is judged."""
         restore = ready.restore
-        if Role.STRENGTH not in frame.given or (restore and restore.acts_on(frame)):
+        if Role.STRENGTH not in frame.host_planes or (restore and restore.acts_on(frame)):
             return None
-        return active_cells(frame.given[Role.STRENGTH])
+        return active_cells(frame.host_planes[Role.STRENGTH])
 
     def _is_still(self, frame: ResidentFrame) -> bool:
-        return Role.MOTION in frame.given and not frame.given[Role.MOTION].any()
+        return Role.MOTION in frame.host_planes and not frame.host_planes[Role.MOTION].any()
 
     def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
         """Names of the parts; FrameError for one that a frame lacks."""

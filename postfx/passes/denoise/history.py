@@ -234,7 +234,7 @@ class Cameras:
             tell: called with the reason if reflections cannot be followed.
         """
         then, self._last = self._last, Camera.of(frame)
-        if not moves or {Role.MOTION, Role.DEPTH} - frame.given.keys():
+        if not moves or {Role.MOTION, Role.DEPTH} - frame.host_planes.keys():
             return None
         if not (then and self._last):
             tell(NO_CAMERA)
@@ -271,7 +271,7 @@ def _params(frame: ResidentFrame, now: Camera, then: Camera, axes: tuple[int, in
 
 def _misfit(frame: ResidentFrame, params: np.ndarray) -> float:
     """Median over some pixels of the difference from the motion of surfaces at rest, in units of the tolerance."""
-    depth, motion = frame.given[Role.DEPTH], frame.given[Role.MOTION]
+    depth, motion = frame.host_planes[Role.DEPTH], frame.host_planes[Role.MOTION]
     height, width = depth.shape[:2]
     rows = np.linspace(0, height - 1, min(height, SAMPLES)).astype(int)[:, None]
     columns = np.linspace(0, width - 1, min(width, SAMPLES)).astype(int)[None]

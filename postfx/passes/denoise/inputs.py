@@ -132,12 +132,12 @@ class Passthrough:
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         """Record the work; the frame's planes are then those of the output's size. Alpha that was replaced already is
         left alone."""
-        given = frame.given_guides if self._overlay_is_guide else frame.given
+        given = frame.host_guides if self._overlay_is_guide else frame.host_planes
         if Role.LATER in frame.guides:
             frame.set(Role.LATER, frame.guides[Role.LATER])
         blank = Role.OVERLAY in given and not given[Role.OVERLAY].any()
         for role, resampler in self._resamplers.items():
-            if role is Role.ALPHA and role not in frame.given:
+            if role is Role.ALPHA and role not in frame.host_planes:
                 continue
             plane, jitter = self._source(role, frame)
             if role is Role.OVERLAY and blank:

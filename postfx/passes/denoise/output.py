@@ -136,5 +136,6 @@ class Strength:
         return output
 
     def is_full(self, frame: ResidentFrame) -> bool:
-        """Whether a frame is denoised fully, whatever it could have said."""
-        return self._is_whole and Role.STRENGTH in frame.given and bool((frame.given[Role.STRENGTH] >= 1).all())
+        """Whether a frame is denoised fully everywhere, although it has a plane that could say otherwise."""
+        strength = frame.host_planes.get(Role.STRENGTH) if self._is_whole else None
+        return strength is not None and bool((strength >= 1).all())

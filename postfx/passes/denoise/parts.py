@@ -316,7 +316,7 @@ class Layers:
         """A layer's values with three channels, as the kernels have them."""
         if name != ALPHA_LAYER and self._channels[name] == 3:
             return frame.parts[name]
-        given = frame.given[Role.ALPHA] if name == ALPHA_LAYER else frame.given_parts[name]
+        given = frame.host_planes[Role.ALPHA] if name == ALPHA_LAYER else frame.host_parts[name]
         if name not in self._copies:
             self._copies[name] = self._device.heap.tensor(f"{name}, three times", (*self._render, 3))
         self._copies[name].upload(np.repeat(given, 3, axis=2))
@@ -328,7 +328,7 @@ class Layers:
             return -1.0, 1.0
         if self._kind(name) not in MOVING:
             return 0.0, 1.0
-        given = frame.given_parts[name]
+        given = frame.host_parts[name]
         finite = given[np.isfinite(given)]
         return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
 
@@ -402,11 +402,11 @@ def _groups_of(parts: Sequence[Part]) -> list[Group]:
 
 def _is_complete(frame: ResidentFrame, names: Sequence[str]) -> bool:
     """Whether parts add up to the picture, by every eighth row."""
-    colour = frame.given.get(Role.COLOUR)
+    colour = frame.host_planes.get(Role.COLOUR)
     if colour is None:
         return False
     seen = colour[::STEP]
-    total = sum((frame.given_parts[name][::STEP] for name in names), np.zeros_like(seen))
+    total = sum((frame.host_parts[name][::STEP] for name in names), np.zeros_like(seen))
     with np.errstate(invalid="ignore", over="ignore"):
         apart, light = np.abs(total - seen), np.abs(seen)
     valid = np.isfinite(apart)
@@ -415,7 +415,7 @@ def _is_complete(frame: ResidentFrame, names: Sequence[str]) -> bool:
 
 def _is_noisy(frame: ResidentFrame) -> bool:
     """Whether alpha is anywhere neither 0 nor 1."""
-    alpha = frame.given.get(Role.ALPHA)
+    alpha = frame.host_planes.get(Role.ALPHA)
     return alpha is not None and bool(((alpha > 0) & (alpha < 1)).any())
 
 
