@@ -94,8 +94,8 @@ OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)
 """Planes that may come at output size, which is what makes them guides."""
 
 
-PART_KINDS = ("light", "diffuse", "specular", "scatter", "albedo", "normal", "position", "mist", "shadow", "ao",
-              "factor")
+PART_KINDS = ("light", "diffuse", "specular", "scatter", "albedo", "normal", "position", "depth", "mist", "shadow",
+              "ao", "factor")
 """Meanings of a part. Light is added up to the picture: with all of the reflectance in it, the diffuse or the specular
 one, or none (fog, emission, a background). The others are no light and add up to nothing. A factor is what files divide
 parts by: it is not filtered, only brought to the output's size."""

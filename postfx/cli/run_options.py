@@ -227,7 +227,7 @@ PASSES = Section("passes", (
     Option(flag="--aov-denoise", metavar="KIND=LAYER,...", sets="sequence.aov_denoise",
            excludes={**_FOR_DENOISER, **_WITHOUT_PARTS},
            help="other layers to denoise by the picture's filters, each with its kind, like 'normal=N,mist=Mist': "
-           "albedo, normal, position, mist, shadow or ao; ids and Cryptomattes are never filtered"),
+           "albedo, normal, position, depth, mist, shadow or ao; ids and Cryptomattes are never filtered"),
     Option(flag="--no-alpha-denoise", sets="denoiser.alpha", convert=lambda leave: not leave, excludes=_FOR_DENOISER,
            help="only resample alpha; else it is denoised with the picture in frames where it is anywhere neither 0 "
            "nor 1"),

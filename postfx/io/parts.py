@@ -15,7 +15,7 @@ from postfx.io.layout import Layout
 AUTO = "auto"
 COLOURS, VECTORS = (("R", "G", "B"),), (("X", "Y", "Z"), ("R", "G", "B"))
 NUMBERS = (("V",), ("Z",), ("Y",), ("A",), ("X",), ("R",), ("",))
-LETTERS = {"normal": VECTORS, "position": VECTORS, "albedo": COLOURS}
+LETTERS = {"normal": VECTORS, "position": VECTORS, "albedo": COLOURS, "depth": NUMBERS}
 """Channels of planes by kind, best first; others have three of colour or one."""
 PLANES = tuple(kind for kind in PART_KINDS[4:] if kind != "factor")
 """Kinds that `--aov-denoise` takes."""

@@ -117,7 +117,7 @@ def test_plain_layers_are_light_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("text", "message"), [
-    ("glow=N", "KIND one of albedo, normal, position, mist, shadow, ao"), ("normal", "give KIND=LAYER"),
+    ("glow=N", "KIND one of albedo, normal, position, depth, mist, shadow, ao"), ("normal", "give KIND=LAYER"),
     ("mist=CryptoObject00", "holds ids"), ("mist=object.id", "holds ids")])
 def test_kinds_are_checked_and_ids_are_never_filtered(text: str, message: str) -> None:
     with pytest.raises(OptionError, match=message):

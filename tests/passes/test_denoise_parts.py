@@ -137,6 +137,23 @@ def test_planes_are_filtered_at_output_size_and_keep_their_meaning(device: Devic
     assert abs(found["p"].mean() - frame.parts["p"].mean()) < 0.2
 
 
+def test_depth_is_filtered_by_its_reciprocals_and_nothing_stays_nothing(device: Device) -> None:
+    frame = lit(1)
+    noise = np.random.default_rng(5).random((37, 50, 1), np.float32)
+    planes = {"cycles": 1e10, "infinite": np.inf, "none is 0": 0.0, "camera looks along -z": -1e30}
+    for name, nothing in planes.items():
+        frame.parts[name] = np.where(np.arange(50)[:, None] < 30, np.float32(-1 if nothing < 0 else 1) * (4 + noise),
+                                     np.float32(nothing))
+    parts = [Part(name, "depth") for name in planes]
+    for strength in (1.0, 0.5, 0.0):
+        found = upscaler(device, parts=parts, strength=strength)(frame).parts
+        for name, nothing in planes.items():
+            assert found[name].shape == (74, 100, 1) and (found[name][:, 76:] == np.float32(nothing)).all()
+            there = (-1 if nothing < 0 else 1) * found[name][:, :40]
+            assert 4 <= there.min() and there.max() <= 5 and abs(there.mean() - 4.5) < 0.1
+            assert strength < 1 or there.std() < 0.5 * noise.std()
+
+
 def test_fog_is_filtered_without_the_reflectance_of_what_lies_behind(device: Device) -> None:
     frame = lit(1)
     fog = np.full_like(frame[Role.COLOUR], 0.3)

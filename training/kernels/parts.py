@@ -82,16 +82,20 @@ class Balance(nn.Module):
 class Decode(nn.Module):
     """filtered (H, W, 3), decoding (5,) -> plane (H, W, 3)."""
 
+    channels = 3
+
     def forward(self, filtered: Tensor, decoding: Tensor) -> Tensor:
-        scale, shift, low, high, unit = decoding.unbind()
-        plane = torch.minimum(torch.maximum(filtered * scale + shift, low), high)
+        scale, shift, low, high, kind = decoding.unbind()
+        plane = torch.minimum(torch.maximum(filtered[..., :self.channels] * scale + shift, low), high)
         square = (plane * plane).sum(-1, keepdim=True)
         length = torch.where(square > 1e-12, 1 / square.clamp(min=1e-12).sqrt(), 0)
-        return torch.where(unit > 0, plane * length, plane)
+        vectors = torch.where(kind > 0, plane * length, plane)
+        covered = filtered[..., 1:2]
+        distance = torch.minimum(torch.maximum(covered / filtered[..., :1].clamp(min=DARKEST), low), high)
+        return torch.where(kind < 0, torch.where(covered >= 0.5, distance * scale, shift), vectors)
 
 
 class DecodeOne(Decode):
     """The same -> plane (H, W, 1)."""
 
-    def forward(self, filtered: Tensor, decoding: Tensor) -> Tensor:
-        return super().forward(filtered[..., :1], decoding)
+    channels = 1

@@ -76,13 +76,21 @@ extern "C" __global__ void denoise_balance(View parts, View whole, View picture,
     }
 }
 
-// A plane from what was filtered: filtered (H, W, 3), decoding (5,): factor, shift, bounds, whether vectors get length 1
-// -> plane (H, W, c).
+// A plane from what was filtered: filtered (H, W, 3), decoding (5,): factor, shift, bounds, kind: vectors that get length 1
+// above 0, distances below 0, by their reciprocal and coverage -> plane (H, W, c).
 __device__ inline void decode(const View& filtered, const View& decoding, const View& plane, int y, int x) {
     const int channels = plane.size[2];
     const size_t pixel = size_t(y) * plane.size[1] + x;
     const float* const by = decoding.at;
     float* const to = plane.at + channels * pixel;
+    if (by[4] < 0.0f) {
+        for (int c = 0; c < channels; c++) {
+            const float covered = filtered.at[3 * pixel + 1];
+            const float distance = fminf(fmaxf(covered / fmaxf(filtered.at[3 * pixel], 1e-30f), by[2]), by[3]);
+            to[c] = covered >= 0.5f ? distance * by[0] : by[1];
+        }
+        return;
+    }
     float square = 0.0f;
     for (int c = 0; c < channels; c++) {
         to[c] = fminf(fmaxf(filtered.at[3 * pixel + c] * by[0] + by[1], by[2]), by[3]);

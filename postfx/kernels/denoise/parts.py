@@ -19,12 +19,13 @@ from postfx.kernels.denoise.layout import (
 )
 from postfx.kernels.numeric import Real, add, clamp, compiled, demodulation, inline, vectorised
 
-ZERO, ONE, DARKEST = np.float32(0), np.float32(1), np.float32(1e-30)
+ZERO, HALF, ONE, DARKEST = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1e-30)
 OFFSET, FACTOR, MOST = range(3)
 """Of ``coding``."""
-SCALE, SHIFT, LOW, HIGH, UNIT = range(5)
-"""Of ``decoding``: what a filtered value is multiplied by, what is added, its bounds, and whether vectors get length
-1."""
+SCALE, SHIFT, LOW, HIGH, KIND = range(5)
+"""Of ``decoding``: what a filtered value is multiplied by, what is added, its bounds, and its kind: above 0 vectors, which
+get length 1, below 0 distances, of which the reciprocal and the share of the pixel that has one were filtered;
+``SHIFT`` then stands for none."""
 
 
 @inline
@@ -122,16 +123,21 @@ def balance_rows(y0: int, y1: int, parts: np.ndarray, whole: np.ndarray, picture
 
 @compiled
 def decode_rows(y0: int, y1: int, filtered: np.ndarray, decoding: np.ndarray, plane: np.ndarray) -> None:
-    """Values of a plane from what was filtered, within bounds; vectors get length 1, but for those that are 0."""
+    """Values of a plane from what was filtered, within bounds; vectors get length 1, but for those that are 0, and
+    distances are turned back."""
     channels = plane.shape[2]
     for y in range(y0, y1):
         for x in range(plane.shape[1]):
             square = ZERO
-            for c in range(channels):
+            for c in range(channels if decoding[KIND] < ZERO else 0):
+                distance = filtered[y, x, 1] / max(filtered[y, x, 0], DARKEST)
+                distance = min(max(distance, decoding[LOW]), decoding[HIGH]) * decoding[SCALE]
+                plane[y, x, c] = distance if filtered[y, x, 1] >= HALF else decoding[SHIFT]
+            for c in range(0 if decoding[KIND] < ZERO else channels):
                 value = filtered[y, x, c] * decoding[SCALE] + decoding[SHIFT]
                 plane[y, x, c] = min(max(value, decoding[LOW]), decoding[HIGH])
                 square += plane[y, x, c] * plane[y, x, c]
-            if decoding[UNIT] > ZERO:
+            if decoding[KIND] > ZERO:
                 scale = ONE / np.sqrt(square) if square > np.float32(1e-12) else ZERO
                 for c in range(channels):
                     plane[y, x, c] *= scale

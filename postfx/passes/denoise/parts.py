@@ -32,10 +32,14 @@ BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "alpha": (0.0,
 """Of the values of planes by kind; those of others begin at 0 and have no end."""
 FACTOR = "factor"
 """Kind of a plane that is only brought to the output's size."""
-SIGNED = ("normal", "position")
-"""Kinds of planes with values below 0."""
-MOVING = ("position",)
-"""Kinds whose values are filtered within a range that each frame has of its own, so they have no history."""
+DEPTH = "depth"
+"""Kind of a plane of distances: their reciprocals are filtered, and apart from them where there is any."""
+FARTHEST = 1e9
+"""Distances from here on stand for nothing."""
+SIGNED = ("normal", "position", DEPTH)
+"""Kinds of planes whose detail is not like light's."""
+MOVING = ("position", DEPTH)
+"""Kinds whose values are other ones when the camera moves, so they have no history."""
 REFLECTANCE = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 SURFACES = dict(zip(("diffuse", "specular"), REFLECTANCE, strict=True))
 """Reflectance that light is divided by while it is filtered, by kind: the picture's for 'light', nothing for others."""
@@ -249,7 +253,7 @@ class Layers:
             if name == WHOLE:
                 continue
             value = self._history.layer(name).next[0]
-            if not self._is_light(name):
+            if not self._is_light(name) and self._kind(name) != DEPTH:
                 value = self._decoded(commands, name, value)
             if restore and restoring and self._kind(name) not in SIGNED:
                 place = self._between(f"restored {name}", 3) if blending else self._finished(name)
@@ -303,9 +307,11 @@ class Layers:
         self._raw[name] = self._three(name, frame)
         low, high = self._range(name, frame)
         scale = 1.0 if (low, high) == (0.0, 1.0) else 1 / max(high - low, 1e-30)
-        self._codings[name].upload([low, scale, MAX_COLOUR / self._exposure])
+        most = LARGEST if self._kind(name) == DEPTH else MAX_COLOUR / self._exposure
+        self._codings[name].upload([low, scale, most])
         bounds = BOUNDS.get("alpha" if name == ALPHA_LAYER else self._kind(name), (0.0, LARGEST))
-        self._decodings[name].upload([1 / scale, low, *bounds, float(self._kind(name) == "normal")])
+        if self._kind(name) != DEPTH:
+            self._decodings[name].upload([1 / scale, low, *bounds, float(self._kind(name) == "normal")])
         found = {"part": self._raw[name], "coding": self._codings[name]}
         if self._kind(name) == "light":
             return found
@@ -314,19 +320,22 @@ class Layers:
 
     def _three(self, name: str, frame: ResidentFrame) -> Tensor:
         """A layer's values with three channels, as the kernels have them."""
-        if name != ALPHA_LAYER and self._channels[name] == 3:
+        if name != ALPHA_LAYER and self._channels[name] == 3 and self._kind(name) != DEPTH:
             return frame.parts[name]
         given = frame.host_planes[Role.ALPHA] if name == ALPHA_LAYER else frame.host_parts[name]
+        if self._kind(name) == DEPTH:
+            given, decoding = encode_depth(given)
+            self._decodings[name].upload(decoding)
         if name not in self._copies:
             self._copies[name] = self._device.heap.tensor(f"{name}, three times", (*self._render, 3))
-        self._copies[name].upload(np.repeat(given, 3, axis=2))
+        self._copies[name].upload(given if given.shape[2] == 3 else np.repeat(given, 3, axis=2))
         return self._copies[name]
 
     def _range(self, name: str, frame: ResidentFrame) -> tuple[float, float]:
         """What a layer's values are filtered between."""
         if self._kind(name) == "normal":
             return -1.0, 1.0
-        if self._kind(name) not in MOVING:
+        if self._kind(name) != "position":
             return 0.0, 1.0
         given = frame.host_parts[name]
         finite = given[np.isfinite(given)]
@@ -360,12 +369,13 @@ class Layers:
 
     def _leave(self, commands: CommandBuffer, frame: ResidentFrame, name: str, value: Tensor) -> None:
         """Put a layer into the frame."""
-        if name != ALPHA_LAYER and self._channels[name] == value.shape[2]:
+        channels, is_depth = 1 if name == ALPHA_LAYER else self._channels[name], self._kind(name) == DEPTH
+        if channels == value.shape[2] and not is_depth:
             frame.parts[name] = value
             return
-        output = self._between(f"output {name}", 1)
-        table = ArgumentTable(self._device.compute_state(DECODE_ONE), {
-            "filtered": value, "decoding": self._identity, "plane": output})
+        output = self._between(f"output {name}", channels)
+        table = ArgumentTable(self._device.compute_state(DECODE_ONE if channels == 1 else DECODE), {
+            "filtered": value, "decoding": self._decodings[name] if is_depth else self._identity, "plane": output})
         with commands.compute_encoder("decode") as encoder:
             encoder.barrier(after="compute", before="compute")
             encoder.dispatch(table.state, table)
@@ -411,6 +421,25 @@ def _is_complete(frame: ResidentFrame, names: Sequence[str]) -> bool:
         apart, light = np.abs(total - seen), np.abs(seen)
     valid = np.isfinite(apart)
     return bool(apart[valid].sum(dtype=np.float64) <= NEAR * light[valid].sum(dtype=np.float64))
+
+
+def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
+    """A plane of distances (height, width, n), of which the first channel counts, as it is filtered.
+
+    Returns 1 / distance, whether there is any, and that again (height, width, 3): none is 0, 1e9 and more, or no number.
+    Then the ``decoding`` that turns it back: sign, what the plane holds for none, the least and largest distance, -1.
+    """
+    depth = depth[..., 0]
+    with np.errstate(invalid="ignore"):
+        there = (np.abs(depth) < FARTHEST) & (depth != 0)
+    sign = -1.0 if 2 * (depth[there] < 0).sum() > there.sum() else 1.0  # some renderers look along the negative axis
+    there[there] = sign * depth[there] > 0
+    distances, none = np.abs(depth[there]), depth[~there]
+    near, far = (float(distances.min()), float(distances.max())) if distances.size else (0.0, LARGEST)
+    nothing = float(none[0]) if none.size and not np.isnan(none[0]) else sign * LARGEST
+    inverse = np.zeros_like(depth)
+    inverse[there] = 1 / distances
+    return np.stack([inverse, there, there], axis=-1, dtype=np.float32), [sign, nothing, near, far, -1.0]
 
 
 def _is_noisy(frame: ResidentFrame) -> bool:
