@@ -195,8 +195,8 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.clip(2 * unit - 0.5, 0, 1)
     if name == "coding":  # of a part: half of them light, others with values below 0
         return np.array([-1.0, 0.5, 1.5] if case.h % 2 else [0.0, 1.0, 1e4])
-    if name == "decoding":
-        return np.array([2.0, -1.0, -0.8, 0.9, case.h % 2])
+    if name == "decoding":  # of distances, other values and vectors
+        return np.array([-1.0, -1e10, 0.5, 2.0, -1.0] if case.h % 3 == 0 else [2.0, -1.0, -0.8, 0.9, case.h % 3 - 1])
     if name == "complete":
         return np.array([case.w % 2])
     if name in ("part", "colour", "opaque_colour", "denoised"):

@@ -23,9 +23,9 @@ ZERO, HALF, ONE, DARKEST = np.float32(0), np.float32(0.5), np.float32(1), np.flo
 OFFSET, FACTOR, MOST = range(3)
 """Of ``coding``."""
 SCALE, SHIFT, LOW, HIGH, KIND = range(5)
-"""Of ``decoding``: what a filtered value is multiplied by, what is added, its bounds, and its kind: above 0 vectors, which
-get length 1, below 0 distances, of which the reciprocal and the share of the pixel that has one were filtered;
-``SHIFT`` then stands for none."""
+"""Of ``decoding``: what a filtered value is multiplied by, what is added, its bounds, and its kind: above 0
+vectors, which get length 1, below 0 distances, of which the reciprocal and the share of the pixel that has one were
+filtered; ``SHIFT`` then stands for none."""
 
 
 @inline

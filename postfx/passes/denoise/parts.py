@@ -426,7 +426,7 @@ def _is_complete(frame: ResidentFrame, names: Sequence[str]) -> bool:
 def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
     """A plane of distances (height, width, n), of which the first channel counts, as it is filtered.
 
-    Returns 1 / distance, whether there is any, and that again (height, width, 3): none is 0, 1e9 and more, or no number.
+    Returns 1 / distance, whether there is any, and that again (height, width, 3): 0, 1e9 and NaN are none.
     Then the ``decoding`` that turns it back: sign, what the plane holds for none, the least and largest distance, -1.
     """
     depth = depth[..., 0]
