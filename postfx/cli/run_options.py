@@ -228,6 +228,10 @@ PASSES = Section("passes", (
            excludes={**_FOR_DENOISER, **_WITHOUT_PARTS},
            help="other layers to denoise by the picture's filters, each with its kind, like 'normal=N,mist=Mist': "
            "albedo, normal, position, depth, mist, shadow or ao; ids and Cryptomattes are never filtered"),
+    Option(flag="--aov-filters", choices=("picture", "own"), sets="denoiser.part_filters",
+           excludes=_FOR_DENOISER,
+           help="of the light that --aov names: those of the picture, or own ones, for which the network runs on each "
+           "part, too: weak lights come out cleaner, and each takes as long as the picture (default: picture)"),
     Option(flag="--no-alpha-denoise", sets="denoiser.alpha", convert=lambda leave: not leave, excludes=_FOR_DENOISER,
            help="only resample alpha; else it is denoised with the picture in frames where it is anywhere neither 0 "
            "nor 1"),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.errors import FrameError
+from postfx.errors import FrameError, PassOptionError
 from postfx.frame import Frame, Part, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
@@ -58,6 +58,9 @@ KINDS = {
     "strength 0": ({"strength": 0.0}, lambda frame: frame),
     "a mask": ({}, lambda frame: masked(frame, 0.7)),
     "a mask of nothing": ({}, lambda frame: masked(frame, 0.0)),
+    "own filters": ({"part_filters": "own"}, lambda frame: frame),
+    "own filters, guides": ({"part_filters": "own"}, lambda frame: guided(frame, 74, 100)),
+    "own filters, a mask": ({"part_filters": "own"}, lambda frame: masked(frame, 0.7)),
 }
 
 
@@ -104,8 +107,9 @@ def test_tiles_give_the_same(way: str, device: Device) -> None:
     assert tiles is not device or "network outside of" in str(tiled.explain())
 
 
-def test_history_goes_on_after_a_stop_and_when_frames_change_their_size(device: Device) -> None:
-    options = {"parts": NAMES, "scale": None, "size": (100, 74)}
+@pytest.mark.parametrize("filters", ["picture", "own"])
+def test_history_goes_on_after_a_stop_and_when_frames_change_their_size(filters: str, device: Device) -> None:
+    options = {"parts": NAMES, "scale": None, "size": (100, 74), "part_filters": filters}
     pipeline, again = upscaler(device, **options), upscaler(device, **options)
     frames = [lit(number, *size) for number, size in enumerate(((37, 50), (40, 54), (37, 50)), 1)]
     for frame in frames[:2]:
@@ -125,6 +129,24 @@ def test_each_part_has_a_history_of_its_own(device: Device) -> None:
         parts.append(pipeline(frame).parts["key"])
     alone = upscaler(device, parts=NAMES)(replace(frame, reset=True)).parts["key"]
     assert np.abs(parts[-1] - parts[-2]).mean() < 0.7 * np.abs(alone - parts[-2]).mean()
+
+
+def test_own_filters_see_the_noise_of_a_weak_light(device: Device) -> None:
+    """Beside a strong and clean one, of whose picture the filters have nothing to do."""
+    frame = lit(1)
+    frame.planes = {role: np.broadcast_to(plane.mean((0, 1)), plane.shape).copy()
+                    for role, plane in frame.planes.items()}
+    noise = np.random.default_rng(2).exponential(0.02, (37, 50, 1)).astype(np.float32)
+    frame.parts = {"strong": frame[Role.COLOUR], "weak": noise * frame[Role.COLOUR]}
+    frame.planes[Role.COLOUR] = frame.parts["strong"] + frame.parts["weak"]
+    by = {filters: upscaler(device, parts=["strong", "weak"], part_filters=filters)(frame).parts["weak"]
+          for filters in ("picture", "own")}
+    assert by["own"].std() < 0.7 * by["picture"].std()
+    assert abs(by["own"].mean() - frame.parts["weak"].mean()) < 0.2 * frame.parts["weak"].mean()
+    assert "own filters: strong, weak" in str(upscaler(device, parts=["strong", "weak"], part_filters="own").explain(
+        frame.spec))
+    with pytest.raises(PassOptionError, match="no part filters 'all': give picture or own"):
+        DenoiseUpscale(part_filters="all")
 
 
 def test_planes_are_filtered_at_output_size_and_keep_their_meaning(device: Device) -> None:

@@ -20,7 +20,7 @@ from postfx.bench.baselines import HostKernels, Oidn
 from postfx.bench.metrics import grey_exposure, psnr
 from postfx.colour.curves import srgb_encode
 from postfx.frame import Frame, Role
-from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise import PART_FILTERS, DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
@@ -72,31 +72,30 @@ def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], m
     """Print a row for each group, and how far sums and grades agree."""
     names, device = list(references), Device("cpu")
     size, kernels = scale * frames[0][Role.COLOUR].shape[1], HostKernels(device)
-    together = Pipeline([DenoiseUpscale(scale=scale, model=model, parts=names)], device)
-    alone = {name: Pipeline([DenoiseUpscale(scale=scale, model=model)], device) for name in names}
+    together, own_filters = (Pipeline([DenoiseUpscale(scale=scale, model=model, parts=names, part_filters=filters)],
+                                      device) for filters in PART_FILTERS)
     before = Pipeline([DenoiseUpscale(scale=scale, model=model)], device)
     for frame in frames:
-        found = together(frame)
-        own = {name: alone[name](Frame({**frame.planes, Role.COLOUR: frame.parts[name]}, number=frame.number,
-                                       samples=frame.samples))[Role.COLOUR] for name in names}
+        found, own = together(frame), own_filters(frame).parts
         picture_graded_before = before(graded(frame))[Role.COLOUR]
-    print(f"{scale}x {model} | part | input | with the picture | network on it alone | OIDN high on it alone |")
+    print(f"{scale}x {model} | part | input | the picture's filters | own filters | OIDN high on it alone |")
     for name in names:
         reference, part = references[name][size], frames[-1].parts[name]
         plain = part if scale == 1 else kernels.enlarge(part, size, size, (0.0, 0.0))
         row = [seen(light, reference) for light in (
             plain, found.parts[name], own[name], by_oidn(frames[-1], part, size, kernels))]
         print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in row) + " |")
-    picture, total = found[Role.COLOUR], sum(found.parts[name] for name in names)
-    whole = sum(references[name][size] for name in names)
-    print(f"picture {seen(picture, whole):.2f} dB; sum apart by {np.abs(total - picture).sum() / picture.sum():.2e} of "
-          f"the light; least value {min(part.min() for part in found.parts.values()):.1e}")
-    after = sum(GRADE.get(name, 1.0) * found.parts[name] for name in names)
+    picture, whole = found[Role.COLOUR], sum(references[name][size] for name in names)
+    print(f"picture {seen(picture, whole):.2f} dB")
     wanted = sum(GRADE.get(name, 1.0) * references[name][size] for name in names)
-    oidn = sum(GRADE.get(name, 1.0) * by_oidn(frames[-1], frames[-1].parts[name], size, kernels) for name in names)
     grade = ", ".join(f"{name} x{factor:g}" for name, factor in GRADE.items())
-    print(f"graded ({grade}): after {seen(after, wanted):.2f} dB, before {seen(picture_graded_before, wanted):.2f} dB, "
-          f"by OIDN's parts {seen(oidn, wanted):.2f} dB")
+    for filters, parts in zip(PART_FILTERS, (found.parts, own), strict=True):
+        after = sum(GRADE.get(name, 1.0) * parts[name] for name in names)
+        apart = np.abs(sum(parts[name] for name in names) - picture).sum() / picture.sum()
+        print(f"filters {filters}: sum apart by {apart:.1e} of the light; graded ({grade}) after "
+              f"{seen(after, wanted):.2f} dB")
+    oidn = sum(GRADE.get(name, 1.0) * by_oidn(frames[-1], frames[-1].parts[name], size, kernels) for name in names)
+    print(f"graded before {seen(picture_graded_before, wanted):.2f} dB, OIDN's parts {seen(oidn, wanted):.2f} dB")
 
 
 def cost(model: str) -> None:

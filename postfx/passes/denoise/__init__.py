@@ -14,6 +14,7 @@ import numpy as np
 from postfx.caching import LRUCache
 from postfx.errors import FrameError, PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
+from postfx.kernels.denoise.layout import GAIN
 from postfx.passes.base import MOST_SIZES, Pass, Reflection, ResidentFrame
 from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain
 from postfx.passes.denoise.history import Cameras, History, can_follow
@@ -36,6 +37,8 @@ from postfx.passes.denoise.tiling import Sizes, active_cells
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 PLANES = tuple(ABSENT)
+PART_FILTERS = "picture", "own"
+"""Whose filters parts get, as the option calls them."""
 NETWORK = "network "
 """The name of what a history says of the network that it is of ends in that one's tag."""
 
@@ -55,6 +58,8 @@ class DenoiseUpscale(Pass):
             says the same pixel by pixel, and both are multiplied; where it is 0, no network runs.
         parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part` where they are not
             light. Light of one group keeps its sum.
+        part_filters: 'picture' filters parts like the picture; 'own' runs the network on each part that is light, too,
+            which takes as long as the picture for each.
         alpha: whether alpha is denoised with the picture, where it is neither 0 nor 1; else it is only resampled.
         reactive: where the history is not used, for what moves without motion vectors, such as particles: 'plane', the
             plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto', the first of
@@ -75,9 +80,10 @@ class DenoiseUpscale(Pass):
 
     def __init__(self, *, scale: float | None = None, size: Sequence[int] | None = None, model: str = "m",
                  strength: float = 1.0, budget: float | None = None, reactive: str = "auto",
-                 parts: Sequence[Part | str] = (), alpha: bool = True, **unknown: Never) -> None:
+                 parts: Sequence[Part | str] = (), part_filters: str = "picture", alpha: bool = True,
+                 **unknown: Never) -> None:
         super().__init__(scale=scale, size=size, model=model, strength=strength, budget=budget, reactive=reactive,
-                         parts=parts, alpha=alpha, **unknown)
+                         parts=parts, part_filters=part_filters, alpha=alpha, **unknown)
         self.scale = validate_scale(scale)
         self.size = validate_size(size, self.scale)
         self.strength = float(strength)
@@ -88,6 +94,10 @@ class DenoiseUpscale(Pass):
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a budget above 0")
         self._mask = parse_reactive(str(reactive))
         self._parts, self._alpha = checked_parts(parts), bool(alpha)
+        if part_filters not in PART_FILTERS:
+            raise PassOptionError(f"pass '{self.name}' has no part filters '{part_filters}': give "
+                                  f"{' or '.join(PART_FILTERS)}")
+        self._own = [part.name for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
         self._used: str | None = None
         self._cameras = Cameras()
         self._tag = validate_tag(str(model))
@@ -130,8 +140,10 @@ class DenoiseUpscale(Pass):
                 endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
                 name_models(device, (model_of(tag, ending, device) for tag in self._tags for ending in endings))
             reactive = self._mask.role(spec) is not None
-            self._history = History(device, Sizes(spec.height, spec.width, *size), reactive)
-            self._part_history = PartHistory(device, size, self._parts)
+            sizes = Sizes(spec.height, spec.width, *size)
+            self._history = History(device, sizes, reactive)
+            own = {name: History(device, sizes, reactive) for name in self._own}
+            self._part_history = PartHistory(device, size, self._parts, own)
         self._sizes: LRUCache[FrameSpec, ReadyNetwork | ReadyPlain] = LRUCache(MOST_SIZES)
         self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
         super().compile(device, spec)
@@ -244,6 +256,11 @@ class DenoiseUpscale(Pass):
             planes = ready.reflections.encode(commands, frame, change, planes)
         layers, written = ready.layers.begin(commands, frame, planes, params, keep) if ready.layers else ([], {})
         colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
+        own_runs = ready.layers.own_runs(frame, planes, params, keep) if ready.layers else ()
+        for name, seen, own_params, output in own_runs:
+            ready.own[name].use(ready.models[self._used])
+            own_still = still and own_params[GAIN] == params[GAIN]
+            ready.own[name].encode(commands, seen, own_params, keep, own_still, band, (), {"output": output})
         self._fresh, self._exposure = not frame.unusable, frame.exposure
         rows = ready.frames.rows(band)
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
@@ -275,6 +292,7 @@ class DenoiseUpscale(Pass):
 
     def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
         notes = [f"stays {self.size} where frames change their size"] if self.size else []
+        notes += [f"own filters: {', '.join(self._own)}"] if self.strength and self._own else []
         notes += ["smooth reflections move by their hit distance"] if self.strength and can_follow(spec) else []
         return tuple(notes)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import partial
 from types import MappingProxyType
 
@@ -196,6 +197,13 @@ class Frames:
         self.model = model
         self._history.use(model)
 
+    def beside(self, history: History) -> Frames:
+        """The same networks for other frames of the same size, which have this history."""
+        other, new = copy(self), self._device.heap.tensor
+        other._history = history
+        other._common = {**self._common, "params": new("params", (4,)), "keep": new("keep", (1, 1, 1))}
+        return other
+
     def layout(self, cells: np.ndarray) -> Band | None:
         """The tiles for a frame's active cells, of which there is one at least; None where the whole frame is as fast.
 
@@ -316,6 +324,7 @@ class ReadyNetwork(Ready):
         restore: at render size only, else None.
         strength: None where all of the picture is fully denoised.
         layers: parts of the picture, and alpha; None without both.
+        own: runs the models on parts that have filters of their own, by name.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str], history: History,
@@ -333,3 +342,4 @@ class ReadyNetwork(Ready):
         self.strength = None if full else Strength(device, spec, output, strength)
         alpha = alpha and spec.has(Role.ALPHA)
         self.layers = Layers(device, spec, output, parts, alpha, part_history) if parts or alpha else None
+        self.own = {name: self.frames.beside(own) for name, own in part_history.own.items()}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from postfx.kernels.denoise.layout import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
 from postfx.kernels.image import RESAMPLE, positions
 from postfx.passes.base import ResidentFrame
-from postfx.passes.denoise.history import Room
+from postfx.passes.denoise.history import History, Room
 from postfx.passes.denoise.inputs import Resampler
 from postfx.passes.denoise.network import Layer
 from postfx.passes.denoise.options import Size
@@ -85,6 +86,11 @@ class LayerHistory:
         self._outputs.reverse()
 
     @property
+    def output(self) -> Tensor:
+        """Where this frame leaves its output."""
+        return self._outputs[1]
+
+    @property
     def last(self) -> dict[str, Tensor]:
         """What the frame before left, by the kernels' names."""
         return {"history": self._outputs[0], **self._rooms[0].of(self._size)}
@@ -124,10 +130,15 @@ class PartHistory:
     """The histories of all layers, which go on where frames change their size.
 
     The outputs of light are in one tensor, behind the picture's own, group by group.
+
+    Attributes:
+        own: histories of networks that run on parts themselves, by the parts' names.
+        stops: exposure of these, in stops above the picture's.
     """
 
-    def __init__(self, device: Device, output: Size, parts: Sequence[Part]) -> None:
-        self._device, self._output = device, output
+    def __init__(self, device: Device, output: Size, parts: Sequence[Part],
+                 own: Mapping[str, History] = MappingProxyType({})) -> None:
+        self._device, self._output, self.own, self.stops = device, output, own, dict.fromkeys(own, 0.0)
         lights = [part.name for part in parts if part.is_light]
         self.stacks = [_zeros(device, "parts", (len(lights) + 1, *output, 3)) for _ in range(2)] if lights else []
         self.layers: dict[str, LayerHistory] = {}
@@ -151,8 +162,9 @@ class PartHistory:
 
     def kept(self) -> dict[str, np.ndarray]:
         """Between two frames: what the last one left, by 'part NAME of a layer'."""
-        return {f"part {key} of {name}": array for name, layer in self.layers.items()
-                for key, array in layer.kept().items()}
+        kept = {name: layer.kept() for name, layer in self.layers.items() if name not in self.own}
+        kept |= {name: history.kept() | {"stops": np.array(self.stops[name])} for name, history in self.own.items()}
+        return {f"part {key} of {name}": array for name, arrays in kept.items() for key, array in arrays.items()}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
         """Between two frames: take what was `kept` for what the last one left."""
@@ -163,7 +175,11 @@ class PartHistory:
                 kind, _, name = key.removeprefix("part ").partition(" of ")
                 found.setdefault(name, {})[kind] = array
         for name, arrays in found.items():
-            self.layer(name).recall(arrays)
+            if name in self.own:
+                self.stops[name] = float(arrays["stops"])
+                self.own[name].recall(arrays)
+            else:
+                self.layer(name).recall(arrays)
 
 
 @dataclass
@@ -221,6 +237,9 @@ class Layers:
                 self._history.layers[name].follow()
         for name in self._runs:
             history = self._history.layer(name)
+            if name in self._history.own:
+                history.follow()
+                continue
             fresh = history.turn(commands, self._render, keep)
             output, part = history.next
             tensors = {"params": self._exposed if name == WHOLE else self._params, "history": history.last["history"]}
@@ -234,6 +253,19 @@ class Layers:
             targets["output"] = one_of(self._history.stacks[1], 0)
             self._history.layers[WHOLE].known = True
         return runs, targets
+
+    def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
+                 keep: bool) -> Iterator[tuple[str, dict[str, Tensor], np.ndarray, Tensor]]:
+        """Parts that the network itself runs on in this frame: name, planes, params, and where the output goes."""
+        for name in self._history.own:
+            part = self._raw[name] = self._three(name, frame)
+            before, stops = self._history.stops[name], self._history.stops
+            stops[name] = _stops_above(frame, name, before)
+            own = params.copy()
+            own[EXPOSURE] *= 2.0 ** stops[name]
+            own[GAIN] *= 2.0 ** (stops[name] - before) if keep else 1.0
+            yield (name, {**planes, str(Role.COLOUR): part, **self._own_reflectance(name, planes)}, own,
+                   one_of(self._stack("blended"), self._places[name]))
 
     def finish(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, picture: Tensor,
                restore: Restore | None, strength: Strength | None, rows: Rows) -> None:
@@ -252,7 +284,7 @@ class Layers:
         for name in self._runs:
             if name == WHOLE:
                 continue
-            value = self._history.layer(name).next[0]
+            value = self._history.layer(name).output
             if not self._is_light(name) and self._kind(name) != DEPTH:
                 value = self._decoded(commands, name, value)
             if restore and restoring and self._kind(name) not in SIGNED:
@@ -317,6 +349,18 @@ class Layers:
             return found
         own = SURFACES.get(self._kind(name))
         return found | {str(role): planes[str(role)] if role is own else self._nothing for role in REFLECTANCE}
+
+    def _own_reflectance(self, name: str, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Planes of reflectance, at both sizes, in place of those that a part is not divided by."""
+        if self._kind(name) == "light":
+            return {}
+        lost = [str(role) for role in REFLECTANCE if role is not SURFACES.get(self._kind(name))]
+        found = dict.fromkeys(lost, self._nothing)
+        for guide in (f"guide_{role}" for role in lost):
+            if guide in planes:
+                self._made.setdefault("no reflectance", _zeros(self._device, "no reflectance", (*self._output, 3)))
+                found[guide] = self._made["no reflectance"]
+        return found
 
     def _three(self, name: str, frame: ResidentFrame) -> Tensor:
         """A layer's values with three channels, as the kernels have them."""
@@ -408,6 +452,23 @@ def _groups_of(parts: Sequence[Part]) -> list[Group]:
     for i, part in enumerate(part for part in parts if part.is_light):
         groups.setdefault(part.group, Group(i + 1)).names.append(part.name)
     return list(groups.values())
+
+
+def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
+    """Stops by which a part is darker than the picture, 0 to 8: what they were before unless they are 1 off."""
+    picture, part = (_mean_stops(light) for light in (frame.host_planes[Role.COLOUR], frame.host_parts[name]))
+    if picture is None or part is None:
+        return before
+    stops = min(max(picture - part, 0.0), 8.0)
+    return before if abs(stops - before) < 1 else float(round(stops))
+
+
+def _mean_stops(light: np.ndarray) -> float | None:
+    """Mean log2 of the light in blocks of every eighth row; None without any."""
+    rows = light[::STEP, : light.shape[1] // STEP * STEP or None].mean(axis=2)
+    seen = rows.reshape(rows.shape[0], -1, min(STEP, rows.shape[1])).mean(axis=2)
+    seen = seen[np.isfinite(seen) & (seen > 0)]
+    return float(np.log2(seen).mean()) if seen.size else None
 
 
 def _is_complete(frame: ResidentFrame, names: Sequence[str]) -> bool:
