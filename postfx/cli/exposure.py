@@ -6,7 +6,8 @@ import argparse
 import json
 import sys
 
-from postfx.cli.run_options import FILES, INPUT
+from postfx.cli.exposure_options import EXPOSURE
+from postfx.cli.run_options import refuse_several_views
 
 DESCRIPTION = """\
 Measure the exposure of a sequence where it is seen: a grey checkerboard, divided by the exposure that would be right,
@@ -34,46 +35,11 @@ examples:
 
 exit codes: 0 right; 1 too dark, too bright or drifting; 2 an error whose message says how to fix it
 """
-MODES = "auto|smooth|lit|metadata|EV"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
-    INPUT.add_to(parser)
-    parser.add_argument("--frames", metavar="RANGE", help="frames to measure, e.g. 1-100")
-    parser.add_argument(
-        "--exposure", default="auto", metavar=MODES, help="what is under test, as for 'postfx run' (default: auto)"
-    )
-    parser.add_argument(
-        "--reference",
-        default="smooth",
-        metavar=MODES,
-        help="what would be right (default: smooth, metered on the pictures); give an EV or metadata where the "
-        "exposure is an author's choice",
-    )
-    tonemap = parser.add_mutually_exclusive_group()
-    tonemap.add_argument("--tonemap", metavar="TAG", help="look of the tone mapper (default: as 'postfx run')")
-    tonemap.add_argument("--no-tonemap", action="store_true", help="only expose, clip and encode")
-    parser.add_argument(
-        "--graded", metavar="FRAMES", help="what became of the boards of 'POSTFX_EXPOSURE_TOOL=1 postfx run' of INPUT "
-        "with the same --exposure, numbered alike: PNG, TIFF, JPEG or EXR",
-    )
-    parser.add_argument("--response", metavar="FILE", help="what your tone mapper made of the chart: with --graded")
-    parser.add_argument(
-        "--chart", metavar="EXR", help="write a chart of greys, from 8 stops below mid grey to 8 above, for your tone "
-        "mapper at 0 EV, and stop",
-    )
-    parser.add_argument("--curve", metavar="PNG", help="write a picture of the exposure over the sequence")
-    parser.add_argument(
-        "--views",
-        metavar="DIR",
-        help="write curve.png and, of each frame, denoised and exposed as under test: ARRI false colour of the Log C "
-        "signal (log_c) and of the display's (display), and zebra at 95 %%; takes the time of a run",
-    )
-    parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
-    FILES.add_to(parser)
-    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    EXPOSURE.add_to(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -81,6 +47,8 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.cli.exposure_check import ExposureCheck  # loads the runtime, which --help must not wait for
     from postfx.exposure.response import write_chart
 
+    EXPOSURE.refuse_conflicts(arguments)
+    refuse_several_views(arguments, "exposure")
     if arguments.chart:
         print(f"wrote    {write_chart(arguments.chart)}", file=sys.stderr)
         return 0

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from postfx.cli.run_options import FILES
-from postfx.errors import OptionError
 from postfx.exposure import colours_of
 from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot, debug, debug_graded, judge_view
 from postfx.exposure.response import OWN_CURVE, GradedBoards, read_response
@@ -35,8 +34,6 @@ class ExposureCheck:
         self._sequence = Sequence(arguments.input, arguments.frames, arguments.profile,
                                   **FILES.values_for("sequence", arguments))
         self._device = Device(arguments.device)
-        if arguments.response and not arguments.graded:
-            raise OptionError("--response tells how --graded frames are read: give both")
         self._report = self._measure()
 
     def _measure(self) -> Report:

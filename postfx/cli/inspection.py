@@ -161,7 +161,8 @@ def _finding_lines(finding: dict[str, str]) -> list[str | Text]:
     level = finding["level"]
     head = Text.assemble((f"{level:<9}", STYLES[level]), (finding["code"], "bold"),
                          f" ({finding['role']}): {finding['evidence']}")
-    return [head, f"{INDENT}likely: {finding['cause']}", f"{INDENT}fix:    {finding['fix']}"]
+    fix, *lines = finding["fix"].splitlines()
+    return [head, f"{INDENT}likely: {finding['cause']}", f"{INDENT}fix:    {fix}", *(INDENT + line for line in lines)]
 
 
 def _frames_text(frames: dict[str, int]) -> str:

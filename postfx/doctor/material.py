@@ -12,10 +12,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from postfx.doctor.geometry import Fit, explain_by_camera, fit_rotation
+from postfx.doctor.motion_convention import ReadMotion, UnreadMotion
 from postfx.doctor.motion_variants import Warped, warp_pair
 from postfx.doctor.statistics import Range, Values, count_values, join_ranges, range_of, sum_values
 from postfx.errors import PostfxError
 from postfx.frame import Frame, Role
+from postfx.io.channels import Channel, read_channels
 from postfx.io.frame_reader import FrameFiles, GuideLayout
 from postfx.io.layout import Layout, Match
 from postfx.io.profile import PlaneRule
@@ -35,6 +37,8 @@ class Material:
         unreadable: why reading stopped early, '' when it did not.
         ranges: role -> values over `measured`.
         measured: numbers of the frames that ranges were taken from: `frames` and some of the rest of the sequence.
+        unread: layers that may be motion and are not read, where none is.
+        read_motion: how the file's motion is read, where there is any.
     """
 
     frames: list[Frame]
@@ -43,6 +47,8 @@ class Material:
     unreadable: str = ""
     ranges: dict[Role, Range] = field(default_factory=dict)
     measured: list[int] = field(default_factory=list)
+    unread: list[UnreadMotion] = field(default_factory=list)
+    read_motion: ReadMotion | None = None
 
     def __post_init__(self) -> None:
         self.stored = {role: sum_values(count_values(frame[role]) for frame in self.frames if role in frame)
@@ -54,7 +60,8 @@ class Material:
             return self
         frames = [replace(frame, planes={role: plane for role, plane in frame.planes.items() if role not in roles})
                   for frame in self.frames]
-        return Material(frames, self.stored, self.enable, self.unreadable, self.ranges, self.measured)
+        return Material(frames, self.stored, self.enable, self.unreadable, self.ranges, self.measured, self.unread,
+                        self.read_motion)
 
     @property
     def first(self) -> Frame:
@@ -118,6 +125,8 @@ def read_material(sequence: Sequence) -> Reading:
         stored = [_count_stored(files, first)]
         frames = [_read_unclamped(files, first)]
         layout, guides = files.layout, files.guides
+        unread = {layer: [pixels] for layer, pixels in _read_pairs(files).items()}
+        names = {layer: _letters(channels) for layer, channels in files.unread_motion().items()}
     material = Material(frames, {}, {role: hint for role in Role if (hint := _hint(layout, role))})
     most = max(2, min(MOST_FRAMES, MOST_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
     ranges = [_ranges(frames[0])]
@@ -129,6 +138,7 @@ def read_material(sequence: Sequence) -> Reading:
             with sequence.open(number) as files:
                 stored.append(_count_stored(files, number))
                 frame = _read_unclamped(files, number)
+                more = _read_pairs(files) if number in numbers else {}
         except PostfxError as error:
             material.unreadable = str(error)
             break
@@ -136,10 +146,29 @@ def read_material(sequence: Sequence) -> Reading:
         material.measured.append(number)
         if number in numbers:
             frames.append(frame)
+            for layer, pixels in more.items():
+                unread.setdefault(layer, []).append(pixels)
+    material.unread = [UnreadMotion(layer, names[layer], tuple(planes), layout.profile.name)
+                       for layer, planes in unread.items() if layer in names]
+    if motion := layout.planes.get(Role.MOTION):
+        material.read_motion = ReadMotion(layout.profile.name, motion.channels[0].name.rpartition(".")[0],
+                                          _letters(motion.channels), motion.rule)
     material.measured.insert(0, first)
     material.stored = _merge(stored, sum_values)
     material.ranges = _merge(ranges, join_ranges)
     return Reading(material, layout, guides)
+
+
+def _read_pairs(files: FrameFiles) -> dict[str, np.ndarray]:
+    """Stored values (height, width, 2) of layers that may be motion."""
+    found = files.unread_motion()
+    pixels = read_channels({channel: 0.0 for channels in found.values() for channel in channels})
+    return {layer: np.stack([pixels[channel] for channel in channels], axis=-1) for layer, channels in found.items()}
+
+
+def _letters(channels: Iterable[Channel]) -> tuple[str, str]:
+    x, y = (channel.name.rpartition(".")[2] for channel in channels)
+    return x, y
 
 
 def _consecutive(sequence: Sequence, most: int) -> list[int]:

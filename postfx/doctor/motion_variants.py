@@ -48,6 +48,7 @@ class Variant:
         correct: (..., 2) motion, size (width, height) and jitter difference -> (..., 2) motion in pixels of the frame.
         priority: of two variants that fit alike, the lower one is named.
         is_colour: whether it makes sense for motion within 0..1 only.
+        change: the same as whether axes are swapped, a factor for each, and a unit; None where that does not say it.
     """
 
     code: str
@@ -57,6 +58,7 @@ class Variant:
     correct: Callable[[np.ndarray, Size, np.ndarray], np.ndarray]
     priority: int = 0
     is_colour: bool = False
+    change: tuple[bool, tuple[float, float], str] | None = None
 
 
 @dataclass(frozen=True)
@@ -104,14 +106,15 @@ def _signed(signs: tuple[int, int]) -> Variant:
     cause = {"": "", "motion-sign": "current minus previous, or motion to the next frame, was written"}.get(
         code, "the axis counts the other way, for example y up instead of down")
     return Variant(code, name or "as it is", cause, _profile(_Unit("", ""), signs) if code else "",
-                   lambda motion, size, jitter: motion * _pair(signs), 1 if code else 0)
+                   lambda motion, size, jitter: motion * _pair(signs), 1 if code else 0,
+                   change=(False, signs, "pixels"))
 
 
 def _swapped(signs: tuple[int, int]) -> Variant:
     name = "x and y swapped" + (f", then {_SIGNS[signs][1]}" if signs != (1, 1) else "")
     also = f", scale = [{signs[0]}, {signs[1]}]" if signs != (1, 1) else ""
     return Variant("motion-axes", name, "the channels are in the order y, x", f'in a profile channels = ["YX"]{also}',
-                   lambda motion, size, jitter: motion[..., ::-1] * _pair(signs), 3)
+                   lambda motion, size, jitter: motion[..., ::-1] * _pair(signs), 3, change=(True, signs, "pixels"))
 
 
 def _scaled(unit: _Unit, signs: tuple[int, int]) -> Variant:
@@ -122,7 +125,8 @@ def _scaled(unit: _Unit, signs: tuple[int, int]) -> Variant:
         return result
 
     priority = (2 if signs == (1, 1) else 3) + (unit.unit == "pixels" and unit.offset != 0)
-    return Variant(unit.code, name, unit.cause, _profile(unit, signs), correct, priority, unit.offset != 0)
+    change = None if unit.offset else (False, (unit.scale * signs[0], unit.scale * signs[1]), unit.unit)
+    return Variant(unit.code, name, unit.cause, _profile(unit, signs), correct, priority, unit.offset != 0, change)
 
 
 def _profile(unit: _Unit, signs: tuple[int, int]) -> str:
@@ -288,6 +292,14 @@ def prepared(frame: Frame, role: Role) -> np.ndarray:
         mean = float(light.mean()) or 1.0
         return local_mean(np.log(local_mean(np.minimum(light / mean, 1e3), 1) + np.float32(1e-2)), 1)
     return finite(plane)
+
+
+def score_shifts(features: list[Feature], shifts: Callable[[Feature], np.ndarray]) -> np.ndarray:
+    """Scores (count,) of motions; `shifts` gives those of a feature's points in pixels, (count, points, 2)."""
+    weights = sum(feature.weight for feature in features)
+    scores = [feature.weight * _errors(feature, shifts(feature)) for feature in features]
+    total: np.ndarray = np.sum(scores, axis=0)
+    return total / weights
 
 
 def score_offset(features: list[Feature], offset: np.ndarray) -> float:

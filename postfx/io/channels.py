@@ -141,6 +141,14 @@ class ChannelIndex:
                 return found
         return []
 
+    def pairs_like(self, pattern: re.Pattern[str]) -> Iterator[tuple[str, tuple[Channel, ...]]]:
+        """Layers whose full name a pattern is found in, and their channels x and y, or the like."""
+        for layer in self.layers_like("*", whole=True):
+            named = ([f"{layer}.{letter}" for letter in letters] for letters in ("XY", "RG", "UV"))
+            channels = next(filter(None, map(self.find, named)), None) if pattern.search(layer) else None
+            if channels:
+                yield layer, channels
+
     def before(self, ending: str) -> list[str]:
         """What stands before this ending in full names, each once, '' included."""
         ending = ending.lower()

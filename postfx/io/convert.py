@@ -120,7 +120,8 @@ def _empty(rule: PlaneRule) -> float:
 def _motion_pixels(plane: np.ndarray, rule: PlaneRule, camera: Camera, width: int, height: int) -> np.ndarray:
     """Motion from frame to frame in pixels."""
     most = camera.max_velocity or 1.0
-    sizes = {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2), "velocity": (most, most)}
+    sizes = {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2), "width": (width, width),
+             "velocity": (most, most)}
     frames = (camera.shutter or 1.0) if rule.per == "shutter" else 1.0
     factors = [size / frames for size in sizes[rule.unit]]
     return plane if factors == [1, 1] else plane * np.asarray(factors, np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -25,6 +26,9 @@ from postfx.io.profile import load_profile
 from postfx.io.windows import AREA, Window
 from postfx.masks.entries import Entry
 from postfx.system import Scratch
+
+_MOTION = re.compile(r"motion|veloc|vector|flow|(^|[._ ])(mv\d?|forward|backward)([._ ]|$)", re.IGNORECASE)
+"""Names of layers that may hold motion."""
 
 
 class Area(NamedTuple):
@@ -355,6 +359,15 @@ class FrameFiles:
             f"{self.path}: no plane '{role}': profile {profile.name} looks for {tried}; "
             f"{remedy}{choose}, or name it in a profile (--profile FILE.toml){there}"
         )
+
+    def unread_motion(self) -> dict[str, tuple[Channel, ...]]:
+        """Layers of the colour's size that are called like motion, and their channels; none where motion is read."""
+        if Role.MOTION in self.layout.planes or Role.COLOUR not in self.layout.planes:
+            return {}
+        used = {match.channels[0] for match in self.layout.planes.values()}
+        size = self.match(Role.COLOUR).size
+        return {layer: channels for layer, channels in self._index.pairs_like(_MOTION) if channels[0] not in used
+                and (channels[0].part.area.width, channels[0].part.area.height) == size}
 
     def _made(self) -> set[Role]:
         """Planes that are not in the files but are made from them."""

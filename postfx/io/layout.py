@@ -179,6 +179,12 @@ def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: boo
             "max_velocity, in pixels, under [camera] in a profile"
         )
         return
+    if rule.role is Role.MOTION and rule.per == "shutter" and layout.camera.shutter is None:
+        layout.unused[rule.role] = (
+            f"motion {match.names} lasts as long as the shutter is open, which the file does not hold: not used; give "
+            "shutter, in frames, under [camera] in a profile"
+        )
+        return
     number = missing_number(rule, layout.camera) if rule.role is Role.DEPTH else None
     if number == "fov" and not given:
         layout.warnings.append(

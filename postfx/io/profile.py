@@ -32,7 +32,8 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
     requires = ["Albedo.R"]              # the plane is looked for only where these channels exist, too
     source = "manual"                    # of this plane's names, where it is another than the profile's
     scale = [1, -1]                      # value = (stored + offset) * scale; a normal stored as 0, 0, 0 stays zero
-    unit = "pixels"                      # motion: pixels, uv (0..1 of the image), ndc (-1..1) or velocity (-1..1 of
+    unit = "pixels"                      # motion: pixels, uv (0..1 of the image), ndc (-1..1), width (parts of the
+                                         # image's width, along both axes) or velocity (-1..1 of
                                          # max_velocity)
     per = "frame"                        # motion: from frame to frame, or while the shutter is open ("shutter")
     space = "world"                      # normals: world, camera (along the axes of worldToCamera) or view (x right, y
@@ -138,7 +139,7 @@ SOURCES = {
     "manual": "from its maker's documents, not seen in a file",
 }
 """Where a profile's names are from -> in words."""
-_CHOICES = {"unit": ("pixels", "uv", "ndc", "velocity"), "per": ("frame", "shutter"),
+_CHOICES = {"unit": ("pixels", "uv", "ndc", "width", "velocity"), "per": ("frame", "shutter"),
             "space": ("world", "camera", "view"), "kind": DEPTH_KINDS, "source": ("", *SOURCES)}
 
 

@@ -292,6 +292,10 @@ LAYOUTS = {
         | store("Reflection Filter", "RGB", SPECULAR)
         | store("Shading Normal", "RGB", NORMAL) | store("Roughness", "RGB", np.tile(ROUGHNESS, 3))
         | store("Z-Depth", "RGB", OTHER), ALBEDOS | {Role.NORMAL, Role.ROUGHNESS}),
+    "Octane, shutter known": Layout(
+        "octane", picture("Beauty") | store("Diffuse Filter", "RGB", DIFFUSE)
+        | store("Reflection Filter", "RGB", SPECULAR) | store("Motion Vector", "RG", to_next(0.2) / WIDTH),
+        ALBEDOS | {Role.MOTION}, camera="shutter = 0.2"),
     "Mitsuba 3": Layout(
         "mitsuba-3", picture() | store("albedo", "RGB", DIFFUSE) | store("nn", "XYZ", NORMAL)
         | store("dd", "T", ray_lengths(0)), SURFACE, {"generatedBy": "Mitsuba version 3.9.1", **LENS}),

@@ -66,6 +66,7 @@ SEQUENCE_CHECKS: tuple[Check, ...] = (
     motion.sizes_change,
     planes.hit_distance_unused,
     planes.missing,
+    motion.motion_unread,
     planes.overlay_missing,
 )
 """What is there and what is not."""

@@ -12,6 +12,7 @@ from postfx.doctor.alignment import find_movers
 from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.geometry import DepthScale, fit_depth_scale, motion_of_camera
 from postfx.doctor.material import Material
+from postfx.doctor.motion_convention import measure_convention
 from postfx.doctor.motion_variants import (
     RELATED,
     VARIANTS,
@@ -69,13 +70,38 @@ def motion_variant(material: Material) -> Iterator[Finding]:
         code, cause = "jitter-unused", "the header gives a jitter that the samples do not have"
         fix = "leave postfx:jitter out where samples are spread over the pixel"
     role = "sequence" if code.startswith("jitter") else Role.MOTION
-    yield error(role, code, _evidence(shots, best), cause, fix)
+    yield error(role, code, _evidence(shots, best), cause, _with_lines(material, best, fix))
+
+
+def _with_lines(material: Material, variant: Variant, fix: str) -> str:
+    """The fix, and where the file's layer is known the profile that it comes to."""
+    lines = material.read_motion.corrected(*variant.change) if material.read_motion and variant.change else None
+    return f"{fix}; all of it, for --profile FILE.toml:\n{lines}" if lines else fix
+
+
+def motion_unread(material: Material) -> Iterator[Finding]:
+    """Motion in a layer that no profile reads, and the convention that the pictures show."""
+    for motion in material.unread:
+        name = f"{motion.layer}.{','.join(motion.letters)}"
+        found = measure_convention(material.frames, motion)
+        if found is None or not found.fits:
+            yield info(Role.MOTION, "motion-unread", f"{name} is not read, and does not fit the pictures as motion",
+                       "no motion, or too little in view moves", "try a part of the sequence in which much moves")
+            continue
+        better = found.still / max(found.misfit, 1e-9)
+        evidence = (f"{name} is not read; the previous frame, warped by it, fits {better:.3g} times better than "
+                    f"without motion if it is in {found.convention}: misfit {found.misfit:.3g} instead of "
+                    f"{found.still:.3g}")
+        yield warning(Role.MOTION, "motion-unread", evidence,
+                      "the renderer's documents do not say how it is stored, or it has another name",
+                      f"write this into a file, for --profile FILE.toml:\n{found.convention.lines(motion)}")
 
 
 def _by_other_means(material: Material, shots: list[Warped]) -> Iterator[Finding]:
     """Motion that no usual variant puts right: another unit, depth that does not fit, or things that move alone."""
     if scaled := best_scale(shots):
-        yield error(Role.MOTION, scaled.code, _evidence(shots, scaled), scaled.cause, scaled.fix)
+        yield error(Role.MOTION, scaled.code, _evidence(shots, scaled), scaled.cause,
+                    _with_lines(material, scaled, scaled.fix))
         return
     if fits := _camera_fits(material, shots):
         yield _unit_by_cameras(fits, shots) or _cameras_disagree(fits)

@@ -1,0 +1,228 @@
+"""Motion that no profile reads: by which convention it fits the pictures, as lines to copy into a profile.
+
+Stored values become pixels by (stored + offset) * scale * unit, the channels perhaps swapped. All signs and orders of
+the axes are tried with a whole range of scales, in pixels and in parts of the image, by warping the previous frame as
+`postfx.doctor.motion_variants` does. The best is refined; where a common unit fits as well, that is named.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from postfx.doctor.motion_variants import Feature, Size, features_of, is_like_colour, score_shifts
+from postfx.doctor.statistics import finite
+from postfx.frame import Frame, Role
+from postfx.io.profile import PlaneRule
+
+MOST_PAIRS = 3
+TELLING = 0.05
+"""Misfit without motion, in units of what a pixel costs, below which nothing moves enough to tell."""
+MOST_KEPT = 8  # of those tried on the first pair
+SHORTEST, LONGEST = 0.25, 128.0
+"""Pixels that the 95th percentile of the motion is tried at."""
+COARSE, FINE = 2**0.5, (2**0.25, 2**0.125, 2**0.0625, 2**0.03125)
+WIDE, NARROW = 0.17, 0.1
+"""Logarithms by which a common unit may differ along both axes, and along the one that moves more."""
+ALIKE = 1.08
+"""Part of the best misfit that a common unit may have to be named in its place."""
+FITS, FITS_COMMON = 0.7, 0.87
+"""Parts of the misfit without motion that motion stays below which is understood, in any unit and in a common one."""
+_SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+
+
+@dataclass(frozen=True)
+class UnreadMotion:
+    """A layer that may be motion.
+
+    Attributes:
+        layer: full name in the file.
+        letters: of its first two channels, in the order of the file's axes.
+        planes: stored values (height, width, 2), one for each frame that was looked at.
+        profile: name of the profile that does not read it.
+    """
+
+    layer: str
+    letters: tuple[str, str]
+    planes: tuple[np.ndarray, ...]
+    profile: str = "generic"
+
+
+@dataclass(frozen=True)
+class ReadMotion:
+    """Motion that a profile reads: its layer, the letters of its channels, and the rule by which they become pixels."""
+
+    profile: str
+    layer: str
+    letters: tuple[str, str]
+    rule: PlaneRule
+
+    def corrected(self, swapped: bool, scale: tuple[float, float], unit: str) -> str | None:
+        """A profile by which what it gives now is swapped, then scaled, then taken as in a unit; None where no profile
+        can say that."""
+        if unit != "pixels" and self.rule.unit != "pixels":
+            return None
+        own = {key: np.broadcast_to(getattr(self.rule, key), 2)[:: -1 if swapped else 1] for key in ("scale", "offset")}
+        frames = ['per = "shutter"'] if self.rule.per == "shutter" else []
+        both = np.multiply(own["scale"], scale)
+        lines = profile_lines(self.profile, self.layer, self.letters, swapped,
+                              self.rule.unit if unit == "pixels" else unit, own["offset"],
+                              (round_to(float(both[0])), round_to(float(both[1]))))
+        return "\n".join([lines, *frames])
+
+
+class Convention(NamedTuple):
+    """How stored motion becomes pixels to the previous frame, x right, y down; `offset` is added first."""
+
+    swapped: bool
+    signs: tuple[int, int]
+    unit: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def pixels(self, stored: np.ndarray, size: Size) -> np.ndarray:
+        """Motion (..., 2) in pixels of a picture of a size."""
+        motion = (stored[..., ::-1] if self.swapped else stored) + np.float32(self.offset)
+        found: np.ndarray = motion * np.float32(self.factor) * np.asarray(unit_size(self.unit, size), np.float32) \
+            * np.asarray(self.signs, np.float32)
+        return found
+
+    def lines(self, motion: UnreadMotion) -> str:
+        """A profile that reads a layer so."""
+        scale = [round_to(sign * self.factor) for sign in self.signs]
+        return profile_lines(motion.profile, motion.layer, motion.letters, self.swapped, self.unit, (self.offset,) * 2,
+                             (scale[0], scale[1]))
+
+    def __str__(self) -> str:
+        words = {"pixels": "pixels", "uv": "parts of the image (uv)", "ndc": "-1..1 of the image (ndc)",
+                 "width": "parts of the image's width"}
+        way = {(1, 1): "", (-1, 1): ", x the other way", (1, -1): ", y the other way", (-1, -1): ", both the other way"}
+        times = f" times {self.factor:.3g}" if abs(self.factor - 1) > 1e-6 else ""
+        still = f", {-self.offset:g} is still" if self.offset else ""
+        return f"{words[self.unit]}{times}{still}{way[self.signs]}{', y before x' if self.swapped else ''}"
+
+
+class Measured(NamedTuple):
+    """The convention that fits best, its misfit, that without any motion, and whether it is a renderer's."""
+
+    convention: Convention
+    misfit: float
+    still: float
+    is_common: bool
+
+    @property
+    def fits(self) -> bool:
+        """Whether the pictures tell it: they move, and it explains how."""
+        return self.still > TELLING and self.misfit < (FITS_COMMON if self.is_common else FITS) * self.still
+
+
+def unit_size(unit: str, size: Size) -> tuple[float, float]:
+    """Pixels that 1 stands for, across and down."""
+    width, height = size
+    return {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2), "width": (width, width)}[unit]
+
+
+def measure_convention(frames: Sequence[Frame], motion: UnreadMotion) -> Measured | None:
+    """The convention of a layer by these frames; None without two frames of one shot that show contrast."""
+    shown = [replace(frame, planes={**frame.planes, Role.MOTION: finite(plane)})
+             for frame, plane in zip(frames, motion.planes, strict=False)]
+    pairs = [_Pair(before, now) for before, now in zip(shown, shown[1:], strict=False)
+             if not now.reset and before.spec.width == now.spec.width and before.spec.height == now.spec.height]
+    pairs = [pair for pair in pairs if pair.features][:MOST_PAIRS]
+    if not pairs:
+        return None
+    like_colour = all(is_like_colour(pair.now) for pair in pairs)
+    tried = [one for offset in ((0.0, -0.5) if like_colour else (0.0,)) for one in _coarse(pairs, offset)]
+    if not tried:
+        return None
+    rough = pairs[0].scores(tried)
+    best = _best(pairs, [tried[at] for at in np.argsort(rough)[:MOST_KEPT]])[0]
+    for step in FINE:
+        best = _best(pairs, [best._replace(factor=best.factor * step**power) for power in (-2, -1, 0, 1, 2)])[0]
+    best, misfit = _best(pairs, [best])
+    common = [one for one in _common(best, pairs[0].size) if _misfit(pairs, one) <= ALIKE * misfit]
+    still = float(np.mean([pair.score_still() for pair in pairs]))
+    chosen = common[0] if common else best._replace(factor=round_to(best.factor, 3))
+    is_common = bool(common) or (chosen.offset != 0 and chosen.unit == "pixels")  # of a largest velocity
+    return Measured(chosen, _misfit(pairs, chosen), still, is_common)
+
+
+class _Pair:
+    """Two frames, of which the later one holds stored motion."""
+
+    def __init__(self, before: Frame, now: Frame) -> None:
+        self.now, self.size = now, (now.spec.width, now.spec.height)
+        self.features = features_of(before, now)
+        self._jitter = np.subtract(now.jitter, before.jitter).astype(np.float32)
+
+    def scores(self, conventions: Sequence[Convention]) -> np.ndarray:
+        """Misfit by each of these."""
+        def shifts(feature: Feature) -> np.ndarray:
+            return np.stack([one.pixels(feature.motion, self.size) for one in conventions]) + self._jitter
+
+        return score_shifts(self.features, shifts)
+
+    def score_still(self) -> float:
+        """Misfit if nothing moves."""
+        return float(score_shifts(self.features, lambda feature: np.zeros_like(feature.motion)[None] + self._jitter)[0])
+
+
+def _coarse(pairs: Sequence[_Pair], offset: float) -> list[Convention]:
+    """All signs, orders and units, with scales that make the motion as long as motion is."""
+    stored = np.concatenate([np.abs(pair.now[Role.MOTION] + np.float32(offset)).reshape(-1) for pair in pairs])
+    length = float(np.quantile(stored, 0.95))
+    if length < 1e-12:
+        return []
+    width, height = pairs[0].size
+    found = []
+    for unit in ("pixels", "uv"):
+        most = 1.0 if unit == "pixels" else (width + height) / 2
+        steps = int(np.log(LONGEST / SHORTEST) / np.log(COARSE)) + 1
+        factors = [SHORTEST / length / most * COARSE**step for step in range(steps)]
+        found += [Convention(swapped, signs, unit, factor, offset)
+                  for factor in factors for swapped in (False, True) for signs in _SIGNS]
+    return found
+
+
+def _best(pairs: Sequence[_Pair], conventions: Sequence[Convention]) -> tuple[Convention, float]:
+    scores = np.mean([pair.scores(conventions) for pair in pairs], axis=0)
+    at = int(np.argmin(scores))
+    return conventions[at], float(scores[at])
+
+
+def _misfit(pairs: Sequence[_Pair], convention: Convention) -> float:
+    return float(np.mean([pair.scores([convention])[0] for pair in pairs]))
+
+
+def _common(best: Convention, size: Size) -> list[Convention]:
+    """Conventions of renderers near the one that fits best, the most common first."""
+    units = [("pixels", 1.0), ("uv", 1.0), ("ndc", 1.0), ("uv", 2.0), ("width", 1.0), ("pixels", 2.0)]
+    near = [best._replace(unit=unit, factor=factor) for unit, factor in units]
+    own = np.multiply(unit_size(best.unit, size), best.factor)
+    apart = [np.abs(np.log(np.multiply(unit_size(one.unit, size), one.factor) / own)) for one in near]
+    return [one for one, each in zip(near, apart, strict=True) if each.max() < WIDE or each.min() < NARROW]
+
+
+def round_to(value: float, digits: int = 4) -> float:
+    """A number to so many significant digits."""
+    return float(f"{value:.{digits}g}")
+
+
+def profile_lines(
+    profile: str, layer: str, letters: Sequence[str], swapped: bool, unit: str, offset: Iterable[float],
+    scale: tuple[float, float]
+) -> str:
+    """A profile, as TOML, that extends another one by motion in a layer; channels are in the order x, y."""
+    order = list(letters)[::-1] if swapped else list(letters)
+    lines = [f'extends = "{profile}"', "[[plane]]", 'role = "motion"', f"names = [{json.dumps(layer)}]",
+             f"channels = [{json.dumps(order)}]"]
+    if any(offset := list(offset)):
+        lines.append(f"offset = [{offset[0]:g}, {offset[1]:g}]")
+    if scale != (1, 1):
+        lines.append(f"scale = [{scale[0]:g}, {scale[1]:g}]")
+    lines += [f'unit = "{unit}"'] if unit != "pixels" else []
+    return "\n".join(lines)
