@@ -34,6 +34,8 @@ _LEVELLED = ("dwaa", "dwab")
 _PNG_LEVEL, _PNG_PAETH = 3, 128  # with alpha: half the time of level 6 and a filter chosen for each row, for 4 % more
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
 SRGB_DISPLAY = parse_display("srgb")
+LEAST_FACTOR = np.float32(1 / 256)
+"""Black in 8 bits: what light that reached a place without colour is divided by."""
 OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 
 
@@ -202,12 +204,16 @@ def _with_parts(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
 
 
 def _stored_part(frame: Frame, name: str, rows: slice) -> np.ndarray:
-    """A part as its file stores it: divided by its factor, 0 where that is 0."""
+    """A part as its file stores it: divided by its factor, 0 where that is 0; a factor is at least LEAST_FACTOR where
+    there is light, which would be lost."""
+    divided = [other for other, source in frame.part_sources.items() if source.factor == name and other in frame.parts]
+    if divided:
+        factor, light = frame.parts[name][rows], [frame.parts[other][rows] > 0 for other in divided]
+        return np.where(np.any(light, axis=0), np.maximum(factor, LEAST_FACTOR), factor)
     part, source = frame.parts[name][rows], frame.part_sources.get(name)
     if source is None or source.factor is None or source.factor not in frame.parts:
         return part
-    factor = frame.parts[source.factor][rows]
-    stored = np.zeros_like(part)
+    stored, factor = np.zeros_like(part), _stored_part(frame, source.factor, rows)
     np.divide(part, factor, out=stored, where=factor > 0)
     return stored
 
