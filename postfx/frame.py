@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import html
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
@@ -374,11 +372,14 @@ class Frame:
 
     def _repr_html_(self) -> str:
         """Table of the planes under the picture, for notebooks."""
+        from base64 import b64encode  # in notebooks only
+        from html import escape
+
         picture = self._repr_png_()
-        source = "" if picture is None else base64.b64encode(picture).decode("ascii")
+        source = "" if picture is None else b64encode(picture).decode("ascii")
         image = f'<img src="data:image/png;base64,{source}" alt="colour">' if source else ""
-        cells = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in self._rows())
-        title = html.escape(repr(self).partition("\n")[0])
+        cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self._rows())
+        title = escape(repr(self).partition("\n")[0])
         head = "<tr><th>plane</th><th>size</th><th>type</th><th>range</th></tr>"
         return f"<p>{title}</p>{image}<table>{head}{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
 

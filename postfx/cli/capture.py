@@ -16,7 +16,7 @@ class FrameCapture:
     """What --capture asks for: one frame is captured, the rest run as they would.
 
     Args:
-        folder: where to write; None to capture nothing.
+        folder: where to write.
         number: of the frame; None for the second one that is processed.
         tensors, network: as for `Device.capture`.
         check: whether the folder must be one that can be written.
@@ -25,19 +25,17 @@ class FrameCapture:
     that they need is missing.
 
     Attributes:
-        page: the page that was written; None before, and without a folder.
+        page: the page that was written; None before.
         warnings: why there is none, if the frame failed.
     """
 
-    def __init__(self, device: Device, folder: str | None = None, number: int | None = None,
+    def __init__(self, device: Device, folder: str, number: int | None = None,
                  tensors: str = "thumbnails", network: bool = False, check: bool = True) -> None:
         self.page: str | None = None
         self.warnings: list[str] = []
         self._following: list[int] = []  # frames to capture instead of one that fails
         self._device, self._number, self._tensors, self._network = device, number, tensors, network
-        self._folder = Path(folder) if folder is not None else None
-        if self._folder is None:
-            return
+        self._folder = Path(folder)
         self._made()  # what it cannot do must not be found out after the first frames
         if check:
             check_folder(self._folder, "capture")
@@ -47,7 +45,7 @@ class FrameCapture:
 
         Without --capture-frame it is the second, which has a history, or the first if there is no other.
         """
-        if self._folder is None or not numbers:
+        if not numbers:
             return
         if self._number is None:
             self._number, *self._following = numbers[min(1, len(numbers) - 1):]
@@ -58,7 +56,7 @@ class FrameCapture:
     def around(self, number: int) -> Iterator[None]:
         """Process a frame inside: if it is the one to capture, this writes the capture at the end, also when a command
         fails. If the frame failed before any command, the next one is captured, unless --capture-frame names it."""
-        if self._folder is None or self.page or number != self._number:
+        if self.page or number != self._number:
             yield
             return
         capture = self._made()
@@ -66,10 +64,10 @@ class FrameCapture:
             with capture:
                 yield
         except CommandError:  # then the capture is wanted most
-            self._write(capture, number, self._folder)
+            self._write(capture, number)
             raise
         if capture.buffers:
-            self._write(capture, number, self._folder)
+            self._write(capture, number)
         elif self._following:
             self._number = self._following.pop(0)
         else:
@@ -78,5 +76,5 @@ class FrameCapture:
     def _made(self) -> Capture:
         return self._device.capture(self._tensors, self._folder if self._tensors == "all" else None, self._network)
 
-    def _write(self, capture: Capture, number: int, folder: Path) -> None:
-        self.page = str(write_capture(capture, folder, f"postfx capture: frame {number}"))
+    def _write(self, capture: Capture, number: int) -> None:
+        self.page = str(write_capture(capture, self._folder, f"postfx capture: frame {number}"))

@@ -10,14 +10,11 @@ from collections import Counter
 from contextlib import ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postfx.cli.capture import FrameCapture
-from postfx.cli.inspection import Inspection
 from postfx.cli.interruptions import Faults, OnError, Standin, Stop, check_sizes, first_readable
-from postfx.cli.report import RunReport
 from postfx.cli.run_options import (
     RUN,
     announce_run_up,
@@ -60,6 +57,11 @@ from postfx.runs.run import Options, Run, provenance_of
 from postfx.runs.schedule import Work
 from postfx.runtime import Device
 from postfx.temporal.bidirectional import Backwards
+
+if TYPE_CHECKING:
+    from postfx.cli.capture import FrameCapture
+    from postfx.cli.inspection import Inspection
+    from postfx.cli.report import RunReport
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
 BACKWARDS = "denoise_upscale backwards"
@@ -124,9 +126,8 @@ class Job:
             standin = Standin(self.sequence, plain, device, exposure)
         self._faults = Faults(policy, standin)
         self._warnings: list[str] = []
-        self._capture = FrameCapture(device, check=not arguments.explain, **self._values("capture"))
-        self._page = RunReport(self.sequence, self.pipeline, self.plan, self._inspect, check=not arguments.explain,
-                               **self._values("page"))
+        self._capture = self._make_capture(device) if arguments.capture else None
+        self._page = self._make_page() if arguments.report else None
         self._seconds, self._preparation = 0.0, Preparation()
         self._exposure = ExposureUsed(str(arguments.exposure), self._is_exposed)
         self._frame_ms: list[float] = []
@@ -139,6 +140,17 @@ class Job:
 
     def _values(self, part: str) -> dict[str, Any]:
         return RUN.values_for(part, self._arguments)
+
+    def _make_capture(self, device: Device) -> FrameCapture:
+        from postfx.cli.capture import FrameCapture  # loads pages, which other runs need not wait for
+
+        return FrameCapture(device, check=not self._arguments.explain, **self._values("capture"))
+
+    def _make_page(self) -> RunReport:
+        from postfx.cli.report import RunReport  # loads the doctor and charts, which other runs need not wait for
+
+        return RunReport(self.sequence, self.pipeline, self.plan, self._inspect, check=not self._arguments.explain,
+                         **self._values("page"))
 
     def explained(self) -> Explanation:
         """What would run."""
@@ -196,7 +208,8 @@ class Job:
             pass_ms=self._pass_ms,
             ahead_ms=self._ahead_ms,
             skips=[*self.plan.skips, *self.skips, *self.pipeline.savings()],
-            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *self._capture.warnings,
+            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings,
+                      *(self._capture.warnings if self._capture else ()),
                       *self._exposure.warnings(),
                       *missed_budget(self._arguments.budget, self._pass_ms, self._choices)],
             choices={name: dict(counts) for name, counts in self._choices.items()},
@@ -206,14 +219,14 @@ class Job:
             cuts=self._cuts,
             coverage=self.sequence.coverage,
             bad_pixels=self._bad_pixels,
-            capture=self._capture.page,
+            capture=self._capture.page if self._capture else None,
             faults=self._faults.found,
             error=str(failure) or "interrupted" if failure is not None else None,
         )
 
     def write_page(self, report: Report) -> Report:
         """Write the page that --report asks for; the report with its path."""
-        return self._page.written(report, str(self.explained()))
+        return self._page.write(report, str(self.explained())) if self._page else report
 
     def _open_run(self) -> Run:
         frames = sorted(self.sequence.numbers) if self._smooth else None  # that exposure looks ahead
@@ -268,9 +281,11 @@ class Job:
     def _process_all(self, run: Run, stop: Stop, progress: FrameProgress) -> None:
         if self._run_up:
             self._run_up.on_frame = announce_run_up(stop.check, progress.note)
-        self._capture.choose([work.number for work in run.works])
-        self._page.choose([work.number for work in run.works if work.write])
-        capturing = self._capture.around if self._arguments.capture else nullcontext
+        if self._capture:
+            self._capture.choose([work.number for work in run.works])
+        if self._page:
+            self._page.choose([work.number for work in run.works if work.write])
+        capturing = self._capture.around if self._capture else nullcontext
         is_unseen = False  # whether the passes have not seen the frame before, as looking ahead of it failed
         with WriteBehind() as behind:
             for work, frame in read_ahead(run.works, partial(self._read, run)):
@@ -288,7 +303,7 @@ class Job:
                 if done is None and work.write:
                     done = self._faults.instead(work.number)
                 if work.write and done:
-                    if self._arguments.report:
+                    if self._page:
                         self._page.add(done)
                     behind.put(partial(self._write, run, done, progress))
                 run.end_frame(work.number, behind.wait, stop.asked)
@@ -391,6 +406,8 @@ class Job:
     def _inspect(self, numbers: list[int]) -> Inspection:
         """What `postfx inspect` finds in the input; from the first of these frames on that can be read whole, if the
         sequence's own first one cannot."""
+        from postfx.cli.inspection import Inspection
+
         given, listed = self._arguments, self.sequence.numbers
         for number in (listed[0], *numbers):
             frames = listed[listed.index(number):]

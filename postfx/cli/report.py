@@ -32,7 +32,7 @@ class RunReport:
     Args:
         inspect: looks at the input from the first of these frames on that can be read, for the page's findings and
             pictures of planes.
-        path: the page; None for none.
+        path: the page.
         reference: noise-free frames at output size.
         check: whether the page's folder must be one that can be written.
 
@@ -40,16 +40,16 @@ class RunReport:
     """
 
     def __init__(self, sequence: Sequence, pipeline: Pipeline, plan: Plan, inspect: Callable[[list[int]], Inspection],
-                 path: str | None = None, reference: str | None = None, check: bool = True) -> None:
+                 path: str, reference: str | None = None, check: bool = True) -> None:
         self._sequence, self._pipeline, self._plan, self._inspect = sequence, pipeline, plan, inspect
-        self._path = Path(path) if path else None
+        self._path = Path(path)
         output = plan.output
         size = output.width, output.height
         self._references = References(reference, size) if reference else None
         self._look = Look(output.encoding != "scene-linear")
         self._views: dict[str, Pipeline] = {}
         self._log = FrameLog([], self._look, "after")
-        if self._path and check:
+        if check:
             _check(self._path)
 
     def choose(self, numbers: list[int]) -> None:
@@ -58,8 +58,6 @@ class RunReport:
 
     def add(self, done: FrameResult) -> None:
         """Look at a frame that just came out."""
-        if self._path is None:
-            return
         frame = done.source
         cut = done.cut or frame.reset or not self._follows(frame.number)
         metered = measure(frame[Role.COLOUR])
@@ -71,9 +69,9 @@ class RunReport:
         self._log.add(frame.number, pictures, exposure, frame.planes.get(Role.MOTION), cut,
                       readings | (found.figures if found else {}) | timed, {"FLIP": found.flip} if found else {})
 
-    def written(self, report: Report, plan: str) -> Report:
-        """Write the page of what was seen, with the text of the `plan`; the run's report with its path."""
-        if self._path is None or not self._log.rows:
+    def write(self, report: Report, plan: str) -> Report:
+        """Write the page on the frames seen, with the text of the `plan`; returns the report with the page's path."""
+        if not self._log.rows:
             return report
         inspection = self._inspect([row.number for row in self._log.rows])
         report = dataclasses.replace(report, page=str(self._path))

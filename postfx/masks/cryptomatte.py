@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import reduce
 from typing import TypeVar
 
@@ -63,6 +62,8 @@ class Cryptomatte:
 
     def nearest(self, entry: Entry) -> list[str]:
         """Names of the manifest that are most like an entry's, best first."""
+        from difflib import get_close_matches  # for messages only
+
         names = list(self.manifest or ())
         folded = {name.lower(): name for name in names}
         return [folded[name] for name in get_close_matches(entry.name.lower(), folded, NEAREST, 0.4)]
