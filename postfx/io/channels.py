@@ -51,6 +51,10 @@ def _plane_words() -> frozenset[str]:
     return frozenset({*COLOUR_FILES, *(name.lower() for name in named if name)})
 
 
+Names = tuple[tuple[str, str], ...]
+"""Full names of channels, each in lower case and as it is written."""
+
+
 class Channel(NamedTuple):
     """One channel of one part of one of a frame's files."""
 
@@ -75,13 +79,14 @@ class _Source:
 
     def find(self, names: Iterable[str]) -> tuple[Channel, ...] | None:
         """Channels by full name in lower case; None unless all are there."""
-        found = [self._find_one(name) for name in names]
-        return tuple(channel for channel in found if channel) if all(found) else None
-
-    def _find_one(self, name: str) -> Channel | None:
-        if "*" in name:
-            name = next((key for key in self.channels if fnmatchcase(key, name)), name)
-        return self.channels[name][1] if name in self.channels else None
+        found = []
+        for name in names:
+            if "*" in name:
+                name = next((key for key in self.channels if fnmatchcase(key, name)), name)
+            if name not in self.channels:
+                return None
+            found.append(self.channels[name][1])
+        return tuple(found)
 
 
 _PICTURE, _COLOUR, _UNKNOWN, _NAMED = range(4)
@@ -119,8 +124,11 @@ class ChannelIndex:
         wanted = [name.lower() for name in names]
         if not wanted:
             return ()
-        found = [source.find(wanted) for source in (*self._sources, self._everything)]
-        return next((channels for channels in found if channels and fits(channels)), None)
+        spread = self._everything.find(wanted)
+        if spread is None:
+            return None
+        found = (source.find(wanted) for source in self._sources)
+        return next((channels for channels in (*found, spread) if channels and fits(channels)), None)
 
     def matching(self, name: str) -> list[Channel]:
         """A channel or those of a layer, by full name or the end of it, * matching anything; each once."""
@@ -149,11 +157,10 @@ class ChannelIndex:
             if channels:
                 yield layer, channels
 
-    def before(self, ending: str) -> list[str]:
-        """What stands before this ending in full names, each once, '' included."""
-        ending = ending.lower()
-        names = [name for key, (name, _) in self._everything.channels.items() if f".{key}".endswith(f".{ending}")]
-        return list(dict.fromkeys(name[: len(name) - len(ending)] for name in names))
+    @cached_property
+    def names(self) -> Names:
+        """All full names."""
+        return tuple((key, name) for key, (name, _) in self._everything.channels.items())
 
     def has_layer(self, layer: str) -> bool:
         """Whether a channel's full name begins with this layer."""
@@ -189,6 +196,13 @@ class ChannelIndex:
             source.channels = inner | {key: entry for key, entry in source.channels.items() if key not in inner}
             source.rank = _PICTURE if inner else source.rank
         self._sources.sort(key=lambda source: source.rank)
+
+
+def before(names: Names, ending: str) -> list[str]:
+    """What stands before this ending in full names, each once, '' included."""
+    ending = ending.lower()
+    found = [name for key, name in names if f".{key}".endswith(f".{ending}")]
+    return list(dict.fromkeys(name[: len(name) - len(ending)] for name in found))
 
 
 def are_together(channels: Iterable[Channel]) -> bool:

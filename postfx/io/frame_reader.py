@@ -22,7 +22,7 @@ from postfx.io.image_file import ImageFile
 from postfx.io.layout import Header, Layout, Match, make_layout
 from postfx.io.masks import LeftAlone
 from postfx.io.parts import PartOptions, find_parts, read_parts
-from postfx.io.profile import load_profile
+from postfx.io.profile import Profile, load_profile
 from postfx.io.windows import AREA, Window
 from postfx.masks.entries import Entry
 from postfx.system import Scratch
@@ -206,6 +206,7 @@ def _pieces(height: int, channels: Iterable[Channel]) -> Iterator[tuple[int, int
 
 
 _SHOWN = 12  # layers in a message
+_ALL_BUT_COLOUR = frozenset(Role) - {Role.COLOUR}
 _AXES = {"z": 0, "w": 1}
 """Axes of Blender's motion to the next frame, by letter."""
 
@@ -383,10 +384,13 @@ class FrameFiles:
             raise MissingPlaneError(f"{self.path}: no layer '{self._layer}': it holds {known}")
         chosen = load_profile(profile) if profile else None
         layout = make_layout(index, self._attributes(), chosen, depth, self._without, self._layer)
-        others = [view for view in index.views[1:]
-                  if make_layout(ChannelIndex(self._files, view), {}, layout.profile).planes.get(Role.COLOUR)]
+        others = [view for view in index.views[1:] if self._holds_colour(view, layout.profile)]
         self.views = (index.views[0], *others) if others else ()
         return index, layout
+
+    def _holds_colour(self, view: str, profile: Profile) -> bool:
+        index = ChannelIndex(self._files, view)
+        return Role.COLOUR in make_layout(index, {}, profile, without=_ALL_BUT_COLOUR).planes
 
     def _look_wider(
         self, profile: str | None, depth: DepthOption | None, area: Area

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from postfx.frame import Role, pixel_aspect
-from postfx.io.channels import Channel, ChannelIndex, are_together, has_siblings
+from postfx.io.channels import Channel, ChannelIndex, Names, are_together, before, has_siblings
 from postfx.io.convert import Camera, DepthOption, missing_error, missing_number
 from postfx.io.profile import DetectRule, PlaneRule, Profile, load_profile, profile_names
 from postfx.io.windows import PICTURE
@@ -117,7 +119,7 @@ def make_layout(
     profile = profile or _detect(index, attributes)
     if PICTURE in attributes:
         profile = replace(profile, planes=_PICTURE_RULES + profile.planes)
-    layers = _layers(index, profile)
+    layers = _layers(index.names, profile)
     named = [name for name in layers if layer is not None and name.rstrip(".").lower() == layer.lower()]
     found = [_match_all(index, Layout(profile, name, {}, Camera(), attributes), depth, without)
              for name in named or layers]
@@ -196,7 +198,7 @@ def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: boo
     layout.planes[rule.role] = match
 
 
-def _candidates(layout: Layout, rule: PlaneRule) -> list[tuple[str, ...]]:
+def _candidates(layout: Layout, rule: PlaneRule) -> Sequence[tuple[str, ...]]:
     """Names to look for, best first: alpha where the colour is."""
     found = rule.candidates(layout.layer)
     if rule.role is Role.ALPHA and Role.COLOUR in layout.planes:
@@ -207,12 +209,10 @@ def _candidates(layout: Layout, rule: PlaneRule) -> list[tuple[str, ...]]:
 
 def _find(index: ChannelIndex, layout: Layout, rule: PlaneRule, names: tuple[str, ...]) -> tuple[Channel, ...] | None:
     """Channels of these names that may be the plane."""
-    colour = layout.planes.get(Role.COLOUR)
-    layer, apart = _layer_of(names), layout.layer.lower().rstrip(".")
-    is_called_so = "alpha" in layer or (apart and layer.startswith(apart))
-
     def fits(channels: tuple[Channel, ...]) -> bool:
-        first = channels[0]
+        first, layer = channels[0], _layer_of(names)
+        colour, apart = layout.planes.get(Role.COLOUR), layout.layer.lower().rstrip(".")
+        is_called_so = "alpha" in layer or (apart and layer.startswith(apart))
         if rule.role is Role.ALPHA and colour and are_together(colour.channels) and not is_called_so:
             return are_together((first, colour.channels[0]))
         if rule.role is Role.DEPTH and not layer:
@@ -230,27 +230,47 @@ def _layer_of(names: Sequence[str]) -> str:
 
 
 def _detect(index: ChannelIndex, attributes: Mapping[str, Any]) -> Profile:
-    profiles = [load_profile(name) for name in profile_names()]
-    return next((profile for profile in profiles if _fits(index, profile, attributes)), profiles[-1])
+    """The first built-in profile that fits. Frames with the same names and the same facts have the same profile."""
+    return _first_that_fits(index.names, tuple((name, str(attributes.get(name, ""))) for name in _telling_facts()))
 
 
-def _fits(index: ChannelIndex, profile: Profile, attributes: Mapping[str, Any]) -> bool:
+@cache
+def _telling_facts() -> tuple[str, ...]:
+    """Header attributes by which profiles are told apart."""
+    rules = (rule for name in profile_names() for rule in load_profile(name).detect)
+    return tuple({name: None for rule in rules for name, _ in rule.header})
+
+
+@lru_cache(64)
+def _first_that_fits(names: Names, facts: tuple[tuple[str, str], ...]) -> Profile:
+    """Looked up once for all frames of a sequence."""
+    profiles, told = [load_profile(name) for name in profile_names()], dict(facts)
+    return next((profile for profile in profiles if _fits(names, profile, told)), profiles[-1])
+
+
+def _fits(names: Names, profile: Profile, facts: Mapping[str, str]) -> bool:
+    keys = dict(names).keys()
     return any(
-        all(re.search(pattern, str(attributes.get(name, ""))) for name, pattern in rule.header)
-        and any(_meets(index, rule, layer) for layer in _layers(index, profile))
+        all(re.search(pattern, facts[name]) for name, pattern in rule.header)
+        and any(_meets(keys, rule, layer) for layer in _layers(names, profile))
         for rule in profile.detect
     )
 
 
-def _meets(index: ChannelIndex, rule: DetectRule, layer: str) -> bool:
+def _meets(keys: Collection[str], rule: DetectRule, layer: str) -> bool:
     """Whether the channels are there that must be, and none that must not."""
-    there, absent = ([name.replace("{layer}", layer) for name in names] for names in (rule.channels, rule.without))
-    return index.find(there) is not None and not any(index.find([name]) for name in absent)
+    there, absent = ([name.replace("{layer}", layer).lower() for name in names]
+                     for names in (rule.channels, rule.without))
+    return all(_is_there(keys, name) for name in there) and not any(_is_there(keys, name) for name in absent)
 
 
-def _layers(index: ChannelIndex, profile: Profile) -> list[str]:
+def _is_there(keys: Collection[str], name: str) -> bool:
+    return name in keys or ("*" in name and any(fnmatchcase(key, name) for key in keys))
+
+
+def _layers(names: Names, profile: Profile) -> list[str]:
     """What precedes the profile's marker channel: 'ViewLayer.' of 'ViewLayer.Combined.R'; '' without a marker."""
-    return (index.before(profile.marker) if profile.marker else []) or [""]
+    return (before(names, profile.marker) if profile.marker else []) or [""]
 
 
 def _first(*values: float | None) -> float | None:

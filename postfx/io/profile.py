@@ -59,7 +59,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -163,10 +163,9 @@ class PlaneRule:
     clamp: tuple[float, float] | None = None
     enable: str = ""
 
-    def candidates(self, layer: str) -> list[tuple[str, ...]]:
+    def candidates(self, layer: str) -> tuple[tuple[str, ...], ...]:
         """Full channel names to look for, best first; `layer` replaces {layer}."""
-        names = [name.replace("{layer}", layer) for name in self.names]
-        return [tuple(_join(name, letter) for letter in letters) for name in names for letters in self.channels]
+        return _full_names(self.names, self.channels, layer)
 
 
 @dataclass(frozen=True)
@@ -212,10 +211,11 @@ class Profile:
         return tuple(rule for rule in self.planes if rule.role == role)
 
 
-def profile_names() -> list[str]:
+@cache
+def profile_names() -> tuple[str, ...]:
     """Names of the built-in profiles, in the order of detection: the generic one last."""
     names = sorted(path.stem for path in BUILTIN.glob("*.toml"))
-    return [name for name in names if name != "generic"] + ["generic"]
+    return (*(name for name in names if name != "generic"), "generic")
 
 
 @cache
@@ -314,6 +314,13 @@ def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     values: dict[str, Any] = {key: tuple(value) if key in listed else value
                               for key, value in table.items() if key != "role"}
     return PlaneRule(role, **{"names": ("",), **values, "channels": channels})
+
+
+@lru_cache(1024)
+def _full_names(names: tuple[str, ...], channels: tuple[tuple[str, ...], ...], layer: str) -> \
+        tuple[tuple[str, ...], ...]:
+    layers = [name.replace("{layer}", layer) for name in names]
+    return tuple(tuple(_join(name, letter) for letter in letters) for name in layers for letters in channels)
 
 
 def _join(name: str, letter: str) -> str:

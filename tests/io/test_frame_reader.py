@@ -91,6 +91,16 @@ def test_blender_4_by_its_header_or_its_names(write_exr, ramp):
     with open_files(write_exr("b.exr", blender_channels(ramp, "View Layer") | albedo)) as files:
         assert files.layout.profile.name == "cycles-4"
         assert Role.DIFFUSE_ALBEDO in files.layout.planes
+    # What was found for these names does not hold where the header says something else.
+    with open_files(write_exr("c.exr", blender_channels(ramp, "View Layer"), Software="Blender 5.0.1")) as files:
+        assert files.layout.profile.name == "cycles-5"
+
+
+def test_headers_of_many_blocks_are_read_whole(write_exr, ramp):
+    facts = {f"note{number}": chr(65 + number % 26) * 997 for number in range(60)}
+    with open_files(write_exr("a.exr", ramp("R", "G", "B"), **facts)) as files:
+        assert {name: files.layout.attributes[name] for name in facts} == facts
+        assert files.read(1)[Role.COLOUR].shape[2] == 3
 
 
 def test_the_colour_before_blenders_denoiser_is_preferred(write_exr, ramp):

@@ -17,6 +17,7 @@ VERSION = 2
 TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000
 SHORT_NAME = 31
 MAX_NAME = 255
+_BLOCK = 1 << 13
 MAX_HEADERS = 64 << 20
 """Bytes that all headers of a file may have together."""
 MAX_PARTS = 4096
@@ -157,11 +158,12 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
     ReadError, whose message names no file, for what is no OpenEXR file, and for headers that end early or are larger
     than `MAX_HEADERS`.
     """
-    magic, version = _take(file, "<iI")
+    start = _Start(file)
+    magic, version = start.unpack("<iI")
     if magic != MAGIC or version & 0xFF != VERSION:
         raise ReadError("it is no OpenEXR file")
     headers, several = [], bool(version & MULTI_PART)
-    while header := _header(file, several):
+    while header := _header(start, several):
         headers.append(header)
         if not several:
             break
@@ -171,6 +173,7 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
         raise ReadError("it holds no image")
     if not several:
         _correct_type(headers[0], version)
+    file.seek(start.at)
     return version, headers
 
 
@@ -181,35 +184,50 @@ def _correct_type(header: Header, version: int) -> None:
         header.set_text("type", SCANLINES if wrong == TILES else TILES)
 
 
-def _header(file: BinaryIO, may_end: bool) -> Header | None:
+def _header(start: _Start, may_end: bool) -> Header | None:
     """The next header; None for the empty one that ends the headers of a multi-part file."""
     attributes: dict[str, Attribute] = {}
-    while name := _name(file):
-        kind = _name(file)
-        (size,) = _take(file, "<i")
-        if size < 0 or file.tell() + size > MAX_HEADERS:
+    while name := start.name():
+        kind = start.name()
+        (size,) = start.unpack("<i")
+        if size < 0 or start.at + size > MAX_HEADERS:
             raise ReadError(f"its header claims {size} bytes for {ascii(text(name))}")
-        attributes[text(name)] = Attribute(text(kind), _exactly(file, size))
+        attributes[text(name)] = Attribute(text(kind), start.take(size))
     if not attributes and may_end:
         return None
     return Header(attributes)
 
 
-def _name(file: BinaryIO) -> bytes:
-    stored = bytearray()
-    while (byte := _exactly(file, 1)) != b"\0":
-        stored += byte
-        if len(stored) > MAX_NAME:
-            raise ReadError("a name in its header is too long")
-    return bytes(stored)
+class _Start:
+    """The start of a file, read in blocks: `at` counts the bytes taken. Raises ReadError where the file ends."""
 
+    def __init__(self, file: BinaryIO) -> None:
+        self.at = 0
+        self._file, self._held = file, b""
 
-def _take(file: BinaryIO, layout: str) -> tuple[int, ...]:
-    return struct.unpack(layout, _exactly(file, struct.calcsize(layout)))
+    def take(self, count: int) -> bytes:
+        """The next bytes."""
+        begin, self.at = self.at, self.at + count
+        if self.at > len(self._held):
+            self._hold(self.at)
+            if self.at > len(self._held):
+                raise ReadError("its header ends early")
+        return self._held[begin : self.at]
 
+    def unpack(self, layout: str) -> tuple[int, ...]:
+        """The next numbers."""
+        return struct.unpack(layout, self.take(struct.calcsize(layout)))
 
-def _exactly(file: BinaryIO, count: int) -> bytes:
-    stored = file.read(count)
-    if len(stored) < count:
-        raise ReadError("its header ends early")
-    return stored
+    def name(self) -> bytes:
+        """The bytes before the next zero, which is taken too."""
+        most = self.at + MAX_NAME + 1
+        if len(self._held) < most:
+            self._hold(most)
+        end = self._held.find(b"\0", self.at, most)
+        if end < 0:
+            raise ReadError("its header ends early" if len(self._held) < most else "a name in its header is too long")
+        begin, self.at = self.at, end + 1
+        return self._held[begin:end]
+
+    def _hold(self, end: int) -> None:
+        self._held += self._file.read(max(end - len(self._held), len(self._held), _BLOCK))  # twice as much each time
