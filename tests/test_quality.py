@@ -21,12 +21,13 @@ from postfx.bench.methods import (  # noqa: E402
     catalogue,
     make,  # noqa: E402
 )
-from postfx.bench.metrics import SequenceScore, grey_exposure, psnr, to_codes  # noqa: E402
+from postfx.bench.metrics import Pictures, flicker, flip, grey_exposure, psnr, ssim, to_codes  # noqa: E402
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
 from postfx.kernels.denoise.layout import KERNEL  # noqa: E402
 from postfx.passes.denoise import models  # noqa: E402
 from postfx.passes.denoise.models import UNSCALED, exact, parted  # noqa: E402
 from postfx.runtime import Device, Library  # noqa: E402
+from postfx.sampling import motion_at  # noqa: E402
 
 ROOM = Path(__file__).parent.parent / "samples" / "room"
 OURS = {method.name: method for method in catalogue(Library().names(), "cpu", guides=True, motion=True).methods
@@ -82,19 +83,39 @@ def results(material: Material, method: Method) -> Iterator[tuple[Frame, np.ndar
         yield frame, result
 
 
+@cache
 def material(folder: Path) -> Material:
     return Material(Sources(str(folder / "noisy.####.exr"), str(folder / "reference.####.exr")))
 
 
-def room(method: Method) -> float:
-    """PSNR in dB over the second half of the sample: of all that the bench measures, what takes least time."""
-    sample, found = material(ROOM), []
-    for frame, result in results(sample, method):
-        if frame.number > len(sample.noisy.numbers) // 2:
-            reference = sample.reference(frame.number)
-            pictures = (to_codes(colour, reference.exposure) for colour in (result, reference[Role.COLOUR]))
-            found.append(psnr(*pictures))
-    return float(np.mean(found))
+@cache
+def target(folder: Path, number: int) -> tuple[np.ndarray, float]:
+    """Code values of a reference, and the exposure that they were made with."""
+    reference, first = (material(folder).reference(at) for at in (number, material(folder).noisy.numbers[0]))
+    exposure = reference.exposure or grey_exposure(first[Role.COLOUR])
+    return to_codes(reference[Role.COLOUR], exposure), exposure
+
+
+def score(folder: Path, method: Method) -> np.ndarray:
+    """PSNR in dB of each frame: of all figures what takes no time."""
+    found = []
+    for frame, result in results(material(folder), method):
+        wanted, exposure = target(folder, frame.number)
+        found.append(psnr(to_codes(result, exposure), wanted))
+    return np.array(found)
+
+
+@cache
+def psnrs(folder: Path, name: str) -> np.ndarray:
+    """PSNR in dB of each frame, by a method's name. `m` is scored by all figures on the sequences anyway."""
+    if name == "m" and folder.name in BARS:
+        return figures(folder, name).psnr
+    return score(folder, OURS.get(name) or BASELINES[name])
+
+
+def mean_of_late(figures: np.ndarray) -> float:
+    """Mean over the second half of the frames."""
+    return float(figures[len(figures) // 2:].mean())
 
 
 def check_room(found: float, name: str) -> None:
@@ -105,7 +126,8 @@ def check_room(found: float, name: str) -> None:
 
 @pytest.mark.parametrize("method", SHIPPED, ids=lambda method: method.name)
 def test_room_is_as_good_as_measured(method):
-    check_room(room(method), method.name)
+    found = psnrs(ROOM, method.name) if method.name in OURS else score(ROOM, method)
+    check_room(mean_of_late(found), method.name)
 
 
 def room_at_1x(tag: str) -> float:
@@ -138,7 +160,7 @@ def test_at_1x_a_network_for_it_is_not_worse_than_the_plain_one(tag, monkeypatch
 
 @pytest.mark.parametrize("plain", PLAIN, ids=lambda method: method.name)
 def test_room_is_better_than_without_a_denoiser(plain):
-    baseline = room(plain)
+    baseline = mean_of_late(psnrs(ROOM, plain.name))
     assert min(MEASURED.values()) - SLACK >= baseline + ABOVE_PLAIN, f"{plain.title} scores {baseline:.2f} dB"
 
 
@@ -155,56 +177,48 @@ def test_wrong_weights_are_noticed(tmp_path, monkeypatch):
     onnx.save(model, tmp_path / "denoise_upscale.s.onnx")
     monkeypatch.setattr(models, "Library", lambda: Library(tmp_path))
     with pytest.raises(AssertionError, match="s scores .* dB, was"):
-        check_room(room(OURS["s"]), "s")
+        check_room(mean_of_late(score(ROOM, OURS["s"])), "s")
+
+
+class Figures(NamedTuple):
+    """PSNR in dB of each frame, and means of all figures over the second half of the frames."""
+
+    psnr: np.ndarray
+    late: Bar
 
 
 @cache
-def scored(folder: Path, name: str) -> SequenceScore:
-    """All figures of a network on the noisy frames of a folder."""
-    sequence, scores = material(folder), SequenceScore()
-    for frame, result in results(sequence, OURS[name]):
-        scores.add(result, sequence.reference(frame.number), frame)
-    return scores
-
-
-@cache
-def psnrs(folder: Path, name: str) -> np.ndarray:
-    """PSNR in dB of each frame: of all figures what takes no time. `m` is scored by all of them anyway."""
-    if name == "m":
-        return np.array([row["psnr"] for row in scored(folder, name).frames])
-    sequence, found = material(folder), []
-    for frame, result in results(sequence, OURS.get(name) or BASELINES[name]):
-        reference = sequence.reference(frame.number)
-        exposure = reference.exposure or grey_exposure(sequence.reference(sequence.noisy.numbers[0])[Role.COLOUR])
-        found.append(psnr(to_codes(result, exposure), to_codes(reference[Role.COLOUR], exposure)))
-    return np.array(found)
-
-
-def late_psnr(folder: Path, name: str) -> float:
-    """Mean PSNR in dB over the second half of the frames."""
-    found = psnrs(folder, name)
-    return float(found[len(found) // 2:].mean())
-
-
-def late(folder: Path, name: str) -> dict[str, float]:
-    """Figures of a network over the second half of the frames, without the suffix."""
-    summary = scored(folder, name).summary()
-    return {key.removesuffix("_late"): value for key, value in summary.items() if key.endswith("_late")}
+def figures(folder: Path, name: str) -> Figures:
+    """All figures of a network. FLIP takes longer than the network, so earlier frames go without."""
+    psnrs, rows, before = [], [], None
+    half = len(material(folder).noisy.numbers) // 2
+    for frame, result in results(material(folder), OURS[name]):
+        wanted, exposure = target(folder, frame.number)
+        now = Pictures(to_codes(result, exposure), wanted)
+        psnrs.append(psnr(now.result, wanted))
+        if len(psnrs) > half:
+            assert before is not None and not frame.reset
+            height, width = wanted.shape[:2]
+            motion = motion_at(frame[Role.MOTION], np.arange(height), np.arange(width), height, width)
+            steps = flicker(before, now, motion)
+            rows.append((psnrs[-1], ssim(now.result, wanted), flip(now.result, wanted), steps))
+        before = now
+    return Figures(np.array(psnrs), Bar(*np.mean(rows, axis=0)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BARS)
 def test_better_and_steadier_than_the_best_baseline(shared_dir, name):
-    found, bar = late(shared_dir / "sequences" / name, "m"), BARS[name]
-    assert found["psnr"] >= bar.psnr + 0.5
-    assert found["ssim"] > bar.ssim
-    assert found["flip"] < bar.flip
-    assert found["flicker"] < bar.flicker
+    found, bar = figures(shared_dir / "sequences" / name, "m").late, BARS[name]
+    assert found.psnr >= bar.psnr + 0.5
+    assert found.ssim > bar.ssim
+    assert found.flip < bar.flip
+    assert found.flicker < bar.flicker
 
 
 @pytest.mark.slow
 def test_better_in_the_mean_over_the_sequences(shared_dir):
-    gains = [late_psnr(shared_dir / "sequences" / name, "m") - bar.psnr for name, bar in BARS.items()]
+    gains = [figures(shared_dir / "sequences" / name, "m").late.psnr - bar.psnr for name, bar in BARS.items()]
     assert np.mean(gains) >= 1.5
 
 
@@ -244,14 +258,14 @@ def test_both_ways_first_frames_gain_most_and_none_loses(name):
 
 @pytest.mark.slow
 def test_both_ways_better_in_the_mean_over_the_sequences(shared_dir):
-    found = {name: late(shared_dir / "sequences" / name, "m-both-ways") for name in BARS}
-    assert np.mean([found[name]["psnr"] - bar.psnr for name, bar in BARS.items()]) >= 2.2
-    assert np.mean([found[name]["flip"] / bar.flip for name, bar in BARS.items()]) <= 0.82
-    assert np.mean([found[name]["flicker"] / bar.flicker for name, bar in BARS.items()]) <= 0.84
+    found = {name: figures(shared_dir / "sequences" / name, "m-both-ways").late for name in BARS}
+    assert np.mean([found[name].psnr - bar.psnr for name, bar in BARS.items()]) >= 2.2
+    assert np.mean([found[name].flip / bar.flip for name, bar in BARS.items()]) <= 0.82
+    assert np.mean([found[name].flicker / bar.flicker for name, bar in BARS.items()]) <= 0.84
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BARS)
 def test_small_network_is_not_far_behind(shared_dir, name):
-    small, middle = (late_psnr(shared_dir / "sequences" / name, tag) for tag in ("s", "m"))
+    small, middle = (mean_of_late(psnrs(shared_dir / "sequences" / name, tag)) for tag in ("s", "m"))
     assert small >= middle - 0.7
