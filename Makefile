@@ -12,6 +12,8 @@ demo: $(VENV)/installed
 	$(BIN)/python samples/before_after.py $(OUT)/before_after.png
 	@echo "Look at $(OUT): before_after.png, picture.*.png (tone-mapped), clean.*.exr (scene-linear); all twice as large."
 
+# Tests start a hundred processes: without kept bytecode each would compile all sources anew.
+test: export PYTHONDONTWRITEBYTECODE =
 test: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy

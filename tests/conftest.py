@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 LONGEST = (
-    "test_quality.py", "test_samples.py", "training/tonemap/test_train.py", "doctor/test_breakages.py",
-    "training/datagen/test_clip.py", "stress/test_precisions.py", "passes/test_denoise_fp16.py",
-    "training/denoise/test_export.py", "training/datagen/test_render.py", "cli/test_bench.py",
-    "stress/test_network_bounds.py", "passes/test_denoise_reactive.py", "training/denoise/test_train_processes.py",
-    "training/measure/test_validation.py", "training/datagen/scenes/test_interior.py", "passes/test_denoise_int8.py",
-    "passes/test_contract.py", "stress/test_kernel_bounds.py",
+    "test_quality.py", "training/datagen/test_clip.py", "doctor/test_breakages.py",
+    "training/denoise/test_train_processes.py", "test_samples.py", "training/datagen/test_render.py",
+    "training/datagen/scenes/test_interior.py", "training/measure/test_validation.py", "doctor/test_unbroken.py",
+    "training/denoise/test_export.py", "cli/test_bench.py", "fuzz/test_fuzz.py", "passes/test_denoise_reactive.py",
+    "passes/test_denoise_fp16.py", "exposure/test_debugger.py", "stress/test_precisions.py",
+    "passes/test_denoise_tiles.py", "training/tonemap/test_flicker.py", "training/tonemap/test_train.py",
+    "test_shared_memory.py", "bench/test_measure.py", "cli/test_inspect.py", "passes/test_contract.py",
+    "stress/test_network_bounds.py", "stress/test_kernel_bounds.py", "passes/test_denoise_int8.py",
 )
-"""Files that take more than ten seconds of a core, longest first: begun last, one would keep a worker busy alone."""
+"""Files that take about ten seconds of a core and more, longest first: begun last, one would keep a worker busy alone.
+Those that need no compiled kernel come early: on a new machine the first worker compiles them meanwhile."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -37,6 +41,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if item.get_closest_marker("soak"):
                 item.add_marker(pytest.mark.skip("some minutes: give -m soak"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_pauses() -> Iterator[None]:
+    """A frame that cannot be read is tried again at once: half a second for each would be minutes in all."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("postfx.files.PAUSES", (0.0, 0.0))
+        yield
 
 
 @pytest.fixture(scope="session")

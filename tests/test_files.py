@@ -1,4 +1,4 @@
-"""Reading ahead and writing behind."""
+"""Reading patiently, reading ahead and writing behind."""
 
 from __future__ import annotations
 
@@ -7,7 +7,32 @@ import time
 
 import pytest
 
-from postfx.files import WriteBehind, read_ahead
+from postfx import files
+from postfx.errors import ReadError
+from postfx.files import PAUSES, WriteBehind, read_ahead, read_patiently
+
+
+def test_what_cannot_be_read_is_tried_twice_more_after_growing_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PAUSES as imported here, before the tests do without them."""
+    assert PAUSES == (0.1, 0.4)
+    monkeypatch.setattr(files, "PAUSES", PAUSES)
+    log: list[object] = []
+    monkeypatch.setattr(files.time, "sleep", log.append)
+
+    def read() -> str:
+        log.append("read")
+        if len(log) < needed:
+            raise ReadError("not there")
+        return "content"
+
+    needed = 7
+    assert read_patiently(read, lambda error: log.append(str(error))) == "content"
+    assert log == ["read", "not there", 0.1, "read", "not there", 0.4, "read"]
+    needed = 99
+    log.clear()
+    with pytest.raises(ReadError):
+        read_patiently(read)
+    assert log == ["read", 0.1, "read", 0.4, "read"]
 
 
 def test_items_come_in_order_and_at_most_one_is_read_ahead() -> None:

@@ -14,7 +14,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MissingFrameError, ReadError, SequenceError
-from postfx.io.exr.container import ExrContainer, NewPart, write_container
+from postfx.io.exr.container import LINES, MAX_SIDE, ExrContainer, NewPart, count_chunks, write_container
 from postfx.io.exr.header import Header
 from postfx.io.sequence import read_sequence
 from tests.files.exr_files import write_deep, write_mixed, write_studio
@@ -46,6 +46,17 @@ def window(*bounds: int) -> bytes:
 
 def claim(name: str, kind: str, value: bytes) -> Callable[[Path], None]:
     return lambda path: with_header(path, lambda header: header.set(name, kind, value))
+
+
+def with_channel(kind: int, sampling: int) -> Callable[[Path], None]:
+    """Changes what the header says of the first channel."""
+    def change(path: Path) -> None:
+        content = bytearray(path.read_bytes())
+        at = content.index(b"\0", content.index(b"chlist\0") + 11) + 1
+        content[at:at + 16] = struct.pack("<iB3x2i", kind, 0, sampling, 1)
+        path.write_bytes(content)
+
+    return change
 
 
 def cut_at(part: float) -> Callable[[Path], None]:
@@ -118,6 +129,8 @@ FAULTS: dict[str, tuple[Callable[[Path], None], str]] = {
                        "its header has no dataWindow"),
     "no channels": (lambda path: with_header(path, lambda header: header.set("channels", "chlist", b"\0"), False), ""),
     "a list of channels that ends early": (patched_after(b"chlist\0", b"\xff\0\0\0R\0\1\0\0"), ""),
+    "a channel of an unknown type": (with_channel(7, 1), "a channel of it has an unknown type"),
+    "a channel of no pixels": (with_channel(1, 0), "a channel of it has an unknown type"),
     "a compression that does not exist": (claim("compression", "compression", b"\x63"), "compression 99 is not known"),
     "a part of an unknown type": (claim("type", "string", b"hologram"), "it is of the unknown type 'hologram'"),
     "an attribute of 2 GB": (patched(8, b"a\0b\0\xff\xff\xff\x7f"), "its header claims 2147483647 bytes for 'a'"),
@@ -147,6 +160,19 @@ def test_broken_files_get_one_clear_line(source: Path, fault: str) -> None:
 
 def test_an_image_that_claims_little_and_is_all_right_is_read(source: Path) -> None:
     assert next(iter(read_sequence(source))).spec.height == 41
+
+
+@pytest.mark.parametrize("across", [True, False])
+def test_sides_are_taken_up_to_the_limit(source: Path, across: bool) -> None:
+    with ExrContainer(source) as file:
+        header = file.headers[0]
+    for side in (1, MAX_SIDE):
+        header.set("dataWindow", "box2i", window(0, 0, *((side - 1, 0) if across else (0, side - 1))))
+        assert count_chunks(header) == (1 if across else -(-side // LINES[header.compression]))
+    for side in (0, MAX_SIDE + 1):
+        header.set("dataWindow", "box2i", window(0, 0, *((side - 1, 0) if across else (0, side - 1))))
+        with pytest.raises(ReadError, match=f"claims {f'{side}x1' if across else f'1x{side}'} pixels"):
+            count_chunks(header)
 
 
 HDR = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"

@@ -184,8 +184,8 @@ def visible() -> Iterator[Path]:
         yield Path(folder)
 
 
-def as_nobody(command: str) -> str:
-    """What a Python expression prints, run by a user without rights: to read Numba's modules, too."""
+def as_nobody(*commands: str) -> list[str]:
+    """Lines that Python expressions print, run by a user without rights: to read Numba's modules, too."""
     drop = "import os; os.setgroups([]) if os.getuid() == 0 else 0; os.setegid(65534) if os.getuid() == 0 else 0; " \
            "os.seteuid(65534) if os.getuid() == 0 else 0\n"
     imports = "import sys; sys.path.insert(0, sys.argv[1])\nfrom postfx.io.sequence import *\n" \
@@ -193,32 +193,33 @@ def as_nobody(command: str) -> str:
               "import postfx.frame, postfx.io.encode, numpy as np\n" \
               "postfx.io.encode.halves(np.zeros(1))\n" \
               "frame = postfx.frame.Frame({'colour': np.ones((4, 4, 3), np.float32)})\n"
-    guarded = f"try:\n    {command}\nexcept PostfxError as error:\n    print(type(error).__name__, error)\n"
-    return subprocess.run([sys.executable, "-c", imports + drop + guarded, str(REPOSITORY)], capture_output=True,
-                          text=True, check=True, timeout=120).stdout
+    guarded = [f"try:\n    {command}\nexcept PostfxError as error:\n    print(type(error).__name__, error)\n"
+               for command in commands]
+    return subprocess.run([sys.executable, "-c", "".join([imports, drop, *guarded]), str(REPOSITORY)], check=True,
+                          capture_output=True, text=True, timeout=120).stdout.splitlines()
 
 
 def test_a_file_without_rights(visible: Path) -> None:
     write_mixed(visible / "a.0001.exr").chmod(0)
-    told = as_nobody(f"list(read_sequence('{visible}/a.0001.exr'))")
-    assert told == f"ReadError {visible}/a.0001.exr: cannot be read: Permission denied; check the file's rights\n"
+    (told,) = as_nobody(f"list(read_sequence('{visible}/a.0001.exr'))")
+    assert told == f"ReadError {visible}/a.0001.exr: cannot be read: Permission denied; check the file's rights"
 
 
 def test_an_input_folder_without_rights(visible: Path) -> None:
     (visible / "in").mkdir()
     write_mixed(visible / "in/a.0001.exr")
     (visible / "in").chmod(0)
-    told = as_nobody(f"read_sequence('{visible}/in')")
-    assert told == f"SequenceError {visible}/in: cannot be read: Permission denied; check its rights\n"
-    assert "no such file: check the folder" in as_nobody(f"read_sequence('{visible}/in/a.####.exr')")
+    folder, pattern = as_nobody(f"read_sequence('{visible}/in')", f"read_sequence('{visible}/in/a.####.exr')")
+    assert folder == f"SequenceError {visible}/in: cannot be read: Permission denied; check its rights"
+    assert "no such file: check the folder" in pattern
 
 
 def test_an_output_folder_without_rights(visible: Path) -> None:
-    told = as_nobody(f"write_frame('{visible}/out/a.exr', frame)")
-    assert told.startswith(f"WriteError {visible}/out/a.exr: cannot be written: Permission denied; check the folder")
-    (visible / "out").mkdir(mode=0o755)
-    assert "Permission denied" in as_nobody(f"write_frame('{visible}/out/a.exr', frame)")
-    assert names(visible / "out") == []
+    (visible / "there").mkdir(mode=0o755)
+    new, there = as_nobody(*(f"write_frame('{visible}/{folder}/a.exr', frame)" for folder in ("new", "there")))
+    assert new.startswith(f"WriteError {visible}/new/a.exr: cannot be written: Permission denied; check the folder")
+    assert "Permission denied" in there
+    assert names(visible) == ["there"] and names(visible / "there") == []
 
 
 def test_an_output_that_is_a_folder(postfx, shot, tmp_path: Path) -> None:

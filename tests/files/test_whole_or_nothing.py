@@ -35,34 +35,38 @@ from pathlib import Path
 from postfx.errors import PostfxError
 from postfx.frame import Frame, Role
 from postfx.io.writer import write_frame
-path, side, keep = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
-frame = Frame({Role.COLOUR: np.random.default_rng(0).random((side, side, 3), np.float32)}, source=keep or None)
+keep = sys.argv[1]
 resource.setrlimit(resource.RLIMIT_FSIZE, (40000, 40000))
-try:
-    print(write_frame(path, frame, keep=bool(keep)))
-except PostfxError as error:
-    print(type(error).__name__, error)
+for path, side in zip(sys.argv[2::2], map(int, sys.argv[3::2]), strict=True):
+    frame = Frame({Role.COLOUR: np.random.default_rng(0).random((side, side, 3), np.float32)}, source=keep or None)
+    try:
+        print(write_frame(Path(path), frame, keep=bool(keep)))
+    except PostfxError as error:
+        print(type(error).__name__, error)
 """
 
 
-def limited(path: Path, side: int, keep: str = "") -> str:
-    """What writing a square of noise says in a process whose files may have 40000 bytes."""
-    done = subprocess.run([sys.executable, "-c", LIMITED, str(path), str(side), keep], capture_output=True, text=True,
+def limited(*squares: tuple[Path, int], keep: str = "") -> list[str]:
+    """What writing squares of noise says in a process whose files may have 40000 bytes."""
+    words = [str(word) for square in squares for word in square]
+    done = subprocess.run([sys.executable, "-c", LIMITED, keep, *words], capture_output=True, text=True,
                           env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, timeout=120, check=True)
-    return done.stdout.strip()
+    return done.stdout.splitlines()
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_files_over_the_limit_of_the_system(tmp_path: Path, suffix: str) -> None:
-    told = limited(tmp_path / f"a{suffix}", 300)
-    assert told.startswith(f"WriteError {tmp_path}/a{suffix}: cannot be written: ") and "\n" not in told
-    assert names(tmp_path) == []
-    assert limited(tmp_path / f"b{suffix}", 40) == f"{tmp_path}/b{suffix}"
+def test_files_over_the_limit_of_the_system(tmp_path: Path) -> None:
+    squares = [(tmp_path / f"{name}{suffix}", side) for suffix in SUFFIXES for name, side in (("a", 300), ("b", 40))]
+    told = limited(*squares)
+    assert len(told) == len(squares)
+    for suffix, (large, small) in zip(SUFFIXES, zip(told[::2], told[1::2], strict=True), strict=True):
+        assert large.startswith(f"WriteError {tmp_path}/a{suffix}: cannot be written: ")
+        assert small == f"{tmp_path}/b{suffix}"
+    assert names(tmp_path) == sorted(f"b{suffix}" for suffix in SUFFIXES)
 
 
 def test_what_is_kept_over_the_limit(tmp_path: Path) -> None:
     source = write_frame(tmp_path / "in.exr", noise())
-    told = limited(tmp_path / "out.exr", 40, str(source))
+    (told,) = limited((tmp_path / "out.exr", 40), keep=str(source))
     assert told.startswith(f"WriteError {tmp_path}/out.exr: cannot be written: File too large")
     assert names(tmp_path) == ["in.exr"]
 

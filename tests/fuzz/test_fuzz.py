@@ -13,7 +13,7 @@ import pytest
 
 from tests.fuzz.targets import TARGETS
 
-SECONDS = 4
+SECONDS = 3
 AT_ONCE = 2
 BY_A_SHELL = ("sh", "-c", '"$@"; exit $?', "sh")
 """A process's peak memory begins with that of the process that starts it, which ran other tests: a shell is small."""

@@ -17,7 +17,7 @@ from postfx.frame import Role  # noqa: E402
 from postfx.runtime import Device  # noqa: E402
 from tests.stress.scenes import pipeline  # noqa: E402
 
-FRAMES = 5
+FRAMES = 3
 LOST = 0.1
 """Decibels of the mean over a sequence that a precision may lose."""
 

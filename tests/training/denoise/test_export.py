@@ -29,7 +29,7 @@ from training.export import PARITY, ParityError, parity, relative_error  # noqa:
 EXACT = sorted(path for path in models_dir().glob("denoise_upscale.*.onnx")
                if not {"int8", "fp16"} & {*path.stem.split(".")})
 TINY = TrunkConfig((16, 16, 16, 16), 1)
-CONFIGS = {"tiny": TINY, "tiny.guides": replace(TINY, guides=True), "quad": replace(TINY, stem=24, reach=2),
+CONFIGS = {"tiny.guides": replace(TINY, guides=True), "quad": replace(TINY, stem=24, reach=2),
            "low": TrunkConfig((16, 16), 2)}
 
 

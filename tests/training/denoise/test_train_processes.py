@@ -28,7 +28,7 @@ def test_two_processes_train_one_network(tmp_path: Path) -> None:
     (tmp_path / "run.py").write_text(RUN)
     out = tmp_path / "out"
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    options = ["--minutes", "0.1", "--batch", "1", "--crop", "32", "--widths", "16", "16", "16", "16", "--depth", "1"]
+    options = ["--minutes", "0.07", "--batch", "1", "--crop", "32", "--widths", "16", "16", "16", "16", "--depth", "1"]
     options += ["--wait", "2"]
     command = [*torchrun, str(tmp_path / "run.py"), "--clips", str(tmp_path), "--out", str(out), *options]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=120, check=False,
