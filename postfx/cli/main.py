@@ -14,6 +14,7 @@ from postfx.version import __version__
 
 VERBS = {
     "run": "denoise, upscale and tone-map a sequence",
+    "chunks": "cut a sequence into chunks for the machines of a farm",
     "verify": "check that the files of a run are there, whole and unaltered",
     "inspect": "find what is wrong with a sequence's planes",
     "exposure": "measure whether the exposure is right and steady",
@@ -23,6 +24,8 @@ VERBS = {
     "capture-compare": "find the first tensor in which two captures differ",
 }
 """Verb -> what it does, as in `postfx --help`. The module of its name is loaded when it is called."""
+FORWARDING = ("chunks",)
+"""Verbs that hand options of `postfx run` on, which stand behind --."""
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE = 141
@@ -31,8 +34,10 @@ EXIT_PIPE = 141
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code: 0 done, 1 what was checked is not well, 2 something the user can fix,
     130 interrupted by Ctrl-C, 143 ended by SIGTERM."""
-    words = sys.argv[1:] if argv is None else argv
-    arguments = make_parser([word for word in words if not word.startswith("-")][:1]).parse_args(words)
+    words = list(sys.argv[1:] if argv is None else argv)
+    own = words.index("--") if words[:1] and words[0] in FORWARDING and "--" in words else len(words)
+    arguments = make_parser([word for word in words if not word.startswith("-")][:1]).parse_args(words[:own])
+    arguments.forwarded = words[own + 1:]
     _read_and_write_by(getattr(arguments, "threads", None))
     try:
         code: int = arguments.execute(arguments)

@@ -46,6 +46,11 @@ _FOR_DENOISER = {"--no-denoise": "{flag} is for the denoiser, which --no-denoise
 
 # Frames
 
+
+def _parse_preroll(text: str) -> int | str:
+    return text if text == "auto" else parse_count(text)
+
+
 INPUT = Option(flag="input", metavar="INPUT", is_file=True, several=True,
                help="frames to read: a pattern, a folder, wildcards or files")
 
@@ -61,9 +66,9 @@ FRAMES = Section("", (
     Option(flag="--skip-existing", either="existing", changes="nothing",
            help="keep output files that are whole, by the manifest's hash or decoded to the last pixel; go on from "
            "there"),
-    Option(flag="--preroll", metavar="N", type=parse_count, sets="run.preroll", changes="nothing",
+    Option(flag="--preroll", metavar="N|auto", type=_parse_preroll, sets="run.preroll", changes="nothing",
            help="frames to process without writing, before the first one of the range, so that the passes have their "
-           "history (default: 0)"),
+           "history; auto for those of its shot, at most 32 (default: 0)"),
     Option(flag="--keep", choices=("auto", "all", "none"), default="auto", off="auto", sets="writer.keep",
            convert={"auto": None, "all": True, "none": False}.get,
            help="EXR: what the input holds beside the picture (channels, parts, header) goes into the output; beside a "

@@ -21,6 +21,8 @@ EXAMPLES = """\
 examples:
   postfx verify out/
   postfx verify out/ --json
+  postfx verify out/ --frames 1-200
+  postfx verify node1/ node2/ --frames 1-200
   postfx verify out/ || postfx run shot/noisy.####.exr -o out/clean.####.exr --skip-existing
 
 exit codes: 0 all files are whole; 1 files are altered, missing, unfinished or unknown; 2 there is no manifest, or it
@@ -32,20 +34,27 @@ MEANINGS = {
     "missing": "was written and is gone",
     "unfinished": "was to be written and was not",
     "unknown": "no run wrote it",
+    "differing": "its run had other settings or versions than the first",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
-    parser.add_argument("folder", metavar="OUT", help="folder that 'postfx run' wrote to")
+    parser.add_argument("folder", metavar="OUT", nargs="+", help="folder that 'postfx run' wrote to")
+    parser.add_argument("--frames", metavar="RANGE", help="frames that must be there, e.g. 1-200")
     parser.add_argument("--json", action="store_true", help="print one JSON object: lists of file names")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Check a folder; returns the exit code."""
-    from postfx.runs.manifest import verify
+    """Check folders; returns the exit code."""
+    from postfx.errors import OptionError
+    from postfx.io.pattern import parse_frames
+    from postfx.runs.manifest import verify, verify_together
 
-    found = verify(Path(arguments.folder))
+    folders = [Path(folder) for folder in arguments.folder]
+    if arguments.frames is None and len(folders) > 1:
+        raise OptionError("several folders are checked together: give --frames, the frames that they hold, e.g. 1-200")
+    found = verify(folders[0]) if arguments.frames is None else verify_together(folders, parse_frames(arguments.frames))
     print(json.dumps(found.as_dict()) if arguments.json else "\n".join(map(make_printable, _lines(found))))
     return 0 if found.is_well else 1
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -127,6 +127,7 @@ class Verification:
         missing: files that were written and no longer exist.
         unfinished: files that a run should have written but did not.
         unknown: files that match a run's pattern but that no run wrote.
+        differing: where frames must be those of one sequence, runs with other settings or versions than the first one.
         runs: run id -> 'finished', 'stopped', 'failed', 'running', or 'killed' for a run that ended without saying so.
     """
 
@@ -135,12 +136,13 @@ class Verification:
     missing: list[str] = field(default_factory=list)
     unfinished: list[str] = field(default_factory=list)
     unknown: list[str] = field(default_factory=list)
+    differing: list[str] = field(default_factory=list)
     runs: dict[str, str] = field(default_factory=dict)
 
     @property
     def is_well(self) -> bool:
-        """Whether every file is whole and none is missing or unknown."""
-        return not (self.altered or self.missing or self.unfinished or self.unknown)
+        """Whether every file is whole, none is missing or unknown, and all were made alike."""
+        return not (self.altered or self.missing or self.unfinished or self.unknown or self.differing)
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
@@ -165,6 +167,37 @@ def verify(folder: Path, report: Callable[[str], None] = lambda _: None) -> Veri
             (found.whole if whole else found.altered).append(name)
     found.unknown = _unknown(folder, manifest)
     return found
+
+
+def verify_together(
+    folders: Iterable[Path], frames: Collection[int], report: Callable[[str], None] = lambda _: None
+) -> Verification:
+    """Check folders that hold the chunks of one sequence, such as those of several machines.
+
+    Every frame of the range must have been written by some run, and all runs must have had the same settings, passes,
+    models and versions. Names of files have their folder where there is more than one. Raises ManifestError.
+    """
+    folders, found, made, written = list(folders), Verification(), [], set()
+    for folder in folders:
+        part, manifest = verify(folder, report), load_manifest(folder)
+        prefix = f"{folder}/" if len(folders) > 1 else ""
+        for kind in ("whole", "altered", "missing", "unfinished", "unknown"):
+            getattr(found, kind).extend(f"{prefix}{name}" for name in getattr(part, kind))
+        found.runs |= {f"{prefix}{run}": state for run, state in part.runs.items()}
+        made += [(f"{prefix}{run}", facts) for run, facts in manifest.runs.items()]
+        written |= {output.frame for output in manifest.outputs.values()}
+    patterns = sorted({str(facts.get("output", "")) for _, facts in made})
+    for number in sorted(set(frames) - written):
+        found.unfinished.append(str(parse_pattern(patterns[0]).path(number)) if patterns else f"frame {number}")
+    found.differing = [name for name, facts in made if not _are_alike(facts, made[0][1])]
+    return found
+
+
+def _are_alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether two runs were made with the same settings, passes, versions, and files of the models that both used."""
+    models, others = dict(one.get("models", {})), dict(other.get("models", {}))
+    same = all(one.get(key) == other.get(key) for key in ("settings", "passes", "versions"))
+    return same and all(models[name] == others[name] for name in models.keys() & others.keys())
 
 
 def _states(folder: Path, manifest: Manifest) -> dict[str, str]:

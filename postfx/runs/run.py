@@ -31,7 +31,7 @@ from postfx.runs.checkpoint import load_checkpoint
 from postfx.runs.folder import RunFolder
 from postfx.runs.locks import Process
 from postfx.runs.manifest import Output
-from postfx.runs.schedule import EarlierRuns, Work, judge, schedule
+from postfx.runs.schedule import EarlierRuns, Work, find_preroll, judge, schedule
 from postfx.runtime import Device, Library
 from postfx.version import __version__
 
@@ -159,13 +159,13 @@ class Options:
         log: file for JSON lines, or None.
         checkpoint: seconds of work between two checkpoints; None for none.
         rerun: finished frames to run again for the history of an unfinished one; None for as many as needed.
-        preroll: frames to run before the first one of the sequence.
+        preroll: frames to run before the first one of the sequence; 'auto' for those that `find_preroll` finds.
     """
 
     log: str | None = None
     checkpoint: float | None = 30.0
     rerun: int | None = None
-    preroll: int = 0
+    preroll: int | str = 0
 
 
 class Run:
@@ -316,7 +316,9 @@ class Run:
             self.warnings.append(f"{again} finished frames are run again, for the history of unfinished ones: "
                                  "--resume 8 runs fewer and gives nearly the same")
         if works and works[0].number == numbers[0] and not works[0].checkpoint:
-            works = [Work(number, False) for number in self._sequence.before(numbers[0], options.preroll)] + works
+            before = find_preroll(self._sequence, numbers[0]) if options.preroll == "auto" \
+                else self._sequence.before(numbers[0], int(options.preroll))
+            works = [Work(number, False) for number in before] + works
         return works
 
     def _known(self) -> EarlierRuns:

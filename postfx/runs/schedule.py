@@ -1,12 +1,21 @@
-"""Which frames a run processes, and which existing files it keeps."""
+"""Which frames a run processes, which existing files it keeps, and how a sequence is cut into chunks for several runs.
+
+A chunk's first frame has no history of its own, so the frames before it run first, without being written. Those that
+are further away than `PREROLL` frames no longer matter: the seam differs from an unbroken run by less than its noise.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from postfx.errors import PostfxError
 from postfx.files import hash_file
+from postfx.io.pattern import format_frames
+from postfx.io.sequence import Sequence
 from postfx.io.writer import is_complete
 from postfx.runs.manifest import Output
 
@@ -117,3 +126,64 @@ def judge(path: Path, known: Output | None, size: tuple[int, int], inputs: Input
 def _changed(before: Inputs, now: Inputs) -> bool:
     """Whether an input was replaced by a file of the same name; missing inputs do not count."""
     return any(path in before and before[path] != facts for path, facts in now.items())
+
+
+# Chunks
+
+PREROLL = 32
+"""Most frames that run before a chunk: with them its first frame is within 50 dB of an unbroken run's, and the third
+within 60 dB (docs/farm.md)."""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Frames that one machine processes.
+
+    Attributes:
+        frames: numbers of the frames to write.
+        preroll: of those that run before, without being written.
+        ahead: of those that may be read after the last one, where a shot begins near the end.
+    """
+
+    frames: tuple[int, ...]
+    preroll: tuple[int, ...] = ()
+    ahead: tuple[int, ...] = ()
+
+    @property
+    def reads(self) -> tuple[int, ...]:
+        """Numbers of all frames whose files must be there."""
+        return tuple(dict.fromkeys((*self.preroll, *self.frames, *self.ahead)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """In plain types."""
+        return {"frames": format_frames(self.frames), "count": len(self.frames),
+                "preroll": format_frames(self.preroll), "reads": format_frames(self.reads)}
+
+
+def find_preroll(sequence: Sequence, number: int, most: int = PREROLL) -> list[int]:
+    """Frames to run before one that has no history: those of its shot that lead to it without a hole, at most `most`.
+
+    Headers and the sequence's cuts say where the shot begins; a frame that cannot be opened ends the search.
+    """
+    found: list[int] = []
+    reader, current = sequence.reader(), number
+    with suppress(PostfxError):
+        while len(found) < most and not reader.begins_shot(current):
+            before = sequence.before(current, 1)
+            if not before:
+                break
+            current = before[0]
+            found.append(current)
+    return found[::-1]
+
+
+def make_chunks(sequence: Sequence, size: int, ahead: int = 0) -> Iterator[Chunk]:
+    """The chunks of a sequence's frames, in order.
+
+    Args:
+        size: frames of each chunk but the last.
+        ahead: frames after a shot's first one that are read for its sake.
+    """
+    for first in range(0, len(sequence.numbers), size):
+        frames = sequence.numbers[first : first + size]
+        yield Chunk(tuple(frames), tuple(find_preroll(sequence, frames[0])), tuple(sequence.after(frames[-1], ahead)))
