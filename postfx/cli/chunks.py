@@ -55,6 +55,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Print the chunks; returns the exit code."""
     from postfx.cli.main import make_parser
     from postfx.cli.run_options import RUN
+    from postfx.errors import OptionError
     from postfx.files import write_atomically
     from postfx.io.pattern import format_frames
     from postfx.runs.schedule import make_chunks
@@ -72,7 +73,13 @@ def execute(arguments: argparse.Namespace) -> int:
     whole = format_frames(sequence.numbers)
     verify = ["postfx", "verify", str(folder), f"--frames={whole}"]
     notes = _notes(given, arguments.output)
+    before = sum(len(chunk.preroll) for chunk in chunks) if given.preroll is None else 0
+    notes += [f"{before} frames run twice, for the history of chunks: larger chunks need fewer, and -- --preroll 32 is "
+              "enough for most shots"] if before > len(sequence) // 2 else []
     if arguments.openjd:
+        if Path(arguments.openjd).resolve().parent != Path.cwd():
+            raise OptionError(f"--openjd {arguments.openjd}: write it into this folder, {Path.cwd()}: names of files "
+                              "in it are relative to where it lies")
         name = f"postfx {Path(str(sequence.pattern)).name}"
         job = json.dumps(describe_job(name, chunks, arguments.size, run, verify), indent=2)
         write_atomically(Path(arguments.openjd), lambda file: file.write(f"{job}\n".encode()))
@@ -125,13 +132,13 @@ def _lines(facts: dict[str, Any]) -> list[str]:
     return [*lines, f"{shlex.join(facts['verify'])}  # after all of them", *(f"# {note}" for note in facts["notes"])]
 
 
-FRAMES = "Frames"
-"""Name of the task parameter of an Open Job Description."""
+FRAMES, FOLDER = "Frames", "Folder"
+"""Names of the task's and of the job's parameter of an Open Job Description."""
 
 
 def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str], verify: Words[str]) -> dict[str, Any]:
     """The job as an Open Job Description template (2023-09): a step that processes the chunks, and one that checks all
-    of them together afterwards.
+    of them together afterwards. They run in the template's folder, which the scheduler maps to each machine.
 
     Where all frames follow each other, the scheduler makes the chunks (extension TASK_CHUNKING, contiguous); else each
     chunk is a task.
@@ -152,6 +159,8 @@ def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str], ve
         "specificationVersion": "jobtemplate-2023-09",
         **({"extensions": ["TASK_CHUNKING"]} if is_contiguous else {}),
         "name": name,
+        "parameterDefinitions": [{"name": FOLDER, "type": "PATH", "objectType": "DIRECTORY", "dataFlow": "INOUT",
+                                  "default": "."}],
         "steps": [
             {"name": "Process", "parameterSpace": {"taskParameterDefinitions": [parameter]},
              "script": _script([*run, f"--frames={{{{Task.Param.{FRAMES}}}}}"])},
@@ -161,4 +170,6 @@ def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str], ve
 
 
 def _script(words: Words[str]) -> dict[str, Any]:
-    return {"actions": {"onRun": {"command": words[0], "args": list(words[1:])}}}
+    """A script that runs a command in the job's folder: schedulers start each in a folder of its own."""
+    args = ["-c", 'cd "$0" && exec "$@"', f"{{{{Param.{FOLDER}}}}}", *words]
+    return {"actions": {"onRun": {"command": "sh", "args": args}}}

@@ -68,7 +68,7 @@ FRAMES = Section("", (
            "there"),
     Option(flag="--preroll", metavar="N|auto", type=_parse_preroll, sets="run.preroll", changes="nothing",
            help="frames to process without writing, before the first one of the range, so that the passes have their "
-           "history; auto for those of its shot, at most 32 (default: 0)"),
+           "history; auto for those of its shot, at most 96 (default: 0)"),
     Option(flag="--keep", choices=("auto", "all", "none"), default="auto", off="auto", sets="writer.keep",
            convert={"auto": None, "all": True, "none": False}.get,
            help="EXR: what the input holds beside the picture (channels, parts, header) goes into the output; beside a "
@@ -195,9 +195,9 @@ PASSES = Section("passes", (
     Option(flag="--denoise-only", either="size", sets="denoiser.scale", convert=lambda _: 1.0, excludes=_FOR_DENOISER,
            help="denoise at the render's own size, do not enlarge; the same as --scale 1"),
     Option(flag="--no-denoise", help="leave denoising and upscaling out"),
-    Option(flag="--model", metavar="TAG", sets="denoiser.model", excludes=_FOR_DENOISER,
-           help="denoiser: s, m (default) or l in the device's fast precision, or with one, e.g. m.fp32; 'postfx "
-           "models' lists them"),
+    Option(flag="--model", metavar="TAG|FILE", sets="denoiser.model", excludes=_FOR_DENOISER,
+           help="denoiser: s, m (default) or l in the device's fast precision, or with one, e.g. m.fp32 ('postfx "
+           "models' lists them); or a network of your own, FILE.onnx, with its card beside it"),
     Option(flag="--budget", metavar="MS", type=float, sets="denoiser.budget", excludes=_FOR_DENOISER,
            help="milliseconds that denoising a frame may take: networks smaller than --model take turns with it"),
     Option(flag="--both-ways",

@@ -123,9 +123,20 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
     models = {name: library.sha256(name) for name in library.names()}
     packages, active = plug_ins(), {step.instance.name for step in plan.steps}
     used = versions() | {f"pass {name}": package for name, package in packages.items() if name in active}
-    decisive = [settings, passes, used, place, plan.as_dict(), models, *also]
+    own = [_hashes_of(value) for step in plan.steps for value in step.instance.options.values()]
+    decisive = [settings, passes, used, place, plan.as_dict(), models, own, *also]
     text = json.dumps(decisive, sort_keys=True, default=str)
     return Provenance(settings, passes, used, place, hashlib.sha256(text.encode()).hexdigest(), files)
+
+
+def _hashes_of(option: Any) -> dict[str, str]:
+    """Hashes of the models that an option of a pass names, with those that lie beside them: by name."""
+    path = Path(option) if isinstance(option, str | Path) else Path()
+    if isinstance(option, str) and path.suffix == ".onnx" and path.is_file():
+        option = Library(path.parent)
+    if isinstance(option, Path) and path.is_dir():
+        option = Library(path)
+    return {name: option.sha256(name) for name in option.names()} if isinstance(option, Library) else {}
 
 
 def versions() -> dict[str, str]:

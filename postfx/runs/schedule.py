@@ -130,9 +130,9 @@ def _changed(before: Inputs, now: Inputs) -> bool:
 
 # Chunks
 
-PREROLL = 32
+PREROLL = 96
 """Most frames that run before a chunk: with them its first frame is within 50 dB of an unbroken run's, and the third
-within 60 dB (docs/farm.md)."""
+within 60 dB, also where nothing moves and the history is longest (docs/farm.md)."""
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,9 @@ class Library:
             if not folder.is_dir():
                 raise ModelError(f"model folder '{folder}' does not exist")
 
+    def __repr__(self) -> str:
+        return f"Library({', '.join(repr(str(folder)) for folder in self.folders)})"
+
     def names(self) -> tuple[str, ...]:
         """Names of all models, sorted."""
         return tuple(sorted({path.stem for folder in self.folders for path in folder.glob("*.onnx")}))

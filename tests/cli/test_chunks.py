@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 
 from postfx.cli.chunks import describe_job
 from postfx.io.sequence import Sequence
-from postfx.runs.schedule import PREROLL, Chunk, find_preroll
+from postfx.runs.schedule import Chunk, find_preroll
 
 RUN = ("--scale", "1", "--model", "s", "--threads", "1")
 
@@ -88,6 +87,7 @@ def test_what_does_not_join_is_said(postfx, noise):
     (("--size", "0"), "'0' is not a whole number from 1"),
     (("--", "--sacle", "2"), "unrecognized arguments: --sacle 2: did you mean --scale?"),
     (("--", "--no-denoise", "--scale", "2"), "--scale is for the denoiser, which --no-denoise leaves out"),
+    (("--openjd", "in/job.json"), "--openjd in/job.json: write it into this folder, "),
     (("--frames", "1-9"), "3 of 9 frames are missing: 7-9"),
 ])
 def test_options_are_checked_before_a_machine_gets_them(postfx, noise, words, message):
@@ -110,7 +110,7 @@ def test_openjd_runs_the_template(postfx, noise):
     assert job["extensions"] == ["TASK_CHUNKING"] and parameter["chunks"]["rangeConstraint"] == "CONTIGUOUS"
     tools = noise / "tools"
     tools.mkdir()
-    (tools / "postfx").write_text(f'#!/bin/sh\ncd {shlex.quote(str(noise))}\nexec {sys.executable} -m postfx "$@"\n')
+    (tools / "postfx").write_text(f'#!/bin/sh\nexec {sys.executable} -m postfx "$@"\n')
     (tools / "postfx").chmod(0o755)
     done = subprocess.run(
         [sys.executable, "-c", "from openjd.cli import main; main()", "run", "job.json", "--step", "Verify",
@@ -118,4 +118,4 @@ def test_openjd_runs_the_template(postfx, noise):
         cwd=noise, capture_output=True, text=True, env={**os.environ, "PATH": f"{tools}:{os.environ['PATH']}"})
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(list((noise / "out").glob("a.*.exr"))) == 6
-    assert "6 whole, 0 altered" in done.stdout and PREROLL == 32
+    assert "6 whole, 0 altered" in done.stdout

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from postfx.frame import Role
+from postfx.errors import ModelError, PostfxError
+from postfx.frame import FrameSpec, Role
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.models import GUIDED, exact, model_of, parted
+from postfx.passes.denoise.models import GUIDED, exact, family, model_of, parted, validate_tag
 from postfx.pipeline import Pipeline
-from postfx.runtime import Device
+from postfx.runs.run import provenance_of
+from postfx.runtime import Device, Library
+from postfx.system import models_dir
+from tests import toys
 from tests.passes.denoise_frames import noisy
 
 CPU = Device("cpu", threads=2)
@@ -62,3 +67,65 @@ def test_both_precisions_give_nearly_the_same() -> None:
     np.testing.assert_array_equal(results[0], results[1])
     error = np.abs(results[0] - results[2]).mean() / np.abs(results[2]).mean()
     assert 0 < error < 0.1
+
+
+def colour_of(**options: object) -> np.ndarray:
+    return Pipeline([DenoiseUpscale(**options)], CPU, exposure=0.0)(noisy(1))[Role.COLOUR]
+
+
+@pytest.fixture
+def nets(tmp_path: Path) -> Path:
+    """A folder of networks: s as 'mine.onnx', with its variant for the render size; s and m as those of a library."""
+    ours = models_dir()
+    for name, other in (("s", "mine"), ("s.1x", "mine.1x"), ("s", "denoise_upscale.s"), ("m", "denoise_upscale.m"),
+                        ("s.int8", "denoise_upscale.s.int8")):
+        for suffix in (".onnx", ".json"):
+            shutil.copy(ours / f"denoise_upscale.{name}{suffix}", tmp_path / f"{other}{suffix}")
+    return tmp_path
+
+
+@pytest.mark.parametrize("scale", [2, 1])
+def test_a_network_in_a_file(nets: Path, scale: int) -> None:
+    passes = DenoiseUpscale(model=str(nets / "mine.onnx"), scale=scale)
+    pipeline = Pipeline([passes], CPU, exposure=0.0)
+    found = pipeline(noisy(1))[Role.COLOUR]
+    np.testing.assert_array_equal(found, colour_of(model="s.fp32", scale=scale))
+    assert [key for key in pipeline.history() if "network" in key] == ["pass denoise_upscale/network mine"]
+
+
+def test_networks_of_a_library(nets: Path) -> None:
+    for library in (nets, str(nets), Library(nets), Library(nets, models_dir())):
+        np.testing.assert_array_equal(colour_of(model="s.fp32", library=library), colour_of(model="s.fp32"))
+    np.testing.assert_array_equal(colour_of(model="s", library=nets), colour_of(model="s"))  # int8, as ours
+    assert family(validate_tag("m", Library(nets))) == (f"{nets}/s", f"{nets}/m")
+
+
+def test_its_models_are_part_of_a_runs_settings(nets: Path) -> None:
+    def fingerprint() -> str:
+        plan = Pipeline([DenoiseUpscale(model=str(nets / "mine.onnx"))], CPU).explain(FrameSpec(8, 8, (Role.COLOUR,)))
+        return provenance_of({}, plan, CPU).fingerprint
+
+    before = fingerprint()
+    assert fingerprint() == before
+    (nets / "mine.json").write_text("{}")
+    shutil.copy(nets / "denoise_upscale.m.onnx", nets / "mine.onnx")
+    assert fingerprint() != before
+
+
+@pytest.mark.parametrize(("model", "library", "message"), [
+    ("none.onnx", None, "model '.*none.onnx': no such file"),
+    ("mine.1x.onnx", None, "model '.*mine.1x.onnx' runs where the output has the render size: give .*/mine.onnx'"),
+    ("mine.onnx", ".", "model '.*mine.onnx' is a file, which needs no library: leave library out"),
+    ("l", ".", "no model 'denoise_upscale.l' in .*: there are denoise_upscale.m, denoise_upscale.s"),
+    ("s", "nowhere", "model folder '.*nowhere' does not exist"),
+])
+def test_networks_that_cannot_be(nets: Path, model: str, library: str | None, message: str) -> None:
+    model = str(nets / model) if model.endswith(".onnx") else model
+    with pytest.raises(PostfxError, match=message):
+        DenoiseUpscale(model=model, library=nets / library if library else None)
+
+
+def test_a_file_that_is_no_denoiser(tmp_path: Path) -> None:
+    toys.make_library(tmp_path)
+    with pytest.raises(ModelError, match="model 'double' is no denoiser: it reads x and gives y"):
+        colour_of(model=str(tmp_path / "double.onnx"))

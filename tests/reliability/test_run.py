@@ -19,8 +19,8 @@ READ = "postfx.io.sequence.Sequence.read"
 def test_verify_finds_what_is_wrong(runs):
     assert runs()[0] == 0
     assert runs.verify() == (0, {"well": True, "whole": list(runs.files()), "altered": [], "missing": [],
-                                 "unfinished": [], "unknown": [], "runs": {next(iter(runs.verify()[1]["runs"])):
-                                                                           "finished"}})
+                                 "unfinished": [], "unknown": [], "differing": [],
+                                 "runs": {next(iter(runs.verify()[1]["runs"])): "finished"}})
     (runs.folder / "out.0001.exr").unlink()
     with (runs.folder / "out.0002.exr").open("r+b") as file:
         file.seek(1000)

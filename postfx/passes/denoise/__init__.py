@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from statistics import median
 from typing import ClassVar, Never
 
@@ -28,13 +29,14 @@ from postfx.passes.denoise.models import (
     has_model,
     model_of,
     name_models,
+    short_tag,
     unscaled_remarks,
     validate_tag,
 )
 from postfx.passes.denoise.options import Size, output_size, parse_reactive, validate_scale, validate_size
 from postfx.passes.denoise.parts import PartHistory, checked_parts
 from postfx.passes.denoise.tiling import Sizes, active_cells
-from postfx.runtime import CommandBuffer, Device, Tensor
+from postfx.runtime import CommandBuffer, Device, Library, Tensor
 
 PLANES = tuple(ABSENT)
 PART_FILTERS = "picture", "own"
@@ -51,7 +53,10 @@ class DenoiseUpscale(Pass):
         size: width and height of the output, in place of a scale; frames may change their size, and the history goes
             on.
         model: tag of the network, 's', 'm' or 'l', which runs in the device's fast precision, or with one: 'm.fp32',
-            'm.int8' for the CPU, 'm.fp16' for CUDA.
+            'm.int8' for the CPU, 'm.fp16' for CUDA; or a file of a network of one's own, 'nets/mine.onnx', beside which
+            lies its card, and mine.guides.onnx and mine.1x.onnx where there are such.
+        library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its variants are; None for the
+            networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit: networks smaller than `model`, of
             its precision ('s' below 'm', 's' and 'm' below 'l'), take turns with it; the history goes on.
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength`
@@ -81,9 +86,9 @@ class DenoiseUpscale(Pass):
     def __init__(self, *, scale: float | None = None, size: Sequence[int] | None = None, model: str = "m",
                  strength: float = 1.0, budget: float | None = None, reactive: str = "auto",
                  parts: Sequence[Part | str] = (), part_filters: str = "picture", alpha: bool = True,
-                 **unknown: Never) -> None:
+                 library: Library | str | Path | None = None, **unknown: Never) -> None:
         super().__init__(scale=scale, size=size, model=model, strength=strength, budget=budget, reactive=reactive,
-                         parts=parts, part_filters=part_filters, alpha=alpha, **unknown)
+                         parts=parts, part_filters=part_filters, alpha=alpha, library=library, **unknown)
         self.scale = validate_scale(scale)
         self.size = validate_size(size, self.scale)
         self.strength = float(strength)
@@ -100,7 +105,8 @@ class DenoiseUpscale(Pass):
         self._own = [part.name for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
         self._used: str | None = None
         self._cameras = Cameras()
-        self._tag = validate_tag(str(model))
+        own = Library(Path(library).expanduser()) if isinstance(library, str | Path) else library
+        self._tag = validate_tag(str(model), own)
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         carried = passthrough_roles(spec)
@@ -138,7 +144,8 @@ class DenoiseUpscale(Pass):
             self._ladder = Ladder(costs, self.budget) if self.budget else None
             if self.size:  # files tell the same of a frame wherever a run begins
                 endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
-                name_models(device, (model_of(tag, ending, device) for tag in self._tags for ending in endings))
+                tags = self._tags_for(spec)
+                name_models(device, (model_of(tag, ending, device) for tag in tags for ending in endings))
             reactive = self._mask.role(spec) is not None
             sizes = Sizes(spec.height, spec.width, *size)
             self._history = History(device, sizes, reactive)
@@ -172,12 +179,18 @@ class DenoiseUpscale(Pass):
         return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask,
                             self._parts, self._alpha, self._part_history)
 
-    def _models(self, spec: FrameSpec) -> dict[str, str]:
-        """The networks to choose from for frames of a spec, by tag, fastest first; one without a budget."""
-        ending = UNSCALED if self._is_render_size(spec) else GUIDED * self._is_guided(spec)
+    def _tags_for(self, spec: FrameSpec) -> tuple[str, ...]:
+        """Tags to choose from for frames of a spec, fastest first; one without a budget."""
         smaller = family(self._tag)[:-1] if self.budget else ()
-        tags = (*(tag for tag in smaller if has_model(model_of(tag, ending))), self._tag)
-        return {tag: model_of(tag, ending, self._device) for tag in tags}
+        return (*(tag for tag in smaller if has_model(model_of(tag, self._ending(spec)))), self._tag)
+
+    def _ending(self, spec: FrameSpec) -> str:
+        return UNSCALED if self._is_render_size(spec) else GUIDED * self._is_guided(spec)
+
+    def _models(self, spec: FrameSpec) -> dict[str, str]:
+        """The networks to choose from for frames of a spec, by their short tags."""
+        tags, ending = self._tags_for(spec), self._ending(spec)
+        return {short_tag(tag): model_of(tag, ending, self._device) for tag in tags}
 
     def note_time(self, milliseconds: float) -> None:
         if self.strength:
@@ -320,7 +333,7 @@ class DenoiseUpscale(Pass):
         if spec.guides is None or (spec.guide_roles and not set(spec.guide_roles) & set(GUIDE_ROLES)):
             return []
         if not self._has_guided_model():
-            return [f"model '{self._tag}' does not read guides: they only stand in for missing planes"]
+            return [f"model '{short_tag(self._tag)}' does not read guides: they only stand in for missing planes"]
         if self._is_render_size(spec):
             return ["guides of the render size only stand in for missing planes"]
         rough = [str(role) for role in GUIDE_ROLES if spec.has(role) and role not in spec.guide_roles]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from postfx.errors import PassOptionError
+from postfx.errors import ModelError, PassOptionError
 from postfx.passes.denoise.tiling import LEVELS
 from postfx.runtime import Device, Library, PipelineState
 
 PASS = "denoise_upscale"
-EXACT = ".fp32"
-"""Suffix of a tag for the network as trained, in float32."""
+EXACT, FILE = ".fp32", ".onnx"
+"""Suffixes of a tag: for the network as trained, in float32, and for one in a file."""
 GUIDED, UNSCALED = ".guides", ".1x"
 SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has the render size"}
 """Endings of the names of networks that are taken by themselves, and when."""
@@ -30,12 +31,42 @@ def parted(name: str) -> tuple[str, str]:
     return name.removesuffix(ending), ending
 
 
-def validate_tag(tag: str) -> str:
-    """The option `model`; PassOptionError for a network that is taken by itself."""
-    plain, ending = parted(tag)
+# A tag is a plain word for a network that comes with postfx, FOLDER/TAG for one of another library, or FILE.onnx for
+# this very file. Names of models follow: 'denoise_upscale.m', 'FOLDER/denoise_upscale.m', 'FOLDER/mine.onnx'.
+
+
+def validate_tag(model: str, library: Library | None = None) -> str:
+    """The tag for the options `model` and `library`.
+
+    Raises PassOptionError for a network that is taken by itself, ModelError for one that is not there.
+    """
+    path = Path(model).expanduser()
+    word = path.stem if model.endswith(FILE) else model
+    plain, ending = parted(word)
     if ending:
-        raise PassOptionError(f"model '{tag}' runs {SPECIAL[ending]}: give the model '{plain}'")
-    return tag
+        there = model.removesuffix(FILE).removesuffix(ending) + FILE * model.endswith(FILE)
+        raise PassOptionError(f"model '{model}' runs {SPECIAL[ending]}: give the model '{there}'")
+    if model.endswith(FILE):
+        if library is not None:
+            raise PassOptionError(f"model '{model}' is a file, which needs no library: leave library out")
+        if not path.is_file():
+            raise ModelError(f"model '{model}': no such file: 'postfx models' lists those that need none")
+        return str(path.absolute())
+    if library is None:
+        return model
+    found = library.path(f"{PASS}.{model.removesuffix(EXACT)}")
+    return f"{found.absolute().parent}/{model}"
+
+
+def short_tag(tag: str) -> str:
+    """A tag as users see it: without a folder."""
+    return Path(tag).name.removesuffix(FILE).removeprefix(f"{PASS}.")
+
+
+def find_model(model: str) -> tuple[Library, str]:
+    """The library of a model, and its name there."""
+    path = Path(model)
+    return (Library(path.parent), path.name.removesuffix(FILE)) if "/" in model else (Library(), model)
 
 
 def model_of(tag: str, ending: str = "", device: Device | None = None) -> str:
@@ -66,29 +97,39 @@ def _stand_in(tag: str) -> str:
 
 
 def _named(tag: str, ending: str, device: Device | None) -> str:
+    if tag.endswith(FILE):
+        return f"{tag.removesuffix(FILE)}{ending}{FILE}"
+    folder, slash, tag = tag.rpartition("/")
+    begin = f"{folder}{slash}{PASS}"
     if tag.endswith(EXACT):
-        return f"{PASS}.{tag.removesuffix(EXACT)}{ending}"
+        return f"{begin}.{tag.removesuffix(EXACT)}{ending}"
     if device is not None and "." not in tag:
-        fast = f"{PASS}.{tag}.{'int8' if device.memory.host_visible else 'fp16'}{ending}"
+        fast = f"{begin}.{tag}.{'int8' if device.memory.host_visible else 'fp16'}{ending}"
         if has_model(fast):
             return fast
-    return f"{PASS}.{tag}{ending}"
+    return f"{begin}.{tag}{ending}"
 
 
 def has_model(model: str) -> bool:
-    """Whether a model comes with postfx."""
-    return model in Library().names()
+    """Whether a model is there."""
+    library, name = find_model(model)
+    return name in library.names()
 
 
 def grid_of(models: Iterable[str]) -> int:
     """Pixels of the render size in a place of the coarsest level that one of some models computes: what the sides of
     its input are multiples of."""
-    return max(_grid(Library().card(model).get("outputs", {}) if has_model(model) else {}) for model in models)
+    return max(_grid(_card(model).get("outputs", {})) for model in models)
 
 
 def doubts_planes(model: str) -> bool:
     """Whether a model's network says how far each pixel's planes are trusted, in its last hidden channel."""
-    return has_model(model) and bool(Library().card(model).get("config", {}).get("trust"))
+    return bool(_card(model).get("config", {}).get("trust"))
+
+
+def _card(model: str) -> dict[str, Any]:
+    library, name = find_model(model)
+    return library.card(name) if name in library.names() else {}
 
 
 def _grid(outputs: Mapping[str, Mapping[str, Any]]) -> int:
@@ -97,15 +138,15 @@ def _grid(outputs: Mapping[str, Mapping[str, Any]]) -> int:
 
 
 def load_network(device: Device, model: str, dims: Mapping[str, int]) -> PipelineState:
-    """A model that comes with postfx, ready for the given sizes of its free dimensions."""
-    return device.pipeline_state(Library(), model, dims)
+    """A model, ready for the given sizes of its free dimensions."""
+    library, name = find_model(model)
+    return device.pipeline_state(library, name, dims)
 
 
 def name_models(device: Device, models: Iterable[str]) -> None:
-    """Name these models, if postfx ships them, as ones that may run later."""
-    library = Library()
-    for model in set(models) & set(library.names()):
-        device.name_model(library, model)
+    """Name these models, if they are there, as ones that may run later."""
+    for model in set(filter(has_model, models)):
+        device.name_model(*find_model(model))
 
 
 FAMILY = {"s": 1.0, "m": 3.5, "l": 5.0}
@@ -130,18 +171,19 @@ TOO_LONG = 2
 """Frames in a row over the budget before a faster network is taken: one may be another program's fault."""
 
 
-def family(model: str) -> tuple[str, ...]:
-    """Tags up to `model`, fastest first, of its precision: 'm.int8' -> 's.int8', 'm.int8'. Other tags stand alone."""
-    size, dot, precision = model.partition(".")
-    if size not in FAMILY:
-        return (model,)
+def family(tag: str) -> tuple[str, ...]:
+    """Tags up to this one, fastest first, of its precision: 'm.int8' -> 's.int8', 'm.int8'. Other tags stand alone."""
+    folder, slash, word = tag.rpartition("/")
+    size, dot, precision = word.partition(".")
+    if size not in FAMILY or tag.endswith(FILE):
+        return (tag,)
     sizes = list(FAMILY)[: list(FAMILY).index(size) + 1]
-    return tuple(f"{smaller}{dot}{precision}" for smaller in sizes)
+    return tuple(f"{folder}{slash}{smaller}{dot}{precision}" for smaller in sizes)
 
 
 def cost(model: str) -> float:
     """About how long a model 'denoise_upscale.m.int8' takes against the others of its family."""
-    _, size, *rest = model.split(".")
+    _, size, *rest = f"{find_model(model)[1]}..".split(".")
     known = FAST if {"int8", "fp16"} & set(rest) else FAMILY
     return known.get(size, 1.0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -107,6 +108,18 @@ def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
         elif binding.access == "write":
             heads[name] = size if name == binding.name else opened_shape(name, *size[1:3])
     return heads
+
+
+def check_bindings(state: PipelineState) -> None:
+    """ModelError for a network that is no denoiser: kernels prepare what it reads, and take what it gives, by name."""
+    coded = re.compile(f"^({PACKED}|{RAW}|{STORED}|{PRODUCTS})")
+    plain = {binding.name: coded.sub("", binding.name) for binding in state.bindings}
+    reads = {b.name for b in state.bindings if b.access == "read"}
+    strange = [name for name in reads if plain[name] not in (*CHANNELS, *FEATURE_PARTS)]
+    gives = {plain[b.name] for b in state.bindings if b.access == "write"} | set(state.constants)
+    if strange or "features" not in seen_by(state) or not {"fine", PHASED_FINE} & gives:
+        raise ModelError(f"model '{state.name}' is no denoiser: it reads {', '.join(sorted(reads)) or 'nothing'} and "
+                         f"gives {', '.join(sorted(gives)) or 'nothing'}; training.denoise.export makes one")
 
 
 def alike_heads(state: PipelineState) -> dict[str, np.ndarray]:
@@ -224,6 +237,8 @@ class Graph:
         self._device, self._window, self._guided, self._reactive = device, window, guided, reactive
         dims = free_dimensions(window.padded)
         networks = {model: load_network(device, model, dims) for model in models}
+        for state in networks.values():
+            check_bindings(state)
         self._tables: dict[str, ArgumentTable] = {}
         self._layer_tables: dict[str, ArgumentTable] = {}
         self._places: dict[Window, dict[str, dict[str, Tensor]]] = {}

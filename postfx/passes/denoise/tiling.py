@@ -233,8 +233,14 @@ def _grouped(mask: np.ndarray, step: int) -> np.ndarray:
 
 def halo_of(models: Iterable[str]) -> int:
     """The halo that is enough for all of some models."""
-    return max(GUIDED_HALO if model.endswith(".guides") else HALOS.get(model.split(".")[1], max(HALOS.values()))
-               for model in models)
+    return max(map(_halo, models))
+
+
+def _halo(model: str) -> int:
+    if model.removesuffix(".onnx").endswith(".guides"):
+        return GUIDED_HALO
+    size = "" if "/" in model else model.split(".")[1]  # of other libraries, nothing was measured
+    return HALOS.get(size, max(HALOS.values()))
 
 
 def boxes_of(cells: np.ndarray) -> Iterator[list[Box]]:
