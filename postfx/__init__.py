@@ -6,6 +6,9 @@
     for frame in postfx.read_sequence("shot/noisy.####.exr"):
         postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(frame))
 
+A single picture in arrays takes one call: `postfx.denoise(color, albedo=albedo, normal=normal)`. What is worth telling
+on the way goes to the logger "postfx".
+
 Everything public is named here and loaded on first use.
 """
 
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
     from postfx.passes.tonemap import ToneMap
     from postfx.pipeline import Pipeline
     from postfx.runtime import Device, Library
+    from postfx.stills import denoise
     from postfx.system import models_dir
     from postfx.temporal.bidirectional import Backwards
     from postfx.temporal.run_up import RunUp
@@ -44,6 +48,7 @@ _HOMES = {
     "RunUp": "postfx.temporal.run_up",
     "Sequence": "postfx.io.sequence",
     "ToneMap": "postfx.passes.tonemap",
+    "denoise": "postfx.stills",
     "models_dir": "postfx.system",
     "read_sequence": "postfx.io.sequence",
     "write_frame": "postfx.io.writer",
@@ -65,6 +70,7 @@ __all__ = [
     "RunUp",
     "Sequence",
     "ToneMap",
+    "denoise",
     "models_dir",
     "read_sequence",
     "write_frame",

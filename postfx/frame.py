@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
@@ -11,7 +12,11 @@ import numpy as np
 
 from postfx.colour.curves import srgb_encode
 from postfx.colour.displays import KINDS, parse_display
-from postfx.errors import ColourError, FrameError, GuideError
+from postfx.errors import ColourError, FrameError, GuideError, suggest
+
+LOG = logging.getLogger("postfx")
+"""What the library has to tell on the way; it is silent unless a program sets up logging."""
+LOG.addHandler(logging.NullHandler())
 
 
 class Role(StrEnum):
@@ -35,6 +40,14 @@ class Role(StrEnum):
     SAMPLE_VARIANCE = "sample_variance"
     SECOND_MOMENT = "second_moment"
     SAMPLE_COUNT = "sample_count"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Role | None:
+        """Other words for a role: 'color', 'opaque_color', 'albedo'."""
+        return _OTHER_WORDS.get(value) if isinstance(value, str) else None
+
+
+_OTHER_WORDS = {"color": Role.COLOUR, "opaque_color": Role.OPAQUE_COLOUR, "albedo": Role.DIFFUSE_ALBEDO}
 
 
 class RoleInfo(NamedTuple):
@@ -276,7 +289,9 @@ class Frame:
     """One image of a sequence: planes of one size, perhaps guides at output size, and what the passes must know.
 
     Attributes:
-        planes: role -> float32 C-contiguous array (height, width, channels); units and directions are in `ROLES`.
+        planes: role -> float32 C-contiguous array (height, width, channels); units and directions are in `ROLES`. Roles
+            may be given as text ("colour" or "color"), arrays of floats by any library that has `__dlpack__`, in the
+            host's memory: NumPy's and PyTorch's are not copied if they are of that type and layout.
         number: frame number in its sequence.
         jitter: sub-pixel sample position minus 0.5, pixels of this frame, x right, y down; (0, 0) when the samples
             are spread over the pixel.
@@ -348,14 +363,14 @@ class Frame:
         parts = {name: part.shape[2] for name, part in self.parts.items()}
         return FrameSpec(width, height, channels, self.encoding, guides, self.source, parts)
 
-    def __getitem__(self, role: Role) -> np.ndarray:
+    def __getitem__(self, role: Role | str) -> np.ndarray:
         """Plane of a role, (height, width, channels); FrameError when the frame does not hold it."""
-        if role not in self.planes:
+        if role not in self:
             raise FrameError(f"frame {self._name()} has no plane '{role}': it has {', '.join(self.planes)}")
         return self.planes[Role(role)]
 
     def __contains__(self, role: object) -> bool:
-        return role in self.planes
+        return role in self.planes or (isinstance(role, str) and _OTHER_WORDS.get(role) in self.planes)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Frame):
@@ -409,19 +424,28 @@ class Frame:
                 for name, plane in planes]
 
     def _check_all(self, planes: dict[Role, np.ndarray], kind: str, source: str | None) -> dict[Role, np.ndarray]:
-        checked = {Role(role): self._check(Role(role), plane, kind) for role, plane in planes.items()}
+        named = {self._role(role, kind): plane for role, plane in planes.items()}
+        if len(named) < len(planes):
+            raise FrameError(f"{kind}s of frame {self._name(source)} name a role twice: {', '.join(planes)}")
+        checked = {role: self._check(role, plane, kind) for role, plane in named.items()}
         if len({plane.shape[:2] for plane in checked.values()}) > 1:
             sizes = ", ".join(f"{role} {plane.shape[1]}x{plane.shape[0]}" for role, plane in checked.items())
             raise FrameError(f"{kind}s of frame {self._name(source)} differ in size: {sizes}")
         return checked
 
+    def _role(self, role: Role | str, kind: str) -> Role:
+        try:
+            return Role(role)
+        except ValueError:
+            known = ", ".join(Role)
+            raise FrameError(f"{kind} '{role}' of frame {self._name()} has no meaning here{suggest(str(role), Role)}"
+                             f"{'' if suggest(str(role), Role) else ':'} roles are {known}") from None
+
     def _check(self, role: Role, plane: np.ndarray, kind: str) -> np.ndarray:
         if kind == "guide" and role not in OUTPUT_SIZE_ROLES:
             usable = ", ".join(OUTPUT_SIZE_ROLES)
             raise GuideError(f"plane '{role}' of frame {self._name()} cannot be a guide: use {usable}")
-        if not isinstance(plane, np.ndarray) or not np.issubdtype(plane.dtype, np.floating):
-            found = getattr(plane, "dtype", type(plane).__name__)
-            raise FrameError(f"{kind} '{role}' of frame {self._name()} is {found}: give a NumPy array of floats")
+        plane = host_floats(plane, f"{kind} '{role}' of frame {self._name()}")
         channels = ROLES[role].channels
         if plane.ndim == 2 and channels == 1:
             plane = plane[:, :, None]
@@ -432,9 +456,7 @@ class Frame:
 
     def _checked_part(self, name: str, part: np.ndarray) -> np.ndarray:
         size = next(iter(self.planes.values())).shape[:2]
-        if not isinstance(part, np.ndarray) or not np.issubdtype(part.dtype, np.floating):
-            found = getattr(part, "dtype", type(part).__name__)
-            raise FrameError(f"part '{name}' of frame {self._name()} is {found}: give a NumPy array of floats")
+        part = host_floats(part, f"part '{name}' of frame {self._name()}")
         part = part[:, :, None] if part.ndim == 2 else part
         if part.ndim != 3 or part.shape[:2] != size or part.shape[2] not in (1, 3):
             expected = f"({size[0]}, {size[1]}, 1 or 3)"
@@ -451,6 +473,31 @@ _ORIGIN = ("part_sources", "source", "guide_source", "colour_source")
 
 _PICTURE = 640
 """Longest side of a frame's picture in a notebook, pixels."""
+
+
+_HOST = (1, 3)
+"""DLPack's numbers for the host's memory, plain and pinned by CUDA."""
+
+
+def host_floats(given: Any, what: str) -> np.ndarray:
+    """An array of floats of any library that has `__dlpack__`, as NumPy's; not copied where that can be.
+
+    Raises FrameError, which begins with `what`, for other types and for arrays in the memory of a device.
+    """
+    array = given
+    if not isinstance(given, np.ndarray) and hasattr(given, "__dlpack__"):
+        try:
+            if given.__dlpack_device__()[0] not in _HOST:
+                raise BufferError("it lies in the memory of a device")
+            array = np.asarray(np.from_dlpack(given))
+        except (BufferError, RuntimeError, TypeError, ValueError) as error:
+            reason = str(error).partition("\n")[0].rstrip(".")
+            raise FrameError(f"{what} cannot be read from {type(given).__name__} ({reason}): give an array of float32 "
+                             "in the host's memory, as by tensor.detach().cpu().float()") from error
+    if not isinstance(array, np.ndarray) or not np.issubdtype(array.dtype, np.floating):
+        found = getattr(array, "dtype", type(array).__name__)
+        raise FrameError(f"{what} is {found}: give a NumPy array of floats, or one of a library with DLPack")
+    return array
 
 
 def _is_same(one: Any, other: Any) -> bool:

@@ -17,7 +17,7 @@ from postfx.caching import LRUCache
 from postfx.cuts import CutDetector
 from postfx.errors import CutError, FrameError, PassContractError
 from postfx.exposure import ExposureMeter, SmoothExposure
-from postfx.frame import GUIDE_ROLES, Frame, FrameSpec, Role
+from postfx.frame import GUIDE_ROLES, LOG, Frame, FrameSpec, Role
 from postfx.passes.base import MOST_SIZES, Pass, ResidentFrame
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skip, Step, make_plan
@@ -130,12 +130,17 @@ class Pipeline:
         self.cut = self._is_cut(frame)
         if self.cut:
             frame = dataclasses.replace(frame, reset=True)
+            LOG.info("frame %d begins another shot: the history is dropped", frame.number)
         if frame.reset:
             self._reset_passes()
         self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
         run = self._run_up_to(frame, plan)
         result = self._flow.run(run, plan, self.exposure, is_unusable(frame, self.bad_pixels), frame)
         self._begins, self.timings = False, dict(self._flow.timings)
+        for role, pixels in self.bad_pixels.items():
+            LOG.warning("frame %d: %d pixels of plane '%s' were no finite numbers and were repaired",
+                        frame.number, pixels, role)
+        LOG.debug("frame %d: milliseconds by pass: %s", frame.number, self.timings)
         views = {name: self._process_view(name, dataclasses.replace(view, reset=view.reset or self.cut))
                  for name, view in frame.views.items()}
         return dataclasses.replace(result, views=views)
@@ -244,6 +249,10 @@ class Pipeline:
             for step in plan.steps:
                 self._make_ready(step, ready.get(step.instance))
             self.plan = plan
+            LOG.info("ready for frames of %dx%d: %s", spec.width, spec.height,
+                     ", ".join(step.name for step in plan.steps) or "no pass has anything to do")
+            for remark in plan.remarks:
+                LOG.info("%s", remark)
         return self.plan
 
     def _make_ready(self, step: Step, before: FrameSpec | None) -> None:

@@ -25,6 +25,7 @@ PUBLIC = [
     "Sequence",
     "ToneMap",
     "__version__",
+    "denoise",
     "models_dir",
     "read_sequence",
     "write_frame",

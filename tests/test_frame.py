@@ -56,6 +56,58 @@ def test_refused_planes(planes, message):
         Frame(planes)
 
 
+def test_roles_as_words():
+    frame = Frame({"color": plane(Role.COLOUR), "albedo": plane(Role.DIFFUSE_ALBEDO)})
+    assert list(frame.planes) == [Role.COLOUR, Role.DIFFUSE_ALBEDO] and "color" in frame and "depth" not in frame
+    assert frame["color"] is frame["colour"] is frame[Role.COLOUR]
+    with pytest.raises(FrameError, match="plane 'colours' of frame 1 has no meaning here: did you mean colour. roles"):
+        Frame({"colours": plane(Role.COLOUR)})
+    with pytest.raises(FrameError, match="name a role twice: color, colour"):
+        Frame({"color": plane(Role.COLOUR), "colour": plane(Role.COLOUR)})
+
+
+class OnDevice:
+    """An array in a GPU's memory, as far as one may look at it."""
+
+    def __dlpack__(self, **_: object):
+        raise AssertionError("is not asked for")
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return 2, 0
+
+
+class Foreign:
+    """An array of another library that shares its memory by DLPack and by nothing else."""
+
+    def __init__(self, array: np.ndarray) -> None:
+        self.array = array
+
+    def __dlpack__(self, **how: object):
+        return self.array.__dlpack__(**how)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self.array.__dlpack_device__()
+
+
+def test_arrays_of_other_libraries_are_not_copied():
+    given = np.random.default_rng(0).random((4, 5, 3), np.float32)
+    frame = Frame({"colour": Foreign(given), "depth": Foreign(given[..., 0])}, parts={"key": Foreign(given)})
+    assert np.shares_memory(frame["colour"], given) and np.shares_memory(frame.parts["key"], given)
+    assert (frame["depth"] == given[..., :1]).all()
+
+
+def test_arrays_that_cannot_be_read_are_told():
+    with pytest.raises(FrameError, match="cannot be read from OnDevice .it lies in the memory of a device"):
+        Frame({"colour": OnDevice()})
+    torch = pytest.importorskip("torch")
+    assert Frame({"colour": torch.ones(2, 3, 3)})["colour"].sum() == 18
+    for tensor in (torch.ones(2, 3, 3, requires_grad=True), torch.ones(2, 3, 3, dtype=torch.bfloat16)):
+        with pytest.raises(FrameError, match="plane 'colour' of frame 1 cannot be read from Tensor .*detach"):
+            Frame({"colour": tensor})
+    with pytest.raises(FrameError, match="is int64: give a NumPy array of floats"):
+        Frame({"colour": torch.ones(2, 3, 3, dtype=torch.int64)})
+
+
 def test_unknown_encoding():
     with pytest.raises(FrameError, match="unknown colour encoding 'crt': use scene-linear, display-linear;"):
         FrameSpec(1, 1, ["colour"], "crt")

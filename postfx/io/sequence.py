@@ -9,7 +9,7 @@ from operator import index
 from pathlib import Path
 
 from postfx.errors import ColourError, MissingFrameError, SequenceError
-from postfx.frame import Frame, Role
+from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import parse_colourspace
 from postfx.io.convert import parse_depth
 from postfx.io.frame_reader import Area, FrameFiles
@@ -200,7 +200,8 @@ class Sequence:
         except ColourError as error:
             files.close()
             raise ColourError(f"{files.path}: {error}") from None
-        self.warnings += [warning for warning in found if warning not in self.warnings]
+        for warning in found:
+            self._warn(warning)
         return files
 
     def read(
@@ -263,9 +264,14 @@ class Sequence:
     def _is_after_gap(self, number: int, previous: int | None) -> bool:
         if previous is None or previous == number - self._step:
             return False
-        warning = "frames are not consecutive: history is dropped where one was left out"
-        self.warnings += [] if warning in self.warnings else [warning]
+        self._warn("frames are not consecutive: history is dropped where one was left out")
         return True
+
+    def _warn(self, warning: str) -> None:
+        """Keep a warning and tell the log of it, once."""
+        if warning not in self.warnings:
+            self.warnings.append(warning)
+            LOG.warning("%s: %s", self.pattern, warning)
 
     def _on_disk(self) -> list[int]:
         numbers = list(self._found)
