@@ -101,6 +101,16 @@ def test_a_darker_scene_with_more_exposure_is_the_same_picture(device: Device) -
     np.testing.assert_allclose(found * 8, wanted, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.parametrize("scale", [1, 2])
+def test_the_sun_keeps_its_hue(scale: int, device: Device) -> None:
+    frame = flat(1, 0.3)
+    frame[Role.COLOUR][6:11, 6:11] = 40_000, 20_000, 5_000
+    (result,) = run([frame], device, scale=scale)
+    sun = result[Role.COLOUR][8 * scale, 8 * scale]
+    np.testing.assert_allclose(sun / sun[0], (1, 0.5, 0.125), rtol=0.02)
+    assert sun[0] > 4_000
+
+
 def test_alpha_is_kept_and_enlarged(device: Device) -> None:
     frame = noisy(1, 16, 24, planes=(*PLANES, Role.ALPHA), jitter=(0.0, 0.0))
     frame.planes[Role.ALPHA][:, :12], frame.planes[Role.ALPHA][:, 12:] = 1.0, 0.0

@@ -24,6 +24,7 @@ from postfx.kernels.denoise.layout import (
     IMPORTANCE,
     KERNEL,
     MAX_COUNT,
+    MAX_LIGHT,
     MEMORY,
     MIX,
     PLANE_TRUST,
@@ -490,8 +491,13 @@ def recall(inputs: Inputs, state: State, motion: Tensor, output: Tensor, place: 
 
 
 def demodulate(colour: Tensor, factor: Tensor) -> Tensor:
-    """Colour without reflectance, in [0, 1e4]."""
-    return (ops.sanitise(colour, 0, MAX_FLOAT) / factor).clamp(max=ops.MAX_COLOUR)
+    """Colour without reflectance, in [0, 1e30]."""
+    return (ops.sanitise(colour, 0, MAX_FLOAT) / factor).clamp(max=float(MAX_LIGHT))
+
+
+def hold(light: Tensor) -> Tensor:
+    """Light in [0, 1e4]; a brighter pixel keeps its hue."""
+    return light * (ops.MAX_COLOUR / light.amax(1, keepdim=True).clamp(min=ops.MAX_COLOUR))
 
 
 def features(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor) -> Tensor:
@@ -506,7 +512,7 @@ def features_of(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor
     plane = torch.ones_like(inputs.depth)
     history = torch.expm1(mean) * past.valid
     return torch.cat((
-        torch.log1p(demodulate(inputs.colour, factor)),
+        ops.log_encode(demodulate(inputs.colour, factor)),
         ops.log_encode(past.accumulated * past.valid), ops.log_encode(history / factor),
         ops.sanitise(inputs.diffuse_albedo, 0, 2), ops.sanitise(inputs.specular_albedo, 0, 2),
         ops.sanitise(inputs.normal, -1, 1), ops.sanitise(inputs.roughness, 0, 1),
@@ -622,7 +628,7 @@ class DenoiseUpscale(nn.Module):
         planes = factor
         if self.config.trust:
             factor = trusted(factor, here[:, PLANE_TRUST:])
-        noisy, distrust = demodulate(inputs.colour, factor), here[:, DISTRUST:IMPORTANCE]
+        noisy, distrust = hold(demodulate(inputs.colour, factor)), here[:, DISTRUST:IMPORTANCE]
         accumulated, count = accumulate(noisy, past.accumulated, past.count, distrust)
         importance = F.pad(here[:, IMPORTANCE:MEMORY], pad)
         filtered = filter_pyramid(F.pad(accumulated, pad), importance, fine, tuple(levels), h, w)

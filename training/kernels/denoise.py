@@ -222,7 +222,7 @@ class Accumulate(nn.Module):
         here, old = fine[:, :, :h, :w], to_image(past)
         factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
         factor = network.doubted(factor, self._mean_around(at, means, place), self._doubt(here, means))
-        noisy = network.demodulate(ops.pick(expose(colour, params), *at), factor)
+        noisy = network.hold(network.demodulate(ops.pick(expose(colour, params), *at), factor))
         accumulated, count = network.accumulate(noisy, old[:, :3], old[:, 3:].clamp(min=0),
                                                 here[:, DISTRUST:IMPORTANCE])
         importance = here[:, IMPORTANCE:MEMORY]

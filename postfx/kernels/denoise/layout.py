@@ -50,7 +50,9 @@ TRUST_CELL, DOUBT, FAINT = 8, np.float32(0.7), np.float32(1e-4)
 """Render pixels along a side of the cells in which guides are judged and reflectance is averaged; how much trust guides
 lose that disagree, and the squared relative detail below which they are not judged."""
 MAX_COUNT = 32.0
-MAX_COLOUR = 1e4
+MAX_COLOUR, MAX_LIGHT = 1e4, np.float32(1e30)
+"""Exposed light that a channel holds, and that a division by reflectance may give before it is held: a pixel that is
+brighter keeps its hue."""
 TINY = np.float32(1e-8)  # no sum of weights that counts is smaller
 MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
 MOST_LOG, MOST_STATE = np.float32(20), np.float32(3e5)

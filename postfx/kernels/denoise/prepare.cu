@@ -179,9 +179,11 @@ extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, 
         by = doubted(by, means, part.top + y, part.left + x, colour.size[0], colour.size[1], part,
                      head[PLANE_TRUST * plane]);
     const float share = 1.0f / (fmaxf(before.w, 0.0f) + 1.0f), alpha = share + (1.0f - share) * distrust;
-    const float r = fminf(clamped(red, 0.0f, MAX_FLOAT) * exposure / by.r, MAX_COLOUR);
-    const float g = fminf(clamped(green, 0.0f, MAX_FLOAT) * exposure / by.g, MAX_COLOUR);
-    const float b = fminf(clamped(blue, 0.0f, MAX_FLOAT) * exposure / by.b, MAX_COLOUR);
+    const float light_r = fminf(clamped(red, 0.0f, MAX_FLOAT) * exposure / by.r, MAX_LIGHT);
+    const float light_g = fminf(clamped(green, 0.0f, MAX_FLOAT) * exposure / by.g, MAX_LIGHT);
+    const float light_b = fminf(clamped(blue, 0.0f, MAX_FLOAT) * exposure / by.b, MAX_LIGHT);
+    const float held = MAX_COLOUR / fmaxf(fmaxf(light_r, light_g), fmaxf(light_b, MAX_COLOUR));  // the sun keeps its hue
+    const float r = light_r * held, g = light_g * held, b = light_b * held;
     const Four mean = {before.x + (r - before.x) * alpha, before.y + (g - before.y) * alpha,
                        before.z + (b - before.z) * alpha, fminf(1.0f / alpha, MAX_COUNT)};
     // What is broken is this frame's colour alone, and nothing that the next one knows.

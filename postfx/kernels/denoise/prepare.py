@@ -20,6 +20,7 @@ from postfx.kernels.denoise.layout import (
     MAX_COLOUR,
     MAX_COUNT,
     MAX_FLOAT,
+    MAX_LIGHT,
     MEMORY,
     MOST_STATE,
     PLANE_TRUST,
@@ -200,9 +201,13 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
             for c in range(HIDDEN):
                 state[y, x, 4 + c] = fine[0, MEMORY + c, y, x]
                 total += abs(state[y, x, 4 + c])
+            brightest = np.float32(MAX_COLOUR)
             for c in range(3):
                 exposed = clamp(colour[v, u, c], ZERO, MAX_FLOAT) * params[EXPOSURE]
-                level[c, y, x] = min(exposed / factor[y, x, c], np.float32(MAX_COLOUR))
+                level[c, y, x] = min(exposed / factor[y, x, c], np.float32(MAX_LIGHT))
+                brightest = max(brightest, level[c, y, x])
+            for c in range(3):
+                level[c, y, x] *= np.float32(MAX_COLOUR) / brightest  # the sun keeps its hue
                 state[y, x, c] = past[y, x, c] + (level[c, y, x] - past[y, x, c]) * alpha
                 total += abs(state[y, x, c])
             if total <= MOST_STATE:
