@@ -127,6 +127,106 @@ def _motion_pixels(plane: np.ndarray, rule: PlaneRule, camera: Camera, width: in
     return plane if factors == [1, 1] else plane * np.asarray(factors, np.float32)
 
 
+# Motion of the background ------------------------------------------------------------------------------------------
+
+# Points that the fit takes, the least that it needs, rounds of weighting, and rows that are filled at once.
+_POINTS, _LEAST_POINTS, _ROUNDS, _ROWS = 2000, 64, 8, 16
+# In pixels: motion of a camera at rest, the error that exact vectors have at least, and the most that a fit may have;
+# then the share of the points that it must explain, and how far it may be from a turn.
+_STILL, _LEAST_ERROR, _SURE, _FITTING, _SKEW = 1e-3, 0.02, 0.1, 0.6, 0.005
+
+
+def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
+    """Give misses the motion of a background that is infinitely far, in place; whether any was given.
+
+    motion: (height, width, 2); depth: (height, width, 1), along the view axis, misses 1e10. Cycles writes zeros where a
+    ray hits nothing, also under a camera that turns. The surfaces tell how the background moves:
+    a point (x, y, 1) at depth z was at H (x, y, 1) + e / z, the homography of the plane at infinity and the epipole
+    (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.4). Both are fitted with weights that leave out
+    what moves by itself. Misses that have motion keep it; nothing is filled where the fit is not sure.
+    """
+    height, width = motion.shape[:2]
+    depth = depth.reshape(height, width)
+    step = max(1, round(math.sqrt(depth.size / _POINTS)))
+    thin = depth[::step, ::step]
+    places = step * np.argwhere((thin > 0) & (thin < DEPTH_MISS))
+    rows, columns = places[:, 0], places[:, 1]
+    moved = motion[rows, columns].astype(np.float64)
+    if rows.size < _LEAST_POINTS or np.abs(moved).max() < _STILL:
+        return False
+    missed = (depth >= DEPTH_MISS) & (motion[..., 0] == 0) & (motion[..., 1] == 0)
+    if not missed.any():
+        return False
+    now = _centred(rows, columns, height, width)
+    near = np.median(depth[rows, columns]) / depth[rows, columns].astype(np.float64)
+    found, covariance, error, share = _fit_camera(now, now[:, :2] + moved / width, near, 1 / width)
+    places = np.argwhere(missed[::step, ::step])
+    now = _centred(step * places[:, 0], step * places[:, 1], height, width)
+    across = _equations(now, np.stack(_moved(found, now[:, 0], now[:, 1]), -1), np.zeros(len(now)))
+    doubt = float(np.sqrt(np.einsum("ij,jk,ik->i", across, covariance, across)).max(initial=0)) * width
+    if share < _FITTING or max(error, doubt) > _SURE or _skew(found) > _SKEW:
+        return False
+    columns = _centred(np.zeros(width), np.arange(width), height, width)[None, :, 0].astype(np.float32)
+    rows = _centred(np.arange(height), np.zeros(height), height, width)[:, 1, None].astype(np.float32)
+    for first in range(0, height, _ROWS):  # so few rows that they stay in the cache
+        some = slice(first, first + _ROWS)
+        if missed[some].any():
+            x, y = np.broadcast_arrays(columns, rows[some])
+            for axis, (before, here) in enumerate(zip(_moved(found.astype(np.float32), x, y), (x, y), strict=True)):
+                np.copyto(motion[some, :, axis], (before - here) * width, where=missed[some], casting="same_kind")
+    return True
+
+
+def _moved(found: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where infinitely far points were before."""
+    a, b, c, d, e, f, g, h = found[:8]
+    over = 1 / (g * x + h * y + 1)
+    return (a * x + b * y + c) * over, (d * x + e * y + f) * over
+
+
+def _skew(found: np.ndarray) -> float:
+    """How far a fit is from a turn of the camera, which neither stretches nor shears, beyond what a wide turn does."""
+    shift = found[2] ** 2 + found[5] ** 2
+    return float(max(abs(found[0] - found[4]), abs(found[1] + found[3])) - 2 * shift)
+
+
+def _centred(rows: np.ndarray, columns: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Homogeneous positions (count, 3) around the middle of the picture, in widths."""
+    x, y = (columns + 0.5 - width / 2) / width, (rows + 0.5 - height / 2) / width
+    return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+
+def _equations(now: np.ndarray, before: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Left sides (2 count, 11) for H without its last 1, by rows, and e: first all of x, then all of y."""
+    none, zero, near = np.zeros_like(now), np.zeros((len(now), 1)), near[:, None]
+    x, y = before[:, :1], before[:, 1:]
+    return np.concatenate([
+        np.concatenate([now, none, -x * now[:, :2], near, zero, -x * near], axis=1),
+        np.concatenate([none, now, -y * now[:, :2], zero, near, -y * near], axis=1)])
+
+
+def _fit_camera(now: np.ndarray, before: np.ndarray, near: np.ndarray, pixel: float
+                ) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """H and e (11,), their covariance, the error of points that fit in pixels, and the share of points that do."""
+    start = np.append(np.eye(3).reshape(-1)[:8], np.zeros(3))  # a camera at rest, which weak evidence leaves as it is
+    equations = _equations(now, before, near)
+    right = before.T.reshape(-1) - equations @ start
+    weights = np.ones(len(now))
+    for _ in range(_ROUNDS):
+        weighted = equations * np.tile(weights, 2)[:, None]
+        normal = weighted.T @ equations + 1e-9 * len(now) * np.eye(start.size)
+        change = np.linalg.solve(normal, weighted.T @ right)
+        errors = np.hypot(*(right - equations @ change).reshape(2, -1)) / pixel
+        typical = max(float(np.median(errors)), 0.02)
+        weights = (1 + (errors / (3 * typical)) ** 2) ** -2
+    fitting = errors < max(5 * typical, _SURE)
+    error = float(np.sqrt((errors[fitting] ** 2).mean() / 2))
+    covariance = np.linalg.inv(normal) * (max(error, _LEAST_ERROR) * pixel) ** 2  # of surfaces in one plane it is large
+    return start + change, covariance, error, float(fitting.mean())
+
+
+# The option --depth ------------------------------------------------------------------------------------------------
+
 KINDS = {
     "planar": ("planar", False),
     "ray": ("ray", False),

@@ -17,7 +17,7 @@ from postfx.errors import GuideError, MissingPlaneError, ReadError
 from postfx.frame import OUTPUT_SIZE_ROLES, ROLES, ColourSource, Frame, FrameSpec, GuideSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
 from postfx.io.colours import INTEROP, gather_attributes
-from postfx.io.convert import Camera, DepthOption, convert, fill_value
+from postfx.io.convert import Camera, DepthOption, convert, fill_background_motion, fill_value
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Header, Layout, Match, make_layout
 from postfx.io.masks import LeftAlone
@@ -313,6 +313,9 @@ class FrameFiles:
         matches = {role: self.match(role) for role in Role if role in stored}
         guide_matches = {role: self.guide(role) for role in guiding}
         planes = read_planes(matches, self.layout.camera, scratch)
+        motion, depth = planes.get(Role.MOTION), planes.get(Role.DEPTH)
+        if motion is not None and depth is not None and motion.shape[:2] == depth.shape[:2]:
+            fill_background_motion(motion, depth)
         guide_planes = read_planes(guide_matches, self.guides.camera, scratch) if self.guides and guide_matches else {}
         if alone:
             strength = alone.strength(planes, scratch)
