@@ -97,10 +97,13 @@ def depth_buffer(depth: np.ndarray, frame: Frame, near: float = 0.1, far: float 
     return (far - near * far / depth) / (far - near)
 
 
-def with_misses(frames: Frames) -> Frames | None:
-    if not (frames[0][Role.DEPTH] >= DEPTH_MISS).mean() > 0.005:
-        return None
-    return plane(Role.DEPTH, hits(lambda depth, frame: depth, 0.0))(frames)
+def misses_at(value: float) -> Callable[[Frames], Frames | None]:
+    def apply(frames: Frames) -> Frames | None:
+        if not (frames[0][Role.DEPTH] >= DEPTH_MISS).mean() > 0.005:
+            return None
+        return plane(Role.DEPTH, hits(lambda depth, frame: depth, value))(frames)
+
+    return apply
 
 
 def per_image(part: float, offset: float = 0.0) -> Change:
@@ -349,7 +352,9 @@ BREAKAGES = [
     Breakage("depth buffer 0..1, misses 1", "depth-hyperbolic", DEPTH, plane(DEPTH, hits(depth_buffer, 1.0))),
     Breakage("ray distance", "depth-ray", DEPTH, plane(DEPTH, hits(ray_distance))),
     Breakage("depth negated", "depth-negative", DEPTH, plane(DEPTH, hits(lambda d, f: -d))),
-    Breakage("misses 0", "depth-miss-zero", DEPTH, with_misses),
+    Breakage("misses 0", "depth-miss-zero", DEPTH, misses_at(0.0)),
+    Breakage("misses 65504, the largest half float", "depth-miss-far", DEPTH, misses_at(65504.0)),
+    Breakage("misses at a far plane of 1000", "depth-miss-far", DEPTH, misses_at(1000.0)),
     Breakage("motion negated", "motion-sign", MOTION, plane(MOTION, times(-1))),
     Breakage("motion x negated", "motion-sign-x", MOTION, plane(MOTION, times([-1, 1]))),
     Breakage("motion y up", "motion-sign-y", MOTION, plane(MOTION, times([1, -1]))),

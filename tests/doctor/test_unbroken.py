@@ -11,7 +11,7 @@ from postfx.cli.inspection import Inspection
 from postfx.doctor.checks.planes import COSTS
 from postfx.doctor.geometry import fit_rotation
 from postfx.errors import ReadError
-from postfx.frame import Frame, Role
+from postfx.frame import DEPTH_MISS, Frame, Role
 from tests.doctor import covers
 
 REPOSITORY = Path(__file__).parent.parent.parent
@@ -44,6 +44,16 @@ def test_cameras_may_have_other_axes(room, diagnose):
         assert not found & {"normal-camera-space", "normal-inverted", "normal-axes", "matrix-transposed"}, axes
     inverted = [replace(f, planes={**f.planes, Role.NORMAL: -f[Role.NORMAL]}) for f in turned]
     assert "normal-inverted" in {finding.code for finding in diagnose(inverted)}
+
+
+def test_a_backdrop_far_away_is_no_miss(room, diagnose):
+    """A wall that faces the camera has one depth, and normals."""
+    far = [replace(f, planes={**f.planes, Role.DEPTH: np.where(f[Role.DEPTH] < DEPTH_MISS, f[Role.DEPTH], 1000)})
+           for f in room[:1]]
+    assert "depth-miss-far" in {finding.code for finding in diagnose(far)}
+    facing = np.where(far[0][Role.DEPTH] == 1000, np.float32((0, 0, 1)), far[0][Role.NORMAL])
+    wall = [replace(far[0], planes={**far[0].planes, Role.NORMAL: facing.astype(np.float32)})]
+    assert "depth-miss-far" not in {finding.code for finding in diagnose(wall)}
 
 
 def test_pixels_may_be_tall(room, diagnose):

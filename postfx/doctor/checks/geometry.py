@@ -56,16 +56,26 @@ def depth_misses(material: Material) -> Iterator[Finding]:
     if share > 0.1:
         yield warning(Role.DEPTH, "depth-miss-zero", f"{share:.3g} % of the pixels exactly 0", "misses stored as 0",
                     "store 1e10 where nothing was hit, or give --depth planar,miss=0 (in a profile miss = 0.0)")
-    hit = depth[is_hit(depth[..., None])]
+    is_there = is_hit(depth[..., None])
+    hit = depth[is_there]
     if hit.size < 100:
         return
     largest = float(hit.max())
     same = hit == largest
     others = hit[~same]
-    if others.size and percent(same) > 0.5 and largest > FAR_AWAY * np.percentile(others, 95):
+    if others.size and percent(same) > 0.5 and largest > FAR_AWAY * np.percentile(others, 95) \
+            and not _have_normals(material.middle, is_there & (depth == largest)):
         evidence = f"{percent(same):.3g} % of the hits are exactly {largest:.6g}, the others below {others.max():.4g}"
         yield warning(Role.DEPTH, "depth-miss-far", evidence, "misses stored as the far plane or the largest half "
                       "float", f"store 1e10 where nothing was hit, or in a profile miss = {largest:.6g}")
+
+
+def _have_normals(frame: Frame, there: np.ndarray) -> bool:
+    """Whether pixels show a surface, such as a backdrop that faces the camera: their normals are of unit length."""
+    if Role.NORMAL not in frame:
+        return False
+    lengths = np.linalg.norm(np.nan_to_num(frame[Role.NORMAL][there]), axis=-1)
+    return percent(np.abs(lengths - 1) < 0.1) > 90
 
 
 def depth_kind(material: Material) -> Iterator[Finding]:
