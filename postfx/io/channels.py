@@ -151,10 +151,12 @@ class ChannelIndex:
 
     def pairs_like(self, pattern: re.Pattern[str]) -> Iterator[tuple[str, tuple[Channel, ...]]]:
         """Layers whose full name a pattern is found in, and their channels x and y, or the like."""
+        seen: set[tuple[Channel, ...]] = set()  # a layer also goes by its part's name before its own
         for layer in self.layers_like("*", whole=True):
             named = ([f"{layer}.{letter}" for letter in letters] for letters in ("XY", "RG", "UV"))
             channels = next(filter(None, map(self.find, named)), None) if pattern.search(layer) else None
-            if channels:
+            if channels and channels not in seen:
+                seen.add(channels)
                 yield layer, channels
 
     @cached_property

@@ -119,7 +119,7 @@ def make_layout(
     profile = profile or _detect(index, attributes)
     if PICTURE in attributes:
         profile = replace(profile, planes=_PICTURE_RULES + profile.planes)
-    layers = _layers(index.names, profile)
+    layers = _distinct(index, _layers(index.names, profile), profile.marker)
     named = [name for name in layers if layer is not None and name.rstrip(".").lower() == layer.lower()]
     found = [_match_all(index, Layout(profile, name, {}, Camera(), attributes), depth, without)
              for name in named or layers]
@@ -271,6 +271,14 @@ def _is_there(keys: Collection[str], name: str) -> bool:
 def _layers(names: Names, profile: Profile) -> list[str]:
     """What precedes the profile's marker channel: 'ViewLayer.' of 'ViewLayer.Combined.R'; '' without a marker."""
     return (before(names, profile.marker) if profile.marker else []) or [""]
+
+
+def _distinct(index: ChannelIndex, layers: list[str], marker: str) -> list[str]:
+    """The layers without those that are one of them by another name, as a layer also goes by its part's name."""
+    found: dict[tuple[Channel, ...] | None, str] = {}
+    for layer in layers:
+        found.setdefault(index.find([f"{layer}{marker}"]) if marker else None, layer)
+    return list(found.values())
 
 
 def _first(*values: float | None) -> float | None:

@@ -105,6 +105,13 @@ def test_of_several_view_layers_that_with_the_most_planes_is_read_or_the_one_tha
         read(path, layer="sky")
 
 
+def test_the_name_of_a_lone_part_makes_no_other_view_layers(write_parts) -> None:
+    for name in ("rgba", "x"):
+        sequence = read_sequence(write_parts("a.exr", {name: view_layers()}))
+        next(iter(sequence))
+        assert sequence.warnings[0].startswith("view layer FG is read, as it has the most planes; not BG, Overlay: ")
+
+
 def test_the_view_layer_of_the_first_frame_is_that_of_all(write_exr) -> None:
     more = view_layers() | flat(["BG.Depth.Z", "BG.Vector.X", "BG.Vector.Y"], 1, 1, 1)
     for number, channels in enumerate((view_layers(), more), 1):
