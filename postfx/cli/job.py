@@ -197,6 +197,15 @@ class Job:
             self._seconds = time.perf_counter() - begin - later if begin else 0.0
             self._preparation = Preparation(self._preparation.seconds + later, self._watch.seconds, self._watch.count)
 
+    def preview(self, number: int, step: int) -> Path:
+        """Read, process and write one frame, of which no books are kept; returns the file. It has the history of those
+        that were previewed before. step: from one frame to the next. Raises PostfxError."""
+        self.sequence.look_again(step)
+        frame = self.sequence.read(number, self.plan.planes, self._guides)
+        check_sizes(frame, self.plan.input, bool(self._arguments.size))
+        result = self.pipeline(frame)
+        return write_frame(self._files().path(number), result, relax=self._relax, **self._format)
+
     def report(self, failure: BaseException | None = None) -> Report:
         """What happened so far."""
         return Report(

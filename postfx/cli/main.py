@@ -14,6 +14,7 @@ from postfx.version import __version__
 
 VERBS = {
     "run": "denoise, upscale and tone-map a sequence",
+    "watch": "preview frames while a renderer writes them",
     "chunks": "cut a sequence into chunks for the machines of a farm",
     "verify": "check that the files of a run are there, whole and unaltered",
     "inspect": "find what is wrong with a sequence's planes",
@@ -24,7 +25,7 @@ VERBS = {
     "capture-compare": "find the first tensor in which two captures differ",
 }
 """Verb -> what it does, as in `postfx --help`. The module of its name is loaded when it is called."""
-FORWARDING = ("chunks",)
+FORWARDING = ("watch", "chunks")
 """Verbs that hand options of `postfx run` on, which stand behind --."""
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130

@@ -110,6 +110,13 @@ class Sequence:
         found.guides, found.leave = None, ()
         return found
 
+    def look_again(self, step: int) -> None:
+        """Take notice of files that were written since the sequence was made; step: from one frame to the next, which
+        files that are not there yet do not tell."""
+        self._found, self._step = self.pattern.found(), step
+        if self.guides:
+            self.guides.look_again(step)
+
     def rewind(self) -> None:
         """The next frame that is read is no cut, whatever was read before."""
         self._last = None

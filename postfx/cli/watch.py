@@ -1,0 +1,180 @@
+"""`postfx watch`: a preview of frames while a renderer writes them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from postfx.cli.options import parse_from_zero, parse_path, parse_positive
+
+if TYPE_CHECKING:
+    from postfx.cli.job import Job
+    from postfx.io.pattern import Pattern
+
+DESCRIPTION = """\
+Process frames as a renderer writes them, in order, for a preview while the render runs. Networks stay loaded, and each
+frame has the history of those before it. A frame counts as written when its files have stayed as they are for --settle
+seconds and can be read; a frame that comes late is waited for. Options of 'postfx run' go behind --.
+
+Frames that are there already come first. Later frames are not there yet, so a shot's first frames are noisier than
+those of 'postfx run', which makes the final ones: no manifest is written here, and outputs are replaced.
+"""
+EXAMPLES = """\
+examples:
+  postfx watch render/ -o preview/
+  postfx watch 'render/beauty.####.exr' -o preview/p.####.png -- --denoise-only --model s
+  postfx watch render/ -o preview/ --until 240 --idle 600
+
+exit codes: 0 the last frame of --until is done, or no frame came for --idle seconds; 2 an error whose message says how
+to fix it; 130 ended by Ctrl-C
+"""
+POLL = 0.2
+"""Seconds between two looks at the folder: network folders tell nobody of new files."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this verb's arguments."""
+    parser.add_argument("input", metavar="FOLDER", type=parse_path,
+                        help="folder to watch, or a pattern of frames in it")
+    parser.add_argument("-o", "--output", metavar="OUTPUT", required=True, type=parse_path,
+                        help="files to write: a pattern or a folder")
+    parser.add_argument("--until", metavar="FRAME", type=int, help="number of the last frame (default: watch on)")
+    parser.add_argument("--step", metavar="N", type=parse_positive, default=1,
+                        help="from one frame to the next, where the renderer leaves some out (default: 1)")
+    parser.add_argument("--idle", metavar="SECONDS", type=parse_from_zero,
+                        help="end when no frame came for so long (default: never)")
+    parser.add_argument("--patience", metavar="SECONDS", type=parse_from_zero, default=60.0,
+                        help="how long a frame is waited for while later ones are there; then it is left out (default: "
+                        "60)")
+    parser.add_argument("--settle", metavar="SECONDS", type=parse_from_zero, default=0.5,
+                        help="how long a file must have stayed as it is (default: 0.5)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object a line for each frame")
+    parser.usage = f"{parser.prog} FOLDER -o OUTPUT [--until FRAME] [--idle SECONDS] [--json] [-- RUN OPTIONS]"
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Watch until the end; returns the exit code."""
+    from postfx.cli.interruptions import Stop
+    from postfx.errors import ReadError
+
+    def tell(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    with Stop(tell) as stop:
+        arrivals = Arrivals(arguments, stop.check, tell)
+        job: Job | None = None
+        while (number := arrivals.next()) is not None:
+            begin = time.perf_counter()
+            try:
+                job = job or _make_job(arguments, arrivals.pattern, number)
+                path = job.preview(number, arguments.step)
+            except ReadError as error:
+                arrivals.refuse(number, str(error))
+                continue
+            seconds = time.perf_counter() - begin
+            facts = {"frame": number, "file": str(path), "seconds": round(seconds, 3)}
+            print(json.dumps(facts) if arguments.json else f"{path} ({seconds:.2f} s)", flush=True)
+    return 0
+
+
+def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Job:
+    """A job whose first frame is known; those after it are not on the disk yet."""
+    from postfx.cli.job import Job
+    from postfx.cli.main import make_parser
+    from postfx.errors import OptionError
+
+    words = [str(pattern), "-o", arguments.output, "--overwrite", f"--frames={first}", *arguments.forwarded]
+    given = make_parser(["run"]).parse_args(["run", *words])
+    for flag, is_given in (("--both-ways", given.both_ways), ("--exposure smooth", given.exposure == "smooth"),
+                           ("--report", given.report), ("--capture", given.capture), ("--explain", given.explain)):
+        if is_given:
+            raise OptionError(f"{flag} needs all frames, of which watch knows only those that are there: leave it out")
+    given.run_up = given.run_up or 0
+    return Job(given)
+
+
+class Arrivals:
+    """Numbers of frames in order, each once it is written.
+
+    Attributes:
+        pattern: of the frames, once there is one.
+    """
+
+    def __init__(self, arguments: argparse.Namespace, check: Callable[[], None], tell: Callable[[str], None]) -> None:
+        self._arguments, self._check, self._tell = arguments, check, tell
+        self._seen: dict[Path, tuple[tuple[int, int], float]] = {}  # size and change of a file, and since when
+        self._last: int | None = None
+        self._before: int | None = None  # the frame before that one
+        self._unreadable: tuple[int, float] | None = None  # a frame that could not be read, and since when
+        self._late: tuple[int, float] | None = None  # a frame that is waited for, and since when
+
+    def next(self) -> int | None:
+        """The number of the next frame; blocks until it is there. None at the end."""
+        begin = time.monotonic()
+        while self._last is None or self._arguments.until is None or self._last < self._arguments.until:
+            self._check()
+            number = self._ready()
+            if number is not None:
+                self._before, self._last, self._late = self._last, number, None
+                return number
+            if self._arguments.idle is not None and time.monotonic() - begin >= self._arguments.idle:
+                return None
+            time.sleep(POLL)
+        return None
+
+    def refuse(self, number: int, why: str) -> None:
+        """Say that the frame that came last cannot be read: it comes again when its files have changed, as they do
+        while a renderer still writes them; after some patience it is left out."""
+        if self._unreadable is None or self._unreadable[0] != number:
+            self._unreadable = number, time.monotonic()
+        if time.monotonic() - self._unreadable[1] >= self._arguments.patience:
+            self._tell(f"frame {number} is left out: {why}")
+            return
+        self._last = self._before
+
+    def _ready(self) -> int | None:
+        """The frame to take now, if there is one: the next in order, or a later one after some patience."""
+        from postfx.errors import SequenceError
+        from postfx.io.pattern import locate
+
+        try:
+            self.pattern, _ = locate(self._arguments.input)
+        except SequenceError:
+            if any(Path(self._arguments.input).glob("*.exr")):
+                raise
+            return None  # an empty folder, or none yet
+        found = self.pattern.found()
+        numbers = [number for number in found if self._last is None or number > self._last]
+        if not numbers:
+            return None
+        first = numbers[0]
+        if self._last is not None and first > (late := self._last + self._arguments.step):
+            self._late = self._late if self._late and self._late[0] == late else (late, time.monotonic())
+            if time.monotonic() - self._late[1] < self._arguments.patience:
+                return None
+            self._tell(f"frame {late} did not come within {self._arguments.patience:g} s: going on with {first}")
+        if not all([self._has_settled(path) for path in found[first].values()]):
+            return None
+        if self._unreadable and self._unreadable[0] == first:  # again only if changed, or at the end of patience
+            changed = any(self._seen[path][1] > self._unreadable[1] for path in found[first].values())
+            tired = time.monotonic() - self._unreadable[1] >= self._arguments.patience
+            return first if changed or tired else None
+        return first
+
+    def _has_settled(self, path: Path) -> bool:
+        """Whether a file has stayed as it is for long enough."""
+        now = time.monotonic()
+        try:
+            status = path.stat()
+        except FileNotFoundError:
+            return False
+        state = status.st_size, status.st_mtime_ns
+        known, since = self._seen.get(path, (None, now))
+        self._seen[path] = state, (since if known == state else now)
+        old = time.time() - status.st_mtime >= self._arguments.settle  # it was there before we looked
+        return status.st_size > 0 and (old or now - self._seen[path][1] >= self._arguments.settle)
