@@ -47,10 +47,10 @@ def perspective(
 
 
 def with_jitter(projection: np.ndarray, jitter: Sequence[float], width: int, height: int) -> np.ndarray:
-    """Projection, or world to clip, (4, 4), whose pixel centres sample `jitter` beside those of the given one.
+    """Projection, or world to clip, (4, 4), whose pixel centres lie `jitter` away from those of the given one.
 
-    jitter: sample position minus 0.5, pixels, x right, y down: the header `postfx:jitter`. What lies there is moved to
-    the pixel's centre, so clip x loses 2 jitter_x / width times w, and y, which is up, gains 2 jitter_y / height.
+    jitter: sample position minus 0.5, pixels, x right, y down: the header `postfx:jitter`. That position moves to the
+    pixel's centre, so clip x loses 2 jitter_x / width times w, and y, which is up, gains 2 jitter_y / height.
     """
     matrix = np.array(projection, np.float64)
     matrix[:, 0] -= 2 * jitter[0] / width * matrix[:, 3]

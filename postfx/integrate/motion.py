@@ -15,7 +15,7 @@ from postfx.frame import DEPTH_MISS
 from postfx.integrate.camera import as_plane, pixel_positions, project, view_rays
 
 OUT_OF_SIGHT = 4.0
-"""Motion, in widths and heights of the picture, of what was behind the camera before: leads where nothing is."""
+"""Motion, in widths and heights of the picture, of points that were behind the camera: it leads far outside."""
 
 _UNITS = ("pixels", "uv", "ndc")
 
@@ -42,7 +42,7 @@ def motion_from_positions(
     positions: np.ndarray, previous_positions: np.ndarray, world_to_clip: np.ndarray,
     previous_world_to_clip: np.ndarray,
 ) -> np.ndarray:
-    """Motion (height, width, 2) of surfaces that were elsewhere before: rigid, skinned or otherwise deformed.
+    """Motion (height, width, 2) of surfaces that moved: rigid, skinned or otherwise deformed.
 
     positions, previous_positions: (height, width, 3), of the same surface point now and then, or (height, width, 4)
     with a last coordinate of 0 where the ray hit nothing and the other three are its direction.
@@ -109,7 +109,8 @@ def motion_in_pixels(
 
     unit: "pixels" of the frame, "uv" (1 is the whole width or height) or "ndc" (2 is). y_up: whether y grows upwards.
     from_previous: whether it leads from the previous position to the current one instead of back; it must be stored at
-    the current position. (What leads from the current to the next frame cannot be converted: other frames' pixels.)
+    the current position. (Motion from the current to the next frame cannot be converted: its values belong to other
+    pixels.)
     encoded: stored as 0.5 + 0.5 * value, in 0..1. IntegrationError for another unit.
     """
     if unit not in _UNITS:

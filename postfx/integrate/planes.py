@@ -36,8 +36,8 @@ CHANNELS = {
 """Channel names of each plane."""
 
 FULL_FLOAT = (Role.DEPTH, Role.SPECULAR_HIT_DISTANCE, Role.VARIANCE_OF_MEAN, Role.SAMPLE_VARIANCE, Role.SECOND_MOMENT)
-"""Planes that half floats do not hold: a miss is 1e10, squares of radiance are small or huge. Motion above 2048 pixels
-loses fractions only there."""
+"""Planes that half floats cannot hold: a miss is 1e10, and squares of radiance are tiny or huge. Motion would only lose
+fractions beyond 2048 pixels."""
 
 _HALF_MAX = 65504.0
 

@@ -1,4 +1,4 @@
-"""Planes of surfaces: albedo and roughness from materials, and planes of what mirrors and glass show.
+"""Planes of surfaces: albedo and roughness from materials, and the planes of scenes seen in mirrors and glass.
 
 A denoiser reuses the history where the motion says the same thing was seen before. In a mirror that thing is the
 reflected scene, so its planes replace the mirror's: primary surface replacement (Zimmer et al. 2015, "Path-space
@@ -34,8 +34,8 @@ def specular_albedo(f0: np.ndarray, roughness: np.ndarray, cosine: np.ndarray) -
     al. 2019, "Accurate Real-Time Specular Reflections with Radiance Caching" (Ray Tracing Gems, chapter 32, equation
     4). For roughness and cosine from 0.05 to 1 it lies within 0.039 of the integral with separable masking, which was
     computed from 1.4 million directions; the mean error is 0.007. A renderer with height-correlated masking reflects
-    more where rough surfaces are seen at grazing angles: up to 0.13 more for cosines from 0.2. Light that bounces
-    between microfacets is not in it. f0 below 0.02 fades to no reflection at all.
+    more where rough surfaces are seen at grazing angles: up to 0.13 more for cosines from 0.2. It leaves out light that
+    bounces between microfacets. f0 below 0.02 fades to no reflection at all.
     """
     f0 = np.asarray(f0, np.float64)
     scale, bias = split_sum(_channel(roughness), np.abs(_channel(cosine)))
@@ -110,11 +110,11 @@ def _channel(values: np.ndarray) -> np.ndarray:
 
 
 MIXED = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
-"""Planes of which the two surfaces of glass are mixed; of the others the stronger surface's value is taken."""
+"""Planes that mix both surfaces of glass; all others take the stronger surface's value."""
 
 
 def mirrored_positions(positions: np.ndarray, mirror: np.ndarray, mirror_normals: np.ndarray) -> np.ndarray:
-    """Virtual positions (..., 3): where a flat mirror seems to show what is at `positions`.
+    """Virtual positions (..., 3): where points at `positions` seem to be, seen in a flat mirror.
 
     mirror: a point of the mirror, where the view ray hit it; mirror_normals: unit normals there.
     p - 2 ((p - mirror) . n) n. With several mirrors on the way, begin with the last. Their depth is `depth_of` of the
@@ -180,10 +180,10 @@ def glass_weights(cosine: np.ndarray | float, ior: float = 1.5, pane: bool = Fal
 def blend_surfaces(
     weight: np.ndarray, reflected: Mapping[Role, np.ndarray], transmitted: Mapping[Role, np.ndarray]
 ) -> dict[Role, np.ndarray]:
-    """Planes of glass from those of what it reflects and of what is seen through it.
+    """Planes of glass from the planes of its reflection and of the scene behind it.
 
     weight: (height, width) or (height, width, 1), 0..1, of the reflected surface: `glass_weights`, or better the share
-    of the reflected light, where the renderer knows it. Planes are (height, width, channels). Albedos are mixed by it;
+    of the reflected light, if the renderer knows it. Planes are (height, width, channels). Albedos are mixed by weight;
     depth, motion, normal, roughness and the rest are the stronger surface's, since one pixel has one motion only.
     Planes that one of the two does not have are left out.
     """

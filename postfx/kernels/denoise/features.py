@@ -49,7 +49,7 @@ ZERO, ONE, FOUR, NEAREST = np.float32(0), np.float32(1), np.float32(4), np.float
 
 @fused
 def is_unknown(a: Real, b: Real, c: Real, d: Real, tx: Real, ty: Real) -> Real:
-    """Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their weights."""
+    """Whether more than a trace of a pixel is missing in the history, by its neighbours' counts and weights."""
     if min(min(a, b), min(c, d)) > ZERO:
         return False
     left, upper = ONE - tx, ONE - ty
@@ -66,7 +66,7 @@ def recall_row(y: int, columns: np.ndarray, moved: np.ndarray, state: np.ndarray
     """The state of the frame before along a row: bilinear (12, w), edge repeated, and the nearest pixel's depth.
 
     ``y`` and ``columns`` are places in the frame, ``moved`` (w, 2) is the motion there, ``keep`` (w,) how much of the
-    history is used: validity, count and hidden state are less by it; the mean colour, which counts less, is the same.
+    history is used: it scales validity, count and hidden state, not the mean colour.
     """
     h, w = state.shape[:2]
     flat = state.reshape(h * w * MEMORY)

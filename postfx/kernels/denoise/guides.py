@@ -74,7 +74,7 @@ GUIDE = kernel("guides", (*GUIDE_PLANES, "depth_scale", "window", "seen_rows", "
 def judged_pixel(y: int, x: int, h: int, w: int, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray,
                  guide_diffuse_albedo: np.ndarray, guide_specular_albedo: np.ndarray) -> tuple[Real, Real]:
     """Squared relative difference of the guides' mean reflectance over a render pixel from that of the render size, and
-    the mean of their squared differences: how far the first goes along with the second."""
+    the mean squared difference of the guides: the first is large beside it where guides disagree."""
     height, width = guide_diffuse_albedo.shape[:2]
     own_r, own_g, own_b = demodulation(diffuse_albedo, specular_albedo, y, x)
     own_r, own_g, own_b = ONE / own_r, ONE / own_g, ONE / own_b
@@ -96,8 +96,8 @@ def judged_pixel(y: int, x: int, h: int, w: int, diffuse_albedo: np.ndarray, spe
 def trust_rows(y0: int, y1: int, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray,
                guide_diffuse_albedo: np.ndarray, guide_specular_albedo: np.ndarray, window: np.ndarray,
                part_rows: np.ndarray, part_columns: np.ndarray, trust: np.ndarray) -> None:
-    """How much of the guides' reflectance counts, in cells of the part: all of it where their mean over a render pixel
-    is what the render size has, less where it goes with the detail, as that of one sample a pixel does."""
+    """How far the guides' reflectance is trusted, in cells of the part: fully where its mean over a render pixel is the
+    reflectance at render size, less where that follows the detail, as with planes of one sample a pixel."""
     h, w = int(window[HEIGHT]), int(window[WIDTH])
     rows, columns = min(part_rows.size, h - int(window[TOP])), min(part_columns.size, w - int(window[LEFT]))
     for row in range(y0, y1):

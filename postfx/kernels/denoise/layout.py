@@ -8,8 +8,8 @@ output). ``fine`` is the network's head at render size: 5x5 kernel 25, 3x3 weigh
 sharpening at four phases 4 each, mix, distrust, importance, hidden state 8. Pictures are (h, w, channels), pyramid
 levels planar (channels, h, w). Names that begin with ``guide_`` are planes at output size.
 
-Kernels work on a part of the frame, whose planes and history are read whole; what is made on the way has the part's
-size, (th, tw) at render and (out_th, out_tw) at output size, and a part may end beyond the frame. With guides
+Kernels work on a part of the frame, whose planes and history are read whole; intermediate results have the part's size,
+(th, tw) at render and (out_th, out_tw) at output size, and a part may end beyond the frame. With guides
 ``radiance`` has the filtered colour without reflectance, then with that of the render size. ``window`` is float32
 (8,): the part's first row and column, the frame's height and width, and the same at output size. ``part_rows``,
 ``part_columns``, ``out_rows`` and ``out_columns`` are the frame's rows and columns that the part holds, the last one
@@ -47,17 +47,17 @@ EXPOSURE, JITTER_X, JITTER_Y, GAIN = range(4)
 TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
 UNKNOWN = 1e-3  # share of a reprojected pixel that the history may lack
 TRUST_CELL, DOUBT, FAINT = 8, np.float32(0.7), np.float32(1e-4)
-"""Render pixels along a side of the cells in which guides are judged and reflectance is averaged; how much trust guides
-lose that disagree, and the squared relative detail below which they are not judged."""
+"""Render pixels along a side of the cells in which guides are judged and reflectance is averaged; how much trust
+disagreeing guides lose, and the squared relative detail below which they are not judged."""
 MAX_COUNT = 32.0
 MAX_COLOUR, MAX_LIGHT = 1e4, np.float32(1e30)
 """Exposed light that a channel holds, and that a division by reflectance may give before it is held: a pixel that is
 brighter keeps its hue."""
-TINY = np.float32(1e-8)  # no sum of weights that counts is smaller
+TINY = np.float32(1e-8)  # the smallest sum of weights that counts
 MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
 MOST_LOG, MOST_STATE = np.float32(20), np.float32(3e5)
-"""Beyond what is ever kept from frame to frame, log-encoded light and all of a pixel's state: there the history is
-broken, or the network's answer, and is not handed on. NaN is not below them, either."""
+"""Limits of log-encoded light and of all of a pixel's state, which are never reached from frame to frame. Beyond them
+the history or the network's answer is broken and is not passed on. NaN is not below them, either."""
 
 REFLECTANCE = ("diffuse_albedo", "specular_albedo")
 PLANES = {
@@ -73,7 +73,7 @@ GUIDE_PLANES = {
 BOTH = (6, "padded_h", "padded_w")
 """Radiance without reflectance and with it."""
 BORDER_CELLS = 3
-"""Cells of mean reflectance beyond those that fit into a part: one before it, and two behind."""
+"""Cells of mean reflectance beyond those that fit into a part: one before it and two after it."""
 SHAPES = PLANES | GUIDE_PLANES | {
     "depth_scale": (1,), "moved": ("th", "tw", 2), "history": ("height", "width", 3), "warped": ("out_th", "out_tw", 3),
     "params": (4,), "window": (8,), "part_rows": ("th",), "part_columns": ("tw",),

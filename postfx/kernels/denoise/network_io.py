@@ -34,12 +34,12 @@ FINE_PHASES = 4
 
 
 def width(channels: int) -> int:
-    """Channels that a packed or raw tensor has for these."""
+    """Channels of a packed or raw tensor for so many channels."""
     return -(-channels // LANES) * LANES
 
 
 def opened_shape(name: str, rows: int, columns: int) -> tuple[int, ...]:
-    """Shape of a head, 'fine' or 'level1' and so on, of which the raw one has so many rows and columns."""
+    """Shape of a head ('fine', 'level1', ...) whose raw form has this many rows and columns."""
     return (1, FINE, 2 * rows, 2 * columns) if name == "fine" else (1, LEVEL, rows, columns)
 
 
@@ -206,7 +206,7 @@ def level_gates(sums: np.ndarray, scale: Real, bias: Real, row: np.ndarray) -> N
 
 @compiled
 def open_products_rows(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, heads: np.ndarray) -> None:
-    """Weights of a level's filters and its mix, which the coarsest level has not."""
+    """Weights of a level's filters and its mix, which the coarsest level lacks."""
     for channel in range(heads.shape[1]):
         scale, bias = scaling[0, channel], scaling[1, channel]
         for y in range(y0, y1):
@@ -232,7 +232,7 @@ DARKEST_BYTE, BRIGHTEST_BYTE, ROUNDING = np.float32(0), np.float32(255), np.floa
 
 @compiled
 def codes(values: np.ndarray, scale: Real, zero: Real, row: np.ndarray) -> None:
-    """8-bit codes of a channel's row; of what is no number, that of zero."""
+    """8-bit codes of a channel's row; NaN gets the code of zero."""
     for x in range(values.size):
         value = values[x] * scale if values[x] == values[x] else DARKEST_BYTE
         row[x] = np.uint8(min(max(value + zero + ROUNDING, DARKEST_BYTE), BRIGHTEST_BYTE))
@@ -248,7 +248,7 @@ def interleave(rows: np.ndarray, pixels: np.ndarray) -> None:
 
 @compiled
 def store_rows(y0: int, y1: int, planes: np.ndarray, coding: np.ndarray, stored: np.ndarray) -> None:
-    """Codes of the planes, and those of zero around them."""
+    """Codes of the planes, with a border of codes of zero."""
     _, channels, h, w = planes.shape
     ring = (stored.shape[1] - h) // 2
     rows = np.empty((stored.shape[3], stored.shape[2]), np.uint8)

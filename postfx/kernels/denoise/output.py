@@ -26,7 +26,8 @@ def copy(source: np.ndarray, target: np.ndarray) -> None:
 @compiled
 def assemble_rows(y0: int, y1: int, tiles: np.ndarray, places: np.ndarray, frame_rows: np.ndarray,
                   frame_columns: np.ndarray, picture: np.ndarray) -> None:
-    """Row by row: first what tiles hold, then what is their own; of several tiles the first is written last."""
+    """Row by row: first each tile's usable area, then the area where it comes before all others. The first of several
+    tiles is written last."""
     left, right = int(frame_columns[0]), int(frame_columns[0]) + frame_columns.size
     count, height, width, channels = tiles.shape
     lines = tiles.reshape(count, height, width * channels)

@@ -30,7 +30,7 @@ filtered; ``SHIFT`` then stands for none."""
 
 @inline
 def coded(value: Real, coding: np.ndarray) -> Real:
-    """A value as it is filtered, from 0 on; NaN counts as 0, infinity as the largest number."""
+    """A value coded for the filters, at least 0; NaN counts as 0, infinity as the largest number."""
     known = clamp(value, -MAX_FLOAT, MAX_FLOAT)
     return max(known - coding[OFFSET], ZERO) * coding[FACTOR]
 
@@ -85,7 +85,7 @@ def accumulate_rows(y0: int, y1: int, part: np.ndarray, coding: np.ndarray, fact
 @compiled
 def reflectance_rows(y0: int, y1: int, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, part_rows: np.ndarray,
                      part_columns: np.ndarray, factor: np.ndarray) -> None:
-    """Reflectance (th, tw, 3) of a part that has another one than the picture."""
+    """Reflectance (th, tw, 3) of a part whose reflectance is not the picture's."""
     for y in range(y0, y1):
         for x in range(factor.shape[1]):
             factor[y, x, 0], factor[y, x, 1], factor[y, x, 2] = demodulation(
@@ -94,7 +94,7 @@ def reflectance_rows(y0: int, y1: int, diffuse_albedo: np.ndarray, specular_albe
 
 @vectorised
 def inverse_of(total: np.ndarray, whole: np.ndarray, inverse: np.ndarray) -> None:
-    """1 / light, of which parts are shares; `total` becomes the light."""
+    """1 / light, which turns parts into shares; `total` becomes the light."""
     for i in range(total.size):
         total[i] = max(total[i], whole[i])
         inverse[i] = ONE / max(total[i], DARKEST)
@@ -103,8 +103,8 @@ def inverse_of(total: np.ndarray, whole: np.ndarray, inverse: np.ndarray) -> Non
 @compiled
 def balance_rows(y0: int, y1: int, parts: np.ndarray, whole: np.ndarray, picture: np.ndarray, complete: np.ndarray,
                  balanced: np.ndarray) -> None:
-    """Parts (n, H, W, 3) in their proportion to each other, and to the ``whole`` that was filtered like them unless
-    they are ``complete`` without it, as parts of the picture. Complete parts of nothing have equal shares."""
+    """Parts (n, H, W, 3) of the ``picture``, in the proportions that they were filtered in: to each other if they are
+    ``complete``, else to the ``whole``, which was filtered like them. Complete parts without light get equal shares."""
     count, _, width, _ = parts.shape
     total, inverse = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
     for y in range(y0, y1):
@@ -123,8 +123,8 @@ def balance_rows(y0: int, y1: int, parts: np.ndarray, whole: np.ndarray, picture
 
 @compiled
 def decode_rows(y0: int, y1: int, filtered: np.ndarray, decoding: np.ndarray, plane: np.ndarray) -> None:
-    """Values of a plane from what was filtered, within bounds; vectors get length 1, but for those that are 0, and
-    distances are turned back."""
+    """Values of a plane from filtered ones, within bounds. Vectors get length 1 unless they are 0, and reciprocals
+    become distances again."""
     channels = plane.shape[2]
     for y in range(y0, y1):
         for x in range(plane.shape[1]):
@@ -158,4 +158,4 @@ DECODE = kernel("decode", ("filtered", "decoding"), ("plane",), decode_rows, ("p
                 decoding=(5,), plane=IMAGE)
 DECODE_ONE = kernel("decode_one", ("filtered", "decoding"), ("plane",), decode_rows, ("plane", 0), filtered=IMAGE,
                     decoding=(5,), plane=("rows", "columns", 1))
-"""The same for planes of one channel, of which three were filtered."""
+"""The same for planes of one channel, which were filtered as three."""

@@ -78,8 +78,8 @@ def nearer(line: np.ndarray, place: Real, near: np.ndarray, found: np.ndarray) -
 
 @compiled
 def dilate_row(y: int, left: int, depth: np.ndarray, lines: np.ndarray, near: np.ndarray, found: np.ndarray) -> None:
-    """For pixels of a row from `left` on, where the depth lies whose motion they take, from the pixel: that of a
-    clearly nearer neighbour in 3x3, the first of the nearest, or its own. `depth` is (h, w)."""
+    """For the pixels of a row from `left` on, the offset of the pixel whose motion they take: of the nearest neighbour
+    in 3x3 that is clearly nearer, the first of equals, else none. `depth` is (h, w)."""
     h, w = depth.shape
     count = near.size
     lines[:] = np.inf  # pixels beyond the picture are never nearer
@@ -144,7 +144,7 @@ def cell_place(at: int, size: int) -> Real:
 @compiled
 def doubt_row(y: int, top: int, left: int, h: int, w: int, means: np.ndarray, trust: np.ndarray, line: np.ndarray,
               factor: np.ndarray) -> None:
-    """A row of reflectance (tw, 3), brought towards its mean around each pixel as far as that is not trusted; ``y``,
+    """A row of reflectance (tw, 3), blended towards the mean around each pixel as far as it is not trusted; ``y``,
     ``top`` and ``left`` count the frame's pixels."""
     place = cell_place(y, h)
     first = top // TRUST_CELL - 1
@@ -170,10 +170,10 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
                     means: np.ndarray, depth: np.ndarray, past: np.ndarray, fine: np.ndarray, params: np.ndarray,
                     window: np.ndarray, state: np.ndarray, next_depth: np.ndarray, level: np.ndarray,
                     factor: np.ndarray) -> None:
-    """Running mean of demodulated colour; ``level`` (4, hp, wp) is it with its importance, zero beyond the frame.
+    """Running mean of demodulated colour; ``level`` (4, hp, wp) holds it and its importance, zero beyond the frame.
 
-    A state of zeros is one that is not known: as at the part's edge, where the frame goes on, since what is read of the
-    last output around a known pixel must be known, too.
+    A state of zeros is unknown. It is so at the part's edges within the frame, because all pixels of the last output
+    that are read around a known one must be known, too.
     """
     top, left = int(window[TOP]), int(window[LEFT])
     under, beside = top + past.shape[0] < colour.shape[0], left + past.shape[1] < colour.shape[1]
@@ -213,7 +213,7 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
             if total <= MOST_STATE:
                 for c in range(3):
                     level[c, y, x] = state[y, x, c]
-            else:  # broken: this frame's colour alone, and nothing that the next one knows
+            else:  # broken: this frame's colour alone, and nothing for the next
                 level[3, y, x] = ONE
                 state[y, x] = ZERO
         if (y == 0 and top > 0) or (y == past.shape[0] - 1 and under):
@@ -245,7 +245,7 @@ def resize_rows(y0: int, y1: int, state: np.ndarray, last_depth: np.ndarray, at_
                 at_columns: np.ndarray, resized: np.ndarray, resized_depth: np.ndarray) -> None:
     """Bilinear at ``at_rows`` (height,) and ``at_columns`` (width,), edge repeated; depth of the nearest pixel.
 
-    Pixels whose count is 0 hold nothing and do not count; where they are half of it, nothing is held.
+    Pixels whose count is 0 are unknown and have no weight. Where they would have half of it, the result is unknown.
     """
     h, w = state.shape[:2]
     share = np.empty(4, np.float32)

@@ -30,7 +30,8 @@ def pool_row(upper: np.ndarray, lower: np.ndarray, level: np.ndarray) -> None:
 @compiled
 def pool_rows(y0: int, y1: int, finer: np.ndarray, finer_rows: np.ndarray, finer_columns: np.ndarray,
               level: np.ndarray) -> None:
-    """A level from the finer one, whose first row and column of each cell are given; what lies beyond has no weight."""
+    """A level from the finer one, given the first row and column of each cell there; pixels beyond it have no
+    weight."""
     h, w, first = finer.shape[1], finer.shape[2], int(finer_columns[0])
     whole = first == 0 and w == 2 * level.shape[2]
     lines = np.zeros((2, 4, 2 * level.shape[2]), np.float32)
@@ -60,7 +61,8 @@ def mix_row(coarse: np.ndarray, level: np.ndarray, share: np.ndarray, first: int
 @compiled
 def mix_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.ndarray, coarse_rows: np.ndarray,
              coarse_columns: np.ndarray, mixed: np.ndarray) -> None:
-    """All rows of a level, by the coarser one's rows and columns that theirs lie in."""
+    """All rows of a level; for each row and column, the row and column of the coarser level that it lies in is
+    given."""
     at = MIX if heads.shape[1] > KERNEL + 1 else KERNEL
     second = 1 if coarse_columns.size > 1 and coarse_columns[1] > 0 else 0
     for y in range(y0, y1):

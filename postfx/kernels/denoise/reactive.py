@@ -26,7 +26,7 @@ def reactive_rows(y0: int, y1: int, colour: np.ndarray, opaque_colour: np.ndarra
                   reactive: np.ndarray) -> None:
     """The mask of what is in front of opaque things; ``difference`` is exposure, scale and threshold.
 
-    The largest channel's difference of the two colours as seen, times the scale, held within 1; 0 below the threshold.
+    The largest channel's difference of the two colours as seen, times the scale, at most 1; 0 below the threshold.
     """
     exposure, scale, threshold = difference
     for y in range(y0, y1):

@@ -19,13 +19,13 @@ LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (0, 4), (4, 0))
 NEAR = 6  # the first lags, which a pixel filter reaches
 COUNT, POWER, HELD, FIRST = 0, 1, 2, 3
 SUMS = FIRST + len(LAGS)
-LIMIT = 3.0  # times a tile's root mean square: larger differences, fireflies among them, are held there
-DARK = 1e-3  # exposed luminance below which differences are seen no better
+LIMIT = 3.0  # times a tile's root mean square: larger differences, such as fireflies, are clamped to it
+DARK = 1e-3  # exposed luminance below which smaller differences are no more visible
 STRUCTURE = (0.45, 0.8)  # root of the summed squares of the correlations, from noise to detail
-FAINT = (10**-6.4, 10**-5.6)  # mean square of what is seen, from invisible to visible
+FAINT = (10**-6.4, 10**-5.6)  # mean square of the visible difference, from invisible to visible
 CLEAN = (0.35, 0.55)  # share of detail in what was removed from the frame, from noisy to clean
 FILTERED = (10**-4.2, 10**-3.5)  # mean square of the frame, from too little to enough for filtered noise
-LOUD = (10**-1.8, 10**-1.4)  # the same, from what may be clean to what is noisy whatever it looks like
+LOUD = (10**-1.8, 10**-1.4)  # the same, from possibly clean to certainly noisy
 SPREAD_NOISE = 2.25  # squares of the weights 1 2 1 by 1 2 1, summed, over their sum: how noisy a spread tile is
 ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-12)
 
@@ -41,7 +41,7 @@ def light(colour: np.ndarray, y: int, x: int, exposure: Real) -> Real:
 
 @compiled
 def difference_rows(top: int, colour: np.ndarray, denoised: np.ndarray, exposure: Real, removed: np.ndarray) -> None:
-    """What was removed as it is seen: times the slope of sqrt(y / (1 + y)) at the result, within [-1, 1]."""
+    """The removed part as the eye sees it: times the slope of sqrt(y / (1 + y)) at the result, within [-1, 1]."""
     for y in range(removed.shape[0]):
         for x in range(removed.shape[1]):
             clean = light(denoised, top + y, x, exposure)
@@ -81,7 +81,7 @@ def across_tiles(total: np.ndarray, dy: int, dx: int, sums: np.ndarray) -> None:
 @compiled
 def judge_rows(y0: int, y1: int, colour: np.ndarray, denoised: np.ndarray, params: np.ndarray,
                sums: np.ndarray) -> None:
-    """Sums over what was removed in each tile of 16 x 16 pixels."""
+    """Sums over the removed part of each tile of 16 x 16 pixels."""
     h, w = colour.shape[:2]
     removed, total, limit = np.empty((TILE, w), np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
     for row in range(y0, y1):
@@ -125,7 +125,7 @@ def gather(y: int, x: int, sums: np.ndarray, spread: np.ndarray, found: np.ndarr
 
 @compiled
 def detail_of(found: np.ndarray, common: np.ndarray) -> Real:
-    """Share of detail in what was removed around a tile, from what ``gather`` found."""
+    """Share of detail in the part removed around a tile, from the sums of ``gather``."""
     structure = -found[1]
     for k in range(len(LAGS)):
         own = found[2 + k] - common[k]
@@ -138,8 +138,8 @@ def detail_of(found: np.ndarray, common: np.ndarray) -> Real:
 def detail_rows(y0: int, y1: int, sums: np.ndarray, evidence: np.ndarray, detail: np.ndarray) -> None:
     """Share of each tile's difference to give back; every band of rows judges the whole frame for itself.
 
-    ``evidence`` for detail, 1 when nothing is known: below it multiplies every tile's share, and always that by which
-    the frame counts as clean.
+    ``evidence`` for detail is 1 when nothing is known. Below 1 it scales every tile's share; it always scales the share
+    of detail by which the whole frame counts as clean.
     """
     height, width = sums.shape[:2]
     found, weight = np.empty((height, width, 2 + len(LAGS)), np.float32), np.empty((height, width), np.float32)

@@ -50,13 +50,13 @@ from postfx.kernels.numeric import (
 
 SIGMA, WIDE_SIGMA = 0.5, 1.0
 NONE, GUIDED, OWN, LINEAR = range(4)
-"""What radiance is multiplied by as it is enlarged: nothing, guides' reflectance, the render pixels' own."""
+"""Reflectance that radiance is multiplied by while it is enlarged: none, the guides', the render pixels' own."""
 ZERO, HALF = np.float32(0), np.float32(0.5)
 
 
 @inline
 def gauss(distance: Real) -> Real:
-    """How much a sample says about an output pixel at a distance in render pixels."""
+    """Weight of a sample for an output pixel at a distance in render pixels."""
     return np.float32(math.exp(-(distance * distance) / (2 * SIGMA * SIGMA)))
 
 
@@ -160,8 +160,8 @@ ONE, MOST_LIGHT = np.float32(1), np.float32(MAX_FLOAT)
 @fused
 def blend_rows(current: np.ndarray, warped: np.ndarray, trust: np.ndarray, darken: Real, history: np.ndarray,
                output: np.ndarray) -> None:
-    """Blend with the reprojected history and decode, all channels interleaved; rounding makes no light negative, and
-    what is broken counts as nothing."""
+    """Blend with the reprojected history and decode, all channels interleaved; rounding never makes light negative, and
+    broken values count as 0."""
     for i in range(history.size):
         now = current[i] if current[i] <= MOST_LOG else ZERO
         mixed = now + (warped[i] - now) * trust[i]
@@ -172,7 +172,7 @@ def blend_rows(current: np.ndarray, warped: np.ndarray, trust: np.ndarray, darke
 
 @fused
 def blend_light(current: np.ndarray, warped: np.ndarray, trust: np.ndarray, darken: Real, output: np.ndarray) -> None:
-    """The same of light as it is, which is not encoded, nor exposed in the history: a sum of parts blends as they do.
+    """The same for light that is neither encoded nor, in the history, exposed: a sum of parts blends as the parts do.
     """
     for i in range(output.size):
         now = current[i] * darken if current[i] <= MOST_LIGHT else ZERO
@@ -205,8 +205,8 @@ def own_factor_row(factor: np.ndarray, index: np.ndarray, own: np.ndarray) -> No
 @vectorised
 def guided_row(plain: np.ndarray, factor: np.ndarray, trust: np.ndarray, first: int, step: int,
                row: np.ndarray) -> None:
-    """A row without reflectance times that of the guides, every ``step``-th from ``first`` on, as far as these are
-    trusted; for the rest the ``plain`` row, which has the reflectance of the render size."""
+    """A row without reflectance times the guides' reflectance, every ``step``-th pixel from ``first`` on, as far as the
+    guides are trusted; the rest is the ``plain`` row, which has the reflectance of the render size."""
     for x in range(row.size):
         at = first + step * x
         row[x] = plain[x] + (row[x] * factor[at] - plain[x]) * trust[at]
@@ -395,8 +395,8 @@ def guided_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved:
                 warped: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, trust: np.ndarray,
                 params: np.ndarray, window: np.ndarray, keep: np.ndarray, output: np.ndarray,
                 history: np.ndarray) -> None:
-    """Radiance without reflectance, which is put back at output size as far as the guides are trusted; for the rest
-    that with the reflectance of the render size."""
+    """Radiance without reflectance. It gets the guides' reflectance at output size as far as the guides are trusted;
+    the rest has the reflectance of the render size."""
     resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, trust, warped, GUIDED,
                  params, window, keep, output, history)
 

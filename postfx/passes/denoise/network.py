@@ -43,29 +43,29 @@ from postfx.runtime import (
 )
 
 PACKED, RAW = "packed_", "raw_"
-"""Begin the names of inputs and outputs that are in half precision, channels last."""
+"""Prefix of the names of inputs and outputs in half precision, channels last."""
 PHASED_FINE = "phased_fine"
-"""The fine head in float32 without its activations, the phases of each channel one after the other."""
+"""The fine head in float32 before its activations, with the four phases of each channel in a row."""
 STORED, CODING = "stored_", "coding_"
-"""Begin the names of inputs in 8 bits, channels last, and of the constants that say how they are coded."""
+"""Prefixes of the names of 8-bit inputs, channels last, and of the constants that tell how they are coded."""
 PRODUCTS, SCALING = "products_", "scaling_"
-"""Begin the names of outputs in integers, (C, h * w), and of the constants that they are scaled by."""
+"""Prefixes of the names of integer outputs, (C, h * w), and of the constants that scale them."""
 RING = 1
-"""Pixels around a picture in 8 bits, of networks whose first convolution reads beyond its border."""
+"""Border in pixels around 8-bit inputs, for networks whose first convolution reads beyond the picture."""
 MADE = (PACKED, RAW, PHASED_FINE, STORED, PRODUCTS)
 CHANNELS = {"features": FEATURES, "guides": GUIDES}
 FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
-"""Channels of the features that networks in float32 read apart: a CPU is quickest with multiples of 16 and with few."""
+"""Feature channels that float32 networks read as inputs of their own: a CPU is fastest with few, or multiples of 16."""
 
 
 def free_dimensions(size: tuple[int, int]) -> dict[str, int]:
-    """Networks' names for their sides: of the features, and of features with a ring of pixels around them."""
+    """Networks' names for height and width: of the features, and of features with a border of one pixel."""
     (h, w), ring = size, 2 * RING
     return {"height": h, "width": w, "ringed_height": h + ring, "ringed_width": w + ring}
 
 
 def stored_channels(name: str) -> int:
-    """Channels that 'features' or 'guides' have in 8 bits."""
+    """Number of channels of 'features' or 'guides' in 8 bits."""
     return -(-CHANNELS[name] // 4) * 4
 
 
@@ -76,7 +76,7 @@ def seen_by(state: PipelineState) -> dict[str, tuple[int, ...]]:
         name, size = binding.name.removeprefix(PACKED), state.shapes[binding.name]
         if name in FEATURE_PARTS:
             seen["features"] = (1, CHANNELS["features"], *size[2:])
-        elif name.startswith(STORED):  # with a ring of pixels around it, or without
+        elif name.startswith(STORED):  # with a border of one pixel, or without
             name = name.removeprefix(STORED)
             seen[name] = (1, CHANNELS[name], state.dims["height"], state.dims["width"])
         elif binding.access == "read":
@@ -94,7 +94,7 @@ def parts_of(features: Tensor) -> dict[str, Tensor]:
 
 
 def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
-    """Shapes of the activated heads that a network gives, by name."""
+    """Shapes of a network's heads after their activations, by name."""
     heads: dict[str, tuple[int, ...]] = {}
     seen = seen_by(state)["features"][2:]
     for binding in state.bindings:
@@ -123,12 +123,12 @@ def check_bindings(state: PipelineState) -> None:
 
 
 def alike_heads(state: PipelineState) -> dict[str, np.ndarray]:
-    """Heads of levels that a network does not compute, (1, C, 1, 1) by name: they are the same at all pixels."""
+    """Heads of the levels that a network does not compute, (1, C, 1, 1) by name: one value for all pixels."""
     return {name: array for name, array in state.constants.items() if not name.startswith((CODING, SCALING))}
 
 
 class Network:
-    """A network that reads `seen` and writes `heads`, both by name; `new` makes what lies between it and them."""
+    """A network that reads `seen` and writes `heads`, both by name; `new` makes the tensors in between."""
 
     def __init__(self, state: PipelineState, seen: Mapping[str, Tensor], heads: Mapping[str, Tensor],
                  new: Callable[[str, tuple[int, ...], str], Tensor]) -> None:
@@ -205,16 +205,16 @@ ENDS = {PLAIN: (REMODULATE, UPSAMPLE), GUIDED: (REMODULATE_BOTH, UPSAMPLE_GUIDED
         UNSCALED: (REMODULATE_BOTH, UPSAMPLE_UNSCALED)}
 """Kernels that put the reflectance back and enlarge: before, with that of guides, or after, at the render size."""
 MOST_PLACES = 64
-"""Windows of a graph's size whose places are kept on the device."""
+"""Windows of one size whose positions stay on the device."""
 
 
 @dataclass
 class Layer:
-    """What a window's filters run on beside the picture.
+    """A layer beside the picture that a window's filters run on.
 
     Attributes:
-        name: they write 'light NAME', and 'next_part NAME' unless the layer is the picture itself.
-        tensors: what they read, by their bindings. Without a 'part' the picture's radiance is enlarged once more;
+        name: the filters write 'light NAME', and 'next_part NAME' unless the layer is the picture itself.
+        tensors: what the filters read, by binding. Without a 'part' the picture's radiance is enlarged once more;
             without albedos the part has the picture's reflectance.
         alone: whether it has no history in this frame, though the picture may have one.
     """
@@ -227,9 +227,9 @@ class Layer:
 class Graph:
     """Pipeline states, tensors and argument tables for windows of one size.
 
-    A guided graph's models read guides beside the features, and colour gets their reflectance at output size, as far
-    as they are trusted. A reactive one may work with masks of where the history is not used. Models that doubt planes
-    read their mean around each pixel, too.
+    A guided graph's models also read guides, and colour gets the guides' reflectance at output size, as far as it is
+    trusted. A reactive graph can use masks that say how much of the history counts. Models that doubt planes also read
+    their mean around each pixel.
     """
 
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
@@ -256,12 +256,12 @@ class Graph:
         """Record the work on a window of this graph's size, on the picture and then on each of the layers.
 
         Args:
-            tensors: the frame's planes, history and what there is one of in a frame, and what is to be written, by the
-                kernels' names.
-            moves: whether the last output has to be brought to this frame; else it is read as it is, in a window of the
-                whole frame, because it is in place or does not matter.
-            masked: whether the reactive masks of this frame and the last say how much of the history each pixel keeps;
-                else one number does.
+            tensors: the frame's planes, its history, whatever exists once a frame, and the outputs, by the kernels'
+                names.
+            moves: whether the last output has to be warped to this frame. If not, it is read as it is, in a window of
+                the whole frame, because it is in place already or does not matter.
+            masked: whether the reactive masks of this frame and the last say how much of the history each pixel keeps.
+                If not, one number says it for all.
         """
         warped = self._made["warped"] if moves else tensors["history"]
         keep = self._made["keep"] if masked else tensors["keep"]
@@ -330,7 +330,7 @@ class Graph:
         return self._device.heap.tensor(name, shape)
 
     def _heads_of(self, network: PipelineState, between: Callable[..., Tensor]) -> dict[str, Tensor]:
-        """What the filters read of a network by name; of levels that it does not compute, what holds for all pixels."""
+        """The heads that the filters read, by name; for levels that the network does not compute, their constants."""
         heads = {name: between(name, shape) for name, shape in heads_of(network).items()}
         for name, values in alike_heads(network).items():
             heads[name] = self._kept(name, (1, values.shape[1], *self._window.level(int(name[-1]))))
@@ -377,7 +377,7 @@ class Graph:
         self._filter_order = ["accumulate", *self._make_pyramid(self._tables, levels)]
 
     def _make_layer_tables(self) -> None:
-        """What layers need, which share the picture's memory but for what it is still needed for."""
+        """Tensors for layers. They reuse the picture's memory, except where the picture is still needed."""
         rows, columns, out = self._window.rows, self._window.columns, self._window.out
         accumulated = self._new("part level 0", self._levels[0].shape)
         self._made |= {"warped part": self._new("warped part", (out.rows, out.columns, 3)),
@@ -395,7 +395,7 @@ class Graph:
         self._table(tables, "upsample", UPSAMPLE_LIGHT, **made)
 
     def _make_pyramid(self, tables: dict[str, ArgumentTable], levels: Sequence[Tensor]) -> list[str]:
-        """Tables of the filters from accumulated colour to filtered colour; returns their order."""
+        """Make the tables of the filters, from accumulated to filtered colour; returns their order."""
         filtered, order = self._filtered, [f"pool {i}" for i in range(1, LEVELS + 1)]
         for i in range(1, LEVELS + 1):
             self._table(tables, f"pool {i}", POOL, finer=levels[i - 1], level=levels[i])
@@ -409,7 +409,7 @@ class Graph:
         return order
 
     def _table(self, tables: dict[str, ArgumentTable], name: str, kernel: Kernel, **tensors: Tensor) -> None:
-        """An argument table for a kernel, with those of the tensors that it names."""
+        """Make the argument table of a kernel, with the tensors that the kernel names."""
         table = ArgumentTable(self._device.compute_state(kernel))
         for binding in kernel.reads + kernel.writes:
             if binding in tensors:
@@ -417,8 +417,8 @@ class Graph:
         tables[name] = table
 
     def _place(self, window: Window) -> dict[str, dict[str, Tensor]]:
-        """What tells the kernels of a window: tensors by their bindings' names for each table of the pyramid, and
-        under no name for all others."""
+        """Tensors that describe a window to the kernels, by binding: for each table of the pyramid, and under '' for
+        all other tables."""
         if window not in self._places:
             if len(self._places) == MOST_PLACES:
                 self._places.clear()
@@ -449,7 +449,8 @@ class Graph:
 
 
 def _places(window: Window) -> dict[str, dict[str, np.ndarray]]:
-    """What tells the kernels of a window, for each table of the pyramid, and under no name for all others."""
+    """Arrays that describe a window to the kernels: for each table of the pyramid, and under '' for all other
+    tables."""
     places = {"": window.places()}
     for i in range(LEVELS + 1):
         places[f"filter {i}"] = {"area": window.area(i)}

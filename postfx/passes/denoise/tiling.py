@@ -19,15 +19,15 @@ from postfx.system import PROCESS, Scratch
 LEVELS = 4
 """Times that the filter pyramid halves its size."""
 GRID = 2**LEVELS
-"""What a network's input is a multiple of, if it computes all levels of the pyramid."""
+"""Height and width of a network's input are multiples of this if it computes all levels of the pyramid."""
 
 Rows = tuple[int, int]
-"""The first of some rows, and the one after the last."""
+"""The first row, and the row after the last."""
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Render and output size of a frame, and what rows and columns of its windows are multiples of."""
+    """Render and output size of a frame, and the number that rows and columns of its windows are multiples of."""
 
     h: int
     w: int
@@ -36,12 +36,12 @@ class Sizes:
     grid: int = GRID
 
     def enlarged(self, rows: Rows) -> Rows:
-        """The output rows of some render rows."""
+        """The output rows of a range of render rows."""
         return rows[0] * self.height // self.h, rows[1] * self.height // self.h
 
 
 class Box(NamedTuple):
-    """Pixels of a picture: first row and column, and how many there are of each."""
+    """A rectangle of pixels: first row, first column, height and width."""
 
     top: int
     left: int
@@ -51,8 +51,8 @@ class Box(NamedTuple):
 
 @dataclass(frozen=True)
 class Window:
-    """Rows and columns of a frame at render size, the first ones multiples of the frame's grid. It may end beyond the
-    frame; where it is less than the frame, its size is a multiple of the grid, too."""
+    """A part of a frame at render size. Its first row and column are multiples of the frame's grid. It may end beyond
+    the frame. If it is smaller than the frame, its size is a multiple of the grid, too."""
 
     frame: Sizes
     top: int
@@ -66,7 +66,8 @@ class Window:
 
     @cached_property
     def out(self) -> Box:
-        """The same at output size: all pixels that the render pixels touch; as many for all windows of one size."""
+        """The same at output size: all output pixels that the render pixels touch. Windows of one size have equally
+        many."""
         frame, grid = self.frame, self.frame.grid
         top, rows = _enlarged(self.top, self.rows, frame.h, frame.height, grid)
         left, columns = _enlarged(self.left, self.columns, frame.w, frame.width, grid)
@@ -78,19 +79,19 @@ class Window:
         return whole_steps(self.rows, self.frame.grid), whole_steps(self.columns, self.frame.grid)
 
     def level(self, i: int) -> tuple[int, int]:
-        """Size of a pyramid level, whose cells lie where those of the whole frame do; the same for all windows of one
-        size, the last row and column may hold nothing."""
+        """Size of a pyramid level, whose cells lie where the whole frame's cells do. It is the same for all windows of
+        one size, so the last row and column may be empty."""
         frame, (rows, columns) = self.frame, self.padded
         return _cells(rows, frame.h, frame.grid, i), _cells(columns, frame.w, frame.grid, i)
 
     def area(self, i: int) -> np.ndarray:
-        """Rows and columns of a pyramid level that hold picture."""
+        """Rows and columns of a pyramid level that lie in the picture."""
         ends = min(self.top + self.rows, self.frame.h), min(self.left + self.columns, self.frame.w)
         firsts = self.top, self.left
         return np.array([-(-end >> i) - (first >> i) for first, end in zip(firsts, ends, strict=True)], np.float32)
 
     def finer(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """For each row and column of a pyramid level the first one of the finer level that it is made of; it may lie
+        """For each row and column of a pyramid level, the first row or column of the finer level in it, which may lie
         before the window."""
         rows, columns = (2 * np.arange(size, dtype=np.float32) - (first >> i - 1 & 1)
                          for size, first in zip(self.level(i), (self.top, self.left), strict=True))
@@ -104,7 +105,7 @@ class Window:
         return rows, columns
 
     def places(self) -> dict[str, np.ndarray]:
-        """What tells the kernels of the window, by their bindings' names."""
+        """Arrays that describe the window to the kernels, by binding."""
         frame, out = self.frame, self.out
         values = {
             "window": [self.top, self.left, frame.h, frame.w, out.top, out.left, frame.height, frame.width],
@@ -134,47 +135,47 @@ def _enlarged(first: int, count: int, size: int, out_size: int, grid: int) -> tu
 
 
 def _cells(count: int, size: int, grid: int, i: int) -> int:
-    """Rows of a pyramid level that so many rows of a frame touch, wherever they begin."""
+    """Rows of a pyramid level that `count` rows of a frame touch at most, wherever they begin."""
     return max(-(-(first + count) >> i) - (first >> i) for first in _firsts(count, size, grid))
 
 
 def _firsts(count: int, size: int, grid: int) -> range:
-    """First rows of windows of so many rows, as far as cells of the coarsest level tell them apart."""
+    """First rows of windows of `count` rows that lie differently in the cells of the coarsest level."""
     return range(0, 1 if count >= size else GRID, grid)
 
 
 def _counted(first: int, count: int, size: int) -> np.ndarray:
-    """Numbers from `first` on, the last pixel's of a side repeated."""
+    """`count` indices from `first` on; beyond the side, that of the last pixel is repeated."""
     return np.minimum(np.arange(first, first + count), size - 1)
 
 
 def _mirrored(count: int, held: int) -> np.ndarray:
-    """Indices that continue beyond a side as in a mirror, and stop at its start."""
+    """`count` indices from 0 on, mirrored beyond the last of `held` pixels and 0 beyond that."""
     places: np.ndarray = np.maximum(held - 1 - np.abs(np.arange(count) - (held - 1)), 0)
     return places
 
 
 HALOS, GUIDED_HALO = {"s": 72, "m": 44, "l": 48}, 104
-"""Render pixels around what is active that a network must see, so that the result there differs by less than 1e-3 from
-that of the whole frame: by size, the largest for others, and of models that read guides. docs/denoiser.md has measured
-differences."""
+"""Render pixels that a network must see around active ones so that the result differs by less than 1e-3 from that of
+the whole frame: by model size, the largest for other models, and for models that read guides. docs/denoiser.md lists
+the differences."""
 
 REACH = 2
-"""Render pixels that a pixel's strength reaches when it is resampled."""
+"""Distance in render pixels that a pixel's strength reaches when it is resampled."""
 
 CELL = 2 * REACH
-"""Render pixels along a side of the squares that are active or not."""
+"""Side in render pixels of the squares that are active or not."""
 COARSE = 4
-"""Such squares along a side of those by which boxes are searched."""
+"""Side, in such squares, of the larger squares that boxes are searched by."""
 
 FIXED = 10000
-"""Render pixels whose time a window takes beyond that of its own, at least. samples/window_cost.py measures 11200 for
+"""Least overhead of a window: the time of so many render pixels. samples/window_cost.py measures 11200 for
 model m at 960x540 (7 ms), 23500 for s, and 27500 for m at 1920x1080, where it matters less."""
 
 MOST_BOXES = 6
 GAIN = 0.9
-"""Windows must be expected to take at most this share of the whole frame's time: a frame with windows takes 7 % of it
-more with m and 11 % with s, measured likewise, for what is done everywhere."""
+"""Windows are used if they are expected to take at most this share of the whole frame's time. Work that is done
+everywhere adds 7 % of that time with m and 11 % with s, measured in the same way."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ class Band:
 
     @property
     def share(self) -> float:
-        """Of the frame's pixels that are in windows, counted as often as they are."""
+        """Pixels of all windows over pixels of the frame; pixels in several windows count several times."""
         frame = self.tiles[0].window.frame
         return sum(tile.window.rows * tile.window.columns for tile in self.tiles) / (frame.h * frame.w)
 
@@ -225,14 +226,14 @@ def active_cells(strength: np.ndarray) -> np.ndarray:
 
 
 def _grouped(mask: np.ndarray, step: int) -> np.ndarray:
-    """Whether any of so many rows of a mask holds."""
+    """For each group of `step` rows of a mask, whether any of them is set."""
     padded = np.pad(mask, ((0, -len(mask) % step), (0, 0)))
     groups: np.ndarray = np.logical_or.reduce([padded[i::step] for i in range(step)])
     return groups
 
 
 def halo_of(models: Iterable[str]) -> int:
-    """The halo that is enough for all of some models."""
+    """The halo that is enough for all of these models."""
     return max(map(_halo, models))
 
 
@@ -262,7 +263,7 @@ def _in_pixels(cells: np.ndarray, box: Box) -> Box:
 
 
 def _best_cut(cells: np.ndarray, box: Box) -> tuple[int, tuple[Box, Box]]:
-    """The cut of a box that leaves most cells out, and how many; the box holds active cells at all of its sides."""
+    """The cut of a box that leaves out the most cells, and how many. The box has active cells at all of its sides."""
     top, left, rows, columns = box
     part = cells[top:top + rows, left:left + columns]
     down, across = (_areas(side)[:-1] + _areas(side[::-1])[-2::-1] for side in (part, part.T))
@@ -276,8 +277,8 @@ def _best_cut(cells: np.ndarray, box: Box) -> tuple[int, tuple[Box, Box]]:
 
 
 def _areas(part: np.ndarray) -> np.ndarray:
-    """Of the first row, the first two and so on: the area of the box around what is active in them; in the very first
-    row something is."""
+    """Area of the box around the active cells of the first row, of the first two rows and so on. The first row has
+    some."""
     active, count = part.any(1), part.shape[1]
     first = np.minimum.accumulate(np.where(active, part.argmax(1), count))
     last = np.maximum.accumulate(np.where(active, count - part[:, ::-1].argmax(1), 0))
@@ -300,7 +301,7 @@ def _area(box: Box) -> int:
 
 
 def shape_for(frame: Sizes, boxes: Iterable[Box], halo: int) -> Shape:
-    """The least window that holds each of some boxes with its halo."""
+    """Size of the smallest window that can hold any of these boxes with its halo."""
     spans = [(_span(box.top, box.rows, frame.h, halo, frame.grid),
               _span(box.left, box.columns, frame.w, halo, frame.grid)) for box in boxes]
     return whole_sides(frame, tuple(max(end - first for first, end in side) for side in zip(*spans, strict=True)))
@@ -337,7 +338,7 @@ def cost(shape: Shape, count: int) -> int:
 
 
 def around(frame: Sizes, cells: np.ndarray, halo: int) -> tuple[list[Box], Shape]:
-    """The boxes around active cells whose windows take least, and the size of these."""
+    """The boxes around active cells whose windows take the least time, and the windows' size."""
     found = [(boxes, shape_for(frame, boxes, halo)) for boxes in boxes_of(cells)]
     return min(found, key=lambda item: cost(item[1], len(item[0])))
 
@@ -377,7 +378,7 @@ def bands_of(frame: Sizes, box: Shape, shape: Shape, halo: int) -> list[Band]:
 
 
 def band_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> Band:
-    """The rows that hold some boxes, of which only these are worked on."""
+    """The rows that hold these boxes; only the boxes are worked on."""
     tiles = tiles_of(frame, boxes, shape, halo)
     top = min(tile.inner.top for tile in tiles)
     return Band(top, max(tile.inner.top + tile.inner.rows for tile in tiles) - top, tiles)
@@ -391,12 +392,12 @@ TILE = 230_000
 """Bytes that the commands of a tile take (measured with 240 to 920 tiles of 1920x1080)."""
 
 WINDOW = 0.75
-"""Share of what a budget leaves that a window may take; tensors of the frame, and what is looked at of files, have the
-other part."""
+"""Share of the remaining budget that a window may take. The frame's tensors and the parts of files in use have the
+rest."""
 
 
 def bands_within(scratch: Scratch | None, frame: Sizes, models: Sequence[str]) -> list[Band]:
-    """Bands that fill the frame; none where all of it may be worked on at once.
+    """Bands that fill the frame; none if the whole frame fits the budget at once.
 
     Raises MemoryBudgetError, which names the smallest budget, when no window is small enough.
     """
@@ -415,11 +416,11 @@ def bands_within(scratch: Scratch | None, frame: Sizes, models: Sequence[str]) -
 
 
 def _needed(shape: Shape, tiles: int) -> int:
-    """The budget within which a frame can be worked on in so many tiles with windows of a shape."""
+    """The smallest budget for a frame in this many tiles with windows of this shape."""
     return PROCESS + tiles * TILE + int(shape[0] * shape[1] * PIXEL / WINDOW)
 
 
 def seamless(models: Sequence[str]) -> int:
-    """A halo for tiles side by side, larger than that of a mask, as all of its seams are seen: with it the networks in
-    integers give the same, too, frame after frame."""
+    """Halo of tiles side by side. It is larger than around masks, as every seam shows: with it integer networks agree,
+    too, frame after frame."""
     return halo_of(models) * 4 // 3
