@@ -80,7 +80,8 @@ def difference(output: Tensor, reference: Tensor) -> Tensor:
 
 COARSE = (4, 8, 16)  # output pixels
 KNEE, COARSE_KNEE = 0.02, 0.005  # code values
-LIGHT_CELL, LIGHT_MOST, LIGHT_FLOOR, LIGHT_KNEE, LIGHT = 16, 1000.0, 0.05, 0.05, 0.5
+LIGHT_CELL, LIGHT_MOST, LIGHT_FLOOR = 16, 1000.0, 0.05
+LIGHT = 0.5, 0.05  # weight and knee of the error of light
 SEEN = 0.5  # weight of the perceived difference
 NOISY = 0.2  # input error (display-encoded) of frames that count once
 
@@ -111,11 +112,11 @@ def frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
     return huber(error, KNEE) + 4 * error.square().mean() + 0.5 * edges + blotches + SEEN * seen
 
 
-def light_loss(output: Tensor, reference: Tensor) -> Tensor:
+def light_loss(output: Tensor, reference: Tensor, knee: float = LIGHT[1]) -> Tensor:
     """Relative error of the light in cells of 16x16 output pixels, of exposed linear pictures: the display curve alone
-    would let uncertain lamps fade."""
+    would let uncertain lamps fade. Errors below ``knee`` are squared, so that they find the mean and not the median."""
     found, wanted = (F.avg_pool2d(x.clamp(max=LIGHT_MOST), LIGHT_CELL) for x in (output, reference))
-    return huber((found - wanted) / (wanted.mean(1, keepdim=True) + LIGHT_FLOOR), LIGHT_KNEE)
+    return huber((found - wanted) / (wanted.mean(1, keepdim=True) + LIGHT_FLOOR), knee)
 
 
 def flicker_loss(output: Tensor, previous: Tensor, reference: Tensor, reference_previous: Tensor,
@@ -160,7 +161,8 @@ class Truth:
     """References of a clip, their motion, and the factors on errors: 1 or, if clips count ``even``, the larger the less
     noise the input has."""
 
-    def __init__(self, batch: Batch, even: float = 0.0):
+    def __init__(self, batch: Batch, even: float = 0.0, light: tuple[float, float] = LIGHT):
+        self.light, self.knee = light
         self.references = batch.references
         self.shown = [display(reference) for reference in batch.references]
         ones = torch.ones_like(batch.keep[0])
@@ -177,7 +179,8 @@ class Truth:
         and the mean flicker."""
         shown = [display(output) for output in outputs]
         pictures = sum(map(frame_loss, shown, self.shown, self.scale))
-        pictures = pictures + LIGHT * sum(map(light_loss, outputs, self.references))
+        pictures = pictures + self.light * sum(light_loss(*pair, self.knee)
+                                              for pair in zip(outputs, self.references, strict=True))
         flicker = torch.stack([self._flicker(shown, t) for t in range(1, len(shown))])
         late = range(len(shown) // 2, len(shown))
         quality = torch.stack([psnr(shown[t].detach(), self.shown[t]).mean() for t in late])
@@ -193,13 +196,15 @@ class ClipLoss(nn.Module):
     """Run a clip through the recurrent step and sum the losses of its frames.
 
     ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history; ``even``
-    lets clips of little noise count as much as noisy ones, at most so many times (0: all clips count once). A batch
-    with inverse motion is run backwards, too: each direction has its own loss, and their blend has one.
+    lets clips of little noise count as much as noisy ones, at most so many times (0: all clips count once);
+    ``light`` are weight and knee of the error of light. A batch with inverse motion is run backwards, too: each
+    direction has its own loss, and their blend has one.
     """
 
-    def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0):
+    def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
+                 light: tuple[float, float] = LIGHT):
         super().__init__()
-        self.model, self.flicker, self.reset, self.even = model, flicker, reset, even
+        self.model, self.flicker, self.reset, self.even, self.light = model, flicker, reset, even, light
 
     def forward(self, batch: Batch) -> Scores:
         # One context for the whole clip, so that weights are cast once and not once a frame.
@@ -207,7 +212,7 @@ class ClipLoss(nn.Module):
             return self._clip(batch)
 
     def _clip(self, batch: Batch) -> Scores:
-        truth, size = Truth(batch, self.even), batch.references.shape[-2:]
+        truth, size = Truth(batch, self.even, self.light), batch.references.shape[-2:]
         ahead, counts = self._run(batch.frames, list(batch.keep), size)
         if batch.inverse is None:
             return truth.scores(ahead, self.flicker)

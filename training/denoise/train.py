@@ -37,7 +37,7 @@ from training.denoise import model as network
 from training.denoise.checkpoint import git_commit, load_weights, random_state, read, save, set_random_state
 from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to_batch
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
-from training.denoise.loss import ClipLoss
+from training.denoise.loss import LIGHT, ClipLoss
 from training.denoise.model import DenoiseUpscale, TrunkConfig
 from training.measure.runs import append_run
 
@@ -69,6 +69,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
     parser.add_argument("--even", type=float, nargs="?", default=0.0, const=8.0, metavar="MOST",
                         help="clips of little noise count as much as noisy ones, at most this many times as much (8)")
+    parser.add_argument("--light", type=float, nargs=2, default=LIGHT, metavar=("WEIGHT", "KNEE"),
+                        help="weight of the relative error of light in cells of 16x16 pixels, and below which error it "
+                             "is squared (default: %(default)s)")
     parser.add_argument("--clean", type=float, default=Augment.clean, metavar="SHARE",
                         help="part of the offline renders whose colour is moved towards the reference (%(default)s)")
     parser.add_argument("--false-motion", type=float, default=0.0, metavar="SHARE",
@@ -200,7 +203,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
         if args.trust and args.start.suffix == ".onnx":
             begin_trust(model.trunk)
     average = Average(model, DECAY)
-    loss = ClipLoss(model, args.flicker, args.reset, args.even)
+    loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light))
     flat = FlatGradient(list(model.parameters()))
     gradient = GradientStep(loss, flat)
     optimiser = torch.optim.AdamW(model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,

@@ -48,3 +48,17 @@ def test_light_of_a_lamp_that_fades_costs_more_than_noise():
     faded[..., 4:12, 4:12] = 10.0
     assert light_loss(reference, reference) < 1e-6
     assert light_loss(faded, reference) > 20 * light_loss(noisy, reference)
+
+
+def test_a_wide_knee_finds_the_mean_of_rare_light():
+    """One cell in four has a tenth more light: squared errors ask for a quarter of it, absolute ones for none."""
+    light = torch.ones(1, 3, 64, 64)
+    light[..., :32, :32] += 0.1
+
+    def best(knee: float) -> float:
+        losses = {share: float(light_loss(torch.full_like(light, 1 + share), light, knee))
+                  for share in (0.0, 0.01, 0.025, 0.04)}
+        return min(losses, key=losses.__getitem__)
+
+    assert best(0.5) == 0.025
+    assert best(0.0005) == 0.0
