@@ -21,7 +21,7 @@ from postfx.runtime.session import Placement
 from tests import toys
 
 PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
-WARM, FRAMES = 3, 20
+WARM, FRAMES = 3, 12
 CHAINS = {
     "upscale, tone map": ({}, ()),
     "weak, with alpha": ({"strength": 0.5}, (Role.ALPHA, Role.STRENGTH)),

@@ -11,8 +11,9 @@ import pytest
 from postfx import Frame, Pipeline, Role
 from postfx.colour.curves import srgb_encode
 from postfx.errors import ExposureError
+from postfx.exposure import response
 from postfx.exposure.debugger import debug_graded, judge_view
-from postfx.exposure.response import OWN_CURVE, GradedBoards, read_response, write_chart
+from postfx.exposure.response import OWN_CURVE, GradedBoards, Response, calibrate, read_response, write_chart
 from postfx.passes.exposure_tool import ExposureTool
 from postfx.passes.tonemap import ToneMap
 from postfx.runtime import Device
@@ -31,6 +32,19 @@ def film(light: np.ndarray) -> np.ndarray:
 
 def reinhard(light: np.ndarray) -> np.ndarray:
     return srgb_encode(light / (1 + light))
+
+
+def test_known_curves_are_those_of_their_authors() -> None:
+    light = np.array([0, 0.01, 0.18, 1, 5.6])
+    published = np.polyval([2.51, 0.03, 0], light) / np.polyval([2.43, 0.59, 0.14], light)
+    np.testing.assert_allclose(response._narkowicz(light), published)
+    np.testing.assert_allclose(response._hable(light[[0, -1]]), [0, 1], atol=1e-12)  # twice 5.6 is white
+
+
+def test_of_curves_that_are_alike_but_for_their_gain_the_nearest_counts() -> None:
+    own, *others = (Response.of_curve(lambda light, gain=gain: reinhard(light * gain)) for gain in (1.0, 4.0, 0.5))
+    assert calibrate(own, dict(zip(("two stops", "one stop"), others, strict=True))).curve == "one stop"
+    assert calibrate(own, dict(zip(("one stop", "two stops"), others[::-1], strict=True))).curve == "one stop"
 
 
 @pytest.fixture(scope="module")

@@ -84,7 +84,9 @@ def test_what_a_mask_of_1_leaves_is_not_used_either(device: Device) -> None:
 def test_between_mixes(device: Device) -> None:
     """Ever nearer to the picture without history, and both ends are reached smoothly. With half of its history a
     network may be farther from the picture with all of it than with a quarter."""
-    frames = list(read_sequence(ROOM, "1-4"))
+    cut = np.s_[20:164, 40:280]
+    frames = [replace(frame, planes={role: plane[cut] for role, plane in frame.planes.items()})
+              for frame in read_sequence(ROOM, "1-4")]
     shares = (0.0, 0.02, 0.25, 0.5, 0.75, 0.98, 1.0)
     pictures = [seen(run(reactive(frames, share), device, model="s.fp32")[-1]) for share in shares]
     whole = np.abs(pictures[-1] - pictures[0]).mean()
