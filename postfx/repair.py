@@ -1,12 +1,14 @@
-"""Pixels that are not finite: counted in every plane, and repaired in colour from the neighbours that are."""
+"""Pixels that are not finite: counted in every plane, and repaired in colour from the neighbours that are; and
+fireflies, which are clamped."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from postfx.errors import OptionError
 from postfx.frame import Frame, Role
 from postfx.system import Scratch
 
@@ -18,6 +20,8 @@ SIDE, RIM = 4, 0.375
 """Longest side in pixels of a block of bad pixels that is repaired, and the share of finite neighbours at its rim."""
 MOST = 0.5
 """Share of bad pixels in the colour above which the frame is lost, and bad pixels count as black."""
+REACH, FEW = 2, 3
+"""Fireflies are told by the pixels so far around them, of which the brightest `FEW` - 1 may be fireflies, too."""
 AROUND = tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x)
 
 
@@ -128,3 +132,85 @@ def _run(bad: np.ndarray, rows: np.ndarray, columns: np.ndarray, down: int, righ
         goes_on &= inside & bad[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
         length += goes_on
     return length
+
+
+@dataclasses.dataclass
+class Fireflies:
+    """What was clamped in a number of frames.
+
+    Attributes:
+        pixels, frames: how many had too much light.
+        light, taken: sum of all light before, and of what was taken.
+    """
+
+    pixels: int = 0
+    frames: int = 0
+    light: float = 0.0
+    taken: float = 0.0
+
+    @property
+    def share(self) -> float:
+        """Of the light that was taken, 0 to 1."""
+        return self.taken / self.light if self.light > 0 else 0.0
+
+    def as_dict(self) -> dict[str, float]:
+        """In plain types."""
+        return {"pixels": self.pixels, "frames": self.frames, "light_taken": self.share}
+
+    def __str__(self) -> str:
+        pixels, frames = (f"{count} {word}{'s' * (count != 1)}" for count, word in
+                          ((self.pixels, "pixel"), (self.frames, "frame")))
+        return f"{pixels} in {frames}: {self.share:.2%} of the light was taken"
+
+
+def parse_limit(limit: float | str | None) -> float | None:
+    """How many times as bright as its surroundings a pixel may be, above 1; OptionError for other values."""
+    if limit is None:
+        return None
+    try:
+        number = float(limit)
+    except ValueError:
+        number = 0.0
+    if not 1 < number < float("inf"):
+        raise OptionError(f"--clamp-fireflies {limit}: give a number above 1, such as 8: how many times as bright as "
+                          "the pixels around it a pixel may be")
+    return number
+
+
+def clamp_fireflies(frame: Frame, limit: float, count: Fireflies, lights: Iterable[str] = ()) -> None:
+    """Darken pixels of the colour that are more than `limit` times as bright as the third brightest of the 24 around
+    them, or as the mean of the frame where that is brighter; in the frame itself, which `count` counts.
+
+    A pixel's brightness is its largest channel, and its hue stays. Its parts `lights` are darkened like it, so that
+    they add up as before. Pixels that are not finite are not looked at, and beyond the border lies a mirror.
+    """
+    colour = frame[Role.COLOUR]
+    bright = np.where(np.isfinite(colour), colour, 0).max(axis=2)
+    most = limit * np.maximum(_third_brightest(bright), bright.mean(dtype=np.float64).astype(np.float32))
+    found = bright > most
+    count.light += float(np.where(np.isfinite(colour), colour, 0).sum(dtype=np.float64))
+    if not found.any():
+        return
+    factor = (most[found] / bright[found])[:, None]
+    frame.planes[Role.COLOUR] = np.array(colour)
+    before = colour[found]
+    for plane in (frame.planes[Role.COLOUR], *(frame.parts[name] for name in lights)):
+        plane[found] *= factor
+    lost = np.where(np.isfinite(before), before - before * factor, 0)
+    count.taken += float(lost.sum(dtype=np.float64))
+    count.pixels, count.frames = count.pixels + int(found.sum()), count.frames + 1
+
+
+def _third_brightest(bright: np.ndarray) -> np.ndarray:
+    """Of the pixels around each one (height, width)."""
+    height, width = bright.shape
+    wide = np.pad(bright, REACH, "reflect")
+    brightest = [np.zeros_like(bright) for _ in range(FEW)]
+    for down in range(2 * REACH + 1):
+        for right in range(2 * REACH + 1):
+            value = wide[down : down + height, right : right + width]
+            if (down, right) == (REACH, REACH):
+                continue
+            for i, held in enumerate(brightest):
+                brightest[i], value = np.maximum(held, value), np.minimum(held, value)
+    return brightest[-1]

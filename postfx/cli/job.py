@@ -227,6 +227,7 @@ class Job:
             exposure=self._exposure,
             cuts=self._cuts,
             coverage=self.sequence.coverage,
+            fireflies=self.sequence.fireflies,
             bad_pixels=self._bad_pixels,
             capture=self._capture.page if self._capture else None,
             faults=self._faults.found,

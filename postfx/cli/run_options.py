@@ -225,6 +225,9 @@ PASSES = Section("passes", (
            help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, 'auto' for sky and "
            "misses that are free of noise, and 'converged:0.01' for what its variance says to have at most 1 %% of "
            "error, or 'converged:256spp'; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id"),
+    Option(flag="--clamp-fireflies", metavar="N", type=float, sets="sequence.clamp_fireflies", excludes=_FOR_DENOISER,
+           help="before denoising, darken pixels that are more than N times (such as 8) as bright as the third "
+           "brightest of the 24 around them, in the picture and its parts; the run says how much light that took"),
     Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov", excludes={**_FOR_DENOISER, **_WITHOUT_PARTS},
            help="parts of the picture to denoise with it, so that they still add up to it: light groups and passes by "
            "name, like 'key,fill,rim', or auto for those that the renderer's profile knows; written into the EXR "

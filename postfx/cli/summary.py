@@ -17,6 +17,7 @@ from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.masks.entries import Coverage
 from postfx.plan import Plan, Skip, from_files
+from postfx.repair import Fireflies
 from postfx.temporal.run_up import RunUp
 
 SHOWN_FRAMES = 3
@@ -292,6 +293,7 @@ class Report:
         exposure: by how much frames were exposed.
         cuts: frames at which a cut was found in the pictures.
         coverage: how much of the frames --leave left as it is.
+        fireflies: what --clamp-fireflies took of the frames.
         bad_pixels: plane -> pixels that were not finite and frames that had them.
         capture: path of the capture's page, or None.
         page: path of the page that --report asks for, or None.
@@ -314,6 +316,7 @@ class Report:
     exposure: ExposureUsed = ExposureUsed()
     cuts: list[int] = field(default_factory=list)
     coverage: Coverage = field(default_factory=Coverage)
+    fireflies: Fireflies = field(default_factory=Fireflies)
     bad_pixels: dict[str, dict[str, int]] = field(default_factory=dict)
     capture: str | None = None
     page: str | None = None
@@ -342,6 +345,8 @@ class Report:
         }
         if self.coverage.frames:
             result["left_alone"] = self.coverage.as_dict()
+        if self.fireflies.light:
+            result["fireflies"] = self.fireflies.as_dict()
         if self.faults:
             result["faults"] = [asdict(fault) for fault in self.faults]
         ends = {"capture": self.capture, "report": self.page, "error": self.error}
@@ -364,6 +369,8 @@ class Report:
         lines += [f"cuts     found at {_listed(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
         if self.coverage.frames:
             lines.append(f"left     {self.coverage}")
+        if self.fireflies.light:
+            lines.append(f"clamped  {self.fireflies}")
         lines += self._fault_lines()
         lines += [f"broken   {role}: {_broken_text(role, found)}" for role, found in self.bad_pixels.items()]
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]

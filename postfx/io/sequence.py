@@ -17,6 +17,7 @@ from postfx.io.parts import parse_parts
 from postfx.io.pattern import Source, format_frames, locate, parse_frames
 from postfx.io.windows import scaled_windows
 from postfx.masks.entries import Coverage, parse_leave
+from postfx.repair import Fireflies, clamp_fireflies, parse_limit
 from postfx.system import Scratch
 
 
@@ -38,6 +39,7 @@ class Sequence:
         left_alone: how much of the frames read so far that is.
         parts: which layers are read as parts of the picture; may be replaced.
         view: of stereo files, the view that frames are of; None for the first, until a frame was opened.
+        fireflies: what `clamp_fireflies` took of the frames that were read.
         views: other views that are read with each frame, into `Frame.views`; those of 'all' are known as soon as a
             frame was opened.
     """
@@ -59,8 +61,10 @@ class Sequence:
         view: str | None = None,
         aov: str | None = None,
         aov_denoise: str | None = None,
+        clamp_fireflies: float | None = None,
     ) -> None:
         self._scratch = scratch
+        self._most, self.fireflies = parse_limit(clamp_fireflies), Fireflies()
         self.parts = parse_parts(aov, aov_denoise)
         self._layer = layer
         self.view, self.views, self._all_views = parse_views(view)
@@ -100,14 +104,14 @@ class Sequence:
     def reader(self, view: str | None = None) -> Sequence:
         """The same frames, of one view alone, for whoever reads them beside: `coverage` is its own."""
         found = copy.copy(self)
-        found.coverage = Coverage()
+        found.coverage, found.fireflies = Coverage(), Fireflies()
         found.view, found.views, found._all_views = view or self.view, (), False
         return found
 
     def pictures(self) -> Sequence:
         """The same frames without guides, and without what is left as it is."""
         found = copy.copy(self)
-        found.guides, found.leave = None, ()
+        found.guides, found.leave, found.fireflies = None, (), Fireflies()
         return found
 
     def look_again(self, step: int) -> None:
@@ -257,7 +261,10 @@ class Sequence:
             frame = files.read(number, wanted, guides, self._scratch)
             if files.alone:
                 self.coverage.add(files.alone.shares)
+            lights = [name for name, found in files.parts.items() if found.part.is_light]
         self.colours.apply(frame)
+        if self._most and Role.COLOUR in frame:
+            clamp_fireflies(frame, self._most, self.fireflies, lights)
         self._last = number
         after_gap = self._is_after_gap(number, previous)
         frame.reset = (frame.reset if self.cuts is None else number in self.cuts) or after_gap
@@ -300,6 +307,9 @@ def read_sequence(
     without: Iterable[Role] = (),
     layer: str | None = None,
     view: str | None = None,
+    aov: str | None = None,
+    aov_denoise: str | None = None,
+    clamp_fireflies: float | None = None,
 ) -> Sequence:
     """Frames of a sequence, read one at a time while iterating.
 
@@ -325,13 +335,17 @@ def read_sequence(
         layer: view layer or other layer whose channels are read; None for that with the most planes.
         view: of stereo files, such as 'left'; None for the first. Several, such as 'left,right', or 'all': each frame
             is of the first one and holds the others in `Frame.views`.
+        aov: layers that add up to the picture, 'key,fill', or 'auto' for those that the profile knows, which become
+            `Frame.parts`. aov_denoise: other layers by their kind, 'normal=N,depth=Z'.
+        clamp_fireflies: how many times as bright as the pixels around it a pixel may be; see
+            `postfx.repair.clamp_fireflies`.
 
     Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError,
     ReadError or StrengthError.
     """
     return Sequence(
         pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave, colourspace=colourspace,
-        without=without, layer=layer, view=view,
+        without=without, layer=layer, view=view, aov=aov, aov_denoise=aov_denoise, clamp_fireflies=clamp_fireflies,
     )
 
 

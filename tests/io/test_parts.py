@@ -119,6 +119,28 @@ def test_a_frame_of_blender_adds_up_by_groups_and_by_passes(tmp_path: Path) -> N
         assert min(plane.min() for plane in part.values()) >= 0
 
 
+def test_fireflies_are_clamped_in_the_picture_and_its_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    colour = np.full((*SIZE, 3), 0.5, np.float32)
+    colour[5, 5], colour[9:11, 9] = (90, 30, 0), 40
+    colour[20] = 40  # a line of light is no firefly
+    path = write(tmp_path / "a.0001.exr", {"": colour, "key": 0.75 * colour, "fill": 0.25 * colour})
+    plain, clamped = Sequence(str(path), aov="key,fill"), Sequence(str(path), aov="key,fill", clamp_fireflies=8)
+    before, frame, count = plain.read(1), clamped.read(1), clamped.fireflies
+    np.testing.assert_array_equal(before[Role.COLOUR], colour)
+    most = 8 * colour.max(axis=2).mean()
+    np.testing.assert_allclose(frame[Role.COLOUR][5, 5], (most, most / 3, 0), rtol=1e-5)
+    np.testing.assert_allclose(frame[Role.COLOUR][9:11, 9], most, rtol=1e-5)
+    np.testing.assert_array_equal(frame[Role.COLOUR][20], colour[20])
+    np.testing.assert_allclose(frame.parts["key"] + frame.parts["fill"], frame[Role.COLOUR], rtol=1e-6)
+    assert count.pixels == 3 and count.frames == 1
+    assert abs(count.share - (colour - frame[Role.COLOUR]).sum() / colour.sum()) < 1e-6
+    run = ["run", str(path), "-o", str(tmp_path / "b.0001.exr"), "--model", "s", "--scale", "1", "--clamp-fireflies"]
+    assert main([*run, "8"]) == 0
+    assert f"clamped  3 pixels in 1 frame: {count.share:.2%} of the light was taken" in capsys.readouterr().err
+    assert main([*run, "0.5"]) == 2
+    assert "--clamp-fireflies 0.5: give a number above 1" in capsys.readouterr().err
+
+
 def test_groups_by_name_and_what_is_not_there(cycles: Path) -> None:
     with Sequence(str(cycles), aov="key, Combined_fill").open(1) as files:
         assert set(files.parts) == {"ViewLayer.Combined_key", "ViewLayer.Combined_fill"}
