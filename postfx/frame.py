@@ -105,12 +105,12 @@ OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)
 """Planes that may come at output size, which is what makes them guides."""
 
 
-PART_KINDS = ("light", "diffuse", "specular", "scatter", "albedo", "normal", "position", "depth", "mist", "shadow",
-              "ao", "factor")
+PART_KINDS = ("light", "diffuse", "specular", "scatter", "emission", "albedo", "normal", "position", "depth", "mist",
+              "shadow", "ao", "factor")
 """Meanings of a part. Light is added up to the picture: with all of the reflectance in it, the diffuse or the specular
-one, or none (fog, emission, a background). The others are no light and add up to nothing. A factor is what files divide
-parts by: it is not filtered, only brought to the output's size."""
-ADDITIVE = PART_KINDS[:4]
+one, or none (fog; lamps and a background, which are seen as they are). The others are no light and add up to nothing. A
+factor is what files divide parts by: it is not filtered, only brought to the output's size."""
+ADDITIVE = PART_KINDS[:5]
 
 
 @dataclass(frozen=True)
@@ -121,6 +121,8 @@ class Part:
         name: as the frame's `parts` name it.
         kind: one of `PART_KINDS`.
         group: parts of one group add up to the picture, or to some of it; a frame may be taken apart in several ways.
+        factor: name of the part of the kind 'factor' that this one is divided by in files: where that is 0, there is
+            nothing of it.
 
     Raises FrameError for another kind.
     """
@@ -128,6 +130,7 @@ class Part:
     name: str
     kind: str = "light"
     group: str = ""
+    factor: str = ""
 
     def __post_init__(self) -> None:
         if self.kind not in PART_KINDS:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from postfx.errors import MissingPlaneError, OptionError
-from postfx.frame import PART_KINDS, Part, PartSource
+from postfx.frame import ADDITIVE, PART_KINDS, Part, PartSource
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
 from postfx.io.layout import Layout
 
@@ -17,7 +17,7 @@ COLOURS, VECTORS = (("R", "G", "B"),), (("X", "Y", "Z"), ("R", "G", "B"))
 NUMBERS = (("V",), ("Z",), ("Y",), ("A",), ("X",), ("R",), ("",))
 LETTERS = {"normal": VECTORS, "position": VECTORS, "albedo": COLOURS, "depth": NUMBERS}
 """Channels of planes by kind, best first; others have three of colour or one."""
-PLANES = tuple(kind for kind in PART_KINDS[4:] if kind != "factor")
+PLANES = tuple(kind for kind in PART_KINDS if kind not in (*ADDITIVE, "factor"))
 """Kinds that `--aov-denoise` takes."""
 NEVER = ("crypto", "uint", "id", "index", "mask")
 """Words that begin or end the names of layers whose values are no amounts: means of them mean nothing."""
@@ -116,7 +116,7 @@ def _by_profile(index: ChannelIndex, layout: Layout, name: str) -> dict[str, Fou
                 if channels and layer not in found:
                     factor = rule.factor.replace("{layer}", layout.layer)
                     divided = _factor(index, factor, found) if factor else None
-                    found[layer] = FoundPart(Part(layer, rule.kind, rule.group), channels, divided)
+                    found[layer] = FoundPart(Part(layer, rule.kind, rule.group, divided or ""), channels, divided)
     return found
 
 

@@ -80,7 +80,7 @@ def test_cycles_passes_are_found_multiplied_denoised_and_divided_again(cycles: P
         "Diffuse Color": ("factor", ""), "Glossy Direct": ("specular", "passes"),
         "Glossy Indirect": ("specular", "passes"), "Glossy Color": ("factor", ""),
         "Volume Direct": ("scatter", "passes"),
-        "Emission": ("scatter", "passes"), "Mist": ("mist", "")}
+        "Emission": ("emission", "passes"), "Mist": ("mist", "")}
     frame = sequence.read(1)
     np.testing.assert_allclose(sum(frame.parts[f"ViewLayer.{name}"] for name, (_, group) in kinds.items()
                                    if group == "passes"), frame[Role.COLOUR], rtol=1e-5, atol=1e-6)

@@ -84,7 +84,8 @@ class Case(NamedTuple):
                 "ringed_hp": hp + 2, "ringed_wp": wp + 2, "th": window.rows, "tw": window.columns,
                 "out_th": window.out.rows, "out_tw": window.out.columns,
                 "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
-                "tiles": 3, "parts": 3, "tile_h": window.rows, "tile_w": window.columns,
+                "tiles": 3, "parts": 3, **dict.fromkeys(("reached_h", "reached_w"), 1 if self.h % 2 else 9),
+                "tile_h": window.rows, "tile_w": window.columns,
                 "rows": self.h, "columns": self.w,
                 "cells_h": -(-window.rows // 8), "cells_w": -(-window.columns // 8),
                 **dict(zip(("means_h", "means_w"), means_size(window.rows, window.columns), strict=True)),
@@ -197,6 +198,8 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.array([-1.0, 0.5, 1.5] if case.h % 2 else [0.0, 1.0, 1e4])
     if name == "decoding":  # of distances, other values and vectors
         return np.array([-1.0, -1e10, 0.5, 2.0, -1.0] if case.h % 3 == 0 else [2.0, -1.0, -0.8, 0.9, case.h % 3 - 1])
+    if name == "reached":
+        return np.ones(size) if size[1] == 1 else unit > 0.3
     if name == "complete":
         return np.array([case.w % 2])
     if name in ("part", "colour", "opaque_colour", "denoised"):

@@ -187,6 +187,23 @@ def test_fog_is_filtered_without_the_reflectance_of_what_lies_behind(device: Dev
     assert parts.parts["fog"].std() < 0.6 * as_light.parts["fog"].std()
 
 
+def test_no_light_lies_where_there_is_no_lamp_and_no_surface_of_its_kind(device: Device) -> None:
+    frame, there = lit(1), np.zeros((37, 50, 3), np.float32)
+    there[10:20, 10:20] = 1
+    light = frame[Role.COLOUR]
+    frame.parts = {"lamp": 4 * there, "glass": there * light, "rest": (1 - there) * light, "colour of glass": there}
+    frame.planes[Role.COLOUR] = light + 4 * there
+    parts = [Part("lamp", "emission"), Part("glass", "scatter", factor="colour of glass"), Part("rest"),
+             Part("colour of glass", "factor")]
+    for filters in ("picture", "own"):
+        found = upscaler(device, parts=parts, part_filters=filters)(frame)
+        assert_adds_up(found, ("lamp", "glass", "rest"))
+        for name in ("lamp", "glass"):
+            assert found.parts[name][24:36, 24:36].min() > 0
+            found.parts[name][18:42, 18:42] = 0
+            assert not found.parts[name].any()
+
+
 def test_alpha_is_denoised_where_it_is_noisy_and_left_alone_where_it_is_clean(device: Device) -> None:
     frame = lit(1)
     noise = np.random.default_rng(3).random((37, 50, 1), np.float32)

@@ -61,7 +61,8 @@ SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35,
          "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3,
          "finer_h": 63, "finer_w": 97, "coarse_h": 17, "coarse_w": 25,
          "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
-         "keep_h": 15, "keep_w": 27, "parts": 3, "cells_h": 3, "cells_w": 5, "means_h": 6, "means_w": 8, "wide": 8}
+         "keep_h": 15, "keep_w": 27, "parts": 3, "cells_h": 3, "cells_w": 5, "means_h": 6, "means_w": 8, "wide": 8,
+         "reached_h": 9, "reached_w": 10}
 KERNELS = {
     SCALE: kernels.Scale,
     DILATE: kernels.Dilate,

@@ -70,9 +70,12 @@ class UpsampleLight(nn.Module):
 
 
 class Balance(nn.Module):
-    """parts (n, H, W, 3), whole and picture (H, W, 3), complete (1,) -> balanced (n, H, W, 3)."""
+    """parts (n, H, W, 3), reached (n, h, w), whole and picture (H, W, 3), complete (1,) -> balanced (n, H, W, 3)."""
 
-    def forward(self, parts: Tensor, whole: Tensor, picture: Tensor, complete: Tensor) -> Tensor:
+    def forward(self, parts: Tensor, reached: Tensor, whole: Tensor, picture: Tensor, complete: Tensor) -> Tensor:
+        rows, columns = (torch.arange(out, device=parts.device) * size // out
+                         for out, size in zip(parts.shape[1:3], reached.shape[1:], strict=True))
+        parts = parts * reached[:, rows][:, :, columns, None]
         total, alone = parts.sum(0), complete > 0
         light = torch.where(alone, total, torch.maximum(total, whole))
         equal = torch.where(alone, torch.ones_like(light) / parts.shape[0], 0)

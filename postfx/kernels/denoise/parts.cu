@@ -58,20 +58,25 @@ extern "C" __global__ void denoise_accumulate_part(View part, View coding, View 
     to[3 * plane] = level.at[3 * plane + here];
 }
 
-// Parts as parts of the picture: parts (n, H, W, 3), whole and picture (H, W, 3), complete (1,) -> balanced (n, H, W, 3).
-extern "C" __global__ void denoise_balance(View parts, View whole, View picture, View complete, View balanced) {
+// Parts as parts of the picture: parts (n, H, W, 3), reached (n, h, w) or (n, 1, 1), whole and picture (H, W, 3),
+// complete (1,) -> balanced (n, H, W, 3).
+extern "C" __global__ void denoise_balance(View parts, View reached, View whole, View picture, View complete,
+                                           View balanced) {
     const int count = parts.size[0], height = parts.size[1], width = parts.size[2];
     PIXEL(width, height);
     const size_t stride = 3 * size_t(height) * width, pixel = 3 * (size_t(y) * width + x);
     const bool alone = complete.at[0] > 0.0f;
+    const int h = reached.size[1], w = reached.size[2];
+    const float* const cover = reached.at + size_t(y) * h / height * w + size_t(x) * w / width;
     for (int c = 0; c < 3; c++) {
         float total = 0.0f;
-        for (int k = 0; k < count; k++) total += parts.at[k * stride + pixel + c];
+        for (int k = 0; k < count; k++) total += parts.at[k * stride + pixel + c] * cover[size_t(k) * h * w];
         const float light = alone ? total : fmaxf(total, whole.at[pixel + c]);
         const float inverse = 1.0f / fmaxf(light, 1e-30f), equal = alone ? 1.0f / float(count) : 0.0f;
         for (int k = 0; k < count; k++) {
             const size_t at = k * stride + pixel + c;
-            balanced.at[at] = (light > 1e-30f ? parts.at[at] * inverse : equal) * picture.at[pixel + c];
+            const float part = parts.at[at] * cover[size_t(k) * h * w];
+            balanced.at[at] = (light > 1e-30f ? part * inverse : equal) * picture.at[pixel + c];
         }
     }
 }

@@ -101,22 +101,41 @@ def inverse_of(total: np.ndarray, whole: np.ndarray, inverse: np.ndarray) -> Non
 
 
 @compiled
-def balance_rows(y0: int, y1: int, parts: np.ndarray, whole: np.ndarray, picture: np.ndarray, complete: np.ndarray,
-                 balanced: np.ndarray) -> None:
+def cover_row(part: np.ndarray, reached: np.ndarray, covered: np.ndarray) -> None:
+    """A row of a part (W, 3) where there is light of it: by the render pixel of ``reached`` (w,)."""
+    width, w = part.shape[0], reached.size
+    for x in range(width):
+        cover = reached[x * w // width]
+        for c in range(3):
+            covered[x, c] = part[x, c] * cover
+
+
+@compiled
+def balance_rows(y0: int, y1: int, parts: np.ndarray, reached: np.ndarray, whole: np.ndarray, picture: np.ndarray,
+                 complete: np.ndarray, balanced: np.ndarray) -> None:
     """Parts (n, H, W, 3) of the ``picture``, in the proportions that they were filtered in: to each other if they are
-    ``complete``, else to the ``whole``, which was filtered like them. Complete parts without light get equal shares."""
-    count, _, width, _ = parts.shape
+    ``complete``, else to the ``whole``, which was filtered like them. Complete parts without light get equal shares.
+
+    ``reached`` (n, h, w) is 0 at render pixels where a part has no light; (n, 1, 1) where all have some everywhere.
+    """
+    count, height, width, _ = parts.shape
     total, inverse = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
+    everywhere = reached.shape[1] == 1
     for y in range(y0, y1):
         total[:] = ZERO
         for k in range(count):
-            add(parts[k, y].reshape(3 * width), total)
+            if everywhere:
+                add(parts[k, y].reshape(3 * width), total)
+            else:
+                cover_row(parts[k, y], reached[k, y * reached.shape[1] // height], balanced[k, y])
+                add(balanced[k, y].reshape(3 * width), total)
         alone = complete[0] > ZERO
         inverse_of(total, total if alone else whole[y].reshape(3 * width), inverse)
         line = picture[y].reshape(3 * width)
         equal = ONE / np.float32(count) if alone else ZERO
         for k in range(count):
-            source, target = parts[k, y].reshape(3 * width), balanced[k, y].reshape(3 * width)
+            target = balanced[k, y].reshape(3 * width)
+            source = parts[k, y].reshape(3 * width) if everywhere else target
             for i in range(3 * width):
                 target[i] = (source[i] * inverse[i] if total[i] > DARKEST else equal) * line[i]
 
@@ -152,8 +171,9 @@ ACCUMULATE_PART = kernel(
                         "next_state", "level"),
     ("next_part", "part_level"), accumulate_rows, ("part_level", 1), part=("h", "w", 3), coding=(3,),
     last_part=("h", "w", 3), next_part=("th", "tw", 3), part_level=(4, "hp", "wp"))
-BALANCE = kernel("balance", ("parts", "whole", "picture", "complete"), ("balanced",), balance_rows, ("balanced", 1),
-                 parts=STACK, whole=IMAGE, picture=IMAGE, complete=(1,), balanced=STACK)
+BALANCE = kernel("balance", ("parts", "reached", "whole", "picture", "complete"), ("balanced",), balance_rows,
+                 ("balanced", 1), parts=STACK, reached=("parts", "reached_h", "reached_w"), whole=IMAGE, picture=IMAGE,
+                 complete=(1,), balanced=STACK)
 DECODE = kernel("decode", ("filtered", "decoding"), ("plane",), decode_rows, ("plane", 0), filtered=IMAGE,
                 decoding=(5,), plane=IMAGE)
 DECODE_ONE = kernel("decode_one", ("filtered", "decoding"), ("plane",), decode_rows, ("plane", 0), filtered=IMAGE,

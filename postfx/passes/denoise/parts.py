@@ -28,6 +28,8 @@ NEAR = 2e-3
 """Parts are all of the picture if their sum differs by less than this share of its light."""
 STEP = 8
 """Every so many rows are looked at for that."""
+REACH = 1
+"""Render pixels around a surface or a lamp beyond which there is nothing of it, though filters bring some there."""
 LARGEST = float(np.finfo(np.float32).max)
 BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "alpha": (0.0, 1.0), "mist": (0.0, 1.0)}
 """Of the values of planes by kind; those of others begin at 0 and have no end."""
@@ -37,6 +39,8 @@ DEPTH = "depth"
 """Kind of a plane of distances: their reciprocals are filtered, and apart from them where there is any."""
 FARTHEST = 1e9
 """Distances from here on stand for nothing."""
+EMISSION = "emission"
+"""Kind of light that is seen as it is, with no noise but that of edges."""
 SIGNED = ("normal", "position", DEPTH)
 """Kinds of planes whose detail is not like light's."""
 MOVING = ("position", DEPTH)
@@ -214,6 +218,10 @@ class Layers:
         self._codings = {name: new(f"coding {name}", (3,)) for name in self._parts}
         self._decodings = {name: new(f"decoding {name}", (5,)) for name in self._parts}
         self._complete = {group.first: new("complete", (1,)) for group in self._groups}
+        self._everywhere = {group.first: new("everywhere", (len(group.names), 1, 1)) for group in self._groups}
+        for tensor in self._everywhere.values():
+            tensor.fill(1)
+        self._reached = dict(self._everywhere)
         self._plain = Resampler(device, "plain part", Role.COLOUR, self._render, output)
         self._copies: dict[str, Tensor] = {}
         self._identity = new("as it is", (5,))
@@ -301,6 +309,7 @@ class Layers:
         """Record what only brings the parts to output size, where the picture is nothing else, either."""
         for group in self._groups:
             self._complete[group.first].upload([float(_is_complete(frame, group.names))])
+        self._reached = dict(self._everywhere)
         self._plain.aim(frame.jitter)
         values = {}
         for name in self._parts:
@@ -332,8 +341,25 @@ class Layers:
             complete = _is_complete(frame, group.names)
             self._complete[group.first].upload([float(complete)])
             found += [] if complete or WHOLE in found else [WHOLE]
+            self._note_reach(frame, group)
         found += [name for name in self._parts if name != ALPHA_LAYER and self._kind(name) != FACTOR]
         return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and _is_noisy(frame) else [])
+
+    def _note_reach(self, frame: ResidentFrame, group: Group) -> None:
+        """Where the parts of a group have light in this frame."""
+        self._reached[group.first] = self._everywhere[group.first]
+        planes = [name if self._kind(name) == EMISSION else self._parts[name].factor for name in group.names]
+        if not any(planes):
+            return
+        name = f"reached by {group.first}"
+        if name not in self._copies:
+            self._copies[name] = self._device.heap.tensor(name, (len(group.names), *self._render))
+        reached = np.ones((len(group.names), *self._render), np.float32)
+        for i, plane in enumerate(planes):
+            if plane in frame.host_parts:
+                reached[i] = _spread(frame.host_parts[plane].max(axis=2) > 0, REACH)
+        self._copies[name].upload(reached)
+        self._reached[group.first] = self._copies[name]
 
     def _inputs(self, name: str, frame: ResidentFrame, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
         self._raw[name] = self._three(name, frame)
@@ -389,7 +415,8 @@ class Layers:
                  balanced: Tensor) -> None:
         count = len(group.names)
         table = ArgumentTable(self._device.compute_state(BALANCE), {
-            "parts": some_of(parts, group.first, count), "whole": whole, "picture": picture,
+            "parts": some_of(parts, group.first, count), "reached": self._reached[group.first], "whole": whole,
+            "picture": picture,
             "complete": self._complete[group.first], "balanced": some_of(balanced, group.first, count)})
         with commands.compute_encoder("balance") as encoder:
             encoder.barrier(after="compute", before="compute")
@@ -452,6 +479,16 @@ def _groups_of(parts: Sequence[Part]) -> list[Group]:
     for i, part in enumerate(part for part in parts if part.is_light):
         groups.setdefault(part.group, Group(i + 1)).names.append(part.name)
     return list(groups.values())
+
+
+def _spread(lit: np.ndarray, reach: int) -> np.ndarray:
+    """Pixels with a lit one in the square around them."""
+    height, width = lit.shape
+    wide, found = np.pad(lit, reach), np.zeros_like(lit)
+    for down in range(2 * reach + 1):
+        for right in range(2 * reach + 1):
+            found |= wide[down : down + height, right : right + width]
+    return found
 
 
 def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
