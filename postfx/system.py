@@ -120,7 +120,7 @@ def parse_size(size: str | int) -> int:
     """Bytes of '4G', '512M' or a number; MemoryBudgetError for anything else."""
     found = _SIZE.fullmatch(str(size).strip())
     if found is None or not float(found[1]):
-        raise MemoryBudgetError(f"memory budget '{size}' is no size: give bytes, or a number with K, M, G or T: 4G")
+        raise MemoryBudgetError(f"memory budget '{size}' is not a size: give bytes, or a number with K, M, G or T: 4G")
     return int(float(found[1]) * _UNITS[found[2].upper()])
 
 

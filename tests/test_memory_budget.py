@@ -26,7 +26,7 @@ def test_sizes_as_people_write_them(text: str | int, size: int) -> None:
 
 @pytest.mark.parametrize("text", ["", "lots", "-4G", "0", "4 X", "4GG"])
 def test_other_sizes_are_errors(text: str) -> None:
-    with pytest.raises(MemoryBudgetError, match="is no size: give bytes, or a number with K, M, G or T"):
+    with pytest.raises(MemoryBudgetError, match="is not a size: give bytes, or a number with K, M, G or T"):
         parse_size(text)
 
 

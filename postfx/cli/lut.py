@@ -55,7 +55,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     path = Path(arguments.output)
     if path.suffix.lower() != ".cube":
-        raise WriteError(f"{path}: is no .cube file: name it {path.with_suffix('.cube')}")
+        raise WriteError(f"{path}: is not a .cube file: name it {path.with_suffix('.cube')}")
     passes, _ = display_passes(True, **_LOOK.values_for("look", arguments))
     sequence = Sequence(arguments.input, arguments.frames, arguments.profile, [Role.COLOUR],
                         **FILES.values_for("sequence", arguments))

@@ -126,7 +126,7 @@ def _parse_seconds(text: str) -> float | None:
 
 def _parse_rerun(text: str) -> str | int:
     if text != _EXACT and not text.isdigit():
-        raise argparse.ArgumentTypeError(f"'{text}' is no number of frames: give one, or exact")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number of frames: give one, or exact")
     return text if text == _EXACT else int(text)
 
 

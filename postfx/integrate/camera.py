@@ -81,7 +81,8 @@ def view_rays(
     matrix = np.asarray(world_to_clip, np.float64)
     columns = matrix[:, [0, 1, 3]] if matrix.shape == (4, 4) else np.zeros((4, 3))
     if abs(np.linalg.det(columns[:3])) < 1e-12 * np.abs(columns[:3]).max(initial=1e-30) ** 3:
-        raise IntegrationError("world_to_clip is no perspective matrix: give world_to_camera @ projection, row vectors")
+        raise IntegrationError("world_to_clip is not a perspective matrix: give world_to_camera @ projection, for row "
+                               "vectors")
     inverse = np.linalg.inv(columns[:3])
     position = pixel_positions(width, height, jitter)
     clip = np.stack(

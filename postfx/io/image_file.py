@@ -205,11 +205,11 @@ def _runs(part: Part, names: Sequence[str]) -> Iterator[tuple[int, int]]:
 
 
 def reason_of(fetch: Callable[[], str]) -> str:
-    """First line of an error message of OpenImageIO's, which may quote bytes of the file that are no text."""
+    """First line of an error message of OpenImageIO's, which may quote bytes of the file that are not text."""
     try:
         lines = [line for line in fetch().splitlines() if line.strip()]
     except UnicodeDecodeError:
-        return "its names are no text"
+        return "its names are not text"
     return lines[0].strip() if lines else "unknown reason"
 
 

@@ -148,8 +148,8 @@ def _refuse_other_steps(text: str, part: re.Match[str]) -> None:
     if step[0] == ":":
         raise SequenceError(f"--frames {text}: a step is written with x: give {first}-{last}x{step[1:]}")
     if step[0] == "y":
-        raise SequenceError(f"--frames {text}: a step is written with x, and y is no step: give {first}-{last}x2 for "
-                            "every second frame, or list the frames, like 2-4,6-8")
+        raise SequenceError(f"--frames {text}: a step is written with x, and y is not a step: give {first}-{last}x2 "
+                            "for every second frame, or list the frames, like 2-4,6-8")
 
 
 def format_frames(numbers: Iterable[int]) -> str:

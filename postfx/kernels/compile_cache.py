@@ -152,7 +152,7 @@ def digest(function: Callable[..., Any]) -> str:
     elif isinstance(function, FunctionType):
         parts = _function_parts(function)
     else:
-        raise TypeError(f"{function!r} is no function")
+        raise TypeError(f"{function!r} is not a function")
     found = hashlib.sha256()
     for part in parts:
         found.update(part.encode() if isinstance(part, str) else part)

@@ -74,13 +74,13 @@ def check_constants(model: str, constants: Mapping[str, np.ndarray], has_grid: b
     """ModelError when a look's constants are not those that the kernels take: they look up without checking bounds."""
     wanted = {"cube", "guide"} if has_grid else {"cube"}
     if set(constants) != wanted:
-        raise ModelError(f"model '{model}' is no look: its card marks {', '.join(sorted(constants)) or 'no output'} as "
-                         f"constant, not {', '.join(sorted(wanted))}")
+        raise ModelError(f"model '{model}' is not a look: its card marks {', '.join(sorted(constants)) or 'no output'} "
+                         f"as constant, not {', '.join(sorted(wanted))}")
     shape = constants["cube"].shape
     if len(shape) != 4 or min(shape) < 2:
-        raise ModelError(f"model '{model}' is no look: its cube is {shape}, not (n, n, n, 3) with n of 2 and more")
+        raise ModelError(f"model '{model}' is not a look: its cube is {shape}, not (n, n, n, 3) with n of 2 and more")
     if not all((np.abs(values) <= _MOST).all() for values in constants.values()):
-        raise ModelError(f"model '{model}' is no look: it holds numbers beyond {_MOST:g}, or that are none")
+        raise ModelError(f"model '{model}' is not a look: it holds NaN or numbers beyond {_MOST:g}")
 
 
 class _History(NamedTuple):

@@ -199,7 +199,7 @@ class Encoder:
             raise EncodingError(f"barrier in '{self.label}': the {side}= stage mask is empty: name {_STAGES_TEXT}")
         unknown = sorted(str(stage) for stage in mask.difference(STAGES))
         if unknown:
-            message = f"the {side}= stage mask names '{unknown[0]}', which is no stage: stages are {_STAGES_TEXT}"
+            message = f"the {side}= stage mask names '{unknown[0]}', which is not a stage: stages are {_STAGES_TEXT}"
             raise EncodingError(f"barrier in '{self.label}': {message}")
         return mask
 

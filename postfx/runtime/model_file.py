@@ -75,7 +75,7 @@ class ModelFile:
 
 
 def parse_model(content: bytes) -> ModelFile:
-    """The model in a file; WireError if it is no ONNX model, is truncated, or has more than a million parts."""
+    """The model in a file; WireError if it is not an ONNX model, is truncated, or has more than a million parts."""
     return _Reader().model(memoryview(content))
 
 

@@ -22,7 +22,7 @@ def test_budgets_that_cannot_be(postfx, shot, write_exr, tmp_path):
     shot(1)
     unknown = postfx(*RUN, "-o", "out/", "--memory", "much")
     assert (unknown.code, unknown.err.splitlines()[-1]) == (
-        2, "error: memory budget 'much' is no size: give bytes, or a number with K, M, G or T: 4G")
+        2, "error: memory budget 'much' is not a size: give bytes, or a number with K, M, G or T: 4G")
     write_exr("large.0001.exr", {name: np.ones((320, 400)) for name in "RGB"})
     small = postfx("run", "large.0001.exr", "--device", "cpu", "--model", "s", "-o", "out/", "--memory", "310M")
     assert small.code == 2

@@ -51,7 +51,7 @@ def test_missing_file_is_named(tmp_path: Path):
 
 def test_broken_header_is_named(tmp_path: Path):
     (tmp_path / "broken.exr").write_bytes(b"not an image at all")
-    with pytest.raises(ReadError, match=r"broken\.exr: broken file: it is no OpenEXR file"):
+    with pytest.raises(ReadError, match=r"broken\.exr: broken file: it is not an OpenEXR file"):
         ImageFile(tmp_path / "broken.exr")
 
 

@@ -127,5 +127,5 @@ def test_networks_that_cannot_be(nets: Path, model: str, library: str | None, me
 
 def test_a_file_that_is_no_denoiser(tmp_path: Path) -> None:
     toys.make_library(tmp_path)
-    with pytest.raises(ModelError, match="model 'double' is no denoiser: it reads x and gives y"):
+    with pytest.raises(ModelError, match="model 'double' is not a denoiser: it reads x and gives y"):
         colour_of(model=str(tmp_path / "double.onnx"))

@@ -68,7 +68,7 @@ def test_a_pass_of_another_package(foreign):
 @pytest.mark.parametrize(("target", "message"), [
     ("postfx_nowhere:Pass", "pass 'foreign' cannot be loaded: No module named"),
     ("postfx.passes.base:Nothing", "pass 'foreign' cannot be loaded: .*Nothing"),
-    ("postfx.frame:Frame", "pass 'foreign' points to .*Frame.*, which is no subclass"),
+    ("postfx.frame:Frame", "pass 'foreign' points to .*Frame.*, which is not a subclass"),
     ("postfx.passes.tonemap:ToneMap", "pass 'foreign' points to a class whose name is 'tonemap': set name = "),
 ])
 def test_broken_entry_points_are_reported_when_they_are_asked_for(monkeypatch, target, message):

@@ -100,13 +100,13 @@ def test_missing_barrier_between_buffers_names_both_forms_and_both_buffers(chain
 
 
 @pytest.mark.parametrize(("masks", "message"), [
-    ({"after": "", "before": "compute"}, "the after= stage mask names '', which is no stage"),
+    ({"after": "", "before": "compute"}, "the after= stage mask names '', which is not a stage"),
     ({"after": (), "before": "compute"}, "the after= stage mask is empty: name 'compute' and 'machine-learning'"),
     ({"after": "compute", "before": []}, "the before= stage mask is empty"),
     ({"after": "compute", "before_queue": []}, "the before_queue= stage mask is empty"),
     ({"after": "compute", "before": "blit"},
-     "the before= stage mask names 'blit', which is no stage: stages are 'compute' and 'machine-learning'"),
-    ({"after": 3, "before": "compute"}, "the after= stage mask names '3', which is no stage"),
+     "the before= stage mask names 'blit', which is not a stage: stages are 'compute' and 'machine-learning'"),
+    ({"after": 3, "before": "compute"}, "the after= stage mask names '3', which is not a stage"),
     ({"after": "compute", "before_queue": ("compute", "ml")}, "the before_queue= stage mask names 'ml'"),
     ({"after": "compute"}, r"give before= \(this and later encoders\) or before_queue= \(later encoders\) too"),
     ({"before": "compute"}, r"give after= too, with before=; .*barrier\(\) takes no stages"),

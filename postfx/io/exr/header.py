@@ -155,13 +155,13 @@ def pack_channels(channels: list[ChannelInfo]) -> bytes:
 def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
     """Version flags and the headers of all parts; the file is left where the chunks' table begins.
 
-    ReadError, whose message names no file, for what is no OpenEXR file, and for headers that end early or are larger
+    ReadError, whose message names no file, for a file that is not OpenEXR, and for headers that end early or are larger
     than `MAX_HEADERS`.
     """
     start = _Start(file)
     magic, version = start.unpack("<iI")
     if magic != MAGIC or version & 0xFF != VERSION:
-        raise ReadError("it is no OpenEXR file")
+        raise ReadError("it is not an OpenEXR file")
     headers, several = [], bool(version & MULTI_PART)
     while header := _header(start, several):
         headers.append(header)

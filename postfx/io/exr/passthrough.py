@@ -170,7 +170,7 @@ def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> lis
     Args:
         own: header that the writer gave the picture.
         rows: reads the picture's channels, in the order of that header.
-        frame: of the picture. A source that is no OpenEXR file has nothing to keep.
+        frame: of the picture. A source that is not an OpenEXR file has nothing to keep.
         stack: closes the source's files, from which the parts read while they are written.
 
     Raises ReadError when the source is broken, OSError when it is gone.

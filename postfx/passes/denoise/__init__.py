@@ -40,45 +40,47 @@ from postfx.runtime import CommandBuffer, Device, Library, Tensor
 
 PLANES = tuple(ABSENT)
 PART_FILTERS = "picture", "own"
-"""Whose filters parts get, as the option calls them."""
+"""Values of the option `part_filters`: whose filters parts get."""
 NETWORK = "network "
-"""The name of what a history says of the network that it is of ends in that one's tag."""
+"""In a history, the name of the network's entry ends in the network's tag."""
 
 
 class DenoiseUpscale(Pass):
-    """Denoise and enlarge, using the frames before by motion. Reads what planes there are, needs colour only.
+    """Denoise and enlarge, reusing earlier frames along their motion. Needs only colour, and reads the other planes
+    that a frame has.
 
     Options:
         scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 2 without guides.
         size: width and height of the output, in place of a scale; frames may change their size, and the history goes
             on.
         model: tag of the network, 's', 'm' or 'l', which runs in the device's fast precision, or with one: 'm.fp32',
-            'm.int8' for the CPU, 'm.fp16' for CUDA; or a file of a network of one's own, 'nets/mine.onnx', beside which
-            lies its card, and mine.guides.onnx and mine.1x.onnx where there are such.
+            'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own network, 'nets/mine.onnx', with its card
+            beside it, and mine.guides.onnx and mine.1x.onnx if they exist.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its variants are; None for the
             networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit: networks smaller than `model`, of
             its precision ('s' below 'm', 's' and 'm' below 'l'), take turns with it; the history goes on.
-        strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength`
-            says the same pixel by pixel, and both are multiplied; where it is 0, no network runs.
-        parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part` where they are not
-            light. Light of one group keeps its sum.
+        strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength` sets
+            it pixel by pixel, and both are multiplied; no network runs where it is 0.
+        parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part` for those that are
+            not light. Light of one group keeps its sum.
         part_filters: 'picture' filters parts like the picture; 'own' runs the network on each part that is light, too,
             which takes as long as the picture for each.
         alpha: whether alpha is denoised with the picture, where it is neither 0 nor 1; else it is only resampled.
-        reactive: where the history is not used, for what moves without motion vectors, such as particles: 'plane', the
-            plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto', the first of
-            the two that the frame has; 'none'. Then perhaps scale= and threshold=, as in 'auto,scale=4,threshold=0.05'.
+        reactive: where the history is not used, for things that move without motion vectors, such as particles:
+            'plane', the plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto',
+            the first of the two that the frame has; 'none'. Then perhaps scale= and threshold=, as in
+            'auto,scale=4,threshold=0.05'.
 
     A transparency overlay is only resampled; the pass `overlay` composites. The plane `later` is handed on
     to the pass `both_ways`.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. At render
-    size ``denoise_upscale.<tag>.1x`` runs where there is one. Without a motion plane every frame stands alone.
+    size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone.
 
     Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0 to 1, a budget that
-    is not above 0 and a model that is taken by itself, FrameError for a frame that a given size is not 1 to 3 times as
-    large as, GuideError for guides of another size than the output's.
+    is not above 0 and a model that is chosen automatically, FrameError for a frame whose output would not be 1 to 3
+    times as large, GuideError for guides of another size than the output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
@@ -142,7 +144,7 @@ class DenoiseUpscale(Pass):
             models, size = self._models(spec), self._output_size(spec)
             self._tags, costs = tuple(models), list(map(cost, models.values()))
             self._ladder = Ladder(costs, self.budget) if self.budget else None
-            if self.size:  # files tell the same of a frame wherever a run begins
+            if self.size:  # so that files of a frame are the same wherever a run begins
                 endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
                 tags = self._tags_for(spec)
                 name_models(device, (model_of(tag, ending, device) for tag in tags for ending in endings))
@@ -284,8 +286,8 @@ class DenoiseUpscale(Pass):
         return colour
 
     def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray | None:
-        """Where the frame's strength is not 0, as squares of 4 pixels; None where that is not known, or where the
-        whole frame is judged."""
+        """Where the frame's strength is not 0, as squares of 4 pixels; None if that is unknown, or if the whole frame
+        is judged."""
         restore = ready.restore
         if Role.STRENGTH not in frame.host_planes or (restore and restore.acts_on(frame)):
             return None
@@ -295,7 +297,7 @@ class DenoiseUpscale(Pass):
         return Role.MOTION in frame.host_planes and not frame.host_planes[Role.MOTION].any()
 
     def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
-        """Names of the parts; FrameError for one that a frame lacks."""
+        """Names of the parts; FrameError for a part that the frame lacks."""
         names = tuple(part.name for part in self._parts)
         for name in names:
             if name not in spec.part_names:
@@ -363,7 +365,7 @@ class Savings:
         self._unfollowed: Counter[str] = Counter()
 
     def begin(self, share: float, has_history: bool, is_still: bool) -> None:
-        """Begin a frame of which the network processes a share."""
+        """Begin a frame; the network processes this share of it."""
         self._now = "whole" if share == 1 else "tiles" if share else "nothing"
         kind = self._kinds[self._now]
         kind.frames += 1

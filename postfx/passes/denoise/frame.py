@@ -43,7 +43,7 @@ from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
 MOST_PLACES = 64
 OUT = ("output", "next_history", "light")
-"""How the names of what has output size begin; the rest has render size."""
+"""Names of outputs at output size begin so; the rest has render size."""
 CHANNELS = {"output": 3, "next_history": 3, "next_state": 4 + HIDDEN, "next_depth": 1}
 
 
@@ -60,7 +60,7 @@ class Assembly:
         self._tables: dict[str, ArgumentTable] = {}
 
     def slots(self, tiles: Sequence[Tile], targets: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
-        """Where each of a band's tiles writes what the frame's targets are made of, by the kernels' names."""
+        """Where each of a band's tiles writes its share of the frame's targets, by the kernels' names."""
         window = tiles[0].window
         slots: list[dict[str, Tensor]] = [{} for _ in tiles]
         names = _put_together(targets)
@@ -83,8 +83,8 @@ class Assembly:
         return slots
 
     def direct(self, band: Band, targets: Mapping[str, Tensor], kept: Rows) -> dict[str, Tensor] | None:
-        """Where a band's only tile writes, by the kernels' names, if its rows are all that is written: in their places,
-        so that nothing is copied. Else None."""
+        """Where a band's only tile writes, by the kernels' names: straight into the targets, if its rows are all that
+        is written, so that nothing is copied. Else None."""
         window, out, frame = band.tiles[0].window, band.tiles[0].window.out, self._frame
         rows, out_rows = (window.top, window.top + window.rows), (out.top, out.top + out.rows)
         exact = all(row * frame.height == at * frame.h for row, at in zip(rows, out_rows, strict=True))
@@ -94,8 +94,9 @@ class Assembly:
                 for name in _put_together(targets)}
 
     def encode(self, commands: CommandBuffer, band: Band, targets: dict[str, Tensor], kept: Rows) -> None:
-        """Record the work that puts a band's tiles into the frame's tensors: its own rows into the output, the rows
-        `kept` into what the next frame reads, and beside layers into the output, too, which they read."""
+        """Record the work that copies a band's tiles into the frame's tensors: its own rows into the output, and the
+        rows `kept` into the next frame's history. If there are layers, which read them, these rows go into the output,
+        too."""
         layered = any(name.startswith("light") for name in self._tables)
         with commands.compute_encoder("assemble") as encoder:
             encoder.barrier(after="compute", before="compute")
@@ -124,8 +125,9 @@ class Assembly:
         return self._frame.enlarged(rows) if out else rows
 
     def _render_place(self, tile: Tile) -> list[int]:
-        """Beside the origin: what the history is known of, less a pixel at the seam to nothing, since what is read of
-        the output around a known pixel must be known, too; and what the tile is for."""
+        """After the origin: the area where the history is known, and the area that the tile is for. At a seam to
+        nothing the first is a pixel smaller, because the output's pixels that are read around a known one must be
+        known, too."""
         window, inner, frame = tile.window, tile.inner, self._frame
         bottom, right = window.top + window.rows, window.left + window.columns
         held = [window.top + (window.top > 0), window.left + (window.left > 0),
@@ -151,14 +153,14 @@ class Assembly:
 
 
 def _put_together(targets: Mapping[str, Tensor]) -> tuple[str, ...]:
-    """Names of what tiles write."""
+    """Names of the tensors that tiles write."""
     return (*CHANNELS, *(name for name in targets if name.startswith(("light ", "next_part "))))
 
 
 MOST_GRAPHS = 4
-"""Sizes of windows, beside the whole frame, that are kept ready."""
+"""Most window sizes, beside the whole frame's, that are kept ready."""
 CLOSE = 1.15
-"""A window that is ready is taken if it takes at most so many times as long as the best one."""
+"""A window that is ready is taken if it takes at most this many times as long as the best one."""
 STEPS = 8
 """Sides of further windows are multiples of this part of the frame's, so that masks that move soon find one ready."""
 
@@ -166,8 +168,8 @@ STEPS = 8
 class Frames:
     """The networks for frames of one size. The history can continue at another size.
 
-    Of several models the first is in use until `use` takes another. Guided models read guides. Reactive frames have a
-    mask of where the history is not used.
+    The first of several models is in use until `use` takes another. Guided models read guides. Reactive frames have a
+    mask that tells where the history is not used.
     """
 
     def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], history: History,
@@ -205,9 +207,8 @@ class Frames:
         return other
 
     def layout(self, cells: np.ndarray) -> Band | None:
-        """The tiles for a frame's active cells, of which there is one at least; None where the whole frame is as fast.
-
-        Makes the networks ready that they need.
+        """The tiles for a frame's active cells, at least one; None if the whole frame is as fast. Makes the networks
+        ready that the tiles need.
         """
         boxes, shape = around(self._sizes, cells, self._halo)
         if self._bands:
@@ -224,13 +225,13 @@ class Frames:
     def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray, keep: bool,
                still: bool, band: Band | None = None, layers: Sequence[Layer] = (),
                written: Mapping[str, Tensor] = MappingProxyType({})) -> Tensor:
-        """Record one frame, or the tiles of one, outside of whose rows the output is undefined; returns the output
-        colour tensor.
+        """Record one frame, or some tiles of it; returns the output colour tensor, which is undefined outside the
+        tiles' rows.
 
         Args:
             keep: whether the frame has a history.
             still: whether everything is where it was in the last frame.
-            layers: what is filtered beside the picture.
+            layers: parts and alpha that are filtered beside the picture.
             written: where they are written, by the kernels' names, and perhaps the output.
         """
         self._history.turn(commands, (self._sizes.h, self._sizes.w), keep)
@@ -255,7 +256,7 @@ class Frames:
         return targets["output"]
 
     def rows(self, band: Band | None) -> Rows:
-        """The rows of the output that hold something, of a frame or the tiles of one."""
+        """The rows of the output that are written by a frame, or by some tiles of it."""
         return self._sizes.enlarged(band.own) if band else (0, self._sizes.height)
 
     @property
@@ -317,7 +318,7 @@ class ReadyNetwork(Ready):
 
     Attributes:
         planes: the input of its kernels.
-        models: the networks of this size by tag, of which each frame takes one.
+        models: the networks of this size by tag; each frame takes one.
         frames: runs the models.
         reactive: the mask where the history is not used.
         reflections: None if frames lack the planes for it.

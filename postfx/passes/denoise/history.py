@@ -22,7 +22,7 @@ from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth", "last_reactive": "next_reactive"}
 """Tensor of the last frame that kernels read -> tensor that they write for the next one."""
 CHANNELS = {"state": 4 + HIDDEN, "last_depth": 1}
-"""Of what has render size."""
+"""For tensors of render size."""
 
 
 
@@ -63,7 +63,8 @@ class History:
         self._model = model
 
     def turn(self, commands: CommandBuffer, size: Shape, keep: bool) -> None:
-        """Begin a frame of a render size: what was written is now the last. It is only defined if it is not kept."""
+        """Begin a frame of this render size: the tensors written last become the history. Their content is only defined
+        if the history is not kept."""
         self._outputs.reverse()
         self._rooms.reverse()
         self._held.reverse()
@@ -80,19 +81,19 @@ class History:
             self._resize(commands, before)
 
     def cover(self, rows: Rows) -> Rows:
-        """Once a frame: it leaves something in these rows only. Returns the rows to write, which are more where an
-        earlier frame left something in others."""
+        """Call once a frame, which leaves something in these rows only. Returns the rows to write: also those in which
+        an earlier frame left something."""
         before, self._held[1] = self._held[1], rows
         return min(rows[0], before[0]), max(rows[1], before[1])
 
     @property
     def last(self) -> dict[str, Tensor]:
-        """What the frame before left, by the kernels' names."""
+        """The tensors that the frame before left, by the kernels' names."""
         return {"history": self._outputs[0], **self._rooms[0].of(self._size)}
 
     @property
     def next(self) -> dict[str, Tensor]:
-        """Where this frame leaves it, by the kernels' names."""
+        """The tensors that this frame writes for the next, by the kernels' names."""
         tensors = {"history": self._outputs[1], **self._rooms[1].of(self._size)}
         return {NEXT[name]: tensor for name, tensor in tensors.items()}
 
@@ -131,7 +132,8 @@ class History:
                 encoder.dispatch(mask.state, mask)
 
     def _forget_hidden(self) -> None:
-        """Another network cannot read the hidden state; nothing in its place is what all know from first frames."""
+        """Another network cannot read the hidden state. Zeros in its place are what every network knows from first
+        frames."""
         state = self._rooms[1].of(self._size)["state"]
         values = state.download()
         values[..., -HIDDEN:] = 0
@@ -144,7 +146,7 @@ def _anywhere(size: Shape) -> list[Rows]:
 
 
 def _zeros(device: Device, name: str, shape: tuple[int, ...]) -> Tensor:
-    """A tensor of zeros: before the first frame nothing of it is used, it only has to be defined."""
+    """A tensor of zeros: before the first frame it is not used, it only has to be defined."""
     tensor = device.heap.tensor(name, shape)
     tensor.fill(0)
     return tensor
@@ -154,12 +156,12 @@ NEEDS = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBE
 """Without one of these the hit distance is of no use."""
 
 AXES = ((-1, -1, 1), (1, -1, -1), (1, -1, 1))
-"""Signs that take x, y and z of cameras to the picture's: x right, y down, z forward. Mitsuba's, OpenGL's, pbrt's."""
+"""Signs that turn x, y and z of cameras into the picture's (x right, y down, z forward): for Mitsuba, OpenGL, pbrt."""
 
 SAMPLES = 24
 """Pixels along a side whose motion tells which axes a camera has."""
 MOST_OFF, PART_OFF = 0.25, 0.05
-"""Pixels, and part of the motion, by which half of them may be off."""
+"""Pixels, and share of the motion, by which half of those pixels may be off."""
 
 NO_CAMERA = "no worldToCamera and field of view (postfx:fovX) in the headers"
 NO_FIT = "worldToCamera, field of view and depth do not give the motion that the frame has"

@@ -130,7 +130,7 @@ class Passthrough:
         self._nothing: Tensor | None = None
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
-        """Record the work; the frame's planes are then those of the output's size. Alpha that was replaced already is
+        """Record the work; the frame's planes are then those of the output's size. Alpha that was already replaced is
         left alone."""
         given = frame.host_guides if self._overlay_is_guide else frame.host_planes
         if Role.LATER in frame.guides:

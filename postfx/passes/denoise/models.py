@@ -15,9 +15,9 @@ EXACT, FILE = ".fp32", ".onnx"
 """Suffixes of a tag: for the network as trained, in float32, and for one in a file."""
 GUIDED, UNSCALED = ".guides", ".1x"
 SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has the render size"}
-"""Endings of the names of networks that are taken by themselves, and when."""
+"""Endings of the names of networks that are chosen automatically, and when."""
 STAND_INS = {"l": "m"}
-"""Networks that have none for the render size beside them, and whose is taken there, which is better."""
+"""Networks without a variant for the render size, and the network whose variant is taken there, as it is better."""
 
 
 def exact(tag: str) -> str:
@@ -26,7 +26,7 @@ def exact(tag: str) -> str:
 
 
 def parted(name: str) -> tuple[str, str]:
-    """A tag or a model's name without its special ending, and that: 'm.int8.1x' -> 'm.int8', '.1x'."""
+    """A tag or a model's name without its special ending, and the ending: 'm.int8.1x' -> 'm.int8', '.1x'."""
     ending = next((one for one in SPECIAL if name.endswith(one)), "")
     return name.removesuffix(ending), ending
 
@@ -38,7 +38,7 @@ def parted(name: str) -> tuple[str, str]:
 def validate_tag(model: str, library: Library | None = None) -> str:
     """The tag for the options `model` and `library`.
 
-    Raises PassOptionError for a network that is taken by itself, ModelError for one that is not there.
+    Raises PassOptionError for a network that is chosen automatically, ModelError for one that does not exist.
     """
     path = Path(model).expanduser()
     word = path.stem if model.endswith(FILE) else model
@@ -83,7 +83,7 @@ def model_of(tag: str, ending: str = "", device: Device | None = None) -> str:
 
 
 def unscaled_remarks(tag: str) -> list[str]:
-    """What a plan says of a network for which another stands in at the render size."""
+    """What a plan says about a network when another one stands in for it at the render size."""
     other = _stand_in(tag)
     if other == tag or model_of(tag, UNSCALED) != _named(other, UNSCALED, None):
         return []
@@ -111,14 +111,14 @@ def _named(tag: str, ending: str, device: Device | None) -> str:
 
 
 def has_model(model: str) -> bool:
-    """Whether a model is there."""
+    """Whether a model exists."""
     library, name = find_model(model)
     return name in library.names()
 
 
 def grid_of(models: Iterable[str]) -> int:
-    """Pixels of the render size in a place of the coarsest level that one of some models computes: what the sides of
-    its input are multiples of."""
+    """Render pixels along a side of a cell of the coarsest level that any of these models computes: sides of their
+    input are multiples of it."""
     return max(_grid(_card(model).get("outputs", {})) for model in models)
 
 
@@ -144,7 +144,7 @@ def load_network(device: Device, model: str, dims: Mapping[str, int]) -> Pipelin
 
 
 def name_models(device: Device, models: Iterable[str]) -> None:
-    """Name these models, if they are there, as ones that may run later."""
+    """Announce these models, if they exist, as ones that may run later."""
     for model in set(filter(has_model, models)):
         device.name_model(*find_model(model))
 
@@ -159,7 +159,7 @@ ROOM = 0.85
 """Share of the budget that a slower network may be expected to take; the rest keeps it from going back at once."""
 
 WEIGHT = 0.3
-"""Of the last frame in the running mean of a network's time."""
+"""Weight of the last frame in the running mean of a network's time."""
 
 PATIENCE, MOST_PATIENCE = 2, 256
 """Frames in a row that must allow a slower network: at first, and at most after it was too slow again and again."""
@@ -219,7 +219,7 @@ class Ladder:
         self._frames += 1
 
     def note_resize(self, ratio: float) -> None:
-        """Tell that the next frame has so many times the pixels of the last one."""
+        """Tell by what factor the next frame has more pixels than the last one."""
         self._time *= ratio
 
     def _decide(self, milliseconds: float) -> None:

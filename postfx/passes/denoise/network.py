@@ -111,15 +111,15 @@ def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
 
 
 def check_bindings(state: PipelineState) -> None:
-    """ModelError for a network that is no denoiser: kernels prepare what it reads, and take what it gives, by name."""
+    """ModelError for a network that is not a denoiser. Kernels prepare its inputs and take its outputs by name."""
     coded = re.compile(f"^({PACKED}|{RAW}|{STORED}|{PRODUCTS})")
     plain = {binding.name: coded.sub("", binding.name) for binding in state.bindings}
     reads = {b.name for b in state.bindings if b.access == "read"}
     strange = [name for name in reads if plain[name] not in (*CHANNELS, *FEATURE_PARTS)]
     gives = {plain[b.name] for b in state.bindings if b.access == "write"} | set(state.constants)
     if strange or "features" not in seen_by(state) or not {"fine", PHASED_FINE} & gives:
-        raise ModelError(f"model '{state.name}' is no denoiser: it reads {', '.join(sorted(reads)) or 'nothing'} and "
-                         f"gives {', '.join(sorted(gives)) or 'nothing'}; training.denoise.export makes one")
+        raise ModelError(f"model '{state.name}' is not a denoiser: it reads {', '.join(sorted(reads)) or 'nothing'} "
+                         f"and gives {', '.join(sorted(gives)) or 'nothing'}; training.denoise.export makes one")
 
 
 def alike_heads(state: PipelineState) -> dict[str, np.ndarray]:

@@ -11,8 +11,8 @@ from postfx.frame import FrameSpec, GuideSpec, Role
 
 LEAST, MOST, USUAL = 1.0, 3.0, 2.0
 ASPECT = 0.01
-"""Part of a side by which frames may be larger or smaller than the output's aspect asks for, if it is above a pixel:
-sizes are often multiples of 8."""
+"""Share of a side by which frames may be off the output's aspect, if that is more than a pixel: sizes are often
+multiples of 8."""
 
 
 class Size(NamedTuple):
@@ -26,14 +26,14 @@ class Size(NamedTuple):
 
 
 def validate_scale(scale: float | None) -> float | None:
-    """The option `scale`; PassOptionError for one that cannot be."""
+    """The option `scale`; PassOptionError for an impossible one."""
     if scale is not None and not LEAST <= float(scale) <= MOST:
         raise PassOptionError(f"pass 'denoise_upscale' scales by 1 to 3, not {scale:g}: give a scale in between")
     return None if scale is None else float(scale)
 
 
 def validate_size(size: Sequence[int] | None, scale: float | None) -> Size | None:
-    """The option `size`, width and height; PassOptionError for one that cannot be, and beside a scale."""
+    """The option `size`, width and height; PassOptionError for an impossible size, and for a size beside a scale."""
     if size is None:
         return None
     if len(size) != 2 or min(size) < 1 or any(side != int(side) for side in size):
@@ -126,7 +126,7 @@ class ReactiveOption:
 
 
 def parse_reactive(text: str) -> ReactiveOption:
-    """Option of a text: auto, plane, difference or none, then scale= and threshold=, parted by commas.
+    """The option from a text: auto, plane, difference or none, then scale= and threshold=, separated by commas.
 
     'difference,scale=8,threshold=0.02' marks faint smoke, too. Raises PassOptionError for anything else.
     """

@@ -1,4 +1,4 @@
-"""What happens to the network's result: detail is given back, and it is blended with the input by strength."""
+"""Work on the network's result: detail is given back, and the result is blended with the input by strength."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ class Restore:
         return self._output
 
     def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor, output: Tensor) -> Tensor:
-        """Record the same work on a part of the picture, after that on the picture: it gets back what that one got."""
+        """Record the same work on a part of the picture, after the picture itself: the part gets back the same
+        share."""
         tensors = {"colour": noisy, "denoised": denoised, "detail": self._tensors["detail"], "output": output}
         table = ArgumentTable(self._device.compute_state(RESTORE), tensors)
         with commands.compute_encoder("restore") as encoder:
@@ -84,7 +85,7 @@ class Plain:
 
 
 class Strength:
-    """Goes from the input to the result by `amount` times the plane `strength`, if the frame has one."""
+    """Blends from the input to the result by `amount`, times the plane `strength` if the frame has one."""
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float) -> None:
         self.plain = Plain(device, spec, output)
@@ -103,7 +104,7 @@ class Strength:
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
                unblended: Callable[[], None]) -> Tensor:
         """Record the blend of the frame's own colour with the denoised one in `rows`, all others have no strength;
-        returns the colour. Where the strength is 1 everywhere that is the denoised one: `unblended` is told."""
+        returns the colour. If the strength is 1 everywhere, that is the denoised one, and `unblended` is told."""
         if self.is_full(frame):
             unblended()
             return denoised
@@ -122,7 +123,7 @@ class Strength:
 
     def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
                     rows: Rows, plain: Resampler, output: Tensor) -> Tensor:
-        """Record the same work on a part of the picture, after that on the picture; `plain` resamples parts."""
+        """Record the same work on a part of the picture, after the picture itself; `plain` resamples parts."""
         others = (0, rows[0]), (rows[1], output.shape[0])
         blended = {"plain": plain.output, "denoised": denoised, "strength": self._strength, "output": output}
         table = ArgumentTable(self._table.state, {"amount": self._amount})

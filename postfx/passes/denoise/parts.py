@@ -1,4 +1,4 @@
-"""Parts of the picture, such as light groups, and alpha: what filters the picture filters them, too."""
+"""Parts of the picture, such as light groups, and alpha: they get the picture's filters."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ WHOLE, ALPHA_LAYER = "whole picture", "alpha of the picture"
 NEAR = 2e-3
 """Parts are all of the picture if their sum differs by less than this share of its light."""
 STEP = 8
-"""Every so many rows are looked at for that."""
+"""One row in so many is looked at for that."""
 REACH = 1
 """Render pixels around a surface or a lamp beyond which there is nothing of it, though filters bring some there."""
 LARGEST = float(np.finfo(np.float32).max)
 BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "alpha": (0.0, 1.0), "mist": (0.0, 1.0)}
-"""Of the values of planes by kind; those of others begin at 0 and have no end."""
+"""Bounds of the values of planes by kind; other kinds begin at 0 and have no upper bound."""
 FACTOR = "factor"
 """Kind of a plane that is only brought to the output's size."""
 DEPTH = "depth"
-"""Kind of a plane of distances: their reciprocals are filtered, and apart from them where there is any."""
+"""Kind of a plane of distances: their reciprocals are filtered, and separately which pixels have a distance."""
 FARTHEST = 1e9
-"""Distances from here on stand for nothing."""
+"""Distances from here on stand for none."""
 EMISSION = "emission"
 """Kind of light that is seen as it is, with no noise but that of edges."""
 SIGNED = ("normal", "position", DEPTH)
 """Kinds of planes whose detail is not like light's."""
 MOVING = ("position", DEPTH)
-"""Kinds whose values are other ones when the camera moves, so they have no history."""
+"""Kinds whose values change when the camera moves, so they have no history."""
 REFLECTANCE = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 SURFACES = dict(zip(("diffuse", "specular"), REFLECTANCE, strict=True))
 """Reflectance that light is divided by while it is filtered, by kind: the picture's for 'light', nothing for others."""
@@ -61,7 +61,7 @@ def checked_parts(parts: Sequence[Part | str]) -> tuple[Part, ...]:
 
 
 class LayerHistory:
-    """The last output of a layer, and what was accumulated, in two sets used in turn."""
+    """The last output of a layer and its accumulated values, in two sets used in turn."""
 
     def __init__(self, device: Device, name: str, output: Size, outputs: Sequence[Tensor] = ()) -> None:
         self._device = device
@@ -96,23 +96,23 @@ class LayerHistory:
 
     @property
     def last(self) -> dict[str, Tensor]:
-        """What the frame before left, by the kernels' names."""
+        """The tensors that the frame before left, by the kernels' names."""
         return {"history": self._outputs[0], **self._rooms[0].of(self._size)}
 
     @property
     def next(self) -> tuple[Tensor, Tensor]:
-        """Where this frame leaves its output and what it accumulates."""
+        """The tensors for this frame's output and accumulated values."""
         return self._outputs[1], self._rooms[1].of(self._size)["last_part"]
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Between two frames: what the last one left; nothing where it left nothing."""
+        """Between two frames: the values that the last one left; empty if it left none."""
         if not self.known or not self._rooms:
             return {}
         output, part = self.next
         return {"output": output.content(), "part": part.content()}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
-        """Between two frames: take what was `kept` for what the last one left."""
+        """Between two frames: replace the values that the last one left by those `kept`."""
         self.known = bool(kept)
         if self.known:
             self._size = kept["part"].shape[0], kept["part"].shape[1]
@@ -160,18 +160,18 @@ class PartHistory:
         self.stacks.reverse()
 
     def forget(self) -> None:
-        """Between two frames: nothing is known of the last one."""
+        """Between two frames: forget the last one."""
         for layer in self.layers.values():
             layer.known = False
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Between two frames: what the last one left, by 'part NAME of a layer'."""
+        """Between two frames: the values that the last one left, by 'part NAME of a layer'."""
         kept = {name: layer.kept() for name, layer in self.layers.items() if name not in self.own}
         kept |= {name: history.kept() | {"stops": np.array(self.stops[name])} for name, history in self.own.items()}
         return {f"part {key} of {name}": array for name, arrays in kept.items() for key, array in arrays.items()}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
-        """Between two frames: take what was `kept` for what the last one left."""
+        """Between two frames: replace the values that the last one left by those `kept`."""
         self.forget()
         found: dict[str, dict[str, np.ndarray]] = {}
         for key, array in kept.items():
@@ -195,7 +195,7 @@ class Group:
 
 
 class Layers:
-    """All that is filtered beside the picture, of frames of one spec.
+    """All layers that are filtered beside the picture, for frames of one spec.
 
     Every frame goes through `begin`, the windows' kernels, and `finish`; or through `resample`.
     """
@@ -231,8 +231,8 @@ class Layers:
 
     def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
               keep: bool) -> tuple[list[Layer], dict[str, Tensor]]:
-        """What the kernels run on, and where they write, by 'light NAME' and the like; the picture's output is among
-        it where there is light."""
+        """The tensors that the kernels read and write, by 'light NAME' and the like, with the picture's output if there
+        is light."""
         self._plain.aim(frame.jitter)
         self._exposure = float(params[EXPOSURE])
         self._params.upload([1.0, *params[JITTER_X:GAIN], 1.0])
@@ -277,11 +277,11 @@ class Layers:
 
     def finish(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, picture: Tensor,
                restore: Restore | None, strength: Strength | None, rows: Rows) -> None:
-        """Record what makes the frame's parts and alpha of what the kernels wrote.
+        """Record the work that makes the frame's parts and alpha from the kernels' outputs.
 
         Args:
             denoised: the picture as the network made it.
-            picture: as it leaves, with detail given back and blended with the input in `rows`.
+            picture: as it leaves the pass, with detail given back and blended with the input in `rows`.
         """
         for group in self._groups:
             whole = one_of(self._stack("blended"), 0) if WHOLE in self._runs else denoised
@@ -306,7 +306,7 @@ class Layers:
         self._leave_all(commands, frame, values, picture, restoring or blending)
 
     def resample(self, commands: CommandBuffer, frame: ResidentFrame, picture: Tensor) -> None:
-        """Record what only brings the parts to output size, where the picture is nothing else, either."""
+        """Record the work that only resamples the parts to output size, as for a picture that is only resampled."""
         for group in self._groups:
             self._complete[group.first].upload([float(_is_complete(frame, group.names))])
         self._reached = dict(self._everywhere)
@@ -389,7 +389,7 @@ class Layers:
         return found
 
     def _three(self, name: str, frame: ResidentFrame) -> Tensor:
-        """A layer's values with three channels, as the kernels have them."""
+        """A layer's values with three channels, as the kernels need them."""
         if name != ALPHA_LAYER and self._channels[name] == 3 and self._kind(name) != DEPTH:
             return frame.parts[name]
         given = frame.host_planes[Role.ALPHA] if name == ALPHA_LAYER else frame.host_parts[name]
@@ -402,7 +402,7 @@ class Layers:
         return self._copies[name]
 
     def _range(self, name: str, frame: ResidentFrame) -> tuple[float, float]:
-        """What a layer's values are filtered between."""
+        """The bounds between which a layer's values are filtered."""
         if self._kind(name) == "normal":
             return -1.0, 1.0
         if self._kind(name) != "position":
@@ -456,7 +456,7 @@ class Layers:
             frame.parts[name] = output
 
     def _finished(self, name: str) -> Tensor:
-        """Where a layer is written that is given detail back, or blended with the input."""
+        """The tensor for a layer that is given detail back, or blended with the input."""
         if self._is_light(name):
             return one_of(self._stack("finished"), self._places[name])
         return self._between(f"finished {name}", 3)
@@ -492,7 +492,7 @@ def _spread(lit: np.ndarray, reach: int) -> np.ndarray:
 
 
 def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
-    """Stops by which a part is darker than the picture, 0 to 8: what they were before unless they are 1 off."""
+    """Stops by which a part is darker than the picture, 0 to 8: those of the last frame unless they are off by 1."""
     picture, part = (_mean_stops(light) for light in (frame.host_planes[Role.COLOUR], frame.host_parts[name]))
     if picture is None or part is None:
         return before
@@ -522,10 +522,11 @@ def _is_complete(frame: ResidentFrame, names: Sequence[str]) -> bool:
 
 
 def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
-    """A plane of distances (height, width, n), of which the first channel counts, as it is filtered.
+    """A plane of distances (height, width, n), coded for the filters; its first channel counts.
 
-    Returns 1 / distance, whether there is any, and that again (height, width, 3): 0, 1e9 and NaN are none.
-    Then the ``decoding`` that turns it back: sign, what the plane holds for none, the least and largest distance, -1.
+    Returns (height, width, 3): 1 / distance, whether the pixel has a distance (0, 1e9 and NaN are none), and the latter
+    again. Then the ``decoding`` that reverses it: sign, the value that stands for none, the smallest and largest
+    distance, -1.
     """
     depth = depth[..., 0]
     with np.errstate(invalid="ignore"):
@@ -541,7 +542,7 @@ def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
 
 
 def _is_noisy(frame: ResidentFrame) -> bool:
-    """Whether alpha is anywhere neither 0 nor 1."""
+    """Whether any alpha is neither 0 nor 1."""
     alpha = frame.host_planes.get(Role.ALPHA)
     return alpha is not None and bool(((alpha > 0) & (alpha < 1)).any())
 
