@@ -381,12 +381,12 @@ class Job:
 
     def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False) -> tuple[list[Pass], list[Skip]]:
         """The passes, the first with these options, or without a denoiser if they are None; and what is left out."""
-        passes, skips = [], []
+        passes, skips, parts = [], [], {"parts": self._parts} if self._parts else {}
         if denoising is None:
             skips.append(Skip("denoise_upscale", "--no-denoise"))
         else:
-            passes.append(create("denoise_upscale", **denoising, **({"parts": self._parts} if self._parts else {})))
-        passes += [create("both_ways")] if both_ways else []
+            passes.append(create("denoise_upscale", **denoising, **parts))
+        passes += [create("both_ways", **parts)] if both_ways else []
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
         shown, not_shown = display_passes(self.outputs is not None and self.outputs.display, **self._values("look"))
         asked = map(parse_pass, getattr(self._arguments, "pass") or ())

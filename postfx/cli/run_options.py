@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 # Modules that load NumPy or the runtime are imported inside functions: --help must not wait for them.
 
 
-_WITHOUT_PARTS = {"--both-ways": "{flag} denoises parts that only look back, --both-ways makes a picture of both ways: "
-                                 "give one of them"}
 _FOR_DENOISER = {"--no-denoise": "{flag} is for the denoiser, which --no-denoise leaves out: give one of them"}
 
 
@@ -228,12 +226,12 @@ PASSES = Section("passes", (
     Option(flag="--clamp-fireflies", metavar="N", type=float, sets="sequence.clamp_fireflies", excludes=_FOR_DENOISER,
            help="before denoising, darken pixels that are more than N times (such as 8) as bright as the third "
            "brightest of the 24 around them, in the picture and its parts; the run says how much light that took"),
-    Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov", excludes={**_FOR_DENOISER, **_WITHOUT_PARTS},
+    Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov", excludes=_FOR_DENOISER,
            help="parts of the picture to denoise with it, so that they still add up to it: light groups and passes by "
            "name, like 'key,fill,rim', or auto for those that the renderer's profile knows; written into the EXR "
            "under their names (docs/parts.md)"),
     Option(flag="--aov-denoise", metavar="KIND=LAYER,...", sets="sequence.aov_denoise",
-           excludes={**_FOR_DENOISER, **_WITHOUT_PARTS},
+           excludes=_FOR_DENOISER,
            help="other layers to denoise by the picture's filters, each with its kind, like 'normal=N,mist=Mist': "
            "albedo, normal, position, depth, mist, shadow or ao; ids and Cryptomattes are never filtered"),
     Option(flag="--aov-filters", choices=("picture", "own"), sets="denoiser.part_filters",

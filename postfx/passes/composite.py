@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
 from typing import ClassVar, Never
 
-from postfx.frame import FrameSpec, Role
+from postfx.frame import FrameSpec, Part, Role
+from postfx.kernels.denoise.parts import BALANCE
 from postfx.kernels.image import OVER, OVER_ALPHA
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
@@ -86,17 +88,24 @@ class BothWays(Pass):
 
     `postfx.Backwards` makes the plane, of the upscaler's output size. Its weight is how much the later frames know
     about a pixel compared with the earlier ones: one half in the middle of a shot, 1 where only later frames show it
-    well. The plane is then removed. No options.
+    well. The plane is then removed.
+
+    Options:
+        parts: those of the denoiser. They only know the earlier frames; light of three channels is brought to the mixed
+            picture, of which it gets the same share as of the picture before, so that parts add up to it.
     """
 
     name: ClassVar[str] = "both_ways"
 
-    def __init__(self, **unknown: Never) -> None:
-        super().__init__(**unknown)
+    def __init__(self, *, parts: Sequence[Part | str] = (), **unknown: Never) -> None:
+        super().__init__(parts=parts, **unknown)
+        self._lights = [part if isinstance(part, str) else part.name for part in parts
+                        if isinstance(part, str) or part.is_light]
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         kept = tuple(plane for plane in spec.planes if plane[0] is not Role.LATER)
-        return Reflection(reads=(Role.COLOUR, Role.LATER), writes=(Role.COLOUR,), output=replace(spec, planes=kept))
+        return Reflection(reads=(Role.COLOUR, Role.LATER), writes=(Role.COLOUR,), output=replace(spec, planes=kept),
+                          parts=tuple(name for name in self._lights if name in spec.part_names))
 
     def skip(self, spec: FrameSpec) -> str | None:
         if spec.encoding != "scene-linear":
@@ -106,6 +115,16 @@ class BothWays(Pass):
     def compile(self, device: Device, spec: FrameSpec) -> None:
         output = device.heap.transient("colour of both directions", (spec.height, spec.width, 3))
         self._table = ArgumentTable(device.compute_state(OVER), {"output": output})
+        size = spec.height, spec.width, 3
+        self._shares: dict[str, ArgumentTable] = {}
+        if self._lights:
+            none, everywhere = device.heap.tensor("not all of it", (1,)), device.heap.tensor("everywhere", (1, 1, 1))
+            none.fill(0)
+            everywhere.fill(1)
+            for name in self._lights:
+                self._shares[name] = ArgumentTable(device.compute_state(BALANCE), {
+                    "complete": none, "reached": everywhere, "picture": output,
+                    "balanced": device.heap.transient(f"{name} of both directions", (1, *size))})
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
@@ -114,4 +133,11 @@ class BothWays(Pass):
         with commands.compute_encoder("mix") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
+            encoder.barrier()
+            for name, table in self._shares.items():
+                part = frame.parts.get(name)
+                if part is not None and part.shape[2] == 3:
+                    table["parts"], table["whole"] = part.view(name, (1, *part.shape), 0), frame[Role.COLOUR]
+                    encoder.dispatch(table.state, table)
+                    frame.parts[name] = table["balanced"].view(name, part.shape, 0)
         frame.set(Role.COLOUR, self._table["output"])

@@ -145,7 +145,9 @@ class Backwards:
     @cached_property
     def _sequence(self) -> Sequence:
         """A separate reader, made after the first read in order, which decides on layout and area."""
-        return self._given.reader()
+        found = self._given.reader()
+        found.parts = None  # only the picture is mixed
+        return found
 
     def _follow(self, frame: Frame | None) -> None:
         if frame is None:

@@ -23,7 +23,7 @@ def write(path: Path, layers: dict[str, np.ndarray]) -> Path:
     """A float EXR of layers; '' is the picture."""
     pixels = np.concatenate(list(layers.values()), axis=2).astype(np.float32)
     spec = oiio.ImageSpec(SIZE[1], SIZE[0], pixels.shape[2], oiio.FLOAT)
-    letters = {3: "RGB", 1: "V"}
+    letters = {3: "RGB", 2: "XY", 1: "V"}
     spec.channelnames = [f"{name}.{letter}" if name else letter
                          for name, plane in layers.items() for letter in letters[plane.shape[2]]]
     image = oiio.ImageOutput.create(str(path))
@@ -171,5 +171,16 @@ def test_pictures_for_a_display_have_no_parts(cycles: Path, tmp_path: Path, caps
     assert "parts of the picture: they are light of the scene" in capsys.readouterr().out
     assert main(["run", str(cycles), "--aov", "key", "--explain"]) == 0
     assert "parts   ViewLayer.Combined_key" in capsys.readouterr().out
-    assert main(["run", str(cycles), "-o", str(tmp_path / "a.exr"), "--aov", "key", "--both-ways"]) == 2
-    assert "--aov denoises parts that only look back" in capsys.readouterr().err
+
+
+def test_parts_add_up_to_the_picture_of_both_ways(tmp_path: Path) -> None:
+    for number in (1, 2, 3):
+        frame = noisy(number, *SIZE)
+        light = {"": frame[Role.COLOUR], "key": 0.75 * frame[Role.COLOUR], "fill": 0.25 * frame[Role.COLOUR]}
+        write(tmp_path / f"a.{number:04d}.exr", light | {"motion": frame[Role.MOTION]})
+    run = ["run", str(tmp_path / "a.####.exr"), "--model", "s", "--scale", "1", "--bits", "32", "--aov", "key,fill"]
+    assert main([*run, "-o", str(tmp_path / "b.####.exr"), "--both-ways"]) == 0
+    assert main([*run, "-o", str(tmp_path / "c.####.exr"), "--run-up", "0"]) == 0
+    found, ahead = read(tmp_path / "b.0001.exr"), read(tmp_path / "c.0001.exr")
+    np.testing.assert_allclose(layer(found, "key") + layer(found, "fill"), layer(found, ""), rtol=1e-4, atol=1e-6)
+    assert np.abs(layer(found, "") - layer(ahead, "")).mean() > 1e-3

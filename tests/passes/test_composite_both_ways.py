@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.frame import Frame, Role
+from postfx.frame import Frame, Part, Role
 from postfx.passes.composite import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
@@ -35,6 +35,16 @@ def test_it_mixes_by_weight(passes, weight, expected):
 def test_weights_count_pixel_by_pixel(passes):
     weights = np.linspace(0, 1, 48, dtype=np.float32).reshape(6, 8, 1)
     np.testing.assert_allclose(passes(frame(weights))[Role.COLOUR], (1 + 2 * weights).repeat(3, 2), rtol=1e-6)
+
+
+def test_parts_get_their_share_of_the_mixed_picture(passes):
+    both = Pipeline([BothWays(parts=["key", "fill", Part("z", "depth")])], passes.device, exposure=0.0)
+    given = frame(np.linspace(0, 1, 48, dtype=np.float32).reshape(6, 8, 1))
+    given.parts = {"key": 0.75 * given[Role.COLOUR], "fill": 0.25 * given[Role.COLOUR], "z": given[Role.COLOUR] * 9}
+    result = both(given)
+    np.testing.assert_allclose(result.parts["key"], 0.75 * result[Role.COLOUR], rtol=1e-6)
+    np.testing.assert_allclose(result.parts["fill"], 0.25 * result[Role.COLOUR], rtol=1e-6)
+    np.testing.assert_array_equal(result.parts["z"], given.parts["z"])
 
 
 def test_it_says_why_it_does_nothing():
