@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from postfx.colour.curves import srgb_encode
-from postfx.colour.displays import KINDS, parse_display
+from postfx.colour.displays import KINDS, parse_display, srgb_encode
 from postfx.errors import ColourError, FrameError, GuideError, suggest
 
 LOG = logging.getLogger("postfx")

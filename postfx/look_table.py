@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.colour import ocio
-from postfx.colour.curves import PQ, PQ_NITS
-from postfx.colour.displays import Display, parse_display
+from postfx.colour.displays import PQ, PQ_NITS, Display, parse_display
 from postfx.colour.primaries import REC2020, matrix_between
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role

@@ -13,7 +13,7 @@ import flip_evaluator
 import numpy as np
 from skimage.metrics import structural_similarity
 
-from postfx.exposure.views import to_codes
+from postfx.colour.views import to_codes
 from postfx.frame import Frame, Role
 from postfx.sampling import bilinear, motion_at
 

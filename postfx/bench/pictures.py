@@ -18,7 +18,7 @@ from postfx.bench.measure import Material
 from postfx.bench.methods import FAMILIES
 from postfx.bench.metrics import grey_exposure, psnr
 from postfx.bench.report import choices
-from postfx.exposure.views import to_codes
+from postfx.colour.views import to_codes
 from postfx.frame import Role
 
 COUNT, SIDE = 3, 96

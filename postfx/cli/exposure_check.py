@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from postfx.cli.run_options import FILES
+from postfx.colour.views import false_colour, log_c, luma, zebra
 from postfx.exposure import colours_of
 from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot, debug, debug_graded, judge_view
 from postfx.exposure.response import OWN_CURVE, GradedBoards, read_response
-from postfx.exposure.views import false_colour, log_c, luma, zebra
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
 from postfx.passes.base import Pass

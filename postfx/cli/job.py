@@ -59,9 +59,9 @@ from postfx.runtime import Device
 from postfx.temporal.bidirectional import Backwards
 
 if TYPE_CHECKING:
-    from postfx.cli.capture import FrameCapture
     from postfx.cli.inspection import Inspection
     from postfx.cli.report import RunReport
+    from postfx.report.page import FrameCapture
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
 BACKWARDS = "denoise_upscale backwards"
@@ -142,7 +142,7 @@ class Job:
         return RUN.values_for(part, self._arguments)
 
     def _make_capture(self, device: Device) -> FrameCapture:
-        from postfx.cli.capture import FrameCapture  # loads pages, which other runs need not wait for
+        from postfx.report.page import FrameCapture  # loads pages, which other runs need not wait for
 
         return FrameCapture(device, check=not self._arguments.explain, **self._values("capture"))
 

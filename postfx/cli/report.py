@@ -11,7 +11,7 @@ import numpy as np
 
 from postfx.cli.inspection import Inspection
 from postfx.cli.summary import FrameResult, Report
-from postfx.colour.curves import srgb_decode
+from postfx.colour.displays import srgb_decode
 from postfx.errors import ReportError
 from postfx.exposure import ExposureMeter, measure
 from postfx.frame import Frame, Role

@@ -6,7 +6,7 @@ change:
     device    postfx.runtime.Device            sequence  postfx.io.sequence.Sequence
     denoiser  postfx.DenoiseUpscale            look      display_passes, below
     writer    postfx.io.writer.write_frame     run       postfx.runs.run.Options
-    page      postfx.cli.report.RunReport      capture   postfx.cli.capture.FrameCapture
+    page      postfx.cli.report.RunReport      capture   postfx.report.page.FrameCapture
 """
 
 from __future__ import annotations

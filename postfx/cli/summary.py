@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from postfx.frame import Frame, Role
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
-from postfx.masks.entries import Coverage
+from postfx.masks.cryptomatte import Coverage
 from postfx.plan import Plan, Skip, from_files
 from postfx.repair import Fireflies
 from postfx.temporal.run_up import RunUp

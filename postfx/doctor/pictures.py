@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from postfx.colour.curves import srgb_encode
+from postfx.colour.displays import srgb_encode
+from postfx.colour.views import to_codes
 from postfx.doctor.geometry import is_hit
 from postfx.doctor.statistics import finite
 from postfx.errors import WriteError
 from postfx.exposure import measure
-from postfx.exposure.views import to_codes
 from postfx.frame import ERROR_ROLES, Frame, Role
 from postfx.report.pictures import png, png_uri, shrink
 

@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.colour.curves import SRGB
-from postfx.colour.views import neutral
+from postfx.colour.displays import SRGB
+from postfx.colour.views import luma, neutral
 from postfx.errors import ExposureError
 from postfx.exposure.metering import KEY, USED
-from postfx.exposure.views import luma
 from postfx.frame import Frame, Role
 from postfx.io.image_file import reason_of
 from postfx.io.pattern import locate

@@ -21,8 +21,7 @@ import numpy as np
 import OpenImageIO as oiio
 from isal import isal_zlib
 
-from postfx.colour.curves import SRGB
-from postfx.colour.displays import KINDS, Display
+from postfx.colour.displays import KINDS, SRGB, Display
 from postfx.colour.primaries import D50_XYZ, Chromaticities, adapt, to_xyz
 from postfx.errors import ReadError
 from postfx.frame import Frame

@@ -24,7 +24,7 @@ from postfx.io.masks import LeftAlone
 from postfx.io.parts import PartOptions, find_parts, read_parts
 from postfx.io.profile import Profile, load_profile
 from postfx.io.windows import AREA, Window
-from postfx.masks.entries import Entry
+from postfx.masks.cryptomatte import Entry
 from postfx.system import Scratch
 
 _MOTION = re.compile(r"motion|veloc|vector|flow|(^|[._ ])(mv\d?|forward|backward)([._ ]|$)", re.IGNORECASE)

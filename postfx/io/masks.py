@@ -15,8 +15,17 @@ from postfx.frame import Role
 from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.layout import Header, Layout
 from postfx.masks import converged
-from postfx.masks.cryptomatte import Cryptomatte, share_of, snap, split_shares
-from postfx.masks.entries import AUTO, Coverage, Entry, id_range, is_in_range
+from postfx.masks.cryptomatte import (
+    AUTO,
+    Coverage,
+    Cryptomatte,
+    Entry,
+    id_range,
+    is_in_range,
+    share_of,
+    snap,
+    split_shares,
+)
 from postfx.masks.misses import READS, strength_in_bands
 from postfx.system import Scratch
 

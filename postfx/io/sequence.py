@@ -16,7 +16,7 @@ from postfx.io.frame_reader import Area, FrameFiles
 from postfx.io.parts import parse_parts
 from postfx.io.pattern import Source, format_frames, locate, parse_frames
 from postfx.io.windows import scaled_windows
-from postfx.masks.entries import Coverage, parse_leave
+from postfx.masks.cryptomatte import Coverage, parse_leave
 from postfx.repair import Fireflies, clamp_fireflies, parse_limit
 from postfx.system import Scratch
 

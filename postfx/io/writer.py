@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.colour.curves import SRGB
-from postfx.colour.displays import Display, parse_display
+from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file
 from postfx.frame import LINEAR, Frame, Role

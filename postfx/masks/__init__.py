@@ -7,8 +7,15 @@ and the matching command-line options.
 
 from postfx.errors import StrengthError
 from postfx.masks.converged import Threshold, parse_threshold, strength_of_converged
-from postfx.masks.cryptomatte import Cryptomatte, id_of_name, strength_from_cryptomatte
-from postfx.masks.entries import AUTO, Entry, parse_leave, strength_from_ids
+from postfx.masks.cryptomatte import (
+    AUTO,
+    Cryptomatte,
+    Entry,
+    id_of_name,
+    parse_leave,
+    strength_from_cryptomatte,
+    strength_from_ids,
+)
 from postfx.masks.misses import misses_of, strength_of_misses
 
 __all__ = [

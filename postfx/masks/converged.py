@@ -16,8 +16,7 @@ import numpy as np
 from postfx.colour.primaries import luminance
 from postfx.errors import StrengthError
 from postfx.frame import ERROR_ROLES, VARIANCES, Role
-from postfx.masks.cryptomatte import snap
-from postfx.masks.entries import Entry
+from postfx.masks.cryptomatte import Entry, snap
 from postfx.sampling import bands, local_maximum, local_mean, local_sum
 
 READS = (Role.COLOUR, *ERROR_ROLES)

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import OpenImageIO as oiio
 
+from postfx.colour.views import BANDS
 from postfx.errors import WriteError
 from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot
-from postfx.exposure.views import BANDS
 from postfx.report.frame_log import Row
 from postfx.report.pictures import png
 

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from postfx.colour.curves import srgb_encode
+from postfx.colour.displays import srgb_encode
+from postfx.colour.views import to_codes
 from postfx.errors import ReportError
-from postfx.exposure.views import to_codes
 from postfx.frame import Role
 from postfx.io.sequence import Sequence as FrameSequence
 from postfx.report.pictures import encode_light, pack_codes, png_uri, shrink

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from postfx.cli.capture import FrameCapture
+from postfx.report.page import FrameCapture
 from postfx.runtime import CommandError, Device
 
 RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise", "--tonemap", "local", "--device", "cpu")

@@ -8,7 +8,6 @@ import json
 
 import pytest
 
-from postfx.cli.capture import FrameCapture
 from postfx.cli.main import main, make_parser
 from postfx.cli.options import Option, Section
 from postfx.cli.report import RunReport
@@ -18,6 +17,7 @@ from postfx.errors import ModelError
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
 from postfx.passes.denoise import DenoiseUpscale
+from postfx.report.page import FrameCapture
 from postfx.runs.run import Options
 from postfx.runtime import Device, Library
 

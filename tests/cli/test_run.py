@@ -7,7 +7,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.cli.main import main
-from postfx.colour.curves import srgb_encode
+from postfx.colour.displays import srgb_encode
 
 COPY = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise")
 """A run that changes no pixel."""

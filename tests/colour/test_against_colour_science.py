@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.colour import curves, primaries
+from postfx.colour import displays, primaries
 from postfx.colour.displays import parse_display
 from postfx.colour.views import neutral, reinhard
 from postfx.errors import ColourError
@@ -30,12 +30,12 @@ def test_luminance_weights_of_rec2020() -> None:
 
 
 @pytest.mark.parametrize(("curve", "decode"), [
-    (curves.SRGB, colour.models.eotf_sRGB),
-    (curves.BT1886, lambda codes: colour.models.eotf_BT1886(codes)),
-    (curves.PQ, lambda codes: colour.models.eotf_ST2084(codes) / 10000),
-    (curves.HLG, lambda codes: colour.models.oetf_inverse_BT2100_HLG(codes)),
+    (displays.SRGB, colour.models.eotf_sRGB),
+    (displays.BT1886, lambda codes: colour.models.eotf_BT1886(codes)),
+    (displays.PQ, lambda codes: colour.models.eotf_ST2084(codes) / 10000),
+    (displays.HLG, lambda codes: colour.models.oetf_inverse_BT2100_HLG(codes)),
 ], ids=["srgb", "bt1886", "pq", "hlg"])
-def test_curves(curve: curves.Curve, decode) -> None:
+def test_curves(curve: displays.Curve, decode) -> None:
     np.testing.assert_allclose(curve.decode(CODES), decode(CODES), atol=2e-7)
     np.testing.assert_allclose(curve.encode(curve.decode(CODES)), CODES, atol=1e-6)
     assert np.isfinite(curve.encode(np.array([-1, np.nan, np.inf]))).all()

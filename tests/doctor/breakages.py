@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from postfx.colour.curves import srgb_encode
+from postfx.colour.displays import srgb_encode
 from postfx.doctor.geometry import fit_rotation, rays
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.sampling import local_mean

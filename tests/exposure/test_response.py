@@ -9,7 +9,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx import Frame, Pipeline, Role
-from postfx.colour.curves import srgb_encode
+from postfx.colour.displays import srgb_encode
 from postfx.errors import ExposureError
 from postfx.exposure import response
 from postfx.exposure.debugger import debug_graded, judge_view

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from postfx.exposure.views import BANDS, false_colour, log_c, zebra
+from postfx.colour.views import BANDS, false_colour, log_c, zebra
 from postfx.report.charts import add_key
 
 COLOURS = {band.meaning: band.colour for band in BANDS}

@@ -7,8 +7,7 @@ import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
-from postfx.colour.curves import srgb_decode, srgb_encode
-from postfx.colour.displays import parse_display
+from postfx.colour.displays import parse_display, srgb_decode, srgb_encode
 from postfx.colour.primaries import REC709
 from postfx.errors import OutputExistsError, WriteError
 from postfx.frame import Frame, Role

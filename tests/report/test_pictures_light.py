@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from postfx.colour.curves import srgb_encode
-from postfx.exposure.views import to_codes
+from postfx.colour.displays import srgb_encode
+from postfx.colour.views import to_codes
 from postfx.report.pictures import LARGEST, TOE, encode_light, pack_codes
 
 

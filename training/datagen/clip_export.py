@@ -17,7 +17,7 @@ import numpy as np
 import OpenImageIO as oiio
 from PIL import Image
 
-from postfx.exposure.views import to_codes
+from postfx.colour.views import to_codes
 from training.datagen.clip_file import GUIDES, exposure_of, guide_depth, load_clip, to_half
 
 # An EXR sequence ----------------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ import onnxruntime
 from onnx import NodeProto
 
 import postfx
-from postfx.colour.curves import srgb_encode
+from postfx.colour.displays import srgb_encode
 from postfx.frame import Frame, Role
 from postfx.passes.denoise.models import GUIDED, UNSCALED, exact, parted
 from postfx.runtime import Device, Library, PipelineState, Tensor

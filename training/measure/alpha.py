@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.bench.metrics import psnr
-from postfx.colour.curves import srgb_encode
+from postfx.colour.displays import srgb_encode
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline

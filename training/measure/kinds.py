@@ -24,7 +24,7 @@ import numpy as np
 from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.bench.baselines import HostKernels, Oidn
 from postfx.bench.metrics import grey_exposure
-from postfx.exposure.views import to_codes
+from postfx.colour.views import to_codes
 from postfx.frame import Role
 from training.datagen.clip_file import load_clip
 from training.measure.runs import record_kinds

@@ -18,7 +18,7 @@ import numpy as np
 
 from postfx.bench.baselines import HostKernels, Oidn
 from postfx.bench.metrics import grey_exposure, psnr
-from postfx.colour.curves import srgb_encode
+from postfx.colour.displays import srgb_encode
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import PART_FILTERS, DenoiseUpscale
 from postfx.pipeline import Pipeline

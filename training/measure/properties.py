@@ -22,7 +22,7 @@ import numpy as np
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.bench.baselines import HostKernels, Oidn
-from postfx.exposure.views import to_codes
+from postfx.colour.views import to_codes
 from postfx.frame import Role
 
 SIDE = 96  # render pixels

@@ -7,7 +7,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from postfx.colour.curves import srgb_decode
+from postfx.colour.displays import srgb_decode
 from postfx.colour.primaries import luminance
 from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.geometry import (

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.exposure.views import to_codes
+from postfx.colour.views import to_codes
 from training.datagen.clip_file import load_clip
 from training.measure.kinds import halves, main, mean_gains, network_method, oidn_method, score_render, table
 

@@ -9,7 +9,7 @@ pytest.importorskip("torch")
 pytest.importorskip("PyOpenColorIO")
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 
-from postfx.colour.curves import srgb_encode  # noqa: E402
+from postfx.colour.displays import srgb_encode  # noqa: E402
 from postfx.frame import Frame, Role  # noqa: E402
 from training.tonemap.checks import greys, halo, hue_flips, sweep  # noqa: E402
 from training.tonemap.evaluate import Mapper  # noqa: E402

@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("PyOpenColorIO")
 
-from postfx.colour.curves import srgb_encode  # noqa: E402
+from postfx.colour.displays import srgb_encode  # noqa: E402
 from postfx.colour.views import neutral  # noqa: E402
 from training.tonemap.looks import LOOKS, describe, exact_target, find_look, key, log_luminance, look_from, target  # noqa: E402
 from training.tonemap.pictures import Pictures, collect, lesson, load, save  # noqa: E402

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from postfx.colour.curves import srgb_encode
+from postfx.colour.displays import srgb_encode
 from training.datagen.clip_file import DEPTH_RANGE, HALF_MAX
 
 # The plan -------------------------------------------------------------------------------------------------------------

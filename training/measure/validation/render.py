@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.colour.curves import srgb_encode
+from postfx.colour.displays import srgb_encode
 from training.datagen.clip import Style, filter_table, guide_frame, noisy_frame, radical_inverse
 from training.datagen.clip_file import GUIDES, HALF_MAX, exposure_of, first_only
 from training.datagen.held_out import FIRST_SEED, HeldOut, Kind, held_out_view
