@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import base64
 import hashlib
 import json
 import logging
@@ -18,6 +19,7 @@ from torch import nn
 from torch.export import Dim
 
 from postfx.kernels.kernel import Kernel
+from postfx.runtime.session import CONSTANTS
 from postfx.runtime.states import parse
 
 logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of optional packages at every export
@@ -115,6 +117,41 @@ def store_half(graph: onnx.GraphProto) -> None:
     graph.node.extend(nodes)
 
 
+def lift_constants(model: onnx.ModelProto) -> None:
+    """Put outputs that no node makes into the metadata, where `postfx.runtime.session` reads them: some execution
+    providers cannot have such outputs."""
+    graph = model.graph
+    weights, used = {one.name: one for one in graph.initializer}, {name for node in graph.node for name in node.input}
+    lifted = {one.name: onnx.numpy_helper.to_array(weights[one.name]) for one in graph.output if one.name in weights}
+    if not lifted:
+        return
+    text = json.dumps({name: {"shape": array.shape, "float32": base64.b64encode(array.astype("<f4").tobytes()).decode()}
+                       for name, array in lifted.items()})
+    onnx.helper.set_model_props(model, {CONSTANTS: text})
+    for name in lifted:
+        graph.output.remove(next(one for one in graph.output if one.name == name))
+        if name not in used:
+            graph.initializer.remove(weights[name])
+
+
+def lower_constants(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Give a model its constant outputs again, to convert it or to look at them; the same model."""
+    for text in [one.value for one in model.metadata_props if one.key == CONSTANTS]:
+        for name, told in json.loads(text).items():
+            array = np.frombuffer(base64.b64decode(told["float32"]), "<f4").reshape(told["shape"])
+            if name not in {one.name for one in model.graph.initializer}:
+                model.graph.initializer.append(onnx.numpy_helper.from_array(array, name))
+            model.graph.output.append(onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, told["shape"]))
+    del model.metadata_props[:]
+    return model
+
+
+def write_model(model: onnx.ModelProto, path: Path) -> None:
+    """Write a model file with its constants in the metadata."""
+    lift_constants(model)
+    path.write_bytes(model.SerializeToString(deterministic=True))
+
+
 def declare(value: onnx.ValueInfoProto, shape: tuple[int | str, ...] | None) -> None:
     """Give an input or output another declared shape; None leaves it as it is."""
     for size, dimension in zip(shape or (), value.type.tensor_type.shape.dim, strict=bool(shape)):
@@ -135,7 +172,8 @@ def parity(
     options = onnxruntime.SessionOptions()
     for name, size in (dims or {}).items():
         options.add_free_dimension_override_by_name(name, size)
-    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    whole = lower_constants(onnx.load(path)).SerializeToString()
+    session = onnxruntime.InferenceSession(whole, options, providers=["CPUExecutionProvider"])
     names = [value.name for value in session.get_inputs()]
     found = session.run(None, {name: x.numpy() for name, x in zip(names, examples, strict=True)})
     with torch.no_grad():

@@ -229,6 +229,8 @@ def _differences(kind: str, found: list[Declared], card: Mapping[str, Any]) -> I
     if declared is None:
         return
     shapes = {value.name: value.shape for value in found}
+    declared = {name: facts for name, facts in declared.items()
+                if name in shapes or not facts.get("constant")}  # else it is in the metadata
     if set(shapes) != set(declared):
         yield f"it has the {kind}s {', '.join(sorted(shapes))}, its card has {', '.join(sorted(declared))}"
         return

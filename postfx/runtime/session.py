@@ -7,6 +7,7 @@ and the processor. It computes the same bits.
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import os
 import platform
@@ -21,10 +22,13 @@ import numpy as np
 import onnxruntime as ort
 
 from postfx.errors import ModelError
-from postfx.files import atomic_file
+from postfx.files import atomic_file, parse_json
 from postfx.runtime.tensor import Tensor
 from postfx.system import private_folder, usable_memory
 
+CONSTANTS = "postfx.constants"
+"""Key of a model's metadata under which `training.export` puts outputs that no node makes, which some execution
+providers cannot have: {name: {"shape": [...], "float32": "base64"}}."""
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
 OPTIMISED_FOLDER = "networks"
 MOST_BYTES = 256 << 20
@@ -108,15 +112,31 @@ class Session:
         return partial(self._session.run_with_iobinding, binding, options)
 
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """Outputs that depend on no input, from one run on zeros. ModelError if the model lacks them, or if they cannot
-        be computed, for lack of memory for example."""
-        zeros = {value.name: np.zeros(value.fixed, value.dtype) for value in self.inputs} if names else {}
+        """What depends on no input: all that the model's metadata holds, and these outputs, from one run on zeros.
+
+        Raises ModelError if the model lacks them, or if they cannot be computed, for lack of memory for example.
+        """
+        stored = self._stored_constants()
+        computed = [name for name in names if name not in stored]
+        if not computed:
+            return stored
+        zeros = {value.name: np.zeros(value.fixed, value.dtype) for value in self.inputs}
         options = ort.RunOptions()
         options.only_execute_path_to_fetches = True
         try:
-            return dict(zip(names, self._session.run(list(names), zeros, options), strict=True)) if names else {}
+            return stored | dict(zip(computed, self._session.run(computed, zeros, options), strict=True))
         except Exception as error:
             raise ModelError(f"model '{self._name}' cannot be run: {first_line(error)}") from error
+
+    def _stored_constants(self) -> dict[str, np.ndarray]:
+        """Constants in the model's metadata, by name."""
+        text = self._session.get_modelmeta().custom_metadata_map.get(CONSTANTS, "{}")
+        try:
+            return {str(name): np.frombuffer(base64.b64decode(told["float32"], validate=True), "<f4")
+                    .reshape(told["shape"]).astype(np.float32) for name, told in parse_json(text).items()}
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
+            raise ModelError(f"model '{self._name}': '{CONSTANTS}' of its metadata is damaged: {first_line(error)}") \
+                from error
 
     def copy_bytes(self, source: tuple[str, int, int], target: tuple[str, int, int], nbytes: int) -> None:
         """Run a copying model from one (memory, index, pointer) to another."""

@@ -22,6 +22,7 @@ from onnx.reference import ReferenceEvaluator  # noqa: E402
 
 from training.denoise.fp16 import pack  # noqa: E402
 from training.denoise.int8 import value as constant_value  # noqa: E402
+from training.export import lower_constants  # noqa: E402
 
 BOUNDS = {"fp32": (2e-5, 5e-6), "fp16": (1e-3, 5e-4), "int8": (0.05, 5e-3), "tone": (1e-6, 1e-6)}
 """Precision -> largest and root mean square error of an output, by those of its values. In int8 a value between two
@@ -123,8 +124,8 @@ def test_error_of_networks_on_a_gpu(name: str, gpu: Device) -> None:
 
 def check(name: str, bounds: dict[str, tuple[float, float]], provider: str) -> None:
     """Hold what a provider makes of a network's inputs to largest and root mean square errors, by VALUES."""
-    path = models_dir() / f"{name}.onnx"
-    model, session = onnx.load(path), onnxruntime.InferenceSession(path, providers=[provider])
+    model = lower_constants(onnx.load(models_dir() / f"{name}.onnx"))
+    session = onnxruntime.InferenceSession(model.SerializeToString(), providers=[provider])
     inputs = {values: arguments(model, values) for values in bounds}
     outputs = [value.name for value in session.get_outputs()]
     reference = ReferenceEvaluator(widened(model))

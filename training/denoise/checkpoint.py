@@ -49,9 +49,10 @@ def weights_of(path: Path) -> dict[str, Tensor]:
     from onnx import numpy_helper
 
     from training.denoise.model import logits_of
+    from training.export import lower_constants
 
     found = {t.name.removesuffix(HALF): torch.from_numpy(numpy_helper.to_array(t).astype("float32"))
-             for t in onnx.load(path).graph.initializer}
+             for t in lower_constants(onnx.load(path)).graph.initializer}
     stored = {name: values for name, values in found.items() if "." in name or name == "rest"}
     if "fine.weight" not in stored:
         raise ValueError(f"{path}: no weights of the fine head: take the float32 model, as denoise_upscale.m.onnx")

@@ -38,7 +38,7 @@ from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
 from postfx.passes.denoise.models import GUIDED, UNSCALED, parted
 from postfx.passes.denoise.network import FEATURE_PARTS, PHASED_FINE
 from training.denoise.model import Trunk, TrunkConfig, stem
-from training.export import export, export_kernel, parity, parser, read_quality, write_card
+from training.export import export, export_kernel, parity, parser, read_quality, write_card, write_model
 from training.kernels import denoise as kernels
 from training.kernels import extras, parts
 
@@ -165,9 +165,11 @@ def export_trunk(trunk: Trunk, path: Path) -> float:
     reads = inputs(trunk.config)
     names = {name: (1, channels, "height", "width") for name, channels in reads.items()}
     names |= {name: (1, _channels(name), *("??" if has_level(trunk.config, name) else (1, 1))) for name in OUTPUTS}
-    export(ExportedTrunk(trunk), example(trunk, 64, 96), list(reads), OUTPUTS, path, [free] * len(reads), names)
+    model = export(ExportedTrunk(trunk), example(trunk, 64, 96), list(reads), OUTPUTS, path, [free] * len(reads), names)
     height, width = CHECKED
-    return parity(ExportedTrunk(trunk), path, example(trunk, height, width), {"height": height, "width": width})
+    error = parity(ExportedTrunk(trunk), path, example(trunk, height, width), {"height": height, "width": width})
+    write_model(model, path)
+    return error
 
 
 def has_level(config: TrunkConfig, output: str) -> bool:

@@ -26,7 +26,15 @@ from postfx.kernels.denoise.network_io import OPEN, OPEN_FINE, OPEN_PHASED, PACK
 from postfx.passes.denoise.network import CHANNELS, FEATURE_PARTS, PACKED, PHASED_FINE, RAW
 from postfx.runtime import Library
 from training.denoise.quantise import variant_name
-from training.export import MODELS, ParityError, known_recipe, relative_error, write_card
+from training.export import (
+    MODELS,
+    ParityError,
+    known_recipe,
+    lower_constants,
+    relative_error,
+    write_card,
+    write_model,
+)
 
 # The graph ----------------------------------------------------------------------------------------------------------
 # The graph of a denoised upscaler in half precision.
@@ -187,10 +195,11 @@ def make_fp16(name: str, folder: Path) -> dict[str, Any]:
     """Write the float16 variant of a folder's network and its card beside it; returns the card. Raises ParityError."""
     library = Library(folder)
     source, path = library.path(name), folder / f"{variant_name(name, PRECISION)}.onnx"
-    model = halve(onnx.load(source))
-    error = difference(model, onnx.load(source))
+    whole = lower_constants(onnx.load(source))
+    model = halve(whole)
+    error = difference(model, whole)
     share_weights(model, source)
-    path.write_bytes(model.SerializeToString(deterministic=True))
+    write_model(model, path)
     card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION,
             "weights": {source.name: hashlib.sha256(source.read_bytes()).hexdigest()},
             "parity": {"max_relative_error": float(f"{error:.2g}"), "against": f"{name} in float32"}}

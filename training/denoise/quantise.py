@@ -43,7 +43,7 @@ from training.denoise.int8 import (
     unfold_half,
     value,
 )
-from training.export import MODELS, known_recipe, store_half, write_card
+from training.export import MODELS, known_recipe, lower_constants, store_half, write_card, write_model
 
 # Calibration --------------------------------------------------------------------------------------------------------
 # Statistics of a float network over frames: ranges of its tensors, and moments to round its weights by.
@@ -214,7 +214,7 @@ def layers_of(graph: onnx.GraphProto, name: str) -> list[str]:
 
 def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[str, Any]:
     """Write a network's int8 variant and its card to a folder; returns the card."""
-    model = unfold_half(onnx.load_from_string(library.load(name)))
+    model = unfold_half(lower_constants(onnx.load_from_string(library.load(name))))
     ending = parted(name)[1]
     layers = layers_of(model.graph, name)
     kept = activations(model.graph, layers)
@@ -227,13 +227,14 @@ def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[st
     small = in_integers(small, weights, stem)
     store_half(small.graph)
     path = folder / f"{variant_name(name, PRECISION)}.onnx"
-    path.write_bytes(small.SerializeToString(deterministic=True))
+    told = facts(small)
+    write_model(small, path)
     card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION}
     for other in ("quality", "parity", "recipe"):  # they belong to the float32 network
         card.pop(other, None)
     card |= known_recipe(path.with_suffix(".json"))
-    known, found = library.card(name).get("outputs", {}), facts(small)
-    found["outputs"] = {output: known.get(output, told) for output, told in found["outputs"].items()}
+    known, found = library.card(name).get("outputs", {}), told
+    found["outputs"] = {output: known.get(output, own) for output, own in found["outputs"].items()}
     card |= {"made_from": {"name": name, "sha256": library.card(name).get("sha256")},
              **found, "int8_layers": len(quantised) + (stem is not None)}
     write_card(path, card)  # the card says which outputs are constant
