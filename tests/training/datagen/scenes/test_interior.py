@@ -19,9 +19,12 @@ mi.set_variant("llvm_ad_rgb")
 
 from training.datagen.scenes import clutter, fittings, fixtures, foliage, furnishing, movables, solids  # noqa: E402
 from training.datagen.scenes.build import BuiltScene, Description  # noqa: E402
-from training.datagen.scenes.daylight import outside_only  # noqa: E402
 from training.datagen.scenes.draft import Draft  # noqa: E402
-from training.datagen.scenes.interior import CHANCES, interior  # noqa: E402
+from training.datagen.scenes.interior import (  # noqa: E402
+    CHANCES,
+    interior,
+    outside_only,
+)
 from training.datagen.scenes.lights import Environments, sky  # noqa: E402
 from training.datagen.scenes.materials import Material  # noqa: E402
 from training.datagen.scenes.meshes import Mesh  # noqa: E402
