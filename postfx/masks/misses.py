@@ -28,7 +28,7 @@ SPANS = (1, 2)
 """Distances in pixels at which neighbours are compared: a renderer's filter makes closer ones alike."""
 NOISE = (0.008, 0.02)
 """Standard deviation over mean, from invisible to visible: the display curve sqrt(y / (1 + y)) turns it into at most
-0.0015 to 0.004, as in `postfx.kernels.denoise.restore`."""
+0.0015 to 0.004, as in `postfx.kernels.denoise.output`."""
 CROWD = (0.15, 0.35)
 """Share of noisy misses above which all are denoised: sparse noise cannot be measured between its spikes."""
 GROWN, SOFT = 2, 2

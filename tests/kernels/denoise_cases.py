@@ -20,13 +20,12 @@ from postfx.kernels.denoise.network_io import (
     STORE,
     STORE_RINGED,
 )
-from postfx.kernels.denoise.output import ASSEMBLE, STRENGTH
+from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, RESIZE, SCALE, means_size
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
 from postfx.kernels.denoise.reflections import REFLECTIONS
-from postfx.kernels.denoise.restore import DETAIL, JUDGE, RESTORE
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_LIGHT, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
 from postfx.kernels.kernel import Kernel

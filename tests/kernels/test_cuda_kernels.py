@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postfx.kernels.cuda_source import find_source
-from postfx.kernels.denoise.restore import DETAIL, JUDGE, TILE
+from postfx.kernels.denoise.output import DETAIL, JUDGE, TILE
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
 from tests.kernels import host_cuda, tonemap_cases

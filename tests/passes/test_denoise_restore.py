@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import Frame, Role
-from postfx.kernels.denoise.restore import DETAIL, JUDGE, SUMS
+from postfx.kernels.denoise.output import DETAIL, JUDGE, SUMS
 from postfx.passes.denoise import DenoiseUpscale, output
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

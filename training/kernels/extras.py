@@ -10,15 +10,14 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from postfx.kernels.denoise import reflections as layout
-from postfx.kernels.denoise.reactive import SPREAD
-from postfx.kernels.denoise.restore import (
+from postfx.kernels.denoise.output import (
     CLEAN,
     COUNT,
     DARK,
     FAINT,
     FILTERED,
     FIRST,
-    HELD,
+    HELD_POWER,
     LAGS,
     LIMIT,
     LOUD,
@@ -28,6 +27,7 @@ from postfx.kernels.denoise.restore import (
     STRUCTURE,
     TILE,
 )
+from postfx.kernels.denoise.reactive import SPREAD
 from training import ops
 from training.denoise.model import MAX_FLOAT
 from training.kernels.denoise import part, to_image, to_picture
@@ -207,7 +207,7 @@ class Reflections(nn.Module):
 
 
 # Restored detail ----------------------------------------------------------------------------------------------------
-# The kernels of ``postfx.kernels.denoise.restore`` as torch modules: what is exported to ONNX. Pictures (H, W, C).
+# The kernels of ``postfx.kernels.denoise.output`` as torch modules: what is exported to ONNX. Pictures (H, W, C).
 
 TINY = 1e-12
 
@@ -243,7 +243,7 @@ class Detail(nn.Module):
         power = spread[..., POWER] / spread[..., COUNT]
         weight = torch.sqrt(power) * sums[..., COUNT]
         total = weight.sum().clamp(min=TINY)
-        found = spread[..., FIRST:] / (spread[..., HELD:FIRST] + TINY)
+        found = spread[..., FIRST:] / (spread[..., HELD_POWER:FIRST] + TINY)
         common = F.pad((found * weight[..., None]).sum((0, 1))[:NEAR].clamp(min=0) / total, (0, len(LAGS) - NEAR))
         mean = sums[..., POWER].sum() / sums[..., COUNT].sum()
         filtered = ramp(torch.log(mean + TINY), math.log(FILTERED[0]), math.log(FILTERED[1]))
