@@ -1,5 +1,5 @@
 // What the CUDA kernels of postfx share beside view.cuh: positions and the small functions of
-// postfx/kernels/numeric.py. Constants such as MAX_COLOUR come before: postfx/kernels/cuda_source.py prints them.
+// postfx/kernels/numeric.py. Constants such as MAX_COLOUR come before: postfx/runtime/cuda.py prints them.
 
 struct Colour {
     float r, g, b;

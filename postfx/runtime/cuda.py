@@ -1,11 +1,14 @@
 """A CUDA GPU beside ONNX Runtime: its stream, its memory, kernels compiled from source when needed, and CUDA graphs.
 
-Commands that ran before on the same tensors are launched as one graph.
+Commands that ran before on the same tensors are launched as one graph. Each family of kernels is a source file; the
+constants of Python and code that all families share are compiled before it. A plug-in's kernels come from files in its
+own folder, and share only the declaration of arguments with ours.
 """
 
 from __future__ import annotations
 
 import ctypes
+import re
 import sys
 import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -18,7 +21,8 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.errors import DeviceError, ModelError
-from postfx.kernels.cuda_source import read_source
+from postfx.kernels.denoise import layout
+from postfx.kernels.kernel import Kernel
 from postfx.runtime.memory import address
 
 if TYPE_CHECKING:
@@ -257,3 +261,47 @@ def check_result(result: tuple[Any, ...]) -> Any:
     if int(result[0]):
         raise DeviceError(f"CUDA: {result[0].name}")
     return result[1] if len(result) == 2 else None
+
+
+# Sources of kernels
+
+SOURCES = Path(layout.__file__).resolve().parent.parent
+_KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\(\w+\) )?(\w+)\(')
+_LAYOUT = (
+    "HIDDEN", "KERNEL", "TAP_WEIGHTS", "BLEND", "SHARPEN", "MIX", "DISTRUST", "IMPORTANCE", "MEMORY", "FINE",
+    "PLANE_TRUST",
+    "EXPOSURE", "JITTER_X", "JITTER_Y", "GAIN",
+    "TOP", "LEFT", "HEIGHT", "WIDTH", "OUT_TOP", "OUT_LEFT", "OUT_HEIGHT", "OUT_WIDTH",
+    "TRUST_CELL", "DOUBT", "FAINT", "MAX_COLOUR", "MAX_LIGHT", "TINY", "MAX_COUNT", "MAX_DEPTH", "MAX_FLOAT",
+    "MOST_LOG", "MOST_STATE",
+)
+CONSTANTS: dict[str, int | float | np.float32] = {
+    name: getattr(layout, name) for name in _LAYOUT}
+"""Numbers that CUDA kernels take from Python, by name."""
+
+
+def find_source(kernel: Kernel) -> Path | None:
+    """The file that holds a kernel; None where it is not written for CUDA."""
+    return _families(kernel.home or SOURCES).get(kernel.name)
+
+
+def read_source(family: Path) -> str:
+    """The source that is compiled for a file of kernels: the declaration of arguments, for our own kernels also the
+    constants and the code that all families share, and the file."""
+    is_own = family.is_relative_to(SOURCES)
+    shared = print_constants() + (SOURCES / "common.cuh").read_text() if is_own else ""
+    return (SOURCES / "view.cuh").read_text() + shared + family.read_text()
+
+
+def print_constants() -> str:
+    """The constants in CUDA: whole numbers as an enum, others as float."""
+    whole = [f"{name} = {value}" for name, value in CONSTANTS.items() if isinstance(value, int)]
+    floats = [f"{name} = {float(value)!r}f" for name, value in CONSTANTS.items() if not isinstance(value, int)]
+    return f"enum {{ {', '.join(whole)} }};\n[[maybe_unused]] const float {', '.join(floats)};\n"
+
+
+@cache
+def _families(folder: Path) -> dict[str, Path]:
+    """Every kernel's file by the kernel's name: below our folder, or in a plug-in's."""
+    sources = sorted(folder.rglob("*.cu") if folder == SOURCES else folder.glob("*.cu"))
+    return {name: path for path in sources for name in _KERNEL.findall(path.read_text())}

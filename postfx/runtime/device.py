@@ -16,10 +16,9 @@ import numpy as np
 import onnxruntime as ort
 
 from postfx.errors import BindingError, DeviceError, ModelError, PostfxError
-from postfx.kernels.cuda_source import find_source
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer, wait_for_all
-from postfx.runtime.cuda import CudaMemory
+from postfx.runtime.cuda import CudaMemory, find_source
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
 from postfx.runtime.memory import HostMemory, Immediate, Memory, address

@@ -18,8 +18,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from postfx.kernels.cuda_source import find_source, read_source
 from postfx.kernels.kernel import Kernel
+from postfx.runtime.cuda import find_source, read_source
 from postfx.system import private_folder
 
 COMPILER = shutil.which("g++")

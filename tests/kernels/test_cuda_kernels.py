@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from postfx.kernels.cuda_source import find_source
 from postfx.kernels.denoise.output import DETAIL, JUDGE, TILE
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
+from postfx.runtime.cuda import find_source
 from tests.kernels import host_cuda, tonemap_cases
 from tests.kernels.denoise_cases import KERNELS, arguments, element_type, in_frame, run, runs_of, shape
 from tests.kernels.test_denoise_kernels import assert_same

@@ -10,7 +10,6 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from postfx.kernels.cuda_source import find_source, read_source
 from postfx.kernels.image import RESAMPLE
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import (
@@ -22,6 +21,7 @@ from postfx.runtime import (
     ModelError,
     PortableComputeState,
 )
+from postfx.runtime.cuda import find_source, read_source
 from tests import toys
 
 

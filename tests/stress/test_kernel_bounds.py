@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from postfx.frame import Role
-from postfx.kernels.cuda_source import find_source
 from postfx.kernels.denoise.reflections import REFLECTIONS
 from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
+from postfx.runtime.cuda import find_source
 from tests.kernels import denoise_cases, host_cuda, tonemap_cases
 from tests.passes import mirror_scene
 from tests.stress.scenes import portable

@@ -20,7 +20,7 @@ level's cells begin, -1 before its first, ``coarse_rows`` and ``coarse_columns``
 pixels lie. ``factor`` is the reflectance that colour is divided and multiplied by, ``means`` its mean in cells of 8x8
 pixels of the frame, from the cell before the part's first row and column on; (1, 1, 3) where planes are not doubted.
 
-Numbers are defined here once: `postfx.kernels.cuda_source` prints them for the CUDA kernels, and training imports them,
+Numbers are defined here once: `postfx.runtime.cuda` prints them for the CUDA kernels, and training imports them,
 also on machines without Numba.
 """
 

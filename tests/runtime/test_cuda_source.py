@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from postfx.kernels.cuda_source import CONSTANTS, SOURCES, print_constants
+from postfx.runtime.cuda import CONSTANTS, SOURCES, print_constants
 
 
 def test_printed_constants_have_the_values_of_python():
