@@ -5,9 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from postfx.doctor import material as material_module
+from postfx.doctor.checks import planes
 from postfx.doctor.geometry import motion_of_camera, smooth_points
+from postfx.doctor.material import Material, read_material
 from postfx.doctor.pictures import picture
 from postfx.frame import DEPTH_MISS, ROLES, Frame, Role
+from postfx.io.sequence import read_sequence
+from tests.doctor.conftest import ROOM
 
 SIZES = [(1, 1), (2, 3), (5, 400), (40, 48)]
 
@@ -95,6 +100,22 @@ def test_a_clean_still_is_not_called_a_repeated_seed(room, diagnose):
     colour = np.full_like(room[1][Role.COLOUR], 0.3)
     still = [replace(room[1], planes={Role.COLOUR: colour}, number=n) for n in (1, 2, 3)]
     assert codes(diagnose(still)) == set()
+
+
+@pytest.mark.parametrize("value", [-0.01, 1.01])
+def test_a_single_coverage_that_cannot_be_is_seen(value):
+    overlay = np.zeros((40, 48, 4), np.float32)
+    overlay[7, 9, 3] = value
+    material = Material([Frame({Role.COLOUR: np.ones((40, 48, 3), np.float32), Role.OVERLAY: overlay}, 1)])
+    (found,) = planes.overlay_alpha(material)
+    assert found.code == "overlay-alpha" and found.evidence.startswith("0.0521 % of the pixels")  # 1 of 1920
+
+
+def test_of_the_largest_pictures_two_are_compared(monkeypatch):
+    sequence = read_sequence(ROOM / "noisy.####.exr")
+    for pixels, numbers in ((1, [1, 2]), (3 * 320 * 180, [1, 2, 3])):
+        monkeypatch.setattr(material_module, "MOST_PIXELS", pixels)
+        assert [frame.number for frame in read_material(sequence).material.frames] == numbers
 
 
 def test_frames_of_different_sizes(room, diagnose):
