@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.depth import ray_slopes
-from postfx.doctor.statistics import finite
+from postfx.doctor.statistics import finite, largest
 from postfx.errors import IntegrationError
 from postfx.frame import DEPTH_MISS, Frame, Role, pixel_aspect
 from postfx.integrate.camera import perspective, project, view_rays
@@ -111,23 +111,23 @@ def normals_of_depth(frame: Frame, fov_x: float, points: Points) -> tuple[np.nda
         return result
 
     normal = np.cross(place(0, STEP) - place(0, -STEP), place(STEP, 0) - place(-STEP, 0))
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
+    normal /= np.maximum(lengths_of(normal), 1e-30)[..., None]
     ray = rays(frame, fov_x, points.rows, points.columns)
-    towards = -(normal * ray).sum(-1) / np.linalg.norm(ray, axis=-1)
+    towards = -dots(normal, ray) / lengths_of(ray)
     return normal * np.sign(towards)[:, None], np.abs(towards)
 
 
 def unit_normals(frame: Frame, points: Points) -> np.ndarray:
     """Stored normals (count, 3) scaled to length 1; (0, 0, 0) where there are none."""
     normal = finite(frame[Role.NORMAL][points.rows, points.columns]).astype(np.float64)
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    length = lengths_of(normal)[..., None]
     return np.where(length > 0.1, normal / np.maximum(length, 0.1), 0)
 
 
 def surface_normals(frame: Frame) -> np.ndarray:
     """(count, 3) stored normals that are finite and not zero, of hits where there is depth."""
     normal = finite(frame[Role.NORMAL])
-    used = np.abs(normal).max(2) > 0
+    used = largest(np.abs(normal)) > 0
     hit = is_hit(frame[Role.DEPTH]) if Role.DEPTH in frame else used
     result: np.ndarray = normal[used & hit] if hit.any() else normal[used]
     return result
@@ -135,7 +135,13 @@ def surface_normals(frame: Frame) -> np.ndarray:
 
 def lengths_of(vectors: np.ndarray) -> np.ndarray:
     """Lengths along the last axis."""
-    result: np.ndarray = np.linalg.norm(vectors, axis=-1)
+    result: np.ndarray = np.sqrt(dots(vectors, vectors))
+    return result
+
+
+def dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products along the last axis, in a fifth of the time of (a * b).sum(-1)."""
+    result: np.ndarray = np.einsum("...i,...i->...", a, b)
     return result
 
 
@@ -169,7 +175,7 @@ def fit_rotation(frame: Frame, views: Sequence[float] = ()) -> Fit | None:
     """
     points = smooth_points(frame[Role.DEPTH])
     stored = unit_normals(frame, points)
-    there = np.abs(stored).sum(-1) > 0
+    there = stored.any(-1)
     if there.sum() < LEAST_POINTS:
         return None
     points, stored = Points(points.rows[there], points.columns[there]), stored[there]
@@ -182,7 +188,7 @@ def angle_by(frame: Frame, fov_x: float, matrix: np.ndarray) -> float:
     """Degrees within which three quarters of the stored normals agree with those of depth, taken by a matrix."""
     points = smooth_points(frame[Role.DEPTH])
     stored = unit_normals(frame, points)
-    cosines = ((normals_of_depth(frame, fov_x, points)[0] @ matrix) * stored).sum(-1)[np.abs(stored).sum(-1) > 0]
+    cosines = dots(normals_of_depth(frame, fov_x, points)[0] @ matrix, stored)[stored.any(-1)]
     return float(np.degrees(np.arccos(np.clip(np.quantile(cosines, 1 - AGREEING), -1, 1))))
 
 
@@ -272,7 +278,7 @@ def _procrustes(seen: np.ndarray, stored: np.ndarray, fov_x: float) -> Fit:
     keep = np.ones(len(seen), bool)
     for _ in range(4):
         u, _, v = np.linalg.svd(seen[keep].T @ stored[keep])
-        cosines = ((seen @ (u @ v)) * stored).sum(-1)
+        cosines = dots(seen @ (u @ v), stored)
         worst = np.quantile(cosines, 1 - AGREEING)
         keep = cosines >= worst
     return Fit(u @ v, float(np.degrees(np.arccos(np.clip(worst, -1, 1)))), fov_x)
@@ -346,7 +352,7 @@ def _reread(frame: Frame, kind: DepthKind, fov_x: float | None) -> Frame:
     hit = is_hit(depth)
     cosine = np.ones(())
     if fov_x is not None:
-        cosine = 1 / np.linalg.norm(rays(frame, fov_x, *np.indices(hit.shape)), axis=-1)
+        cosine = 1 / lengths_of(rays(frame, fov_x, *np.indices(hit.shape)))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         planar = kind.planar(np.where(hit, depth[..., 0], 0.5).astype(np.float64), cosine)
     planar = np.where(hit & np.isfinite(planar) & (planar > 0), planar, DEPTH_MISS)

@@ -17,7 +17,8 @@ import numpy as np
 from postfx.colour.primaries import luminance
 from postfx.doctor.statistics import finite, largest
 from postfx.frame import Frame, Role
-from postfx.sampling import bilinear, is_inside, local_mean
+from postfx.kernels.image import compare_places
+from postfx.sampling import is_inside, local_mean
 
 Size = tuple[int, int]
 SCALES = (0.5, 2.0, 2 / 3, 1 / 3)
@@ -322,17 +323,16 @@ def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, mot
     rows, columns = rows[chosen], columns[chosen]
     steepness, at = slope[rows, columns], (rows.astype(np.float32), columns.astype(np.float32))
     contrast = float(np.minimum(steepness, np.quantile(steepness, 0.9)).mean())
-    return Feature(role, weight, before, now[rows, columns], *at, motion[rows, columns], contrast)
+    before = np.ascontiguousarray(before, np.float32)
+    return Feature(role, weight, before, now[rows, columns].astype(np.float32), *at, motion[rows, columns], contrast)
 
 
 def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
     """Scores (count,) of shifts (count, points, 2); infinite for those that come from outside the picture mostly."""
-    x, y = feature.columns + shifts[..., 0], feature.rows + shifts[..., 1]
-    inside = is_inside(feature.before, x, y)
+    x, y = (feature.columns + shifts[..., 0]).astype(np.float32), (feature.rows + shifts[..., 1]).astype(np.float32)
+    inside, apart = np.empty(x.shape, bool), np.empty(x.shape, np.float32)
+    compare_places(feature.before, feature.now, x, y, apart, inside)
     own = is_inside(feature.before, feature.columns + feature.motion[:, 0], feature.rows + feature.motion[:, 1])
-    warped = bilinear(feature.before, x.ravel(), y.ravel()).reshape(*x.shape, -1)
-    apart = np.abs(warped - feature.now)
-    apart = largest(apart).copy()
     # Points that only this shift moves outside count too: otherwise a shift could hide what it makes worse.
     used = inside | own
     apart[~used] = np.inf

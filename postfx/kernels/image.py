@@ -6,7 +6,8 @@
   cell; greys (2,) are of cells where both are equal and of the others; output (height, width, 3). The torch definition
   is `training.kernels.tonemap.Checkerboard`.
 - On the host, before a frame is uploaded: means and moments of a coarse grid's cells, by which cuts are found; whether
-  a cell holds anything positive; block averages of luminance, on which exposure is metered.
+  a cell holds anything positive; block averages of luminance, on which exposure is metered; and how far points of a
+  picture are from another one at many places, by which the doctor tries motion.
 """
 
 from __future__ import annotations
@@ -431,3 +432,28 @@ def half_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
                             brightest = max(brightest, value)
                     count += block
                 means[half, j, i] = (total - brightest) / (count - 1)
+
+
+@compiled
+def compare_places(before: np.ndarray, now: np.ndarray, x: np.ndarray, y: np.ndarray, apart: np.ndarray,
+                   inside: np.ndarray) -> None:
+    """Largest difference of a channel between points now (points, channels) and a picture before (h, w, channels),
+    mixed of four pixels at places x and y (count, points), which are brought to its edge; and whether they lie in it.
+    """
+    height, width, channels = before.shape
+    last_x, last_y = np.float32(width - 1), np.float32(height - 1)
+    for i in range(x.shape[0]):
+        for p in range(x.shape[1]):
+            at_x, at_y = x[i, p], y[i, p]
+            inside[i, p] = at_x >= ZERO and at_x <= last_x and at_y >= ZERO and at_y <= last_y
+            at_x = min(at_x, last_x) if at_x > ZERO else ZERO
+            at_y = min(at_y, last_y) if at_y > ZERO else ZERO
+            left, top = min(int(at_x), max(width - 2, 0)), min(int(at_y), max(height - 2, 0))
+            right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
+            u, v = at_x - np.float32(left), at_y - np.float32(top)
+            largest = ZERO
+            for k in range(channels):
+                upper = before[top, left, k] * (ONE - u) + before[top, right, k] * u
+                lower = before[bottom, left, k] * (ONE - u) + before[bottom, right, k] * u
+                largest = max(largest, abs(upper * (ONE - v) + lower * v - now[p, k]))
+            apart[i, p] = largest

@@ -28,7 +28,8 @@ class Breakage:
         role: the role of that finding.
         apply: frames -> broken frames, or None where the sequence lacks what is to be broken.
         consequences: other errors that rightly follow from it.
-        whole: whether it takes the whole picture and five frames to find it, not only the middle of four.
+        frames: how many it takes to find it.
+        whole: whether it takes the whole picture to find it, not only the middle.
     """
 
     name: str
@@ -36,13 +37,8 @@ class Breakage:
     role: str
     apply: Callable[[Frames], Frames | None]
     consequences: tuple[str, ...] = ()
+    frames: int = 2
     whole: bool = False
-
-    @property
-    def shows_in_two(self) -> bool:
-        """Whether two frames are enough to find it."""
-        over_frames = ("motion", "jitter", "other", "cut", "reset", "samples", "exposure")
-        return not self.whole and not self.code.startswith(over_frames)
 
 
 def plane(role: Role, change: Change, *needs: str) -> Callable[[Frames], Frames | None]:
@@ -363,15 +359,15 @@ BREAKAGES = [
     Breakage("motion in uv", "motion-scale", MOTION, plane(MOTION, per_image(1))),
     Breakage("motion in -1..1", "motion-scale", MOTION, plane(MOTION, per_image(2))),
     Breakage("motion in uv around 0.5", "motion-encoded", MOTION, plane(MOTION, per_image(1, 0.5))),
-    Breakage("motion with jitter", "motion-jitter", MOTION, jittered_motion),
+    Breakage("motion with jitter", "motion-jitter", MOTION, jittered_motion, frames=3),
     Breakage("motion all 0", "motion-zero", MOTION, plane(MOTION, times(0))),
-    Breakage("jitter header missing", "jitter-missing", "sequence", jitter(0, 0)),
+    Breakage("jitter header missing", "jitter-missing", "sequence", jitter(0, 0), frames=4),
     Breakage("jitter header negated", "jitter-sign", "sequence", jitter(-1, -1)),
     Breakage("jitter header with y up", "jitter-sign", "sequence", jitter(1, -1)),
     Breakage("jitter header with x negated", "jitter-sign", "sequence", jitter(-1, 1)),
     Breakage("jitter header though samples are spread", "jitter-unused", "sequence", unused_jitter,
-             whole=True),
-    Breakage("cut without reset", "cut-unmarked", "sequence", mirrored_second_half),
+             frames=5),
+    Breakage("cut without reset", "cut-unmarked", "sequence", mirrored_second_half, frames=3),
     Breakage("reset in every frame", "reset-needless", "sequence", reset_everywhere),
     Breakage("the same noise in every frame", "samples-correlated", Role.COLOUR, fixed_seed),
     Breakage("no albedo", "missing-diffuse-albedo", ALBEDO, without(ALBEDO)),
@@ -384,7 +380,7 @@ BREAKAGES = [
     Breakage("mask of particles inverted", "reactive-everywhere", Role.REACTIVE, added(Role.REACTIVE, inverted_mask)),
     Breakage("opaque colour of other samples", "opaque-samples", Role.OPAQUE_COLOUR,
              added(Role.OPAQUE_COLOUR, other_samples)),
-    Breakage("worldToCamera for column vectors", "matrix-transposed", "sequence", transposed, whole=True),
+    Breakage("worldToCamera for column vectors", "matrix-transposed", "sequence", transposed, frames=4, whole=True),
     Breakage("overlay of straight colour", "overlay-straight", Role.OVERLAY, covers.over(covers.straight)),
     Breakage("overlay with alpha in percent", "overlay-alpha", Role.OVERLAY, covers.over(covers.in_percent)),
     Breakage("overlay with its background", "overlay-opaque", Role.OVERLAY, covers.over(covers.opaque)),
@@ -395,17 +391,16 @@ BREAKAGES = [
     Breakage("colour black", "colour-black", COLOUR, plane(COLOUR, times(0))),
     Breakage("colour of half the resolution", "half-resolution", COLOUR, plane(COLOUR, repeated_pixels)),
     Breakage("colour upside down", "flipped", COLOUR, plane(COLOUR, upside_down)),
-    Breakage("colour of the next frame", "other-frame", COLOUR, swapped_frames(COLOUR), whole=True),
-    Breakage("colour multiplied by albedo once more", "colour-times-albedo", COLOUR, colour_again, whole=True),
-    Breakage("flashes", "exposure-jump", COLOUR, plane(COLOUR, flashes)),
-    Breakage("exposure header jumps", "exposure-jump", "sequence", exposure_jumps),
+    Breakage("colour of the next frame", "other-frame", COLOUR, swapped_frames(COLOUR), frames=3),
+    Breakage("colour multiplied by albedo once more", "colour-times-albedo", COLOUR, colour_again),
+    Breakage("flashes", "exposure-jump", COLOUR, plane(COLOUR, flashes), frames=3),
+    Breakage("exposure header jumps", "exposure-jump", "sequence", exposure_jumps, frames=3),
     Breakage("colour not multiplied by alpha", "alpha-straight", COLOUR, straight_alpha),
     Breakage("albedo black", "black", ALBEDO, plane(ALBEDO, times(0))),
     Breakage("albedo 0.8 everywhere", "constant", ALBEDO, plane(ALBEDO, one_value(0.8))),
-    Breakage("albedo with the sRGB curve", "albedo-encoded", ALBEDO, plane(ALBEDO, encoded), whole=True),
-    Breakage("albedo in the order B, G, R", "albedo-channels", ALBEDO, plane(ALBEDO, lambda a, f: a[..., ::-1]),
-             whole=True),
-    Breakage("albedo of the frame before", "other-frame", ALBEDO, swapped_frames(ALBEDO, -1)),
+    Breakage("albedo with the sRGB curve", "albedo-encoded", ALBEDO, plane(ALBEDO, encoded)),
+    Breakage("albedo in the order B, G, R", "albedo-channels", ALBEDO, plane(ALBEDO, lambda a, f: a[..., ::-1])),
+    Breakage("albedo of the frame before", "other-frame", ALBEDO, swapped_frames(ALBEDO, -1), frames=3),
     Breakage("albedo of one frame in all", "other-frame", ALBEDO, frozen(ALBEDO)),
     Breakage("albedo of half the resolution", "half-resolution", ALBEDO, plane(ALBEDO, interpolated)),
     Breakage("albedo upside down", "flipped", ALBEDO, plane(ALBEDO, upside_down)),
@@ -415,38 +410,38 @@ BREAKAGES = [
     Breakage("normals 0", "black", NORMAL, plane(NORMAL, times(0))),
     Breakage("one normal everywhere", "constant", NORMAL, plane(NORMAL, facing)),
     Breakage("normals with y and z swapped", "normal-axes", NORMAL,
-             plane(NORMAL, lambda n, f: n[..., [0, 2, 1]], "world_to_camera"), whole=True),
+             plane(NORMAL, lambda n, f: n[..., [0, 2, 1]], "world_to_camera")),
     Breakage("normals with x negated", "normal-axes", NORMAL, plane(NORMAL, times([-1, 1, 1]), "world_to_camera"),
-             whole=True),
+             frames=4, whole=True),
     Breakage("normals partly in camera space", "normal-mixed", NORMAL,
              plane(NORMAL, partly_camera_space, "world_to_camera")),
-    Breakage("normals of the next frame", "other-frame", NORMAL, swapped_frames(NORMAL)),
+    Breakage("normals of the next frame", "other-frame", NORMAL, swapped_frames(NORMAL), frames=3),
     Breakage("normals of half the resolution", "half-resolution", NORMAL, plane(NORMAL, repeated_pixels)),
     Breakage("block of NaN in normals", "not-finite", NORMAL, plane(NORMAL, nan_block)),
     Breakage("roughness 0.5 everywhere", "constant", ROUGH, plane(ROUGH, one_value(0.5))),
     Breakage("roughness 0..255", "roughness-range", ROUGH, plane(ROUGH, times(255))),
-    Breakage("roughness of the next frame", "other-frame", ROUGH, swapped_frames(ROUGH)),
+    Breakage("roughness of the next frame", "other-frame", ROUGH, swapped_frames(ROUGH), frames=3),
     Breakage("depth 2 everywhere", "constant", DEPTH, plane(DEPTH, one_value(2))),
     Breakage("depth in centimetres", "depth-scale", DEPTH, scaled_depth(100)),
     Breakage("depth over the far plane", "depth-scale", DEPTH, scaled_depth(1 / 64)),
     Breakage("depth 0..1 between near and far", "depth-normalised", DEPTH, plane(DEPTH, hits(between_planes)),
              ("depth-scale",)),
-    Breakage("depth of the next frame", "other-frame", DEPTH, swapped_frames(DEPTH)),
+    Breakage("depth of the next frame", "other-frame", DEPTH, swapped_frames(DEPTH), frames=3),
     Breakage("depth of half the resolution", "half-resolution", DEPTH, plane(DEPTH, repeated_pixels)),
     Breakage("block of NaN in depth", "not-finite", DEPTH, plane(DEPTH, nan_block)),
     Breakage("motion as v / 64 + 0.5", "motion-encoded", MOTION, plane(MOTION, lambda m, f: m / 64 + 0.5)),
     Breakage("motion as v / 100 + 0.5, y up", "motion-encoded", MOTION,
              plane(MOTION, lambda m, f: m * (1, -1) / 100 + 0.5)),
     Breakage("motion for each second", "motion-scale", MOTION, plane(MOTION, times(24))),
-    Breakage("motion a tenth as long", "motion-scale", MOTION, plane(MOTION, times(0.1)), whole=True),
-    Breakage("motion of the next frame", "other-frame", MOTION, swapped_frames(MOTION)),
-    Breakage("motion in reversed order", "other-frame", MOTION, reversed_frames(MOTION)),
+    Breakage("motion a tenth as long", "motion-scale", MOTION, plane(MOTION, times(0.1))),
+    Breakage("motion of the next frame", "other-frame", MOTION, swapped_frames(MOTION), frames=4),
+    Breakage("motion in reversed order", "other-frame", MOTION, reversed_frames(MOTION), frames=4),
     Breakage("motion of one frame in all", "other-frame", MOTION, frozen(MOTION)),
     Breakage("motion of half the resolution", "half-resolution", MOTION, plane(MOTION, interpolated)),
     Breakage("motion upside down", "flipped", MOTION, plane(MOTION, upside_down)),
     Breakage("block of NaN in motion", "not-finite", MOTION, plane(MOTION, nan_block)),
     Breakage("things moved by the world's vectors", "motion-of-things", MOTION, moving_thing),
-    Breakage("jitter in parts of the image", "jitter-unit", "sequence", jitter_of_image),
+    Breakage("jitter in parts of the image", "jitter-unit", "sequence", jitter_of_image, frames=3),
     Breakage("jitter as a position 0..1", "jitter-offset", "sequence", shifted_jitter),
-    Breakage("jitter in -1..1", "jitter-range", "sequence", jitter(2, 2), ("jitter-unit",)),
+    Breakage("jitter in -1..1", "jitter-range", "sequence", jitter(2, 2), ("jitter-unit",), frames=3),
 ]

@@ -1,8 +1,9 @@
 """Frames of unbroken sequences, and what the doctor says of frames."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from postfx.doctor import examine
 from postfx.doctor.findings import Finding
 from postfx.doctor.material import Material
-from postfx.frame import Frame
+from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 
 ROOM = Path(__file__).parent.parent.parent / "samples" / "room"
@@ -31,6 +32,44 @@ def middle_of(frame: Frame, width: int, height: int) -> Frame:
     part = width / frame.spec.width
     fov_x = frame.fov_x and float(2 * np.degrees(np.arctan(part * np.tan(np.radians(frame.fov_x) / 2))))
     return replace(frame, planes=planes, fov_x=fov_x)
+
+
+USED = {
+    "fit_rotation": (Role.DEPTH, Role.NORMAL),
+    "fit_depth_kinds": (Role.DEPTH, Role.NORMAL),
+    "find_movers": (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.MOTION),
+    "surface_normals": (Role.DEPTH, Role.NORMAL),
+    "fit_roughness": (Role.SPECULAR_ALBEDO, Role.DEPTH, Role.ROUGHNESS, Role.NORMAL),
+    "smooth_points": (), "noise_level": (), "_edges": (),
+}
+"""What the doctor computes of planes and the header alone, and of which planes."""
+
+
+def _key(value: object, roles: tuple[Role, ...]) -> object:
+    if isinstance(value, Frame):
+        matrix = None if value.world_to_camera is None else value.world_to_camera.tobytes()
+        planes = tuple(id(value.planes[role]) if role in value else None for role in roles)
+        return planes, value.jitter, value.fov_x, matrix, value.reset, str(value.metadata.get("pixelAspectRatio"))
+    if isinstance(value, np.ndarray):  # a window of a plane is another array over the same memory
+        return value.__array_interface__["data"][0], value.shape, value.strides
+    return value
+
+
+@pytest.fixture
+def same_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What follows from the same planes is computed once for all that a test diagnoses, as it breaks one at a time."""
+    for name, roles in USED.items():
+        seen: dict[object, tuple[object, object]] = {}  # arguments are kept, so that no other plane gets their place
+
+        def once(*arguments, function=None, roles=roles, seen=seen):
+            key = tuple(_key(argument, roles) for argument in arguments)
+            if key not in seen:
+                seen[key] = function(*arguments), arguments
+            return seen[key][0]
+
+        for module in [module for path, module in sys.modules.items() if path.startswith("postfx.doctor")]:
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, partial(once, function=getattr(module, name)))
 
 
 @pytest.fixture(scope="session")

@@ -15,9 +15,9 @@ LEAST = 30
 def mistakes(breakages, frames, size, diagnose):
     """Breakages that are not named, and errors that are not consequences of them; and how many were tried."""
     wrong, tried = [], 0
-    middle = [middle_of(frame, *size) for frame in frames[:4]]
+    middle = [middle_of(frame, *size) for frame in frames]
     for breakage in breakages:
-        broken = breakage.apply(frames if breakage.whole else middle[:2] if breakage.shows_in_two else middle)
+        broken = breakage.apply((frames if breakage.whole else middle)[:breakage.frames])
         if broken is None:
             continue
         tried += 1
@@ -29,12 +29,12 @@ def mistakes(breakages, frames, size, diagnose):
     return wrong, tried
 
 
-def test_the_sample(room, diagnose):
+def test_the_sample(room, diagnose, same_once):
     wrong, tried = mistakes(BREAKAGES, room, (200, 144), diagnose)
     assert not wrong and tried > 3 * LEAST
 
 
-def test_another_renderer(shared_frames, diagnose):
+def test_another_renderer(shared_frames, diagnose, same_once):
     """Every other mistake."""
     wrong, tried = mistakes(BREAKAGES[1::2], shared_frames("staircase"), (240, 160), diagnose)
     assert not wrong and tried > LEAST
