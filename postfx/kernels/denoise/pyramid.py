@@ -7,9 +7,11 @@ same as in the whole frame, so a window's first row or column may be the second 
 import numpy as np
 
 from postfx.kernels.denoise.layout import BOTH, KERNEL, MIX, TINY, kernel
-from postfx.kernels.numeric import add, add_product, compiled, inline, vectorised
+from postfx.kernels.numeric import add, add_product, compiled, fused, inline, vectorised
 
 ZERO = np.float32(0)
+SIDE, REACH = 5, 2
+"""Taps along a side of a kernel, and how far they reach."""
 
 
 @vectorised
@@ -75,28 +77,60 @@ def divide(row: np.ndarray, total: np.ndarray) -> None:
         row[x] /= total[x]
 
 
+@fused
+def add_five(taps: tuple[np.ndarray, ...], total: np.ndarray) -> None:
+    """total += the taps, one after the other: the sum is that of adding them in five loops."""
+    a, b, c, d, e = taps
+    for x in range(total.size):
+        total[x] = total[x] + a[x] + b[x] + c[x] + d[x] + e[x]
+
+
+@fused
+def add_products(taps: tuple[np.ndarray, ...], row: np.ndarray, total: np.ndarray) -> None:
+    """total += the taps times five neighbours of a row, from each place on; likewise."""
+    a, b, c, d, e = taps
+    for x in range(total.size):
+        total[x] = (total[x] + a[x] * row[x] + b[x] * row[x + 1] + c[x] * row[x + 2] + d[x] * row[x + 3]
+                    + e[x] * row[x + 4])
+
+
 @compiled
-def kernel_row(y: int, size: int, mixed: np.ndarray, weights: np.ndarray, area: np.ndarray, total: np.ndarray,
+def border_pixels(y: int, first: int, end: int, size: tuple[int, int], mixed: np.ndarray, weights: np.ndarray,
+                  total: np.ndarray, filtered: np.ndarray) -> None:
+    """The taps of pixels near the picture's left or right border: those beyond it do not count."""
+    h, w = size
+    for j in range(max(0, REACH - y), min(SIDE, h + REACH - y)):
+        source = y + j - REACH
+        for i in range(SIDE):
+            shift = i - REACH
+            left = min(max(first, -shift), end)
+            right = max(left, min(end, w - shift))
+            taps = weights[SIDE * j + i, y, left:right]
+            add(taps, total[left:right])
+            for k in range(3):
+                add_product(taps, mixed[k, source, left + shift:right + shift], filtered[k, y, left:right])
+
+
+@compiled
+def kernel_row(y: int, mixed: np.ndarray, weights: np.ndarray, area: np.ndarray, total: np.ndarray,
                filtered: np.ndarray) -> None:
-    """A normalised kernel of its own for every pixel of a row, ``size`` x ``size`` taps; those beyond the picture's
-    ``area`` do not count."""
+    """A normalised kernel of its own for every pixel of a row; taps beyond the picture's ``area`` do not count."""
     h, w = int(area[0]), int(area[1])
     filtered[:, y, :] = ZERO
     if y >= h:
         return
     total[:w] = TINY
-    for j in range(size):
-        source = y + j - size // 2
-        if source < 0 or source >= h:
-            continue
-        for i in range(size):
-            shift = i - size // 2
-            left = min(max(0, -shift), w)
-            right = max(left, min(w, w - shift))
-            taps = weights[size * j + i, y, left:right]
-            add(taps, total[left:right])
-            for k in range(3):
-                add_product(taps, mixed[k, source, left + shift:right + shift], filtered[k, y, left:right])
+    left = min(REACH, w)
+    right = max(left, w - REACH)
+    border_pixels(y, 0, left, (h, w), mixed, weights, total, filtered)
+    border_pixels(y, right, w, (h, w), mixed, weights, total, filtered)
+    for j in range(max(0, REACH - y), min(SIDE, h + REACH - y) if right > left else 0):
+        first = SIDE * j
+        taps = (weights[first, y, left:right], weights[first + 1, y, left:right], weights[first + 2, y, left:right],
+                weights[first + 3, y, left:right], weights[first + 4, y, left:right])
+        add_five(taps, total[left:right])
+        for k in range(3):
+            add_products(taps, mixed[k, y + j - REACH, :w], filtered[k, y, left:right])
     for k in range(3):
         divide(filtered[k, y, :w], total[:w])
 
@@ -106,7 +140,7 @@ def filter_rows(y0: int, y1: int, mixed: np.ndarray, heads: np.ndarray, area: np
     """The 5x5 kernel of a level."""
     total = np.empty(filtered.shape[2], np.float32)
     for y in range(y0, y1):
-        kernel_row(y, 5, mixed, heads[0], area, total, filtered)
+        kernel_row(y, mixed, heads[0], area, total, filtered)
 
 
 @inline
