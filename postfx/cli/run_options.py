@@ -236,8 +236,8 @@ PASSES = Section("passes", (
            "albedo, normal, position, depth, mist, shadow or ao; ids and Cryptomattes are never filtered"),
     Option(flag="--aov-filters", choices=("picture", "own"), sets="denoiser.part_filters",
            excludes=_FOR_DENOISER,
-           help="of the light that --aov names: those of the picture, or own ones, for which the network runs on each "
-           "part, too: weak lights come out cleaner, and each takes as long as the picture (default: picture)"),
+           help="of the light that --aov names, and of alpha: those of the picture, or own ones, for which the network "
+           "runs on each of them, too: cleaner, and each takes as long as the picture (default: picture)"),
     Option(flag="--no-alpha-denoise", sets="denoiser.alpha", convert=lambda leave: not leave, excludes=_FOR_DENOISER,
            help="only resample alpha; else it is denoised with the picture in frames where it is anywhere neither 0 "
            "nor 1"),

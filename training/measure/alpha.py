@@ -73,7 +73,8 @@ def measure(model: str, scale: int) -> None:
     """Print a row for each background."""
     hairs, device = Hairs.grown(), Device("cpu")
     true = draw(hairs, 99, 256 // scale, scale, noisy=False)
-    passes = [Pipeline([DenoiseUpscale(scale=scale, model=model, alpha=alpha)], device) for alpha in (False, True)]
+    passes = [Pipeline([DenoiseUpscale(scale=scale, model=model, **options)], device)
+              for options in ({"alpha": False}, {}, {"part_filters": "own"})]
     for i in range(FRAMES):
         planes = draw(hairs, i, SAMPLES, 1, noisy=True)
         planes[Role.MOTION] = np.zeros((SIDE, SIDE, 2), np.float32)
@@ -93,7 +94,7 @@ def main() -> None:
     parser.add_argument("--model", default="m")
     parser.add_argument("--scales", default="1,2")
     arguments = parser.parse_args()
-    print("| | background | alpha resampled | alpha denoised | true alpha |")
+    print("| | background | alpha resampled | the picture's filters | own filters | true alpha |")
     for scale in arguments.scales.split(","):
         measure(arguments.model, int(scale))
 

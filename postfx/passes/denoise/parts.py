@@ -136,13 +136,15 @@ class PartHistory:
     The outputs of light are in one tensor, behind the picture's own, group by group.
 
     Attributes:
-        own: histories of networks that run on parts themselves, by the parts' names.
+        own: histories of networks that run on parts themselves, by the parts' names, and on alpha.
+        ran: names of those that ran in the last frame.
         stops: exposure of these, in stops above the picture's.
     """
 
     def __init__(self, device: Device, output: Size, parts: Sequence[Part],
                  own: Mapping[str, History] = MappingProxyType({})) -> None:
         self._device, self._output, self.own, self.stops = device, output, own, dict.fromkeys(own, 0.0)
+        self.ran: tuple[str, ...] = ()
         lights = [part.name for part in parts if part.is_light]
         self.stacks = [_zeros(device, "parts", (len(lights) + 1, *output, 3)) for _ in range(2)] if lights else []
         self.layers: dict[str, LayerHistory] = {}
@@ -161,13 +163,14 @@ class PartHistory:
 
     def forget(self) -> None:
         """Between two frames: forget the last one."""
+        self.ran = ()
         for layer in self.layers.values():
             layer.known = False
 
     def kept(self) -> dict[str, np.ndarray]:
         """Between two frames: the values that the last one left, by 'part NAME of a layer'."""
         kept = {name: layer.kept() for name, layer in self.layers.items() if name not in self.own}
-        kept |= {name: history.kept() | {"stops": np.array(self.stops[name])} for name, history in self.own.items()}
+        kept |= {name: self.own[name].kept() | {"stops": np.array(self.stops[name])} for name in self.ran}
         return {f"part {key} of {name}": array for name, arrays in kept.items() for key, array in arrays.items()}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
@@ -180,6 +183,7 @@ class PartHistory:
                 found.setdefault(name, {})[kind] = array
         for name, arrays in found.items():
             if name in self.own:
+                self.ran += (name,)
                 self.stops[name] = float(arrays["stops"])
                 self.own[name].recall(arrays)
             else:
@@ -263,16 +267,24 @@ class Layers:
         return runs, targets
 
     def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
-                 keep: bool) -> Iterator[tuple[str, dict[str, Tensor], np.ndarray, Tensor]]:
-        """Parts that the network itself runs on in this frame: name, planes, params, and where the output goes."""
-        for name in self._history.own:
+                 keep: bool) -> Iterator[tuple[str, dict[str, Tensor], np.ndarray, bool, Tensor]]:
+        """What the network itself runs on in this frame: name, planes, params, whether it has a history, and where the
+        output goes."""
+        last, self._history.ran = self._history.ran, tuple(
+            name for name in self._history.own if name in self._runs)
+        for name in self._history.ran:
             part = self._raw[name] = self._three(name, frame)
+            if name == ALPHA_LAYER:
+                self._decodings[name].upload([1.0, 0.0, *BOUNDS["alpha"], 0.0])
+                yield (name, self._alpha_planes(part, planes), np.array([1.0, *params[JITTER_X:GAIN], 1.0], np.float32),
+                       keep and name in last, self._history.layer(name).output)
+                continue
             before, stops = self._history.stops[name], self._history.stops
             stops[name] = _stops_above(frame, name, before)
             own = params.copy()
             own[EXPOSURE] *= 2.0 ** stops[name]
             own[GAIN] *= 2.0 ** (stops[name] - before) if keep else 1.0
-            yield (name, {**planes, str(Role.COLOUR): part, **self._own_reflectance(name, planes)}, own,
+            yield (name, {**planes, str(Role.COLOUR): part, **self._own_reflectance(name, planes)}, own, keep,
                    one_of(self._stack("blended"), self._places[name]))
 
     def finish(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, picture: Tensor,
@@ -375,6 +387,12 @@ class Layers:
             return found
         own = SURFACES.get(self._kind(name))
         return found | {str(role): planes[str(role)] if role is own else self._nothing for role in REFLECTANCE}
+
+    def _alpha_planes(self, alpha: Tensor, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Alpha as a picture of a white surface, which is there as far as alpha says."""
+        found = {**planes, str(Role.COLOUR): alpha, **self._own_reflectance(ALPHA_LAYER, planes)}
+        guided = any(f"guide_{role}" in planes for role in REFLECTANCE)
+        return found if guided else {**found, str(Role.DIFFUSE_ALBEDO): alpha}
 
     def _own_reflectance(self, name: str, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Planes of reflectance, at both sizes, in place of those that a part is not divided by."""
