@@ -19,7 +19,7 @@ from postfx.io.channels import Channel, ChannelIndex, are_together, read_channel
 from postfx.io.colours import INTEROP, gather_attributes
 from postfx.io.convert import Camera, DepthOption, convert, fill_background_motion, fill_value
 from postfx.io.image_file import ImageFile
-from postfx.io.layout import Header, Layout, Match, make_layout
+from postfx.io.layout import Header, Layout, Match, make_layout, take_opaque_colour
 from postfx.io.masks import LeftAlone
 from postfx.io.parts import PartOptions, find_parts, read_parts
 from postfx.io.profile import Profile, load_profile
@@ -67,33 +67,6 @@ def camera_over(camera: Camera, area: Area) -> Camera:
 
 def _middle(first: int, last: int) -> float:
     return (first + last + 1) / 2
-
-
-def take_opaque_colour(layout: Layout, index: ChannelIndex) -> None:
-    """Let the colour before transparents be the frame's colour, as there is an overlay to composite over it.
-
-    Its own alpha, channel A beside it, becomes the frame's; the alpha of all together counts the overlay already.
-    """
-    match = layout.planes.pop(Role.OPAQUE_COLOUR, None)
-    if match is None:
-        return
-    layout.planes[Role.COLOUR] = match
-    together = layout.planes.pop(Role.ALPHA, None)
-    alpha = _alpha_beside(match, layout, index)
-    if alpha:
-        layout.planes[Role.ALPHA] = alpha
-    elif together:
-        layout.warnings.append(
-            f"alpha {together.names} counts the overlay and is not used: write the alpha before transparents beside "
-            f"{match.names}"
-        )
-
-
-def _alpha_beside(match: Match, layout: Layout, index: ChannelIndex) -> Match | None:
-    names = next(names for names in match.rule.candidates(layout.layer) if index.find(names) == match.channels)
-    channels = index.find([f"{names[0].rpartition('.')[0]}.A"], lambda found: are_together((*found, match.channels[0])))
-    rules = layout.profile.rules(Role.ALPHA)
-    return Match(rules[0], channels) if channels and rules else None
 
 
 @dataclass
