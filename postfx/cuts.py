@@ -25,10 +25,10 @@ RELATED = 0.65
 MOST_CELLS, LEAST_BLOCK = 80, 4
 LEAST_COMPARED = 48  # cells; fewer do not tell one picture from another
 LEAST_OVERLAP = 0.1  # of the cells that must lead into the frame before
-BAND = 17  # cells; what is wider is layout
+BAND = 17  # cells; wider structure is layout
 SMOOTH = 3
 LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
-FLOOR = 1e-2  # of the mean light: what is darker than this is just black
+FLOOR = 1e-2  # of the mean light: anything darker is just black
 LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors, doublings."""
 

@@ -14,7 +14,7 @@ from postfx.frame import DEPTH_MISS
 def depth_from_device(
     device: np.ndarray, near: float, far: float = math.inf, reversed_z: bool = False, signed: bool = False
 ) -> np.ndarray:
-    """Depth along the view axis from a depth buffer; any shape; what lies on the far plane is a miss, 1e10.
+    """Depth along the view axis from a depth buffer; any shape; values on the far plane are misses, 1e10.
 
     device: 0 at the near plane and 1 at the far plane, the other way round with reversed_z, or -1..1 (OpenGL's
     normalised device coordinates) with signed. near, far: distances of the planes, 0 < near < far, far may be infinite.

@@ -110,7 +110,7 @@ def output_file(path: Path) -> Iterator[Path]:
 
 
 def write_atomically(path: Path, write: Callable[[BinaryIO], object], durable: bool = False) -> None:
-    """Replace `path` by what `write` writes to an open file; see `atomic_file`."""
+    """Replace `path` by a file that `write` fills; see `atomic_file`."""
     with atomic_file(path, durable) as temporary, temporary.open("wb") as file:
         write(file)
 
@@ -183,9 +183,9 @@ Content = TypeVar("Content")
 
 
 def read_ahead(items: Iterable[Item], read: Callable[[Item], Content]) -> Iterator[tuple[Item, Content]]:
-    """Each item with what `read` makes of it, in order; at most one more is read meanwhile, by a thread of its own.
+    """Each item with the result of `read`, in order. At most one more is read ahead, by a thread of its own.
 
-    An error of `read` is raised when it is the item's turn, so what comes before it is not lost.
+    An error of `read` is raised when it is the item's turn, so that earlier items are not lost.
     """
     with ThreadPoolExecutor(1, "postfx read") as reader:
         coming: tuple[Item, Future[Content]] | None = None

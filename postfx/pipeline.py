@@ -100,7 +100,7 @@ class Pipeline:
         self._views: dict[str, Pipeline] = {}
 
     def __reduce__(self) -> tuple[Callable[..., Pipeline], tuple[Any, ...]]:
-        """Pickled by what it was made of: the copy is not compiled and has no history. Without a device of its own it
+        """Pickled by its arguments: the copy is not compiled and has no history. Without a device of its own it
         runs on the default device of the process that it comes to."""
         return _make_pipeline, (self.passes, self._own_device, self._meter, self._cuts, self._run_up)
 
@@ -269,7 +269,7 @@ class Pipeline:
         return self._run_up(frame, partial(self._run_ahead, plan, steps)) if steps else frame
 
     def _run_ahead(self, plan: Plan, steps: Sequence[Step], frame: Frame) -> None:
-        """Run a frame, of which nothing but the history is wanted, as far as passes profit from it."""
+        """Run a frame only for the history, as far as passes profit from it."""
         frame, broken = repair_nonfinite(dataclasses.replace(frame), plan.planes, self.device.scratch)
         if frame.reset:
             self._reset_passes()
@@ -324,11 +324,11 @@ class Flow:
         self.timings: dict[str, float] = {}
 
     def forget(self) -> None:
-        """Give back what was kept ready for the frames so far."""
+        """Release the memory that was kept ready for the frames so far."""
         self._copies.clear()
 
     def run(self, frame: Frame, plan: Plan, exposure: float, unusable: bool, given: Frame) -> Frame:
-        """The frame that comes out; of `given` are the planes that no pass touches, and what is no plane."""
+        """The frame that comes out. Planes that no pass touches, and all that is not a plane, come from `given`."""
         with self._uploaded(frame, plan, exposure, unusable) as resident:
             inputs = dict(resident.tensors)
             with self._device.results_lock:  # the next commit may take the memory of the results

@@ -18,7 +18,7 @@ KEPT = (Role.COLOUR, Role.ALPHA, Role.OVERLAY)
 
 @dataclass(frozen=True)
 class Step:
-    """One active pass: its name in this plan, the spec it gets, and what it declares for it."""
+    """One active pass: its name in this plan, the spec that it gets, and its reflection for that spec."""
 
     name: str
     instance: Pass
@@ -54,7 +54,7 @@ class Plan:
         planes: roles that must be read, in the order of `Role`; everything else may stay in the file.
         steps: active passes in order.
         skips: passes and planes that are left out, and why.
-        remarks: what the active passes have to say about the result.
+        remarks: remarks of the active passes on the result.
         output: spec of the frame that comes out.
         guides: roles of the guides that must be read, likewise.
         parts: names of the parts of the picture that must be read, likewise.
@@ -75,7 +75,7 @@ class Plan:
         return _restricted(self.available, self.planes, self.guides, self.parts)
 
     def accumulating(self) -> tuple[Step, ...]:
-        """The steps up to the last one that is the better the more frames came before; empty where there is none."""
+        """The steps up to the last one whose results improve with the frames before; empty if there is none."""
         last = max((at for at, step in enumerate(self.steps, 1) if step.instance.accumulates(step.input)), default=0)
         return self.steps[:last]
 

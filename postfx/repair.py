@@ -13,7 +13,7 @@ from postfx.frame import Frame, Role
 from postfx.system import Scratch
 
 ROWS = 256
-"""Rows that are looked at together: that takes less memory than the whole picture."""
+"""Rows that are checked together, which takes less memory than the whole picture."""
 KNOWN = 0.75
 """Share of a pixel's neighbours that must be finite: repairs one, two or three bad pixels, not the edge of a sun."""
 SIDE, RIM = 4, 0.375

@@ -66,7 +66,7 @@ def _is_private(folder: Path) -> bool:
 
 
 def usable_cores() -> int:
-    """Cores that this process may use: those of its affinity, or the time of fewer that its container gets."""
+    """Cores that this process may use: by its affinity, or fewer if its container gets less time."""
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     times = _limits("cpu", ("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us"))
@@ -74,7 +74,7 @@ def usable_cores() -> int:
 
 
 def usable_memory() -> int:
-    """Bytes that this process may have: those of the machine, or fewer that its container gets."""
+    """Bytes that this process may have: the machine's, or fewer if its container gets less."""
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return min([machine, *(most for most, in _limits("memory", ("memory.max",), ("memory.limit_in_bytes",)))])
 
@@ -156,7 +156,7 @@ class Scratch:
         return found
 
     def relax(self) -> None:
-        """Let go of the pages that were looked at; their content stays in the files."""
+        """Release the pages that were read; their content stays in the files."""
         for each in list(self._maps):
             each.madvise(mmap.MADV_DONTNEED)
 

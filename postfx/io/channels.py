@@ -1,8 +1,8 @@
 """Every channel of a frame's files under all its names, part by part, so that what belongs together stays together.
 
-A channel goes by its own name ('albedo.R'), by that of its part before it ('albedo' and 'R'), and by that of its file
+A channel goes by its own name ('albedo.R'), by its part's name before it ('albedo' and 'R'), and by its file's name
 where every plane has one. Nuke's and Clarisse's red, green, blue and alpha count as R, G, B and A, and letter case does
-not count. Of stereo files one view is looked at. Views are told by an attribute of parts, by their names ('rgba.left',
+not count. Of stereo files one view is read. Views are told by an attribute of parts, by their names ('rgba.left',
 'rgba_left') or by the last but one word of a channel's name ('left.R', 'forward.left.u').
 """
 
@@ -33,7 +33,7 @@ _DATA = re.compile(
     r"|(^|[._ ])(n|ng|ns|nn|p|pref|pworld|z|ids?|uv|st)([._ ]|$)|(?-i:[a-z]ID$)",
     re.IGNORECASE,
 )
-"""Names of parts whose R, G and B are no colours."""
+"""Names of parts whose R, G and B are not colours."""
 
 
 def is_plane_word(word: str) -> bool:
@@ -222,8 +222,8 @@ def has_siblings(channel: Channel, letters: Iterable[str]) -> bool:
 def read_channels(
     fills: Mapping[Channel, float], rows: tuple[int, int] | None = None
 ) -> dict[Channel, np.ndarray]:
-    """Every channel once, or some of its rows, with one read of each part that holds any; each with what it is filled
-    with where there is no data."""
+    """Every channel, or some of its rows, with one read of each part that holds any. `fills` gives the value for pixels
+    without data."""
     wanted: dict[tuple[ImageFile, int], list[Channel]] = {}
     for channel in fills:
         wanted.setdefault((channel.file, channel.part.index), []).append(channel)

@@ -150,7 +150,7 @@ _LARGEST = 1e30
 
 @dataclass(frozen=True)
 class InputColours:
-    """What is known of the colours of files, and what is to become of them.
+    """What is known about the colours of files, and what they become.
 
     Attributes:
         declared: the user's word, which counts more than headers; None: headers say it, and without any it is Rec.709,
@@ -226,7 +226,7 @@ def parse_colourspace(text: str | None) -> InputColours:
 
 
 def _label(metadata: dict[str, Any], space: ColourSpace) -> None:
-    """Say in a header what colours are now."""
+    """Write into a header what the colours are now."""
     metadata.pop(ACES, None)
     metadata[PRIMARIES] = space.primaries
     metadata |= {INTEROP: space.linear_id} if INTEROP in metadata else {}

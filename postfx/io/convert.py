@@ -98,7 +98,7 @@ def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int, heig
 
 
 def _planar(plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:
-    """Depth along the view axis; what the camera must be known for is checked when the plane is found."""
+    """Depth along the view axis. Numbers of the camera that it needs are checked when the plane is found."""
     fov = camera.fov_over(plane.shape[1])
     if rule.kind == "ray" and fov is not None:
         sample = (camera.jitter[0] + camera.shift[0], camera.jitter[1] + camera.shift[1])
@@ -208,7 +208,7 @@ def _equations(now: np.ndarray, before: np.ndarray, near: np.ndarray) -> np.ndar
 def _fit_camera(now: np.ndarray, before: np.ndarray, near: np.ndarray, pixel: float
                 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """H and e (11,), their covariance, the error of points that fit in pixels, and the share of points that do."""
-    start = np.append(np.eye(3).reshape(-1)[:8], np.zeros(3))  # a camera at rest, which weak evidence leaves as it is
+    start = np.append(np.eye(3).reshape(-1)[:8], np.zeros(3))  # a camera at rest, which weak evidence does not change
     equations = _equations(now, before, near)
     right = before.T.reshape(-1) - equations @ start
     weights = np.ones(len(now))
@@ -315,7 +315,7 @@ def missing_number(rule: PlaneRule, camera: Camera) -> str | None:
 
 
 def missing_error(path: object, names: str, rule: PlaneRule, number: str) -> ProfileError:
-    """Error that says what a depth plane needs and where to give it."""
+    """The error for a number that a depth plane needs, and how to give it."""
     meaning = {"ray": "distance from the eye", "device": "a depth buffer", "normalised": "normalised"}[rule.kind]
     wanted = {"near": "near plane", "far": "far plane", "fov": "horizontal field of view"}[number]
     key = "fov_x" if number == "fov" else number

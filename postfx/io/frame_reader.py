@@ -154,7 +154,7 @@ def read_planes(
     for size in {match.size for match in matches.values()}:
         alike = {role: match for role, match in matches.items() if match.size == size}
         channels = {channel: fill_value(match.rule) for match in alike.values() for channel in match.channels}
-        # A piece is there as it is read, with channels between the wanted ones, and as it is converted.
+        # A piece takes memory as it is read, with channels between the wanted ones, and again as it is converted.
         row_bytes = 8 * sum(planes[role].nbytes for role in alike) // size[1]
         for first, last in scratch.pieces(size[1], row_bytes) if scratch else _pieces(size[1], channels):
             pixels = read_channels(channels, (first, last))
@@ -199,7 +199,7 @@ class FrameFiles:
     Attributes:
         layout: planes of the frame's size.
         guides: planes at output size, or None.
-        alone: what is left as it is, or None.
+        alone: the parts of the picture that --leave keeps, or None.
         area: rectangle that the planes of the frame's size cover, or None without any.
         views: of stereo files, those that hold a colour, the one that is read first; empty for files of one view.
         parts: layers that are parts of the picture, by name, of those that were asked for.
@@ -322,7 +322,7 @@ class FrameFiles:
         return self.layout.planes[role]
 
     def missing(self, role: Role) -> MissingPlaneError:
-        """Error that says what was looked for and how to fix it."""
+        """The error for a plane that is not there: what was looked for, and the fix."""
         profile, rules = self.layout.profile, self.layout.profile.rules(role)
         looked = [names for rule in rules for names in rule.candidates(self.layout.layer)][:2]
         hint = next((rule.enable for rule in rules if rule.enable), "")
@@ -379,9 +379,9 @@ class FrameFiles:
         return index, layout
 
     def _attributes(self) -> dict[str, Any]:
-        """Header attributes of all parts; where several have one, that of the smallest, first part counts.
+        """Header attributes of all parts. If several have one, the smallest part's counts, and of those the first's.
 
-        A larger part's jitter is that of guides. Beside a picture that postfx wrote, other parts do not count.
+        A larger part's jitter belongs to guides. Beside a picture that postfx wrote, other parts do not count.
         """
         merged: dict[str, Any] = {}
         parts = [part for file in self._files.values() for part in file.parts]
@@ -391,7 +391,7 @@ class FrameFiles:
         return merged
 
     def _attributes_of_colour(self) -> dict[str, Any]:
-        """Header attributes, of which those on colours are the colour's own."""
+        """Header attributes; those about colours are the colour's own."""
         colour = self.layout.planes.get(Role.COLOUR)
         if colour is None:
             return dict(self.layout.attributes)

@@ -186,7 +186,7 @@ class ImageFile:
 
 
 def _radiance_part(part: Part, header: RadianceHeader) -> Part:
-    """The part of a Radiance file with the picture's size and what the header says of its colours."""
+    """The part of a Radiance file with the picture's size, and the header's facts on its colours."""
     window = Window(0, 0, header.size[0] - 1, header.size[1] - 1)
     attributes = {name: value for name, value in part.attributes.items() if name not in _STORAGE}
     attributes |= {"chromaticities": header.primaries} if header.primaries else {}
@@ -234,7 +234,7 @@ class RadianceHeader:
         rows, columns: how many lines are stored, and pixels in each.
         is_turned: whether lines are columns of the picture.
         flips_y, flips_x: whether the picture's rows are stored from the bottom, its columns from the right.
-        exposure: what the stored red, green and blue were multiplied by.
+        exposure: factors that the stored red, green and blue were multiplied by.
         primaries: x and y of red, green, blue and white, None where the header does not say them.
     """
 

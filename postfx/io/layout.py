@@ -46,7 +46,7 @@ class Match(NamedTuple):
 
 @dataclass
 class Layout:
-    """What a frame's files hold, by the eyes of a profile."""
+    """The planes of a frame's files, as a profile finds them."""
 
     profile: Profile
     layer: str
@@ -59,7 +59,7 @@ class Layout:
     barred: set[tuple[Channel, ...]] = field(default_factory=set)
     """Channels that no later rule may take either, as they are in a space that cannot be left."""
     chosen_layer: str | None = None
-    """The view layer that was chosen among several, None where there is one or none."""
+    """The view layer that was chosen among several; None if there are not several."""
 
 
 class Header:
@@ -109,7 +109,8 @@ def make_layout(
     without: Collection[Role] = (),
     layer: str | None = None,
 ) -> Layout:
-    """Where the planes are, by a profile or, without one, by the first that fits; `depth` replaces what it says of it.
+    """Where the planes are, by a profile or else by the first that fits; `depth` replaces what the profile says of
+    depth.
 
     Planes of the roles `without` are taken as absent. Of several view layers it is `layer`, or the one with the most
     planes.
@@ -192,7 +193,7 @@ def _colour_warnings(layout: Layout) -> list[str]:
 
 
 def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: bool) -> None:
-    """Find a plane; `given` tells that the user says what it holds, not the profile."""
+    """Find a plane; `given`: the user says what it holds, not the profile."""
     found = [channels for names in _candidates(layout, rule) if (channels := _find(index, layout, rule, names))]
     channels = next((channels for channels in found if channels not in layout.barred), None)
     if channels is None or index.find(name.replace("{layer}", layout.layer) for name in rule.requires) is None:

@@ -1,4 +1,4 @@
-"""Masks of --leave found in a frame's files: the strength of named things, misses and what has converged."""
+"""Masks of --leave found in a frame's files: the strength of named things, misses and converged pixels."""
 
 from __future__ import annotations
 

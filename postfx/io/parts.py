@@ -20,7 +20,7 @@ LETTERS = {"normal": VECTORS, "position": VECTORS, "albedo": COLOURS, "depth": N
 PLANES = tuple(kind for kind in PART_KINDS if kind not in (*ADDITIVE, "factor"))
 """Kinds that `--aov-denoise` takes."""
 NEVER = ("crypto", "uint", "id", "index", "mask")
-"""Words that begin or end the names of layers whose values are no amounts: means of them mean nothing."""
+"""Words that begin or end the names of layers whose values are not amounts, so that means of them mean nothing."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def _is_id(layer: str) -> bool:
 
 @dataclass(frozen=True)
 class FoundPart:
-    """A part that is in the files: what it is, its channels, and the part that it is stored divided by."""
+    """A part in the files: its kind, its channels, and the part that its values are divided by."""
 
     part: Part
     channels: tuple[Channel, ...]
@@ -149,7 +149,7 @@ def _missing(name: str, index: ChannelIndex, layout: Layout, path: str) -> Missi
 
 
 def read_parts(found: Mapping[str, FoundPart]) -> dict[str, np.ndarray]:
-    """Parts (height, width, 1 or 3) at render size, in radiance: what is stored divided is multiplied again."""
+    """Parts (height, width, 1 or 3) at render size, in radiance: those stored divided are multiplied again."""
     pixels = read_channels({channel: 0.0 for part in found.values() for channel in part.channels})
     stored = {name: np.stack([pixels[channel] for channel in part.channels], axis=-1) for name, part in found.items()}
     return {name: stored[name] * stored[part.factor] if part.factor else stored[name] for name, part in found.items()}

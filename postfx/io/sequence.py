@@ -34,7 +34,7 @@ class Sequence:
         numbers: frame numbers, in order of processing. Holes in what is on the disk are kept as numbers: reading such
             a frame raises MissingFrameError.
         colours: in which primaries the files hold colours, and whether they are turned to Rec.709; may be replaced.
-        warnings: what was odd about the files read so far, each once.
+        warnings: oddities of the files read so far, each once.
         leave: what is left as it is.
         left_alone: how much of the frames read so far that is.
         parts: which layers are read as parts of the picture; may be replaced.
@@ -109,7 +109,7 @@ class Sequence:
         return found
 
     def pictures(self) -> Sequence:
-        """The same frames without guides, and without what is left as it is."""
+        """The same frames without guides and without `leave`."""
         found = copy.copy(self)
         found.guides, found.leave, found.fireflies = None, (), Fireflies()
         return found
@@ -122,7 +122,7 @@ class Sequence:
             self.guides.look_again(step)
 
     def rewind(self) -> None:
-        """The next frame that is read is no cut, whatever was read before."""
+        """The next frame that is read does not count as a cut, whatever was read before."""
         self._last = None
 
     def before(self, number: int, count: int) -> list[int]:

@@ -1,4 +1,4 @@
-"""Rectangles: the windows of parts that are read, and those of what is written, scaled to the output's size."""
+"""Rectangles: windows of the parts that are read, and of the output, scaled to its size."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXR_NAMES = {
 
 
 _TALL = ("dwab", "htj2k")
-"""Compressions with chunks of up to 256 rows; those of the others divide 32."""
+"""Compressions with chunks of up to 256 rows; chunks of all others divide 32."""
 
 
 PICTURE = "postfx:picture"
@@ -114,7 +114,7 @@ def some_rows(part: Part, first: int, last: int) -> Part:
 def own_windows(parts: list[Part]) -> tuple[Part, ...]:
     """The parts, each with a display window and area of its own where they hold the picture at two sizes.
 
-    OpenEXR wants one display window in all parts of a file, so it is that of the smaller or of the larger picture.
+    OpenEXR wants one display window in all parts of a file: either the smaller picture's or the larger one's.
     """
     windows = sorted({part.data for part in parts}, key=lambda window: window.width)
     two_sizes = len(windows) == 2 and _is_enlarged(*windows) and all(part.display in windows for part in parts)
@@ -171,7 +171,7 @@ Pixels = Callable[[slice], np.ndarray]
 
 
 class OutputWindows(NamedTuple):
-    """Rectangles of an output: what the frame's planes cover, the display window, and where there is data."""
+    """Rectangles of an output: the area of the frame's planes, the display window and the data window."""
 
     area: Window
     display: Window
@@ -191,7 +191,7 @@ def output_windows(frame: Frame) -> OutputWindows:
 
 
 def scaled_windows(covered: Window, display: Window, data: Window, width: int, height: int) -> OutputWindows:
-    """Windows of an output of a size, out of those of the input."""
+    """Windows of an output of this size, from the input's windows."""
     scale = (width / covered.width, height / covered.height)
     corner = _scaled(covered, scale)
     area = Window(corner.x0, corner.y0, corner.x0 + width - 1, corner.y0 + height - 1)

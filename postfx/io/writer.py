@@ -326,7 +326,7 @@ def _place(path: Path) -> str:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """What names of one file have in common; None where there is no file."""
+    """A key that all names of one file share; None if there is no file."""
     try:
         found = os.stat(path)
     except OSError:

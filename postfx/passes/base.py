@@ -164,23 +164,23 @@ class Pass:
         return None
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
-        """What the user should know about the result for frames of `spec`, such as a plane that would better it."""
+        """What the user should know about the result for frames of `spec`, such as a plane that would improve it."""
         return ()
 
     def accumulates(self, spec: FrameSpec) -> bool:
-        """Whether results for frames of `spec` are the better the more frames of their shot were seen before."""
+        """Whether results for frames of `spec` improve with the number of frames of the shot seen before."""
         return False
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         """Make pipeline states and heap tensors for frames of `spec`, and drop the history. Not called when skipped.
 
-        What holds something within a frame only is made by `device.heap.transient`.
+        Tensors that are only used within a frame are made by `device.heap.transient`.
         """
         self._spec = spec
         self.reset()
 
     def resize(self, spec: FrameSpec) -> bool:
-        """Make ready for frames that differ from those before in size only, and keep the history.
+        """Prepare for frames that differ from earlier ones in size only, and keep the history.
 
         Returns False without changing anything if that is impossible; `compile` is called then.
         """

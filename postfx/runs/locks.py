@@ -122,7 +122,7 @@ class FolderLock:
                 self._path.unlink()
 
     def _break(self) -> None:
-        """Remove an abandoned lock. Only one process at a time may, so that none removes a new one."""
+        """Remove an abandoned lock. Only one process at a time may do so, so that none removes a new lock."""
         breaking = self._path.with_name(f"{self._path.name}.breaking")
         if not _create(breaking):
             if _is_left(breaking):

@@ -72,7 +72,7 @@ class Memory(Protocol):
 
 
 class Immediate:
-    """Memory on which every command is done when its call returns."""
+    """Memory whose commands are done when their call returns."""
 
     replays = False
 

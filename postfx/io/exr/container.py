@@ -107,7 +107,7 @@ def walk_chunks(
     file: BinaryIO, first: int, size: int, headers: list[Header], several: bool
 ) -> Iterator[tuple[int, int, int]]:
     """Part, place in its table and offset of every chunk that lies between `first` and the file's `size`, one after
-    another; it ends where what follows is no chunk."""
+    another; it ends at the first bytes that are not a chunk."""
     levels = [_tile_levels(header) if header.part_type not in (SCANLINES, DEEP_SCANLINES) else {} for header in headers]
     offset, part = first, 0
     while offset < size:
@@ -132,7 +132,7 @@ def walk_chunks(
 def _place(
     header: Header, levels: dict[tuple[int, int], tuple[int, int]], coordinates: tuple[int, ...]
 ) -> int | None:
-    """Place in the table of a chunk with these coordinates; None where there is none."""
+    """Place in the table of the chunk with these coordinates; None if there is no such chunk."""
     if not levels:
         place, beyond = divmod(coordinates[0] - header.data.y0, LINES[header.compression])
         return place if not beyond and 0 <= place < count_chunks(header) else None
@@ -154,7 +154,7 @@ MAX_EMPTY = 1 << 28
 class ExrContainer:
     """An open OpenEXR file, its headers, and its chunks without decoding them. Use as a context manager.
 
-    Raises ReadError, naming the file, when it is none, or when its headers claim what cannot be.
+    Raises ReadError, naming the file, when it is not OpenEXR, or when its headers claim something impossible.
     """
 
     def __init__(self, path: Path) -> None:
@@ -220,7 +220,7 @@ class ExrContainer:
             raise self._broken("it ends early")
         self._file.seek(at + coordinates)
         found = struct.unpack(sizes, self._file.read(head - coordinates))
-        size = sum(found[:2])  # the third is that of unpacked samples
+        size = sum(found[:2])  # the third is the size of unpacked samples
         if min(found) < 0 or at + head + size > self.size:
             raise self._broken("it ends early")
         return Chunk(at, head, size)
@@ -232,7 +232,7 @@ class ExrContainer:
             _check_claims(header, self.size)
 
     def _check_table(self) -> None:
-        """Read the chunks' offsets; those of a table that was never written are found by walking the chunks.
+        """Read the chunks' offsets. If the table was never written, walk the chunks to find them.
 
         ReadError where a chunk is missing, as in the file of a render that was ended, or beyond the end.
         """

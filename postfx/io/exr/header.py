@@ -178,7 +178,7 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
 
 
 def _correct_type(header: Header, version: int) -> None:
-    """Let the type of a lone part be what the file's flags say, which is what it is stored as."""
+    """Correct the type of a lone part by the file's flags, which tell how it is stored."""
     wrong = TILES if not version & TILED else SCANLINES
     if not version & DEEP and header.part_type == wrong:
         header.set_text("type", SCANLINES if wrong == TILES else TILES)

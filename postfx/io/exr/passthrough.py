@@ -138,7 +138,7 @@ def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
     """Put attributes into an image's spec with the EXR types they had; values of other types are left out."""
     for name, value in attributes.items():
         kind = _NAMED_TYPES.get(name) or _type_of(value)
-        with suppress(TypeError, ValueError, RuntimeError):  # not what its name promises, or text that is none
+        with suppress(TypeError, ValueError, RuntimeError):  # another type than its name promises, or broken text
             if kind == "rational":
                 value = Fraction(value).limit_denominator(1001).as_integer_ratio()
             if kind:
@@ -160,7 +160,7 @@ RENDER = "render:"
 _SHARED = ("displayWindow", "pixelAspectRatio", "timeCode", "chromaticities")
 _STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "type", "name", "tiles", "version",
               "chunkCount", "maxSamplesPerPixel", "dwaCompressionLevel")
-_INVENTED = "capDate"  # OpenImageIO writes today's where there is none
+_INVENTED = "capDate"  # OpenImageIO writes today's if there is none
 _NAME, _RENDER_NAME = "rgba", "render"
 
 
@@ -217,7 +217,7 @@ class Merge:
         return NewPart(header, self._source.counts[part], self._source.copy_chunks(part))
 
     def beside(self, part: int, picture: Header) -> Header:
-        """Header of a part of the source, with what the whole file shares as the picture has it."""
+        """Header of a part of the source; attributes that the whole file shares are the picture's."""
         header = Header(dict(self._source.headers[part].attributes))
         for name in _SHARED:
             own, shared = header.attributes.get(name), picture.attributes.get(name)
@@ -278,7 +278,7 @@ class Merge:
                              f"only: leave --compression {name} out, or give --keep none")
 
     def header(self, render: Header, in_place: bool) -> Header:
-        """Header of the picture's part: what the writer gave it, and what the render's says that it did not change."""
+        """Header of the picture's part: the writer's attributes, and the render's that are still true."""
         own = self._own.attributes
         found = {name: own[name] for name in _STRUCTURE if name in own}
         for name, attribute in render.attributes.items():
