@@ -18,7 +18,7 @@ from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.kernels.denoise.layout import GAIN
 from postfx.passes.base import MOST_SIZES, Pass, Reflection, ResidentFrame
 from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain
-from postfx.passes.denoise.history import Cameras, History, can_follow
+from postfx.passes.denoise.history import Cameras, History, PartHistory, can_follow
 from postfx.passes.denoise.inputs import ABSENT, passthrough_roles
 from postfx.passes.denoise.models import (
     GUIDED,
@@ -34,7 +34,7 @@ from postfx.passes.denoise.models import (
     validate_tag,
 )
 from postfx.passes.denoise.options import Size, output_size, parse_reactive, validate_scale, validate_size
-from postfx.passes.denoise.parts import ALPHA_LAYER, PartHistory, checked_parts
+from postfx.passes.denoise.parts import ALPHA_LAYER, checked_parts
 from postfx.passes.denoise.tiling import Sizes, active_cells
 from postfx.runtime import CommandBuffer, Device, Library, Tensor
 

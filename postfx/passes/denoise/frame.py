@@ -15,13 +15,13 @@ from postfx.kernels.denoise.layout import HIDDEN
 from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.kernels.denoise.prepare import SCALE
 from postfx.kernels.denoise.reactive import SPREAD_MASK
-from postfx.passes.denoise.history import History, Reflections, can_follow
+from postfx.passes.denoise.history import History, PartHistory, Reflections, can_follow
 from postfx.passes.denoise.inputs import Passthrough, Planes, Reactive
 from postfx.passes.denoise.models import grid_of
 from postfx.passes.denoise.network import Graph, Layer
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.output import Plain, Restore, Strength
-from postfx.passes.denoise.parts import Layers, PartHistory
+from postfx.passes.denoise.parts import Layers
 from postfx.passes.denoise.tiling import (
     GAIN,
     Band,

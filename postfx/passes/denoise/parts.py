@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
@@ -12,18 +11,17 @@ from postfx.errors import FrameError
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise.layout import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
-from postfx.kernels.image import RESAMPLE, positions
 from postfx.passes.base import ResidentFrame
-from postfx.passes.denoise.history import History, Room
+from postfx.passes.denoise.history import WHOLE, PartHistory, make_zeros, one_of
 from postfx.passes.denoise.inputs import Resampler
 from postfx.passes.denoise.network import Layer
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.output import Restore, Strength
-from postfx.passes.denoise.tiling import Rows, Shape
+from postfx.passes.denoise.tiling import Rows
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
-WHOLE, ALPHA_LAYER = "whole picture", "alpha of the picture"
-"""Names of layers: the picture filtered like its parts, beside parts that are not all of it; and alpha."""
+ALPHA_LAYER = "alpha of the picture"
+"""Name of the layer of alpha, beside those of parts."""
 NEAR = 2e-3
 """Parts are all of the picture if their sum differs by less than this share of its light."""
 STEP = 8
@@ -60,136 +58,6 @@ def checked_parts(parts: Sequence[Part | str]) -> tuple[Part, ...]:
     return tuple(sorted(found, key=lambda part: (not part.is_light, part.group)))
 
 
-class LayerHistory:
-    """The last output of a layer and its accumulated values, in two sets used in turn."""
-
-    def __init__(self, device: Device, name: str, output: Size, outputs: Sequence[Tensor] = ()) -> None:
-        self._device = device
-        self._outputs = list(outputs) or [_zeros(device, f"last {name}", (*output, 3)) for _ in range(2)]
-        self._rooms: list[Room] = []
-        self._size: Shape = (0, 0)
-        self.known = False
-
-    def turn(self, commands: CommandBuffer, size: Shape, keep: bool) -> bool:
-        """Begin a frame of a render size; returns whether the layer has a history in it."""
-        keep = keep and self.known
-        self._outputs.reverse()
-        self._rooms.reverse()
-        before, old = self._rooms[0].of(self._size) if self._rooms else {}, self._size
-        self._size, self.known = size, True
-        if not self._rooms or size[0] * size[1] > self._rooms[0].pixels:
-            self._rooms = [Room(self._device, size[0] * size[1], {"last_part": 3}) for _ in range(2)]
-        elif size != old:
-            self._rooms.reverse()
-        if keep and before and size != old:
-            self._resize(commands, before["last_part"])
-        return keep
-
-    def follow(self) -> None:
-        """Another layer that shares the memory of the outputs has begun a frame, and this one is not run in it."""
-        self._outputs.reverse()
-
-    @property
-    def output(self) -> Tensor:
-        """Where this frame leaves its output."""
-        return self._outputs[1]
-
-    @property
-    def last(self) -> dict[str, Tensor]:
-        """The tensors that the frame before left, by the kernels' names."""
-        return {"history": self._outputs[0], **self._rooms[0].of(self._size)}
-
-    @property
-    def next(self) -> tuple[Tensor, Tensor]:
-        """The tensors for this frame's output and accumulated values."""
-        return self._outputs[1], self._rooms[1].of(self._size)["last_part"]
-
-    def kept(self) -> dict[str, np.ndarray]:
-        """Between two frames: the values that the last one left; empty if it left none."""
-        if not self.known or not self._rooms:
-            return {}
-        output, part = self.next
-        return {"output": output.content(), "part": part.content()}
-
-    def recall(self, kept: Mapping[str, np.ndarray]) -> None:
-        """Between two frames: replace the values that the last one left by those `kept`."""
-        self.known = bool(kept)
-        if self.known:
-            self._size = kept["part"].shape[0], kept["part"].shape[1]
-            self._rooms = [Room(self._device, self._size[0] * self._size[1], {"last_part": 3}) for _ in range(2)]
-            for tensor, name in zip(self.next, ("output", "part"), strict=True):
-                tensor.upload(kept[name])
-
-    def _resize(self, commands: CommandBuffer, before: Tensor) -> None:
-        rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
-                         zip(("at_rows", "at_columns"), before.shape, self._size, strict=False))
-        table = ArgumentTable(self._device.compute_state(RESAMPLE), {
-            "image": before, "rows": rows, "columns": columns, "output": self.last["last_part"]})
-        with commands.compute_encoder("resize") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(table.state, table)
-
-
-class PartHistory:
-    """The histories of all layers, which go on where frames change their size.
-
-    The outputs of light are in one tensor, behind the picture's own, group by group.
-
-    Attributes:
-        own: histories of networks that run on parts themselves, by the parts' names, and on alpha.
-        ran: names of those that ran in the last frame.
-        stops: exposure of these, in stops above the picture's.
-    """
-
-    def __init__(self, device: Device, output: Size, parts: Sequence[Part],
-                 own: Mapping[str, History] = MappingProxyType({})) -> None:
-        self._device, self._output, self.own, self.stops = device, output, own, dict.fromkeys(own, 0.0)
-        self.ran: tuple[str, ...] = ()
-        lights = [part.name for part in parts if part.is_light]
-        self.stacks = [_zeros(device, "parts", (len(lights) + 1, *output, 3)) for _ in range(2)] if lights else []
-        self.layers: dict[str, LayerHistory] = {}
-        for i, name in enumerate([WHOLE, *lights] if lights else []):
-            self.layers[name] = LayerHistory(device, name, output, [one_of(stack, i) for stack in self.stacks])
-
-    def layer(self, name: str) -> LayerHistory:
-        """The history of a layer, made when it is first asked for."""
-        if name not in self.layers:
-            self.layers[name] = LayerHistory(self._device, name, self._output)
-        return self.layers[name]
-
-    def turn(self) -> None:
-        """Begin a frame."""
-        self.stacks.reverse()
-
-    def forget(self) -> None:
-        """Between two frames: forget the last one."""
-        self.ran = ()
-        for layer in self.layers.values():
-            layer.known = False
-
-    def kept(self) -> dict[str, np.ndarray]:
-        """Between two frames: the values that the last one left, by 'part NAME of a layer'."""
-        kept = {name: layer.kept() for name, layer in self.layers.items() if name not in self.own}
-        kept |= {name: self.own[name].kept() | {"stops": np.array(self.stops[name])} for name in self.ran}
-        return {f"part {key} of {name}": array for name, arrays in kept.items() for key, array in arrays.items()}
-
-    def recall(self, kept: Mapping[str, np.ndarray]) -> None:
-        """Between two frames: replace the values that the last one left by those `kept`."""
-        self.forget()
-        found: dict[str, dict[str, np.ndarray]] = {}
-        for key, array in kept.items():
-            if key.startswith("part "):
-                kind, _, name = key.removeprefix("part ").partition(" of ")
-                found.setdefault(name, {})[kind] = array
-        for name, arrays in found.items():
-            if name in self.own:
-                self.ran += (name,)
-                self.stops[name] = float(arrays["stops"])
-                self.own[name].recall(arrays)
-            else:
-                self.layer(name).recall(arrays)
-
-
 @dataclass
 class Group:
     """Parts that add up to the picture or to some of it, and where they are in the stack."""
@@ -217,7 +85,7 @@ class Layers:
             [WHOLE, *(name for group in self._groups for name in group.names)])}
         new = device.heap.tensor
         self._params, self._exposed, self._exposure = new("part params", (4,)), new("whole params", (4,)), 1.0
-        self._nothing = _zeros(device, "no reflectance", (*self._render, 3) if self._parts else (1,))
+        self._nothing = make_zeros(device, "no reflectance", (*self._render, 3) if self._parts else (1,))
         self._made: dict[str, Tensor] = {}
         self._codings = {name: new(f"coding {name}", (3,)) for name in self._parts}
         self._decodings = {name: new(f"decoding {name}", (5,)) for name in self._parts}
@@ -402,7 +270,7 @@ class Layers:
         found = dict.fromkeys(lost, self._nothing)
         for guide in (f"guide_{role}" for role in lost):
             if guide in planes:
-                self._made.setdefault("no reflectance", _zeros(self._device, "no reflectance", (*self._output, 3)))
+                self._made.setdefault("no reflectance", make_zeros(self._device, "no reflectance", (*self._output, 3)))
                 found[guide] = self._made["no reflectance"]
         return found
 
@@ -565,18 +433,7 @@ def _is_noisy(frame: ResidentFrame) -> bool:
     return alpha is not None and bool(((alpha > 0) & (alpha < 1)).any())
 
 
-def one_of(stack: Tensor, i: int) -> Tensor:
-    """A picture of a stack (n, height, width, 3); no copy."""
-    return stack.view(f"{stack.name} {i}", stack.shape[1:], i * stack.shape[1] * stack.shape[2] * stack.shape[3])
-
-
 def some_of(stack: Tensor, first: int, count: int) -> Tensor:
     """Pictures of a stack, likewise."""
     one = stack.shape[1] * stack.shape[2] * stack.shape[3]
     return stack.view(f"{stack.name} from {first}", (count, *stack.shape[1:]), first * one)
-
-
-def _zeros(device: Device, name: str, shape: tuple[int, ...]) -> Tensor:
-    tensor = device.heap.tensor(name, shape)
-    tensor.fill(0)
-    return tensor
