@@ -24,7 +24,7 @@ from postfx.errors import Interrupted, ReadError, WriteError
 from postfx.frame import Frame
 from postfx.io.sequence import Sequence
 from postfx.io.writer import Existing, OutputFiles
-from postfx.passes.registry import plug_ins
+from postfx.passes.registry import BUILT_IN, plug_ins
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan, Skip
 from postfx.runs.checkpoint import load_checkpoint
@@ -121,8 +121,9 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
     place = {"name": device.name, "provider": device.placement.provider, "threads": device.threads}
     library = Library()
     models = {name: library.sha256(name) for name in library.names()}
-    packages, active = plug_ins(), {step.instance.name for step in plan.steps}
-    used = versions() | {f"pass {name}": package for name, package in packages.items() if name in active}
+    foreign = {step.instance.name for step in plan.steps if step.instance.name not in BUILT_IN}
+    packages = plug_ins() if foreign else {}  # looking through all installed packages takes milliseconds
+    used = versions() | {f"pass {name}": packages[name] for name in sorted(foreign & packages.keys())}
     own = [_hashes_of(value) for step in plan.steps for value in step.instance.options.values()]
     decisive = [settings, passes, used, place, plan.as_dict(), models, own, *also]
     text = json.dumps(decisive, sort_keys=True, default=str)
