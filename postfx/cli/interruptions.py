@@ -158,7 +158,7 @@ class Stop:
         self._before: dict[int, Handler] = {}
 
     @property
-    def asked(self) -> bool:
+    def is_requested(self) -> bool:
         """Whether the run shall end after this frame."""
         return self._asked is not None
 
@@ -177,7 +177,7 @@ class Stop:
             signal.signal(number, handler)
 
     def _signalled(self, number: int, _: FrameType | None) -> None:
-        if self.asked:
+        if self.is_requested:
             raise Interrupted(number)
         self._asked = number
         self._tell("stopping when this frame is finished; once more stops at once")

@@ -152,7 +152,7 @@ class Job:
         return RunReport(self.sequence, self.pipeline, self.plan, self._inspect, check=not self._arguments.explain,
                          **self._values("page"))
 
-    def explained(self) -> Explanation:
+    def explain(self) -> Explanation:
         """What would run."""
         exposure = self._exposure if self._exposure.multipliers else self._exposure_of_first()
         return Explanation(self.plan, self.sequence, self.first, self.skips, self._run_up, exposure)
@@ -236,7 +236,7 @@ class Job:
 
     def write_page(self, report: Report) -> Report:
         """Write the page that --report asks for; the report with its path."""
-        return self._page.write(report, str(self.explained())) if self._page else report
+        return self._page.write(report, str(self.explain())) if self._page else report
 
     def _open_run(self) -> Run:
         frames = sorted(self.sequence.numbers) if self._smooth else None  # that exposure looks ahead
@@ -316,7 +316,7 @@ class Job:
                     if self._page:
                         self._page.add(done)
                     behind.put(partial(self._write, run, done, progress))
-                run.end_frame(work.number, behind.wait, stop.asked)
+                run.end_frame(work.number, behind.wait, stop.is_requested)
                 stop.check()
 
     def _look_ahead(self, frame: Frame, write: bool, stop: Stop, progress: FrameProgress) -> Frame:

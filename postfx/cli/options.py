@@ -152,7 +152,7 @@ class Options:
                 found[parameter] = option.convert(value) if option.convert else value
         return found
 
-    def excluded(self, option: Option, arguments: argparse.Namespace) -> list[str]:
+    def exclusions(self, option: Option, arguments: argparse.Namespace) -> list[str]:
         """Messages of the given options that this one does not go with."""
         return [message.replace("{flag}", option.flag) for other, message in option.excludes.items()
                 if self._asks(other, arguments)]
@@ -163,7 +163,7 @@ class Options:
             if not option.is_given(arguments):
                 continue
             missing = [message for other, message in option.needs.items() if not self._asks(other, arguments)]
-            for message in self.excluded(option, arguments) + missing:
+            for message in self.exclusions(option, arguments) + missing:
                 raise OptionError(message)
 
     def settings(self, arguments: argparse.Namespace, changes: Changes = "pixels") -> dict[str, Any]:

@@ -74,7 +74,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     job = Job(arguments)
     if arguments.explain:
-        explained = job.explained()
+        explained = job.explain()
         if arguments.json:
             print(json.dumps(explained.as_dict(), indent=2))
         else:

@@ -269,7 +269,7 @@ def make_run_up(arguments: argparse.Namespace, sequence: Sequence, cuts: str) ->
 
     option = RUN["--run-up"]
     frames = DEFAULT_FRAMES if arguments.run_up is None else arguments.run_up
-    return RunUp(sequence, frames, cuts) if frames and not RUN.excluded(option, arguments) else None
+    return RunUp(sequence, frames, cuts) if frames and not RUN.exclusions(option, arguments) else None
 
 
 def announce_run_up(check: Callable[[], None], tell: Callable[[str], None]) -> Callable[[int, int], None]:

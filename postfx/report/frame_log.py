@@ -40,7 +40,7 @@ class Look:
         """Exposed light above which a page does not distinguish values."""
         return 1.0 if self.display else 2.0**WHITE_STOPS
 
-    def exposed(self, light: np.ndarray, exposure: float) -> np.ndarray:
+    def expose(self, light: np.ndarray, exposure: float) -> np.ndarray:
         """Light as stored in the page."""
         return light if self.display else light * np.float32(exposure)
 
@@ -117,7 +117,7 @@ class FrameLog:
 
     def _sight(self, pictures: Pixels, exposure: float, maps: Pixels) -> Sight:
         def codes(light: np.ndarray) -> np.ndarray:
-            return encode_light(shrink(self.look.exposed(light, exposure), LONGEST), self.look.highest)
+            return encode_light(shrink(self.look.expose(light, exposure), LONGEST), self.look.highest)
 
         size = next(iter(pictures.values())).shape[1::-1]
         small = {name: np.rint(255 * np.clip(shrink(one, LONGEST), 0, 1)).astype(np.uint8)

@@ -156,7 +156,7 @@ class CommandBuffer:
         if self._state not in ("committed", "done"):
             raise EncodingError(f"'{self.label}' cannot be waited for: it is {self._state}, commit it first")
         if not self.is_done(timeout):
-            raise timed_out(f"'{self.label}' was not done after {timeout:g} s", self.device.hazards.in_flight())
+            raise timeout_error(f"'{self.label}' was not done after {timeout:g} s", self.device.hazards.in_flight())
         if self._state == "committed":
             self._state = "done"
             self.device.hazards.retire(self)
@@ -383,7 +383,7 @@ def wait_for_all(name: str, flying: Sequence[RecordedCommands], timeout: float |
     for commands in flying:
         left = None if deadline is None else max(0.0, deadline - time.monotonic())
         if not commands.is_done(left):
-            raise timed_out(f"{name} was not idle after {timeout:g} s", flying)
+            raise timeout_error(f"{name} was not idle after {timeout:g} s", flying)
         try:
             commands.wait()
         except CommandError as error:
@@ -392,7 +392,7 @@ def wait_for_all(name: str, flying: Sequence[RecordedCommands], timeout: float |
         raise first
 
 
-def timed_out(what: str, flying: Sequence[RecordedCommands]) -> CommandTimeout:
+def timeout_error(what: str, flying: Sequence[RecordedCommands]) -> CommandTimeout:
     """An error that names the command that runs now and the buffers that wait behind it."""
     buffers = [commands for commands in flying if not commands.is_done()]
     if not buffers:

@@ -86,5 +86,5 @@ def test_large_frames_are_reduced_and_the_exposure_is_in_the_codes():
 
 
 def test_light_of_a_display_is_not_exposed_again():
-    assert np.array_equal(DISPLAY.exposed(picture(), 4.0), picture())
+    assert np.array_equal(DISPLAY.expose(picture(), 4.0), picture())
     assert DISPLAY.codes(picture(2.0), 4.0).max() == pytest.approx(1) and DISPLAY.highest == 1

@@ -122,7 +122,7 @@ class Assembly:
         return self._places[key]
 
     def _sized(self, rows: Rows, out: bool) -> Rows:
-        return self._frame.enlarged(rows) if out else rows
+        return self._frame.output_rows(rows) if out else rows
 
     def _render_place(self, tile: Tile) -> list[int]:
         """After the origin: the area where the history is known, and the area that the tile is for. At a seam to
@@ -257,7 +257,7 @@ class Frames:
 
     def rows(self, band: Band | None) -> Rows:
         """The rows of the output that are written by a frame, or by some tiles of it."""
-        return self._sizes.enlarged(band.own) if band else (0, self._sizes.height)
+        return self._sizes.output_rows(band.own) if band else (0, self._sizes.height)
 
     @property
     def _band_shape(self) -> Shape:

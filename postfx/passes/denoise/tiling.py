@@ -35,7 +35,7 @@ class Sizes:
     width: int
     grid: int = GRID
 
-    def enlarged(self, rows: Rows) -> Rows:
+    def output_rows(self, rows: Rows) -> Rows:
         """The output rows of a range of render rows."""
         return rows[0] * self.height // self.h, rows[1] * self.height // self.h
 
