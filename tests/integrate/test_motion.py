@@ -139,7 +139,7 @@ def test_every_convention_of_one_motion(stored, convention):
 
 
 def test_what_cannot_be_used_is_explained():
-    with pytest.raises(integrate.IntegrationError, match="no perspective matrix"):
+    with pytest.raises(integrate.IntegrationError, match="not a perspective matrix"):
         integrate.motion_from_depth(np.ones((4, 4)), np.diag([1.0, 1, 1, 1]), np.eye(4))
     with pytest.raises(integrate.IntegrationError, match="unit 'metres': use pixels, uv, ndc"):
         integrate.motion_in_pixels(np.ones((4, 4, 2)), "metres")
