@@ -136,7 +136,7 @@ CHOSEN = (
     ("py", "held = -0.5 <= px <= w - 0.5", "held = -0.5 <= px <= w + 0.5"),
     ("py", "value if c < 3 else", "value if c < 2 else"),
     ("py", "BLEND = TAP_WEIGHTS + PHASES", "BLEND = TAP_WEIGHTS + PHASES - 1"),
-    ("py", "shift = i - size // 2", "shift = size // 2 - i"),
+    ("py", "shift = i - REACH", "shift = REACH - i"),
     ("py", "(x + first) // 2", "x // 2"),
     ("py", "corner = 2 * lower + side", "corner = 2 * side + lower"),
     ("py", "moved[iy, at, 0] * scale[0]", "moved[iy, at, 0] * scale[1]"),

@@ -132,8 +132,9 @@ def _motion_pixels(plane: np.ndarray, rule: PlaneRule, camera: Camera, width: in
 # Points that the fit takes, the least that it needs, rounds of weighting, and rows that are filled at once.
 _POINTS, _LEAST_POINTS, _ROUNDS, _ROWS = 2000, 64, 8, 16
 # In pixels: motion of a camera at rest, the error that exact vectors have at least, and the most that a fit may have;
-# then the share of the points that it must explain, and how far it may be from a turn.
-_STILL, _LEAST_ERROR, _SURE, _FITTING, _SKEW = 1e-3, 0.02, 0.1, 0.6, 0.005
+# then the share of the points that it must explain, how far it may be from a turn, and the least share of the misses
+# that must be without motion.
+_STILL, _LEAST_ERROR, _SURE, _FITTING, _SKEW, _DIRECT = 1e-3, 0.02, 0.1, 0.6, 0.005, 0.75
 
 
 def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
@@ -143,7 +144,8 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     ray hits nothing, also under a camera that turns. The surfaces tell how the background moves:
     a point (x, y, 1) at depth z was at H (x, y, 1) + e / z, the homography of the plane at infinity and the epipole
     (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.4). Both are fitted with weights that leave out
-    what moves by itself. Misses that have motion keep it; nothing is filled where the fit is not sure.
+    what moves by itself. Misses that have motion keep it. Nothing is filled where the fit is not sure, or where many
+    misses have motion: those are seen through fog, which moves as what is nearer does.
     """
     height, width = motion.shape[:2]
     depth = depth.reshape(height, width)
@@ -154,8 +156,9 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     moved = motion[rows, columns].astype(np.float64)
     if rows.size < _LEAST_POINTS or np.abs(moved).max() < _STILL:
         return False
-    missed = (depth >= DEPTH_MISS) & (motion[..., 0] == 0) & (motion[..., 1] == 0)
-    if not missed.any():
+    beyond = depth >= DEPTH_MISS
+    missed = beyond & (motion[..., 0] == 0) & (motion[..., 1] == 0)
+    if not missed.any() or missed.sum() < _DIRECT * beyond.sum():
         return False
     now = _centred(rows, columns, height, width)
     near = np.median(depth[rows, columns]) / depth[rows, columns].astype(np.float64)

@@ -55,6 +55,8 @@ def test_nothing_is_filled_where_all_is_there_still_or_unknown() -> None:
         before = motion.copy()
         assert not fill_background_motion(motion, depth), why
         np.testing.assert_array_equal(motion, before)
+    fog = np.where(np.random.default_rng(2).random(depth.shape) < 0.5, truth, stored)
+    assert not fill_background_motion(fog, depth), "half of the misses have motion"
     assert not fill_background_motion(stored, np.full_like(depth, 1e10)), "no surface"
     random = np.random.default_rng(1).normal(0, 3, stored.shape).astype(np.float32)
     random[depth[..., 0] >= 1e10] = 0
