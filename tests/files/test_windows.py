@@ -151,3 +151,10 @@ def test_finished_frames_with_overscan_are_skipped(postfx, write_exr, tmp_path: 
     before = (tmp_path / f"out/a.0001{suffix}").stat().st_mtime_ns
     done = postfx(*arguments)
     assert done.code == 0 and (tmp_path / f"out/a.0001{suffix}").stat().st_mtime_ns == before, done.err
+
+
+def test_windows_side_by_side_have_nothing_in_common() -> None:
+    left = Window(0, 0, 3, 3)
+    assert left.common(Window(3, 2, 7, 7)) == Window(3, 2, 3, 3)
+    assert left.common(Window(4, 0, 7, 3)) is None
+    assert left.common(Window(0, 4, 3, 7)) is None
