@@ -141,11 +141,11 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     """Give misses the motion of a background that is infinitely far, in place; whether any was given.
 
     motion: (height, width, 2); depth: (height, width, 1), along the view axis, misses 1e10. Cycles writes zeros where a
-    ray hits nothing, also under a camera that turns. The surfaces tell how the background moves:
-    a point (x, y, 1) at depth z was at H (x, y, 1) + e / z, the homography of the plane at infinity and the epipole
-    (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.4). Both are fitted with weights that leave out
-    what moves by itself. Misses that have motion keep it. Nothing is filled where the fit is not sure, or where many
-    misses have motion: those are seen through fog, which moves as what is nearer does.
+    ray hits nothing, even under a camera that turns. The surfaces show how the background moves: a point (x, y, 1) at
+    depth z was at H (x, y, 1) + e / z, where H is the homography of the plane at infinity and e the epipole (Hartley
+    and Zisserman, Multiple View Geometry, 2nd edition, 13.4). The fit gives little weight to things that move by
+    themselves. Misses that have motion keep it. Nothing is filled where the fit is not sure, or where many misses have
+    motion: fog is seen there, and it moves like something nearer.
     """
     height, width = motion.shape[:2]
     depth = depth.reshape(height, width)
@@ -157,8 +157,10 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     if rows.size < _LEAST_POINTS or np.abs(moved).max() < _STILL:
         return False
     beyond = depth >= DEPTH_MISS
+    if not beyond.any():
+        return False
     missed = beyond & (motion[..., 0] == 0) & (motion[..., 1] == 0)
-    if not missed.any() or missed.sum() < _DIRECT * beyond.sum():
+    if missed.sum() < max(_DIRECT * beyond.sum(), 1):
         return False
     now = _centred(rows, columns, height, width)
     near = np.median(depth[rows, columns]) / depth[rows, columns].astype(np.float64)
