@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from postfx.colour.displays import KINDS, parse_display, srgb_encode
+from postfx.colour.displays import KINDS, parse_display
 from postfx.errors import ColourError, FrameError, GuideError, suggest
 
 LOG = logging.getLogger("postfx")
@@ -101,8 +101,7 @@ GUIDE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUG
 """Planes at output size that make edges exact."""
 
 OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)
-"""Planes that may come at output size, which is what makes them guides."""
-
+"""Planes that may come at output size: as guides."""
 
 PART_KINDS = ("light", "diffuse", "specular", "scatter", "emission", "albedo", "normal", "position", "depth", "mist",
               "shadow", "ao", "factor")
@@ -382,40 +381,22 @@ class Frame:
 
     def __repr__(self) -> str:
         width, height = self.spec.width, self.spec.height
-        rows = [("plane", "size", "type", "range"), *self._rows()]
+        rows = [_COLUMNS, *self._rows()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         return "\n  ".join([f"Frame {self._name()}: {width}x{height}, {self.encoding}", *lines])
 
     def _repr_html_(self) -> str:
         """Table of the planes under the picture, for notebooks."""
-        from base64 import b64encode  # in notebooks only
-        from html import escape
+        from postfx.report.pictures import notebook_page
 
-        picture = self._repr_png_()
-        source = "" if picture is None else b64encode(picture).decode("ascii")
-        image = f'<img src="data:image/png;base64,{source}" alt="colour">' if source else ""
-        cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self._rows())
-        title = escape(repr(self).partition("\n")[0])
-        head = "<tr><th>plane</th><th>size</th><th>type</th><th>range</th></tr>"
-        return f"<p>{title}</p>{image}<table>{head}{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
+        return notebook_page(repr(self).partition("\n")[0], _COLUMNS, self._rows(), self._repr_png_())
 
     def _repr_png_(self) -> bytes | None:
-        """The colour as a PNG file at most 640 pixels wide or high, for notebooks; None without a colour.
+        """The colour as a PNG file at most 640 pixels wide or high, for notebooks; None without a colour."""
+        from postfx.report.pictures import notebook_picture
 
-        Scene-linear light is exposed by `exposure`, or as it is, and shown as x / (1 + x) in sRGB.
-        """
-        if Role.COLOUR not in self:
-            return None
-        from postfx.report.pictures import png, shrink  # only notebooks need them
-
-        colour = np.maximum(np.nan_to_num(shrink(self[Role.COLOUR], _PICTURE), posinf=0, neginf=0), 0)
-        if self.encoding == "scene-linear":
-            colour = colour * (self.exposure or 1.0)
-            colour = colour / (1 + colour)
-        if self.encoding in LINEAR:
-            colour = srgb_encode(np.minimum(colour, 1))
-        return png((np.clip(colour, 0, 1) * 255 + 0.5).astype(np.uint8))
+        return notebook_picture(self[Role.COLOUR], self.encoding, self.exposure or 1) if Role.COLOUR in self else None
 
     def _rows(self) -> list[tuple[str, str, str, str]]:
         """Of each plane and guide its name, size and channels, type, and range."""
@@ -473,13 +454,7 @@ class Frame:
 _ORIGIN = ("part_sources", "source", "guide_source", "colour_source")
 """Fields of a frame that tell where it was read from."""
 
-_PICTURE = 640
-"""Longest side of a frame's picture in a notebook, pixels."""
-
-
-_HOST = (1, 3)
-"""DLPack's numbers for the host's memory, plain and pinned by CUDA."""
-
+_COLUMNS = ("plane", "size", "type", "range")
 
 def host_floats(given: Any, what: str) -> np.ndarray:
     """An array of floats of any library that has `__dlpack__`, as NumPy's; not copied where that can be.
@@ -489,7 +464,7 @@ def host_floats(given: Any, what: str) -> np.ndarray:
     array = given
     if not isinstance(given, np.ndarray) and hasattr(given, "__dlpack__"):
         try:
-            if given.__dlpack_device__()[0] not in _HOST:
+            if given.__dlpack_device__()[0] not in (1, 3):  # the host's memory, plain or pinned by CUDA
                 raise BufferError("it lies in the memory of a device")
             array = np.asarray(np.from_dlpack(given))
         except (BufferError, RuntimeError, TypeError, ValueError) as error:

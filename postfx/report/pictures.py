@@ -5,15 +5,21 @@ from __future__ import annotations
 import base64
 import struct
 import zlib
+from collections.abc import Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
 
+from postfx.colour.displays import srgb_encode
+
 LOW, HIGH = 1, 99
 """Percentiles of the finite values that become black and white."""
 GAMMA = 2.2
 SHEET_COLUMNS = 4
+NOTEBOOK_SIDE = 640
+"""Longest side of a picture in a notebook, pixels."""
 _NOT_FINITE = (255, 0, 255)
 
 
@@ -72,6 +78,29 @@ def shrink(pixels: np.ndarray, most: int) -> np.ndarray:
     found = oiio.ImageBufAlgo.resize(source, filtername="box", roi=size).get_pixels(oiio.FLOAT)
     assert found is not None, "pixels in memory can be resized"
     return found
+
+
+def notebook_picture(colour: np.ndarray, encoding: str, exposure: float) -> bytes:
+    """A frame's colour (height, width, 3) as a small PNG file; `encoding` is the frame's.
+
+    Scene-linear light is multiplied by `exposure` and shown as x / (1 + x) in sRGB.
+    """
+    shown = np.maximum(np.nan_to_num(shrink(colour, NOTEBOOK_SIDE), posinf=0, neginf=0), 0)
+    if encoding == "scene-linear":
+        shown = shown * exposure
+        shown = shown / (1 + shown)
+    if encoding.endswith("-linear"):
+        shown = srgb_encode(np.minimum(shown, 1))
+    return png((np.clip(shown, 0, 1) * 255 + 0.5).astype(np.uint8))
+
+
+def notebook_page(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], picture: bytes | None) -> str:
+    """HTML of a table, under a PNG file's picture if there is one."""
+    source = base64.b64encode(picture or b"").decode("ascii")
+    image = f'<img src="data:image/png;base64,{source}" alt="colour">' if picture else ""
+    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
+    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<p>{escape(title)}</p>{image}<table><tr>{head}</tr>{body}</table>"
 
 
 def _liveliest(stack: np.ndarray, shown: np.ndarray) -> int:
