@@ -10,6 +10,7 @@ comes in scene-linear Rec.709 and leaves sRGB-encoded in [0, 1]. Layout of all t
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from torch import nn
 
 from postfx.colour.primaries import LUMA_REC2020, REC709, REC2020, matrix_between
 from postfx.kernels.tonemap import BROKEN, JUMP, LAG, MOST, MOST_STOPS, RELEASE
+from postfx.system import models_dir
 
 # Cubes --------------------------------------------------------------------------------------------------------------
 # The shaper and the colour cube of the tone mapper, in torch: (N,3,H,W) colour, cubes (size,size,size,3) red first.
@@ -408,3 +410,41 @@ class Exposure(nn.Module):
         """Scene-linear (N,3,H,W) -> display (N,3,H,W) in [0,1], as the run-time does it."""
         stops, cube = self(lowres(colour, shaper))
         return look_up(shape(colour * torch.exp2(stops)[..., None, None], *shaper), cube)
+
+
+# Weights of exported models -----------------------------------------------------------------------------------------
+
+STATE = dict[str, torch.Tensor]
+
+
+def find_model(start: str) -> Path:
+    """A model file by its own name, or by the tag of a shipped look."""
+    path = Path(start) if start.endswith(".onnx") else models_dir() / f"tonemap.{start}.onnx"
+    if not path.is_file():
+        raise SystemExit(f"{path}: no such model to start from: name another with --start, or 'none'")
+    return path
+
+
+def shipped_cubes() -> dict[str, torch.Tensor]:
+    """Cubes of all shipped looks, by tag."""
+    found = {path.name.split(".")[1]: _initializers(path) for path in sorted(models_dir().glob("tonemap.*.onnx"))}
+    return {tag: torch.from_numpy(values["cube"].copy()) for tag, values in found.items()}
+
+
+def weights_of(path: Path, like: STATE) -> STATE:
+    """Weights of an exported network; what the exporter left out because it is zero stays as in `like`."""
+    found = _initializers(path)
+    if "guide" not in found:
+        raise SystemExit(f"{path}: not a look with a grid: start from another, or from 'none'")
+    parts = np.split(found["guide"], np.cumsum(list(GUIDE_PARTS.values()))[:-1])
+    found |= {f"guide.{name}": part for name, part in zip(GUIDE_PARTS, parts, strict=True)}
+    return {name: torch.from_numpy(found[name].copy()).reshape(value.shape) if name in found else value
+            for name, value in like.items()}
+
+
+def _initializers(path: Path) -> dict[str, np.ndarray]:
+    """All constants of a model, float32."""
+    import onnx  # a machine that starts from nothing may lack it
+
+    return {item.name.removesuffix("_half"): onnx.numpy_helper.to_array(item).astype(np.float32)
+            for item in onnx.load(path).graph.initializer}

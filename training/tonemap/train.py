@@ -33,21 +33,22 @@ import torch.nn.functional as F
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from postfx.colour.primaries import LINEAR_SPACES
-from postfx.system import models_dir
 from training.denoise.loss import psnr
 from training.tonemap.examples import SHIFT, Source, Views
 from training.tonemap.looks import Look, describe, find_look, key_stops
 from training.tonemap.model import (
-    GUIDE_PARTS,
     Exposure,
     HDRNet,
     Shaper,
     default_shaper,
+    find_model,
     levels,
     look_up,
     lowres,
     shape,
+    shipped_cubes,
     slice_grid_dense,
+    weights_of,
 )
 from training.tonemap.pictures import Lesson, Pictures, collect, lesson, load
 from training.tonemap.views import Lut, Ocio
@@ -151,48 +152,12 @@ def recipe_of(args: argparse.Namespace, on_gpu: bool) -> Recipe:
 
 # Where training starts ----------------------------------------------------------------------------------------------
 
-STATE = dict[str, torch.Tensor]
-
-
 def start_network(start: str, cube: torch.Tensor) -> HDRNet:
     """A network with the weights of a model, by tag or file, and with another cube; a fresh one for 'none'."""
     net = HDRNet(cube)
     if start != "none":
         net.load_state_dict(weights_of(find_model(start), net.state_dict()) | {"cube": cube})
     return net
-
-
-def find_model(start: str) -> Path:
-    """A model file by its own name, or by the tag of a shipped look."""
-    path = Path(start) if start.endswith(".onnx") else models_dir() / f"tonemap.{start}.onnx"
-    if not path.is_file():
-        raise SystemExit(f"{path}: no such model to start from: name another with --start, or 'none'")
-    return path
-
-
-def shipped_cubes() -> dict[str, torch.Tensor]:
-    """Cubes of all shipped looks, by tag."""
-    found = {path.name.split(".")[1]: _initializers(path) for path in sorted(models_dir().glob("tonemap.*.onnx"))}
-    return {tag: torch.from_numpy(values["cube"].copy()) for tag, values in found.items()}
-
-
-def weights_of(path: Path, like: STATE) -> STATE:
-    """Weights of an exported network; what the exporter left out because it is zero stays as in `like`."""
-    found = _initializers(path)
-    if "guide" not in found:
-        raise SystemExit(f"{path}: not a look with a grid: start from another, or from 'none'")
-    parts = np.split(found["guide"], np.cumsum(list(GUIDE_PARTS.values()))[:-1])
-    found |= {f"guide.{name}": part for name, part in zip(GUIDE_PARTS, parts, strict=True)}
-    return {name: torch.from_numpy(found[name].copy()).reshape(value.shape) if name in found else value
-            for name, value in like.items()}
-
-
-def _initializers(path: Path) -> dict[str, np.ndarray]:
-    """All constants of a model, float32."""
-    import onnx  # a machine that starts from nothing may lack it
-
-    return {item.name.removesuffix("_half"): onnx.numpy_helper.to_array(item).astype(np.float32)
-            for item in onnx.load(path).graph.initializer}
 
 
 def freeze(net: HDRNet, only: tuple[str, ...]) -> None:

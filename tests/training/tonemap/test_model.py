@@ -39,7 +39,7 @@ from training.tonemap.model import (  # noqa: E402
     shape,
 )
 from training.tonemap.pictures import LARGEST, Pictures  # noqa: E402
-from training.tonemap.train import Recipe, start_network, weights_of  # noqa: E402
+from training.tonemap.train import Recipe, start_network  # noqa: E402
 
 AXES = [torch.linspace(0, 1, CUBE)] * 3
 RAMP = torch.stack(torch.meshgrid(*AXES, indexing="ij"), -1)  # the cube that changes nothing
@@ -100,7 +100,7 @@ def test_an_exported_look_has_a_card_and_can_be_started_from(net, tmp_path) -> N
     assert card["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
     assert card["parameters"] == {type(None): 0, Exposure: 4737, network.HDRNet: 488_352}[type(net)]
     if isinstance(net, network.HDRNet):
-        again = weights_of(path, network.HDRNet(RAMP).state_dict())
+        again = network.weights_of(path, network.HDRNet(RAMP).state_dict())
         for name, value in net.state_dict().items():
             torch.testing.assert_close(again[name], value, msg=name)
         other = torch.rand(CUBE, CUBE, CUBE, 3)

@@ -6,20 +6,95 @@ generator draws everything else, so fog, depth of field, motion blur and lamps a
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
 from . import scene as parts
-from .scene import Library, Rng
+from .scene import Rng
 
 KINDS = {  # how often each is drawn for training
     "fog": 0.16, "indirect": 0.14, "foliage": 0.13, "fur": 0.08, "glass": 0.08, "dof": 0.09, "motion_blur": 0.07,
     "interior": 0.07, "outdoor": 0.08, "product": 0.06, "text": 0.04,
 }
+
+
+# The library: things that were modelled by others
+
+
+class Library:
+    """A folder of glTF scenes with their descriptions, panoramas and pages of text."""
+
+    def __init__(self, root: Path | None):
+        self.root = root
+        found = sorted(root.glob("*/about.json")) if root else []
+        self.about = {path.parent.name: json.loads(path.read_text()) for path in found}
+        self.panoramas = sorted((root / "environments").glob("*.hdr")) if root else []
+        self.pages = sorted((root / "pages").glob("*.png")) if root else []
+
+    def names(self, *kinds: str) -> list[str]:
+        return [name for name, about in self.about.items() if about["kind"] in kinds]
+
+    def load(self, name: str, rng: Rng,
+             pick: int | None = None) -> tuple[list[bpy.types.Object], np.ndarray, np.ndarray]:
+        """Import a file; of a set keep ``pick`` pieces. Root objects and the bounds (3,), (3,) of its meshes."""
+        before = set(bpy.data.objects)
+        bpy.ops.import_scene.gltf(filepath=str(self.root / name / "scene.gltf"))
+        made = [o for o in bpy.data.objects if o not in before]
+        for item in [o for o in made if o.type in ("CAMERA", "LIGHT")]:
+            bpy.data.objects.remove(item, do_unlink=True)
+            made.remove(item)
+        roots = [o for o in made if o.parent is None]
+        if pick is not None and len(roots) == 1 and len(roots[0].children) > pick:
+            roots = list(roots[0].children)
+            for item in roots:
+                item.matrix_parent_inverse, item.parent, item.matrix_world = Matrix(), None, item.matrix_world.copy()
+        if pick is not None and len(roots) > pick:
+            kept = {roots[i] for i in rng.choice(len(roots), pick, replace=False)}
+            for item in [o for o in made if root_of(o) not in kept]:
+                bpy.data.objects.remove(item, do_unlink=True)
+            roots = list(kept)
+        bpy.context.view_layer.update()
+        return roots, *bounds(roots)
+
+
+def root_of(item: bpy.types.Object) -> bpy.types.Object:
+    while item.parent is not None:
+        item = item.parent
+    return item
+
+
+def family(roots: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+    return [o for root in roots for o in (root, *root.children_recursive)]
+
+
+def bounds(roots: Sequence[bpy.types.Object]) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner of the meshes below some objects."""
+    corners = [np.array(o.matrix_world @ Vector(c)) for o in family(roots) if o.type == "MESH" for c in o.bound_box]
+    return (np.min(corners, 0), np.max(corners, 0)) if corners else (np.zeros(3), np.zeros(3))
+
+
+def stand(roots: Sequence[bpy.types.Object], at: Sequence[float], size: float, turn: float) -> bpy.types.Object:
+    """Scale a loaded thing to ``size``, its largest side, and stand it on a place; returns the parent of its parts."""
+    low, high = bounds(roots)
+    scale = size / max(float((high - low).max()), 1e-6)
+    middle = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    handle = parts.link("handle", None)
+    for root in roots:
+        root.parent = handle
+    handle.matrix_world = (Matrix.Translation(Vector(at)) @ Matrix.Rotation(turn, 4, "Z") @ Matrix.Scale(scale, 4)
+                           @ Matrix.Translation(-Vector(middle)))
+    bpy.context.view_layer.update()
+    return handle
+
+
+# Scenes
 
 
 @dataclass
@@ -157,20 +232,20 @@ def props(library: Library, rng: Rng, count: int, x: float, y: float,
         name = str(names[rng.integers(len(names))])
         roots, _, _ = library.load(name, rng, int(rng.integers(1, 4)) if library.about[name]["kind"] == "set" else None)
         at = (rng.uniform(-x, x), rng.uniform(-0.2 * y, y), 0)
-        things.append(parts.stand(roots, at, rng.uniform(*sizes), rng.uniform(0, 6.3)))
+        things.append(stand(roots, at, rng.uniform(*sizes), rng.uniform(0, 6.3)))
     return things
 
 
 def move_some(things: list[bpy.types.Object], frames: int, rng: Rng, chance: float) -> None:
     for item in things:
         if rng.random() < chance / max(len(things), 1) ** 0.5:
-            low, high = parts.bounds([item])
+            low, high = bounds([item])
             parts.move_thing(item, max(float((high - low).max()), 0.1), frames, rng)
 
 
 def middle_of(things: list[bpy.types.Object], rng: Rng) -> np.ndarray:
     """The middle of one of the things, picked at random."""
-    low, high = parts.bounds([things[rng.integers(len(things))]])
+    low, high = bounds([things[rng.integers(len(things))]])
     return (low + high) / 2
 
 
@@ -205,7 +280,7 @@ def outdoor(library: Library, frames: int, rng: Rng) -> Shot:
     wholes = library.names("exterior")
     if wholes and rng.random() < 0.45:
         roots, _, _ = library.load(str(wholes[rng.integers(len(wholes))]), rng)
-        parts.stand(roots, (0, 0, 0), 20.0, rng.uniform(0, 6.3))
+        stand(roots, (0, 0, 0), 20.0, rng.uniform(0, 6.3))
         things, spread = [], 7.0
         if rng.random() < 0.5:
             parts.quad((0, 0, -0.02), (200, 0, 0), (0, 200, 0), parts.material(rng, "rough"))

@@ -1,4 +1,4 @@
-"""Parts of a Blender scene: cameras, lights, materials, meshes, hair, volumes, glTF files.
+"""Parts of a Blender scene: cameras, lights, materials, meshes, hair, volumes.
 
 Runs inside Blender's Python (`bpy`), which has NumPy but not this project's other dependencies. Lengths are metres,
 z is up. Every function draws its choices from the generator that it is given, so a seed names a scene.
@@ -6,7 +6,6 @@ z is up. Every function draws its choices from the generator that it is given, s
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -494,72 +493,3 @@ def fur(rng: Rng, item: bpy.types.Object, count: int, length: float) -> None:
     system.clump_factor = rng.uniform(-0.2, 0.6)
     system.root_radius = rng.uniform(0.3, 1.2)
     system.radius_scale = 0.01 * length
-
-
-# Files
-
-
-class Library:
-    """A folder of glTF scenes with their descriptions, panoramas and pages of text."""
-
-    def __init__(self, root: Path | None):
-        self.root = root
-        found = sorted(root.glob("*/about.json")) if root else []
-        self.about = {path.parent.name: json.loads(path.read_text()) for path in found}
-        self.panoramas = sorted((root / "environments").glob("*.hdr")) if root else []
-        self.pages = sorted((root / "pages").glob("*.png")) if root else []
-
-    def names(self, *kinds: str) -> list[str]:
-        return [name for name, about in self.about.items() if about["kind"] in kinds]
-
-    def load(self, name: str, rng: Rng,
-             pick: int | None = None) -> tuple[list[bpy.types.Object], np.ndarray, np.ndarray]:
-        """Import a file; of a set keep ``pick`` pieces. Root objects and the bounds (3,), (3,) of its meshes."""
-        before = set(bpy.data.objects)
-        bpy.ops.import_scene.gltf(filepath=str(self.root / name / "scene.gltf"))
-        made = [o for o in bpy.data.objects if o not in before]
-        for item in [o for o in made if o.type in ("CAMERA", "LIGHT")]:
-            bpy.data.objects.remove(item, do_unlink=True)
-            made.remove(item)
-        roots = [o for o in made if o.parent is None]
-        if pick is not None and len(roots) == 1 and len(roots[0].children) > pick:
-            roots = list(roots[0].children)
-            for item in roots:
-                item.matrix_parent_inverse, item.parent, item.matrix_world = Matrix(), None, item.matrix_world.copy()
-        if pick is not None and len(roots) > pick:
-            kept = {roots[i] for i in rng.choice(len(roots), pick, replace=False)}
-            for item in [o for o in made if root_of(o) not in kept]:
-                bpy.data.objects.remove(item, do_unlink=True)
-            roots = list(kept)
-        bpy.context.view_layer.update()
-        return roots, *bounds(roots)
-
-
-def root_of(item: bpy.types.Object) -> bpy.types.Object:
-    while item.parent is not None:
-        item = item.parent
-    return item
-
-
-def family(roots: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
-    return [o for root in roots for o in (root, *root.children_recursive)]
-
-
-def bounds(roots: Sequence[bpy.types.Object]) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner of the meshes below some objects."""
-    corners = [np.array(o.matrix_world @ Vector(c)) for o in family(roots) if o.type == "MESH" for c in o.bound_box]
-    return (np.min(corners, 0), np.max(corners, 0)) if corners else (np.zeros(3), np.zeros(3))
-
-
-def stand(roots: Sequence[bpy.types.Object], at: Sequence[float], size: float, turn: float) -> bpy.types.Object:
-    """Scale a loaded thing to ``size``, its largest side, and stand it on a place; returns the parent of its parts."""
-    low, high = bounds(roots)
-    scale = size / max(float((high - low).max()), 1e-6)
-    middle = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-    handle = link("handle", None)
-    for root in roots:
-        root.parent = handle
-    handle.matrix_world = (Matrix.Translation(Vector(at)) @ Matrix.Rotation(turn, 4, "Z") @ Matrix.Scale(scale, 4)
-                           @ Matrix.Translation(-Vector(middle)))
-    bpy.context.view_layer.update()
-    return handle

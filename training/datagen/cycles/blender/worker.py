@@ -20,7 +20,7 @@ import numpy as np
 
 from ..exchange import clip_generator, half_file, noisy_file, read_pass, scene_generator, vectors_file
 from . import kinds
-from .scene import Library
+from .kinds import Library
 
 THREADS = 2  # a process: many run side by side
 PATTERNS = ("AUTOMATIC", "TABULATED_SOBOL", "BLUE_NOISE")
