@@ -144,6 +144,13 @@ def test_history_continues_with_guides() -> None:
     assert np.abs(chain(second)[Role.COLOUR] - pipeline()(second)[Role.COLOUR]).max() > 1e-3
 
 
+def check_that_guides_stand_in(chain: Pipeline, frame: Frame, shape: tuple[int, ...]) -> None:
+    """Without a normal plane the pipeline reads the guides' normals, and these alone."""
+    lacking = replace(frame, planes={role: p for role, p in frame.planes.items() if role != Role.NORMAL})
+    assert chain(lacking)[Role.COLOUR].shape == shape
+    assert chain.plan.guides == (Role.NORMAL,)
+
+
 def test_a_model_that_reads_no_guides_says_so_and_uses_them_for_missing_planes_only(
     small_models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,9 +162,7 @@ def test_a_model_that_reads_no_guides_says_so_and_uses_them_for_missing_planes_o
     np.testing.assert_array_equal(chain(frame)[Role.COLOUR], alone)
     assert chain.plan.guides == ()
     assert any("model 'small' does not read guides" in remark for remark in chain.plan.remarks)
-    lacking = replace(frame, planes={role: p for role, p in frame.planes.items() if role != Role.NORMAL})
-    assert chain(lacking)[Role.COLOUR].shape == alone.shape
-    assert chain.plan.guides == (Role.NORMAL,)
+    check_that_guides_stand_in(chain, frame, alone.shape)
 
 
 def test_guides_of_the_render_size_stand_in_for_missing_planes_only() -> None:
@@ -167,9 +172,7 @@ def test_guides_of_the_render_size_stand_in_for_missing_planes_only() -> None:
     np.testing.assert_array_equal(chain(frame)[Role.COLOUR], alone)
     assert chain.plan.guides == ()
     assert any("guides of the render size only stand in" in remark for remark in chain.plan.remarks)
-    lacking = replace(frame, planes={role: p for role, p in frame.planes.items() if role != Role.NORMAL})
-    assert chain(lacking)[Role.COLOUR].shape == alone.shape
-    assert chain.plan.guides == (Role.NORMAL,)
+    check_that_guides_stand_in(chain, frame, alone.shape)
 
 
 def test_the_variant_for_guides_is_not_chosen_by_name() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
 import postfx.runtime.device as device_module
-from postfx.runtime import ArgumentTable, Device, Library, PipelineState
+from postfx.runtime import ArgumentTable, Device, Library, PipelineState, Tensor
 from postfx.runtime.device import ProviderMemory
 from postfx.runtime.session import Placement
 from tests import toys
@@ -65,6 +67,22 @@ class Bench:
 @pytest.fixture
 def bench(device: Device, library: Library) -> Bench:
     return Bench(device, library)
+
+
+class Failing(NamedTuple):
+    """A dispatch of the network 'pick' that fails until `index` is at most 2, and its tensors."""
+
+    dispatch: tuple[PipelineState, ArgumentTable]
+    index: Tensor
+    picked: Tensor
+
+
+@pytest.fixture
+def failing(device: Device, library: Library) -> Failing:
+    state = device.pipeline_state(library, "pick")
+    index, picked = device.heap.tensor("index", (1,), "int64"), device.heap.tensor("picked", (1,))
+    index.upload([7])
+    return Failing((state, ArgumentTable(state, {"index": index, "picked": picked})), index, picked)
 
 
 @pytest.fixture

@@ -106,14 +106,11 @@ def test_remote_memory_is_downloaded(remote):
     assert capture.buffers[0].dispatches[0].writes[0].snapshot.values == [6.0] * 20
 
 
-def test_a_failed_command_is_named_and_the_rest_did_not_run(device, library):
-    state = device.pipeline_state(library, "pick")
-    index, picked = device.heap.tensor("index", (1,), "int64"), device.heap.tensor("picked", (1,))
-    index.upload([7])
+def test_a_failed_command_is_named_and_the_rest_did_not_run(device, failing):
     commands = device.command_buffer("frame")
     with commands.machine_learning_encoder("pick") as encoder:
         for _ in range(2):
-            encoder.dispatch_network(state, ArgumentTable(state, {"index": index, "picked": picked}))
+            encoder.dispatch_network(*failing.dispatch)
             encoder.barrier()
     with device.capture() as capture:
         commands.commit()

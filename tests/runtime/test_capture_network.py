@@ -49,13 +49,10 @@ def test_all_writes_what_nodes_wrote(deep, tmp_path):
     assert cast.outputs[0].snapshot.file is None
 
 
-def test_the_node_that_failed_is_named(device, library):
-    state = device.pipeline_state(library, "pick")
-    index, picked = device.heap.tensor("index", (1,), "int64"), device.heap.tensor("picked", (1,))
-    index.upload([7])
+def test_the_node_that_failed_is_named(device, failing):
     commands = device.command_buffer("frame")
     with commands.machine_learning_encoder("pick") as encoder:
-        encoder.dispatch_network(state, ArgumentTable(state, {"index": index, "picked": picked}))
+        encoder.dispatch_network(*failing.dispatch)
     with device.capture(network=True) as capture:
         commands.commit()
         with pytest.raises(CommandError):
@@ -65,18 +62,15 @@ def test_the_node_that_failed_is_named(device, library):
     assert "Gather" in found.nodes[0].error and found.difference is None
 
 
-def test_a_network_whose_input_was_lost_is_not_looked_into(device, library):
-    pick = device.pipeline_state(library, "pick")
+def test_a_network_whose_input_was_lost_is_not_looked_into(device, library, failing):
     double = device.pipeline_state(library, "double", {"height": 1, "width": 1})
-    index, picked = device.heap.tensor("index", (1,), "int64"), device.heap.tensor("picked", (1,))
     y = device.heap.tensor("y", (1, 1, 1))
-    index.upload([7])
     first, second = device.command_buffer("first"), device.command_buffer("second")
     with first.machine_learning_encoder("pick") as encoder:
-        encoder.dispatch_network(pick, ArgumentTable(pick, {"index": index, "picked": picked}))
+        encoder.dispatch_network(*failing.dispatch)
     with second.machine_learning_encoder("double") as encoder:
         encoder.barrier(after="machine-learning", before="machine-learning")
-        table = ArgumentTable(double, {"x": picked.view("x", (1, 1, 1)), "y": y})
+        table = ArgumentTable(double, {"x": failing.picked.view("x", (1, 1, 1)), "y": y})
         encoder.dispatch_network(double, table)
     with device.capture(network=True) as capture:
         first.commit()

@@ -70,19 +70,15 @@ def test_error_in_another_band_is_reported(device):
         commands.wait(10)
 
 
-def test_error_of_a_network_names_it(device, library):
-    state = device.pipeline_state(library, "pick")
-    index, picked = device.heap.tensor("index", (1,), "int64"), device.heap.tensor("picked", (1,))
-    table = ArgumentTable(state, {"index": index, "picked": picked})
-
+def test_error_of_a_network_names_it(device, failing):
     def pick(which):
-        index.upload([which])
+        failing.index.upload([which])
         commands = device.command_buffer("frame")
         with commands.machine_learning_encoder("look up") as encoder:
-            encoder.dispatch_network(state, table)
+            encoder.dispatch_network(*failing.dispatch)
         commands.commit()
         commands.wait(10)
-        return picked.download()[0]
+        return failing.picked.download()[0]
 
     assert pick(1) == 20
     with pytest.raises(CommandError, match=r"'look up' \(network 'pick'\) of 'frame' failed: .*out of data bounds"):

@@ -153,21 +153,18 @@ def test_commit_in_flight_is_refused(frame):
     frame.commands.wait(10)
 
 
-def test_a_failed_run_can_be_repeated(device, library):
-    state = device.pipeline_state(library, "pick")
-    index, picked = device.heap.tensor("index", (1,), "int64"), device.heap.tensor("picked", (1,))
+def test_a_failed_run_can_be_repeated(device, failing):
     commands = device.command_buffer("frame")
-    index.upload([7])
     with commands.machine_learning_encoder("look up") as encoder:
-        encoder.dispatch_network(state, ArgumentTable(state, {"index": index, "picked": picked}))
+        encoder.dispatch_network(*failing.dispatch)
     commands.commit()
     for _ in range(2):
         with pytest.raises(CommandError, match="'look up'"):
             commands.wait(10)
-    index.upload([2])
+    failing.index.upload([2])
     commands.commit()
     commands.wait(10)
-    assert picked.array[0] == 30
+    assert failing.picked.array[0] == 30
 
 
 def test_begin_drops_records_timings_and_tensors(frame, ones):

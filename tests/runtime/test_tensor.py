@@ -89,15 +89,10 @@ def test_released(bench):
         x.download()
 
 
-def test_failed_command_leaves_undefined_until_something_writes(device, library):
-    from postfx.runtime import ArgumentTable
-
-    state = device.pipeline_state(library, "pick")
-    index, picked = device.heap.tensor("index", (1,), "int64"), device.heap.tensor("picked", (1,))
-    index.upload([7])
-    commands = device.command_buffer("frame")
+def test_failed_command_leaves_undefined_until_something_writes(device, failing):
+    commands, picked = device.command_buffer("frame"), failing.picked
     with commands.machine_learning_encoder("look up") as encoder:
-        encoder.dispatch_network(state, ArgumentTable(state, {"index": index, "picked": picked}))
+        encoder.dispatch_network(*failing.dispatch)
     commands.commit()
     with pytest.raises(CommandError):
         commands.wait(10)
