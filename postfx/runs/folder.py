@@ -41,6 +41,8 @@ class RunFolder:
         self._flushed, self._cost = time.monotonic(), 0.0
         self._work.mkdir(parents=True, exist_ok=True)
         with FolderLock(self._work / "lock"):
+            for path in folder.glob(f".{NAME}.*"):  # who writes the manifest holds the lock: these are of killed runs
+                path.unlink(missing_ok=True)
             self._claim = Claim(self._work, run, names)
         try:
             self._remove_leftovers(names)
@@ -149,8 +151,6 @@ class RunFolder:
     def _remove_leftovers(self, names: Collection[str]) -> None:
         """Remove partial files that killed runs left: no other run may write these files now."""
         remove_leftovers(self._folder, names, any_host=True)
-        for path in self._folder.glob(f".{NAME}.*"):
-            path.unlink(missing_ok=True)
         for path in self._work.glob(f".*{SUFFIX}.*"):
             if not is_alive(self._work, path.name[1:].partition(SUFFIX)[0]):
                 path.unlink(missing_ok=True)

@@ -7,11 +7,13 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from postfx.errors import RunError
 from postfx.runs import locks as claim_module
+from postfx.runs.folder import RunFolder
 from postfx.runs.locks import OLD, Claim, FolderLock, Process, age_of, is_alive
 from postfx.runs.manifest import NAME, Output, load_manifest, update_manifest
 
@@ -165,6 +167,34 @@ def test_claims_of_different_files(tmp_path):
     one.release()
     other.release()
     assert not is_alive(tmp_path, "one") and list(tmp_path.iterdir()) == []
+
+
+def test_partial_files_of_runs_that_live_stay(tmp_path):
+    """A run that starts removes those that killed runs left, of checkpoints and of the manifest."""
+    work = tmp_path / ".postfx"
+    work.mkdir()
+    living = Claim(work, "living", ["a"])
+    partial = {run: work / f".{run}.checkpoint.host-1-0.part" for run in ("living", "killed")}
+    for path in partial.values():
+        path.touch()
+    RunFolder(tmp_path, "new", ["b"]).release()
+    assert partial["living"].exists() and not partial["killed"].exists()
+    living.release()
+
+
+def test_partial_manifest_is_removed_under_the_lock_only(tmp_path, monkeypatch):
+    """Another run may be writing it: it holds the lock meanwhile."""
+    (tmp_path / f".{NAME}.host-1-0.part").touch()
+    unlink, locked = Path.unlink, []
+
+    def watched(path, missing_ok=False):
+        if path.name.startswith(f".{NAME}."):
+            locked.append((tmp_path / ".postfx/lock").exists())
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", watched)
+    RunFolder(tmp_path, "new", ["b"]).release()
+    assert locked == [True]
 
 
 def test_claim_of_another_machine_counts_while_it_beats(tmp_path):
