@@ -132,7 +132,7 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
 
 def _hashes_of(option: Any) -> dict[str, str]:
     """Hashes of the models that an option of a pass names, with those that lie beside them: by name."""
-    path = Path(option) if isinstance(option, str | Path) else Path()
+    path = Path(option).expanduser() if isinstance(option, str | Path) else Path()
     if isinstance(option, str) and path.suffix == ".onnx" and path.is_file():
         option = Library(path.parent)
     if isinstance(option, Path) and path.is_dir():
