@@ -100,6 +100,14 @@ def test_a_history_of_others_is_refused(device, other):
         pipeline.recall(moving(1), foreign.history())
 
 
+def test_a_history_of_a_network_is_refused_where_none_runs(device):
+    denoised = Pipeline([DenoiseUpscale(model="s")], device)
+    denoised(moving(1))
+    plain = Pipeline([DenoiseUpscale(model="s", strength=0)], device)
+    with pytest.raises(FrameError, match="pass 'denoise_upscale' has no history at strength 0"):
+        plain.recall(moving(1), denoised.history())
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
 def test_a_forked_process_has_a_device_of_its_own(monkeypatch):
     """Threads do not come along: what was made before would wait for ever."""

@@ -62,6 +62,22 @@ def test_shortened_file_is_named(write_exr, ramp):
         file.read(file.parts[0], {"R": 0.0})
 
 
+def test_tiles_below_the_rows_that_are_read_are_not_touched(tmp_path: Path):
+    path, values = tmp_path / "a.exr", np.float32(np.random.default_rng(0).integers(0, 9, (150, 64, 1)))
+    spec = oiio.ImageSpec(64, 150, 1, "float")
+    spec.channelnames, spec.tile_width, spec.tile_height, spec.y = ("R",), 32, 32, -7
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec) and output.write_image(values) and output.close()
+    content = bytearray(path.read_bytes())
+    content[-200:-100] = bytes(100)
+    path.write_bytes(content)
+    with ImageFile(path) as file:
+        (stored,) = file.read_stored(file.parts[0], ["R"], 30, 128)
+        np.testing.assert_array_equal(stored.view(np.float32), values[30:128, :, 0])
+        with pytest.raises(ReadError, match=r"a\.exr: broken file"):
+            file.read_stored(file.parts[0], ["R"], 30, 129)
+
+
 def test_deep_data_is_refused(tmp_path: Path):
     path = str(tmp_path / "deep.exr")
     spec = oiio.ImageSpec(2, 2, 1, "float")

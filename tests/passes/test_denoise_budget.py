@@ -57,6 +57,17 @@ def test_a_network_slower_than_expected_is_tried_less_and_less() -> None:
     assert found.count(0) > 950 and len(tries) < 12 and (gaps[1:] >= gaps[:-1] - 5).all()
 
 
+def test_a_frame_may_take_the_whole_budget() -> None:
+    ladder = Ladder((1.0, 2.0), 40)
+    ladder.rung = 1
+    for _ in range(9):
+        ladder.note_time(40.0)
+    assert ladder.rung == 1
+    for _ in range(2):
+        ladder.note_time(40.001)
+    assert ladder.rung == 0
+
+
 def test_times_at_the_edge_of_the_budget_do_not_make_it_swing() -> None:
     found = rungs(Ladder(COSTS, 60), [(11.8, 41.3, 59.0)] * 500, noise=0.1)
     assert switches(found) < 12

@@ -120,6 +120,17 @@ def test_history_goes_on_after_a_stop_and_when_frames_change_their_size(filters:
     assert all(np.array_equal(resumed.parts[name], found.parts[name]) for name in NAMES)
 
 
+@pytest.mark.parametrize("filters", ["picture", "own"])
+def test_a_recalled_history_is_all_there_is(filters: str, device: Device) -> None:
+    """What a part left before is forgotten where the history has none of it."""
+    pipeline = upscaler(device, parts=NAMES, part_filters=filters)
+    frame = pipeline(lit(1)) and lit(1)
+    kept = {name: array.copy() for name, array in pipeline.history().items() if not name.endswith(" of key")}
+    assert len(kept) < len(pipeline.history())
+    pipeline.recall(frame, kept)
+    assert set(pipeline.history()) == set(kept)
+
+
 def test_each_part_has_a_history_of_its_own(device: Device) -> None:
     """Noise that comes and goes is averaged: a still part differs less from frame to frame than its input."""
     pipeline, parts = upscaler(device, parts=NAMES), []

@@ -12,6 +12,7 @@ from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.masks import Threshold, strength_of_converged
 from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.tiling import CELL, COARSE, Sizes, bands_of, boxes_of, grids
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import flat, guided, noisy
@@ -61,6 +62,41 @@ MASKS = {
     "box": boxes(np.s_[60:120, 100:170]),
     "corners": boxes(np.s_[8:40, 10:60], np.s_[150:, 250:]),
 }
+
+
+def test_boxes_around_what_is_active_are_cut_where_most_is_left_out() -> None:
+    """Two of them: against all straight cuts through the first one."""
+    def around(cells: np.ndarray) -> int:
+        rows, columns = np.flatnonzero(cells.any(1)), np.flatnonzero(cells.any(0))
+        return int(np.ptp(rows) + 1) * int(np.ptp(columns) + 1) if len(rows) else 0
+
+    random, side = np.random.default_rng(2), CELL * COARSE
+    for share in np.linspace(0.03, 0.3, 40):
+        cells = random.random((7, 9)) < share
+        cells[3, 4] = True
+        found = list(boxes_of(np.kron(cells, np.ones((COARSE, COARSE), bool))))
+        halves = [(part[:i], part[i:]) for part in (cells, cells.T) for i in range(1, len(part))]
+        wanted = [around(cells), min(around(one) + around(other) for one, other in halves)]
+        areas = [sum(box.rows * box.columns for box in some) / side**2 for some in found]
+        assert areas[:2] == sorted({*wanted}, reverse=True) and sorted(areas, reverse=True) == areas
+        left = np.repeat(np.repeat(cells, side, 0), side, 1).astype(int)
+        for box in found[-1]:
+            left[box.top:box.top + box.rows, box.left:box.left + box.columns] -= 1
+        assert left.max() == 0, "what is active lies in a box, and no two boxes overlap"
+        assert left.min() >= -1
+
+
+@pytest.mark.parametrize("size", [(100, 150), (96, 33), (16, 16)])
+def test_bands_and_their_tiles_hold_each_pixel_once(size: tuple[int, int]) -> None:
+    frame = Sizes(*size, 2 * size[0], 2 * size[1])
+    for box, shape in grids(frame, 20):
+        bands, seen = bands_of(frame, box, shape, 20), np.zeros(size, int)
+        assert [band.own[0] for band in bands] == [0, *(band.own[1] for band in bands[:-1])]
+        assert bands[-1].own[1] == size[0]
+        for inner in (tile.inner for band in bands for tile in band.tiles):
+            seen[inner.top:inner.top + inner.rows, inner.left:inner.left + inner.columns] += 1
+            assert inner.top + inner.rows <= size[0] and inner.left + inner.columns <= size[1]
+        assert (seen == 1).all()
 
 
 @pytest.mark.parametrize("mask", MASKS.values(), ids=MASKS.keys())

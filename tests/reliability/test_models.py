@@ -165,8 +165,12 @@ def test_huge_input(refused):
 
 @pytest.mark.parametrize(("operator", "at"), [("ConstantOfShape", 0), ("Expand", 1), ("Tile", 1), ("Resize", 3)])
 @pytest.mark.parametrize("constant", [False, True])
-def test_little_that_makes_much(refused, operator, at, constant):
-    size = numpy_helper.from_array(np.array([1 << 20, 1 << 20], np.int64), "size")
+@pytest.mark.parametrize("typed", [False, True])
+def test_little_that_makes_much(refused, operator, at, constant, typed):
+    """A shape may be stored as bytes or as numbers."""
+    sides = [1 << 20, 1 << 20]
+    size = (helper.make_tensor("size", TensorProto.INT64, [2], sides) if typed
+            else numpy_helper.from_array(np.array(sides, np.int64), "size"))
     node = helper.make_node(operator, [*["x"] * at, "size"], ["y"])
     maker = [helper.make_node("Constant", [], ["size"], value=size)] if constant else []
     assert f"a node '{operator}' makes 1048576x1048576 elements" in refused(

@@ -4,6 +4,7 @@ import dataclasses
 import gc
 import threading
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from postfx.runtime import (
     ModelError,
     PortableComputeState,
 )
+from postfx.runtime import device as device_module
 from postfx.runtime.cuda import find_source, read_source
 from tests import toys
 
@@ -50,6 +52,15 @@ def test_no_threads():
 def test_unknown_device(name):
     with pytest.raises(DeviceError, match=f"no device '{name}': use auto, cpu, cuda or cuda:N"):
         Device(name)
+
+
+@pytest.mark.parametrize(("name", "index"), [("cuda", 0), ("cuda:0", 0), ("cuda:3", 3), ("auto", 0)])
+def test_number_of_a_cuda_device(name, index, monkeypatch):
+    asked = []
+    monkeypatch.setattr(device_module, "cuda_fault", lambda number: asked.append(number) or "it is not there")
+    with nullcontext() if name == "auto" else pytest.raises(DeviceError, match=f"'{name}' is not available: it is not"):
+        assert Device(name).name == "cpu"
+    assert asked == [index]
 
 
 @pytest.mark.skipif("CUDAExecutionProvider" in onnxruntime.get_available_providers(), reason="ONNX Runtime has CUDA")

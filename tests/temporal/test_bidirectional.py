@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -117,6 +118,24 @@ def test_a_frame_that_is_not_wanted_is_only_followed(noisy, device, monkeypatch)
     monkeypatch.setattr(backwards, "_run", lambda *_: pytest.fail("nothing is to be run"))
     assert not backwards(sequence.read(1), wanted=False).guides[Role.LATER].any()
     assert backwards.milliseconds is None
+
+
+def test_the_time_of_the_other_views_is_added(noisy, device, monkeypatch):
+    class View:
+        def __init__(self, milliseconds: float | None) -> None:
+            self.milliseconds = milliseconds
+
+        def __call__(self, frame: Frame, *_: object) -> Frame:
+            return frame
+
+    sequence, times = noisy(2), {"left": 5.0, "middle": None, "right": 7.0}
+    backwards, frame = Backwards(sequence, device, 0.0, model="s"), sequence.read(1)
+    monkeypatch.setattr(backwards, "_of_view", lambda name: View(times[name]))
+    seen = dataclasses.replace(frame, views=dict.fromkeys(times, frame))
+    backwards(seen, wanted=False)
+    assert backwards.milliseconds == 12
+    backwards(seen)
+    assert backwards.milliseconds > 12
 
 
 def test_a_frame_that_cannot_be_read_leaves_the_others_as_they_are(noisy, device, tmp_path):
