@@ -4,7 +4,8 @@ Faults are of two kinds: some are chosen by hand, the rest is drawn from the sou
 an operator, adds 1 to or takes 1 from a number, swaps min and max, drops a `not`, an `abs` or a statement. The draw
 goes by the text of each line, so that changes elsewhere in the sources leave it as it is.
 
-Everything happens in a copy of the checkout. Kernels of changed sources are compiled into a copy of the cache.
+Everything happens in a copy of the checkout. Kernels of changed sources are compiled into a copy of the cache. The
+test that found a fault in the table before is tried first: most faults then take seconds.
 """
 
 from __future__ import annotations
@@ -30,10 +31,9 @@ CHECKOUT = Path(__file__).resolve().parent.parent
 TABLE = Path(__file__).with_suffix(".md")
 EXAMPLES = """examples:
   python -m tests.mutants                          all of them; writes tests/mutants.md (about half an hour)
+  python -m tests.mutants --resume                 goes on after a break, and tries again what nothing found
   python -m tests.mutants --only kernels/denoise   those of some files
   python -m tests.mutants --list                   what would be done
-  python -m tests.mutants --against tests/mutants.md --table out.md
-                                                   fails if a fault is missed that was found before
 """
 SEED = 33
 PATIENCE = 1200
@@ -91,9 +91,10 @@ ROOMS = (
     _room("passes/denoise/tiling.py", 3, *_in("passes", "denoise_tiles", "denoise_strength"), "test_memory_budget.py",
           *_in("stress", "tiles")),
     _room("passes/denoise/", 5, *_in("passes", "denoise_upscale", "denoise_1x", "denoise_guides", "denoise_reactive",
-                                     "denoise_strength", "denoise_int8", "denoise_models", "denoise_restore",
-                                     "denoise_reflections", "denoise_tiles")),
-    _room("passes/", 3, *_in("passes", "contract", "display", "composite_overlay", "exposure_tool",
+                                     "denoise_strength", "denoise_int8", "denoise_models", "denoise_budget",
+                                     "denoise_restore", "denoise_reflections", "denoise_tiles", "denoise_parts"),
+          "test_trouble.py"),
+    _room("passes/", 3, *_in("passes", "registry", "contract", "display", "composite_overlay", "exposure_tool",
                              "composite_both_ways", "tonemap")),
     _room("io/exr/", 4, *_in("files", "kept", "broken"), *_in("io", "writer")),
     _room("io/encode.py", 2, *_in("io", "encode_dither", "encode_png", "encode_tags", "encode_light", "writer")),
@@ -109,7 +110,8 @@ ROOMS = (
     _room("runtime/model_file.py", 1, *_in("reliability", "models"), *_in("runtime", "models")),
     _room("runtime/", 5, "runtime"),
     _room("doctor/", 6, "doctor"),
-    _room("runs/", 5, *_in("reliability", "run", "locks", "resume")),
+    _room("runs/", 5, *_in("reliability", "schedule", "run", "locks", "resume"), *_in("cli", "chunks"),
+          *_in("passes", "denoise_models")),
     _room("temporal/", 3, "temporal", *_in("integrate", "motion")),
     _room("masks/", 3, "masks", *_in("io", "masks")),
     _room("exposure/", 2, "exposure"),
@@ -192,6 +194,11 @@ class Mutant:
         old = " ".join(_text(self.source)[self.start:self.end].split())
         new = " ".join(self.new.split()) or "nothing"
         return f"{self.kind}: {old} -> {new} in {self.old_line}"
+
+    @property
+    def place(self) -> str:
+        """Its source, within postfx."""
+        return self.source.removeprefix("postfx/")
 
     @property
     def excuse(self) -> str:
@@ -310,8 +317,7 @@ def draw(seed: int) -> list[Mutant]:
 
 
 def _rank(seed: int, mutant: Mutant) -> bytes:
-    place = mutant.source.removeprefix("postfx/")
-    return hashlib.sha256(f"{seed} {place}: {mutant.name}".encode()).digest()
+    return hashlib.sha256(f"{seed} {mutant.place}: {mutant.name}".encode()).digest()
 
 
 class House:
@@ -336,10 +342,10 @@ class House:
         self._environment = {**os.environ, "PYTHONPATH": str(self.root), "XDG_CACHE_HOME": str(folder / "cache"),
                              "PYTHONDONTWRITEBYTECODE": "1"}
 
-    def find(self, arguments: str) -> str | None:
+    def find(self, arguments: list[str]) -> str | None:
         """The first test that fails, None where all pass; raises RuntimeError where no test runs."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "--tb=no", "--no-header", "-p",
-                   "no:cacheprovider", "-m", "not soak and not slow", *shlex.split(arguments)]
+                   "no:cacheprovider", "-m", "not soak and not slow", *arguments]
         try:
             done = subprocess.run(command, cwd=self.root, env=self._environment, capture_output=True, text=True,
                                   timeout=PATIENCE, check=False)
@@ -354,14 +360,15 @@ class House:
             raise RuntimeError(f"{arguments}\n{done.stdout}{done.stderr}")
         return "does not load" if done.returncode > 0 else f"signal {-done.returncode}"
 
-    def find_fault(self, mutant: Mutant) -> str | None:
-        """The first test that finds a fault."""
+    def find_fault(self, mutant: Mutant, before: str = "") -> str | None:
+        """The first test that finds a fault; the one that found it `before` is tried first."""
         room = room_of(mutant.source)
         tests = "tests/kernels/test_denoise_kernels.py" if room is None else room.tests
         path = self.root / mutant.source
         path.write_text(mutant.apply(), encoding="utf-8")
         try:
-            return self.find(tests)
+            known = "::" in before and (self.root / before.partition("::")[0]).exists()
+            return before if known and self.find([before]) == before else self.find(shlex.split(tests))
         finally:
             path.write_text(_text(mutant.source), encoding="utf-8")
 
@@ -372,22 +379,39 @@ def rows_of(table: Path) -> dict[str, str]:
     for line in table.read_text(encoding="utf-8").splitlines():
         cells = [cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
         if len(cells) == 4 and cells[0].isdigit():
-            found[cells[2].strip("`")] = "" if cells[3].startswith("**") else cells[3]
+            found[cells[2].strip("`")] = "" if cells[3].startswith("**") else cells[3].strip("`")
     return found
 
 
-def write_table(results: dict[Mutant, str | None], path: Path, seed: int) -> None:
+def commit() -> str:
+    """The commit of the checkout, and whether what is tested differs from it; empty outside of a repository."""
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=CHECKOUT, capture_output=True, text=True, check=False)
+        return done.stdout.strip()
+
+    changed = git("status", "--porcelain", "--", "postfx", "tests/*.py")
+    return git("rev-parse", "--short", "HEAD") + (", with changes" if changed else "")
+
+
+def write_table(results: dict[Mutant, str | None], path: Path, seed: int, version: str) -> None:
     """The table as Markdown."""
-    found = sum(killer is not None for killer in results.values())
-    equal = sum(killer is None and bool(mutant.excuse) for mutant, killer in results.items())
+    lost = [mutant for mutant, killer in results.items() if killer is None]
+    equal = sum(bool(mutant.excuse) for mutant in lost)
     lines = ["# Faults put into postfx, and the tests that find them", "",
-             f"Written by `python -m tests.mutants` (seed {seed}). Of {len(results)} faults, {found} are found; "
-             f"{equal} change nothing that can be seen.", "",
-             "| | source | fault | found by |", "| --- | --- | --- | --- |"]
+             f"Written by `python -m tests.mutants` (seed {seed}, sources of {version}). Of {len(results)} faults, "
+             f"{len(results) - len(lost)} are found; {equal} change nothing that a test could see; "
+             f"{len(lost) - equal} are not found.", "",
+             "| room | faults | found | no effect | not found |", "| --- | --- | --- | --- | --- |"]
+    rooms = sorted({mutant.place.partition("/")[0] for mutant in results})
+    for room in rooms:
+        here = [mutant for mutant in results if mutant.place.partition("/")[0] == room]
+        missed = [mutant for mutant in here if mutant in lost]
+        excused = sum(bool(mutant.excuse) for mutant in missed)
+        lines.append(f"| {room} | {len(here)} | {len(here) - len(missed)} | {excused} | {len(missed) - excused} |")
+    lines += ["", "| | source | fault | found by |", "| --- | --- | --- | --- |"]
     for number, (mutant, killer) in enumerate(results.items(), 1):
-        by = killer or ("**nothing**: " + mutant.excuse if mutant.excuse else "**nothing**")
-        place = f"{mutant.source.removeprefix('postfx/')}:{mutant.line}"
-        cells = (str(number), place, f"`{mutant.name}`", f"`{by}`" if killer else by)
+        by = f"`{killer}`" if killer else f"**nothing**: {mutant.excuse}" if mutant.excuse else "**nothing**"
+        cells = (str(number), f"{mutant.place}:{mutant.line}", f"`{mutant.name}`", by)
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -397,20 +421,14 @@ def worse(results: dict[Mutant, str | None], before: dict[str, str]) -> list[str
     return [mutant.name for mutant, killer in results.items() if killer is None and before.get(mutant.name)]
 
 
-def run(mutants: Iterable[Mutant], table: Path | None, seed: int) -> tuple[dict[Mutant, str | None], str | None]:
-    """Each fault and the test that found it, in the table as they come; and a test that fails without any fault."""
-    results: dict[Mutant, str | None] = {}
-    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        house = House(Path(folder))
-        for mutant in mutants:
-            begin = time.monotonic()
-            found = results[mutant] = house.find_fault(mutant)
-            took = f"{time.monotonic() - begin:5.0f} s"
-            print(f"{took}  {mutant.source}: {mutant.name}: {found or 'NOT FOUND'}", flush=True)
-            if table:
-                write_table(results, table, seed)
-        finders = sorted({found for found in results.values() if found and "::" in found})
-        return results, house.find(shlex.join(finders)) if finders else None
+def run(mutants: Iterable[Mutant], before: dict[str, str], house: House) -> Iterator[tuple[Mutant, str | None]]:
+    """Each fault and the test that found it, as they come."""
+    for mutant in mutants:
+        begin = time.monotonic()
+        found = house.find_fault(mutant, before.get(mutant.name, ""))
+        took = f"{time.monotonic() - begin:5.0f} s"
+        print(f"{took}  {mutant.source}: {mutant.name}: {found or 'NOT FOUND'}", flush=True)
+        yield mutant, found
 
 
 def main() -> int:
@@ -418,18 +436,32 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__, epilog=EXAMPLES,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=SEED, help="draws other faults (default: %(default)s)")
-    parser.add_argument("--only", default="", metavar="TEXT", help="faults whose name or file has this text")
+    parser.add_argument("--only", default="", metavar="TEXT",
+                        help="faults whose name or file has this text; writes no table")
     parser.add_argument("--list", action="store_true", help="show the faults and do nothing")
     parser.add_argument("--table", type=Path, default=TABLE, help="where the table is written (default: %(default)s)")
-    parser.add_argument("--against", type=Path, metavar="TABLE", help="an earlier table, in which no more are found")
+    parser.add_argument("--against", type=Path, default=TABLE, metavar="TABLE",
+                        help="an earlier table: what it found must be found again (default: %(default)s)")
+    parser.add_argument("--resume", action="store_true", help="keep the rows that --table has with a test or a reason")
     options = parser.parse_args()
     mutants = [mutant for mutant in (*chosen(), *draw(options.seed))
                if options.only in f"{mutant.source} {mutant.name}"]
     if options.list:
         print(*(f"{mutant.source}: {mutant.name}" for mutant in mutants), sep="\n")
         return 0
-    before = rows_of(options.against) if options.against else {}
-    results, broken = run(mutants, None if options.only else options.table, options.seed)
+    before, version = rows_of(options.against), commit()
+    known = rows_of(options.table) if options.resume else {}
+    results = {mutant: known[mutant.name] or None for mutant in mutants
+               if mutant.name in known and (known[mutant.name] or mutant.excuse)}
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        house = House(Path(folder))
+        for mutant, found in run([mutant for mutant in mutants if mutant not in results], before, house):
+            results[mutant] = found
+            if not options.only:
+                in_order = {mutant: results[mutant] for mutant in mutants if mutant in results}
+                write_table(in_order, options.table, options.seed, version)
+        finders = sorted({found for found in results.values() if found and "::" in found})
+        broken = house.find(finders) if finders else None
     missed = worse(results, before)
     print(f"{sum(map(bool, results.values()))} of {len(results)} faults found")
     print(*(f"was found before: {name}" for name in missed), sep="\n", end="\n" if missed else "")
