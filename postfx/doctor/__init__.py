@@ -12,7 +12,7 @@ from postfx.frame import Frame
 
 
 def examine(material: Material) -> list[Finding]:
-    """Findings of all checks, the most important first; those of guides say so in their evidence."""
+    """Findings of all checks, the most important first; evidence about guides begins with 'guides:'."""
     found = [finding for check in (*SEQUENCE_CHECKS, *VALUE_CHECKS) for finding in check(material)]
     whole = [finding for check in WHOLE_PLANE_CHECKS for finding in check(material)]
     compared = material.without({finding.role for finding in whole})

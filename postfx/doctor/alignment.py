@@ -1,8 +1,8 @@
-"""Whether planes lie where they should: edges of one frame's planes coincide, and blocks move as their vectors say.
+"""Whether planes are in the right place: edges of one frame's planes coincide, and blocks move as their vectors say.
 
 Planes of one frame show the same outlines. A plane whose outlines fit another frame better, or fit when it is flipped
-or moved, was written to the wrong place. And where a block of the previous frame, moved by the vectors, does not fit
-but fits after a further step, the vectors are not those of what is seen there.
+or moved, was written to the wrong place. Where a block of the previous frame does not fit after its vectors moved it,
+but fits after one more step, the vectors belong to something else than the block shows.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from postfx.sampling import bilinear, is_inside, local_mean
 PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)
 GUIDES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL)
 WINDOW = 512
-"""Longer side in pixels of the part of large pictures, in their middle, that is looked at."""
+"""Of a larger picture only the middle is examined: this many pixels wide and high at most."""
 STRONGEST = 0.98
 BLOCK, REACH, MOST_BLOCKS = 8, 8, 48
 STANDS_OUT, LEAST_MISFIT = 4.0, 0.04
-"""A block fits badly when its error is this many medians, and no less than this."""
+"""A block fits badly when its error is at least this many times the median, and at least this large."""
 FITS = 0.4
-"""Part of its error that the right step leaves a block."""
+"""Share of a block's error that may remain after the right step."""
 ALIKE, CERTAIN = 1, 3
-"""Pixels by which the steps of one thing's blocks may differ, and those that fit one block."""
+"""Pixels by which steps may differ: between blocks of one object, and among the steps that fit one block."""
 
 FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "upside down": lambda edges: edges[::-1],
@@ -37,10 +37,13 @@ FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 
 class Placement(NamedTuple):
-    """Correlations of a plane's edges with those of the other planes of its frame.
+    """Correlations of a plane's edges with the edges of the other planes.
 
-    `at`: places in the sequence of the frames where it has edges; `own`: as it is; `frames`: (frames, frames), row: the
-    frame, column: where the plane is from; `flips`: flipped.
+    Attributes:
+        at: indices of the frames in which the plane has edges.
+        own: mean correlation within its own frame.
+        frames: (frames, frames) correlations of the other planes of a frame (row) with the plane of another (column).
+        flips: mean correlation within its own frame when the plane is flipped, by the name of the flip.
     """
 
     at: list[int]
@@ -50,7 +53,7 @@ class Placement(NamedTuple):
 
 
 class Mover(NamedTuple):
-    """A thing that does not move as its vectors say: its place, the missing step in pixels, and its count of blocks."""
+    """An object that does not move as its vectors say: its place, the missing step in pixels, its number of blocks."""
 
     x: int
     y: int
@@ -59,7 +62,7 @@ class Mover(NamedTuple):
 
 
 def compare_edges(frames: Sequence[Frame]) -> dict[Role, Placement]:
-    """How each plane's edges coincide with those of the others; needs frames of one size with two planes or more."""
+    """How each plane's edges coincide with the others' edges; needs frames of one size with at least two planes."""
     edges = [{role: found for role in (*PLANES, Role.COLOUR) if role in frame
               and (found := _edges(_window(frame[role]), role)) is not None} for frame in frames]
     return {role: placement for role in dict.fromkeys(role for found in edges for role in found)
@@ -67,7 +70,8 @@ def compare_edges(frames: Sequence[Frame]) -> dict[Role, Placement]:
 
 
 def find_movers(before: Frame, now: Frame) -> list[Mover]:
-    """Things whose vectors are not their own, the largest first; by albedos and normals, which hold no shadows."""
+    """Objects with the vectors of something else, the largest first; found by albedos and normals, which hold no
+    shadows."""
     roles = [role for role in GUIDES if role in before and role in now]
     if not roles or Role.MOTION not in now or min(now.spec.width, now.spec.height) < 4 * BLOCK:
         return []
@@ -90,7 +94,7 @@ def _window(plane: np.ndarray) -> np.ndarray:
 
 
 def _edges(plane: np.ndarray, role: Role) -> np.ndarray | None:
-    """Strength of the edges, of mean 0 and length 1; None without any."""
+    """Strength of the edges, scaled to mean 0 and length 1; None for a plane without edges."""
     if min(plane.shape[:2]) < 8:
         return None
     if role is Role.DEPTH:
@@ -153,7 +157,7 @@ def _step_errors(old: np.ndarray, new: np.ndarray, motion: np.ndarray, row: int,
 
 
 def _cluster(found: list[tuple[int, int, int, int]]) -> list[Mover]:
-    """Blocks (x, y, step x, step y) that take the same step, as things."""
+    """Group blocks (x, y, step x, step y) that take the same step into objects."""
     rest, things = np.array(found, int).reshape(-1, 4), []
     while len(rest):
         near = [(np.abs(rest[:, 2:] - step) <= ALIKE).all(1) for step in rest[:, 2:]]

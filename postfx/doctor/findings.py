@@ -20,11 +20,11 @@ EXIT_CODES = {Level.ERROR: 2, Level.WARNING: 1, Level.INFO: 0}
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or that cannot be told.
+    """One thing that is wrong, or that the doctor could not check.
 
     Attributes:
         level: an error spoils the result, a warning costs quality, information is good to know.
-        role: the plane it is about, a `Role` or 'sequence'.
+        role: the plane concerned, a `Role`, or 'sequence'.
         code: stable name of the mistake.
         evidence: what was measured, with numbers.
         cause: the most likely mistake.
@@ -59,7 +59,7 @@ def info(role: str, code: str, evidence: str, cause: str, fix: str) -> Finding:
 
 
 def most_important_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Findings by level; those of one level stay in order."""
+    """Findings sorted by level; findings of one level keep their order."""
     levels = list(Level)
     return sorted(findings, key=lambda finding: levels.index(finding.level))
 

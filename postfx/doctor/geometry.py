@@ -1,8 +1,8 @@
 """Surfaces as depth describes them, and whether the other planes agree.
 
-Depth gives normals in camera space, view angles, and with two cameras motion. Stored depth, normals and roughness can
-each be read in several ways; the reading that fits is the right one. Camera space here is the picture's: x right,
-y down, z along the view axis.
+Depth gives normals in camera space and view angles; with two cameras it gives motion too. Stored depth, normals and
+roughness can each mean several things; the meaning that fits the other planes is the right one. Camera space here is
+the picture's: x right, y down, z along the view axis.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from postfx.integrate.motion import motion_from_depth
 from postfx.integrate.surfaces import split_sum
 
 CAMERA_AXES = tuple(map(np.diag, ((-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))))
-"""From axes that worldToCamera may have (x left, y up, z forward; x right, y up, z back; x right, y up, z forward; x
-right, y down, z forward) to those of the picture."""
+"""Matrices to the picture's axes from the axes that worldToCamera may have: x left, y up, z forward; x right, y up,
+z back; x right, y up, z forward; x right, y down, z forward."""
 STEP = 2
 NEIGHBOURS, BEND = 0.05, 0.01
-"""Most relative difference in depth of neighbours on one surface, and most second difference."""
+"""Largest relative difference in depth between neighbours on one surface, and largest second difference."""
 POINTS, LEAST_POINTS = 12000, 500
 LIKELY_FOV = tuple(range(20, 121, 10))
 AGREEING = 0.75
 """Share of the points that a fit must explain."""
 ONE_LENGTH = 0.2
-"""Share of normals of the greatest length above which they are scaled rather than averaged."""
+"""Normals are scaled, not averaged, when more than this share of them has the greatest length."""
 SAME_AXES = 3.0  # degrees
 NEAR_PLANES = tuple(0.0025 * 1.6**step for step in range(12))
 DEPTH_SCALES, SCALE_POINTS, RIGHT = 10.0 ** np.linspace(-5, 5, 161), 1000, 0.05
@@ -46,9 +46,9 @@ class Points(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """An orthogonal matrix that takes normals of depth to the stored ones (row vectors).
+    """An orthogonal matrix that turns normals computed from depth into the stored ones (row vectors).
 
-    `angle`: degrees within which three quarters of the normals agree; `fov_x`: field of view that it holds for.
+    `angle`: degrees within which three quarters of the normals agree; `fov_x`: the field of view that was assumed.
     """
 
     matrix: np.ndarray
@@ -57,10 +57,14 @@ class Fit(NamedTuple):
 
 
 class DepthScale(NamedTuple):
-    """How the cameras' motion differs from the stored one; lengths are medians in pixels.
+    """How the cameras' motion differs from the stored motion; lengths are medians in pixels.
 
-    `scale`: factor on depth that fits best; `error`, `error_as_it_is`: differences with it and without; `length`: of
-    the longer motion; `factor`: takes the cameras' motion to the stored one; `rest`: the difference that it leaves.
+    Attributes:
+        scale: factor on depth that fits best.
+        error, error_as_it_is: differences with this factor and without it.
+        length: length of the longer of the two motions.
+        factor: factor on the cameras' motion that fits the stored motion best.
+        rest: difference that remains with `factor`.
     """
 
     scale: float
@@ -125,7 +129,7 @@ def unit_normals(frame: Frame, points: Points) -> np.ndarray:
 
 
 def surface_normals(frame: Frame) -> np.ndarray:
-    """(count, 3) stored normals that are finite and not zero, of hits where there is depth."""
+    """(count, 3) stored normals that are finite and not zero; only those of hits if the frame has depth."""
     normal = finite(frame[Role.NORMAL])
     used = largest(np.abs(normal)) > 0
     hit = is_hit(frame[Role.DEPTH]) if Role.DEPTH in frame else used
@@ -151,7 +155,7 @@ def are_unit(normals: np.ndarray) -> bool:
 
 
 def are_scaled(normals: np.ndarray) -> bool:
-    """Whether most have one length that is not 1; means of unit normals have many lengths, up to 1."""
+    """Whether most normals share one length that is not 1. Means of unit normals have many lengths, up to 1."""
     lengths = lengths_of(normals)
     longest = float(np.percentile(lengths, 99.5)) if lengths.size else 1.0
     if longest > 1.03:
@@ -168,10 +172,10 @@ def is_unsigned(frame: Frame) -> bool:
 
 
 def fit_rotation(frame: Frame, views: Sequence[float] = ()) -> Fit | None:
-    """The orthogonal matrix between the normals of depth and the stored ones.
+    """The orthogonal matrix between the normals of depth and the stored ones; None without enough smooth surfaces.
 
-    Of the fields of view given, by default the frame's, or all likely ones, the best counts. Orthogonal Procrustes
-    (Schoenemann 1966), repeated without the worst quarter; None without enough smooth surfaces.
+    `views` are the fields of view to try: by default the frame's, else all likely ones. The best fit is returned.
+    Orthogonal Procrustes (Schoenemann 1966), repeated without the worst quarter.
     """
     points = smooth_points(frame[Role.DEPTH])
     stored = unit_normals(frame, points)
@@ -185,7 +189,7 @@ def fit_rotation(frame: Frame, views: Sequence[float] = ()) -> Fit | None:
 
 
 def angle_by(frame: Frame, fov_x: float, matrix: np.ndarray) -> float:
-    """Degrees within which three quarters of the stored normals agree with those of depth, taken by a matrix."""
+    """Degrees within which three quarters of the stored normals agree with the normals of depth times `matrix`."""
     points = smooth_points(frame[Role.DEPTH])
     stored = unit_normals(frame, points)
     cosines = dots(normals_of_depth(frame, fov_x, points)[0] @ matrix, stored)[stored.any(-1)]
@@ -193,7 +197,7 @@ def angle_by(frame: Frame, fov_x: float, matrix: np.ndarray) -> float:
 
 
 def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
-    """Motion (count, 2) in pixels that the cameras alone give to up to 12000 surface points; None without them.
+    """Motion (count, 2) in pixels that the cameras alone cause at up to 12000 surface points; None without cameras.
 
     Points behind the earlier camera have `postfx.integrate.motion.OUT_OF_SIGHT`.
     """
@@ -213,7 +217,7 @@ def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
 
 
 def world_axes(frame: Frame) -> list[np.ndarray]:
-    """Matrices from the picture's axes to the world's, by the axes that a camera may have; none without a camera."""
+    """Matrices from the picture's axes to the world's, one for each of `CAMERA_AXES`; none without a camera."""
     if frame.world_to_camera is None:
         return []
     rotation = frame.world_to_camera[:3, :3]
@@ -222,16 +226,16 @@ def world_axes(frame: Frame) -> list[np.ndarray]:
 
 
 def explain_by_camera(frame: Frame, fit: Fit) -> np.ndarray | None:
-    """The header's matrix, if it takes the normals of depth to the stored ones hardly worse than what fits best.
+    """The header's matrix, if it turns the normals of depth into the stored ones nearly as well as the best fit does.
 
-    Where one plane fills the picture, what fits best may be turned about that plane's normal.
+    Where one plane fills the picture, the best fit may be turned about that plane's normal.
     """
     found = {angle_by(frame, fit.fov_x, matrix): matrix for matrix in world_axes(frame)}
     return found[min(found)] if found and min(found) < fit.angle + SAME_AXES else None
 
 
 def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
-    """The factor on depth by which the cameras explain the stored motion best; None without cameras or surfaces."""
+    """The factor on depth with which the cameras explain the stored motion best; None without cameras or surfaces."""
     if now.fov_x is None or before.fov_x is None or Role.DEPTH not in now or Role.MOTION not in now:
         return None
     points, (width, height) = smooth_points(now[Role.DEPTH]), (now.spec.width, now.spec.height)
@@ -286,10 +290,10 @@ def _procrustes(seen: np.ndarray, stored: np.ndarray, fov_x: float) -> Fit:
 
 @dataclass(frozen=True)
 class DepthKind:
-    """A reading of stored depth: how depth along the view axis follows from it.
+    """What stored depth may mean, and how depth along the view axis follows from it.
 
-    `planar` takes stored values (height, width) and the cosine between ray and axis, and gives depth; `in_unit` says
-    that it makes sense for values within 0..1 only.
+    `planar` takes stored values (height, width) and the cosine between ray and axis, and returns depth. A kind that is
+    `in_unit` makes sense for values within 0..1 only.
     """
 
     code: str
@@ -326,7 +330,7 @@ DEPTH_KINDS = (
 
 
 def fit_depth_kinds(frame: Frame) -> dict[DepthKind, Fit]:
-    """How well normals agree under each reading that can be tried; empty without normals or enough surfaces."""
+    """How well normals agree with each kind of depth that can be tried; empty without normals or enough surfaces."""
     if Role.DEPTH not in frame or Role.NORMAL not in frame:
         return {}
     kinds = [kind for kind in DEPTH_KINDS if not kind.in_unit or _within_one(frame)]
@@ -370,7 +374,7 @@ FOLLOWS_ANGLE = 0.5
 
 @dataclass(frozen=True)
 class RoughnessKind:
-    """A reading of the stored values: how linear roughness follows from them."""
+    """What stored roughness may mean, and how linear roughness follows from it."""
 
     code: str
     name: str
@@ -395,16 +399,16 @@ ROUGHNESS_KINDS = (
 
 @dataclass(frozen=True)
 class RoughnessFit:
-    """How well each reading of roughness explains specular albedo.
+    """How well each kind of roughness explains specular albedo.
 
     Split-sum directional albedo (Karis 2014, "Physically based shading on mobile"): specular = F0 scale + bias, where
     scale and bias follow from roughness and the cosine of the view angle. On surfaces of one material F0 is constant,
-    so under the right reading one F0 explains all angles; and F0 is no less than that of water.
+    so with the right kind one F0, no less than water's, explains all angles.
 
     Attributes:
-        errors: reading -> median error of specular albedo.
-        without_angle: the same if specular albedo did not depend on the view angle.
-        pixels: count of pixels used.
+        errors: kind -> median error of specular albedo.
+        without_angle: the error of a model in which specular albedo does not depend on the view angle.
+        pixels: number of pixels used.
     """
 
     errors: dict[RoughnessKind, float]
@@ -418,17 +422,17 @@ class RoughnessFit:
 
     @property
     def best(self) -> RoughnessKind:
-        """The reading with the least error."""
+        """The kind with the least error."""
         return min(self.errors, key=lambda kind: self.errors[kind])
 
     @property
     def is_telling(self) -> bool:
-        """Whether specular albedo follows the view angle as the model says; that of some renderers does not."""
+        """Whether specular albedo follows the view angle as the model says; some renderers write one that does not."""
         return max(self.errors[self.best], LEAST_ERROR) < FOLLOWS_ANGLE * self.without_angle
 
     @property
     def certainty(self) -> float:
-        """0 when the best reading is no better than the plane as it is, 1 when it leaves no error."""
+        """0 when the best kind fits no better than the plane as it is, 1 when it leaves no error."""
         best = max(self.errors[self.best], LEAST_ERROR)
         return max(0.0, 1 - best / max(self.as_it_is, LEAST_ERROR))
 
@@ -442,7 +446,7 @@ def environment_brdf(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndar
 
 
 def fit_roughness(frame: Frame) -> RoughnessFit | None:
-    """Errors of all readings; None without the planes, a field of view or enough smooth surfaces."""
+    """Errors of all kinds; None without the planes, a field of view or enough smooth surfaces."""
     needed = (Role.SPECULAR_ALBEDO, Role.DEPTH)
     if frame.fov_x is None or any(role not in frame for role in needed):
         return None
@@ -462,18 +466,18 @@ def fit_roughness(frame: Frame) -> RoughnessFit | None:
 
 
 def _groups(stored: np.ndarray) -> list[np.ndarray]:
-    """Indices of pixels whose roughness is the same to 1/256, of groups large enough."""
+    """Indices of pixels by groups whose roughness is the same to 1/256; small groups are left out."""
     steps = np.rint(stored * 256).astype(int)
     counts = np.bincount(steps, minlength=257)
     return [np.nonzero(steps == step)[0] for step in np.nonzero(counts >= LEAST_PIXELS)[0]]
 
 
 MODELS = (environment_brdf, split_sum)
-"""Renderers use either, and they differ by more than small errors of a reading."""
+"""Renderers use either, and the two differ by more than a wrong kind of roughness may change."""
 
 
 def _error(kind: RoughnessKind, groups: list[np.ndarray], *planes: np.ndarray) -> float:
-    """By the model that fits better."""
+    """Error of the model that fits better."""
     return min(_error_by(model, kind, groups, *planes) for model in MODELS)
 
 

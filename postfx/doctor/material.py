@@ -1,5 +1,5 @@
-"""What the checks look at: a few frames read without any repair, what is computed from them once, and why each plane
-has its role.
+"""Input of the checks: a few frames that are read without repair, results that checks share, and the reason why each
+plane has its role.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ class Material:
 
     Attributes:
         frames: at least one.
-        stored: role -> counts of odd values in all frames as they are stored; what is absent is counted in `frames`.
-        enable: role -> where the renderer switches a missing plane on.
+        stored: role -> counts of odd values as files store them; for a role that is absent, `frames` are counted.
+        enable: role -> where the user switches a missing plane on in the renderer.
         unreadable: why reading stopped early, '' when it did not.
-        ranges: role -> values over `measured`.
-        measured: numbers of the frames that ranges were taken from: `frames` and some of the rest of the sequence.
-        unread: layers that may be motion and are not read, where none is.
-        read_motion: how the file's motion is read, where there is any.
+        ranges: role -> range of values in the frames `measured`.
+        measured: numbers of the frames that were measured: `frames` and some of the rest of the sequence.
+        unread: layers that may be motion; empty if a profile reads motion.
+        read_motion: how the file's motion is read, if it is.
     """
 
     frames: list[Frame]
@@ -55,7 +55,7 @@ class Material:
                        for role in self.frames[0].planes} | self.stored
 
     def without(self, roles: Collection[str]) -> Material:
-        """The same frames without some planes, by names of roles; itself where none of them, or no other, is there."""
+        """The same frames without the planes of some roles, by name; itself if it has none of them, or nothing else."""
         if not any(role in self.first for role in roles) or set(map(str, self.first.planes)) <= set(roles):
             return self
         frames = [replace(frame, planes={role: plane for role, plane in frame.planes.items() if role not in roles})
@@ -70,12 +70,12 @@ class Material:
 
     @property
     def middle(self) -> Frame:
-        """The frame by which single pictures are judged; the first is often special."""
+        """The frame that checks of a single picture use; the first is often special."""
         return self.frames[len(self.frames) // 2]
 
     @cached_property
     def pairs(self) -> list[tuple[Frame, Frame]]:
-        """Consecutive frames of one size, cuts included."""
+        """Pairs of consecutive frames of one size, pairs across a cut included."""
         both = zip(self.frames, self.frames[1:], strict=False)
         return [(a, b) for a, b in both if a.spec.width == b.spec.width and a.spec.height == b.spec.height]
 
@@ -86,7 +86,7 @@ class Material:
 
     @cached_property
     def shots(self) -> list[Warped]:
-        """`warped` without marked cuts and pairs that have nothing in common."""
+        """`warped` without pairs across a marked cut and pairs that have nothing in common."""
         return [warped for warped in self.warped if not warped.now.reset and warped.is_related]
 
     @cached_property
@@ -97,8 +97,8 @@ class Material:
         return fit_rotation(self.middle)
 
     @cached_property
-    def explained(self) -> np.ndarray | None:
-        """The matrix of the middle frame's header from the picture's axes to the world's; None if it does not fit."""
+    def picture_to_world(self) -> np.ndarray | None:
+        """Matrix from the picture's axes to the world's by the middle frame's header; None if it does not fit."""
         return explain_by_camera(self.middle, self.fit) if self.fit else None
 
 
@@ -115,10 +115,10 @@ class Reading:
 
 
 def read_material(sequence: Sequence) -> Reading:
-    """The first frames without a hole: up to 8, of large pictures fewer (8 million pixels, at least two frames).
+    """Read the first consecutive frames: up to 8, fewer if they are large (8 million pixels, but at least two frames).
 
-    Ranges and odd values are of these and of up to 8 more frames, spread evenly over the rest of the sequence. Raises
-    what reading the first frame raises; a later frame that cannot be read ends the reading, and the material says why.
+    Ranges and odd values also count up to 8 more frames, spread evenly over the rest of the sequence. Raises the
+    errors of reading the first frame; a later frame that cannot be read ends the reading, and the material says why.
     """
     first = sequence.numbers[0]
     with sequence.open(first) as files:
@@ -172,7 +172,7 @@ def _letters(channels: Iterable[Channel]) -> tuple[str, str]:
 
 
 def _consecutive(sequence: Sequence, most: int) -> list[int]:
-    """Numbers of the first frames, at most so many, up to a hole."""
+    """Numbers of the first frames, at most `most`, up to the first gap."""
     numbers = list(sequence.numbers[:1])
     for before, number in zip(sequence.numbers, sequence.numbers[1:most], strict=False):
         if number not in sequence.present() or sequence.before(number, 1) != [before]:
@@ -189,7 +189,7 @@ Found = TypeVar("Found")
 
 
 def _merge(found: list[dict[Role, Found]], join: Callable[[Iterable[Found]], Found]) -> dict[Role, Found]:
-    """Role -> what was found in all frames that hold it, of the roles of the first frame."""
+    """For each role of the first frame, what all frames that hold it have together."""
     return {role: join(item[role] for item in found if role in item) for role in found[0]}
 
 

@@ -1,8 +1,8 @@
-"""Motion that no profile reads: by which convention it fits the pictures, as lines to copy into a profile.
+"""Find the convention of motion that no profile reads, and give it as lines to copy into a profile.
 
-Stored values become pixels by (stored + offset) * scale * unit, the channels perhaps swapped. All signs and orders of
-the axes are tried with a whole range of scales, in pixels and in parts of the image, by warping the previous frame as
-`postfx.doctor.motion_variants` does. The best is refined; where a common unit fits as well, that is named.
+Stored values become pixels by (stored + offset) * scale * unit, perhaps with swapped channels. All signs and orders of
+the axes are tried with a range of scales, in pixels and in parts of the image, by warping the previous frame as
+`postfx.doctor.motion_variants` does. The best convention is refined; a common unit that fits as well takes its place.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from postfx.io.profile import PlaneRule
 
 MOST_PAIRS = 3
 TELLING = 0.05
-"""Misfit without motion, in units of what a pixel costs, below which nothing moves enough to tell."""
-MOST_KEPT = 8  # of those tried on the first pair
+"""Least misfit without motion, in units of what one pixel costs: below, too little moves."""
+MOST_KEPT = 8  # conventions that are tried on all pairs, after the first one
 SHORTEST, LONGEST = 0.25, 128.0
-"""Pixels that the 95th percentile of the motion is tried at."""
+"""Lengths in pixels that are tried for the 95th percentile of the motion."""
 COARSE, FINE = 2**0.5, (2**0.25, 2**0.125, 2**0.0625, 2**0.03125)
 WIDE, NARROW = 0.17, 0.1
-"""Logarithms by which a common unit may differ along both axes, and along the one that moves more."""
+"""Logarithm of the factor by which a common unit may be off, along both axes and along the axis that moves more."""
 ALIKE = 1.08
-"""Part of the best misfit that a common unit may have to be named in its place."""
+"""A common unit takes the place of the best fit if its misfit is at most this many times as large."""
 FITS, FITS_COMMON = 0.7, 0.87
-"""Parts of the misfit without motion that motion stays below which is understood, in any unit and in a common one."""
+"""Motion is understood if its misfit is below this part of the misfit without motion: in any unit, in a common one."""
 _SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
@@ -41,7 +41,7 @@ class UnreadMotion:
 
     Attributes:
         layer: full name in the file.
-        letters: of its first two channels, in the order of the file's axes.
+        letters: names of its first two channels, in the order of the file's axes.
         planes: stored values (height, width, 2), one for each frame that was looked at.
         profile: name of the profile that does not read it.
     """
@@ -61,9 +61,9 @@ class ReadMotion:
     letters: tuple[str, str]
     rule: PlaneRule
 
-    def corrected(self, swapped: bool, scale: tuple[float, float], unit: str) -> str | None:
-        """A profile by which what it gives now is swapped, then scaled, then taken as in a unit; None where no profile
-        can say that."""
+    def correct(self, swapped: bool, scale: tuple[float, float], unit: str) -> str | None:
+        """A profile that swaps, then scales the motion as it is read now, and takes it as in `unit`; None where no
+        profile can say that."""
         if unit != "pixels" and self.rule.unit != "pixels":
             return None
         own = {key: np.broadcast_to(getattr(self.rule, key), 2)[:: -1 if swapped else 1] for key in ("scale", "offset")}
@@ -85,14 +85,14 @@ class Convention(NamedTuple):
     offset: float = 0.0
 
     def pixels(self, stored: np.ndarray, size: Size) -> np.ndarray:
-        """Motion (..., 2) in pixels of a picture of a size."""
+        """Motion (..., 2) in pixels of a picture of this size."""
         motion = (stored[..., ::-1] if self.swapped else stored) + np.float32(self.offset)
         found: np.ndarray = motion * np.float32(self.factor) * np.asarray(unit_size(self.unit, size), np.float32) \
             * np.asarray(self.signs, np.float32)
         return found
 
     def lines(self, motion: UnreadMotion) -> str:
-        """A profile that reads a layer so."""
+        """A profile that reads a layer by this convention."""
         scale = [round_to(sign * self.factor) for sign in self.signs]
         return profile_lines(motion.profile, motion.layer, motion.letters, self.swapped, self.unit, (self.offset,) * 2,
                              (scale[0], scale[1]))
@@ -106,8 +106,8 @@ class Convention(NamedTuple):
         return f"{words[self.unit]}{times}{still}{way[self.signs]}{', y before x' if self.swapped else ''}"
 
 
-class Measured(NamedTuple):
-    """The convention that fits best, its misfit, that without any motion, and whether it is a renderer's."""
+class Measurement(NamedTuple):
+    """The convention that fits best, its misfit, the misfit without motion, and whether a renderer uses it."""
 
     convention: Convention
     misfit: float
@@ -116,18 +116,18 @@ class Measured(NamedTuple):
 
     @property
     def fits(self) -> bool:
-        """Whether the pictures tell it: they move, and it explains how."""
+        """Whether the pictures move, and the convention explains how."""
         return self.still > TELLING and self.misfit < (FITS_COMMON if self.is_common else FITS) * self.still
 
 
 def unit_size(unit: str, size: Size) -> tuple[float, float]:
-    """Pixels that 1 stands for, across and down."""
+    """Pixels that a stored 1 means, across and down."""
     width, height = size
     return {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2), "width": (width, width)}[unit]
 
 
-def measure_convention(frames: Sequence[Frame], motion: UnreadMotion) -> Measured | None:
-    """The convention of a layer by these frames; None without two frames of one shot that show contrast."""
+def measure_convention(frames: Sequence[Frame], motion: UnreadMotion) -> Measurement | None:
+    """The convention of a layer in these frames; None without two frames of one shot that have contrast."""
     shown = [replace(frame, planes={**frame.planes, Role.MOTION: finite(plane)})
              for frame, plane in zip(frames, motion.planes, strict=False)]
     pairs = [_Pair(before, now) for before, now in zip(shown, shown[1:], strict=False)
@@ -148,11 +148,11 @@ def measure_convention(frames: Sequence[Frame], motion: UnreadMotion) -> Measure
     still = float(np.mean([pair.score_still() for pair in pairs]))
     chosen = common[0] if common else best._replace(factor=round_to(best.factor, 3))
     is_common = bool(common) or (chosen.offset != 0 and chosen.unit == "pixels")  # of a largest velocity
-    return Measured(chosen, _misfit(pairs, chosen), still, is_common)
+    return Measurement(chosen, _misfit(pairs, chosen), still, is_common)
 
 
 class _Pair:
-    """Two frames, of which the later one holds stored motion."""
+    """Two frames; the later one holds stored motion."""
 
     def __init__(self, before: Frame, now: Frame) -> None:
         self.now, self.size = now, (now.spec.width, now.spec.height)
@@ -160,7 +160,7 @@ class _Pair:
         self._jitter = np.subtract(now.jitter, before.jitter).astype(np.float32)
 
     def scores(self, conventions: Sequence[Convention]) -> np.ndarray:
-        """Misfit by each of these."""
+        """Misfit of each convention."""
         def shifts(feature: Feature) -> np.ndarray:
             return np.stack([one.pixels(feature.motion, self.size) for one in conventions]) + self._jitter
 
@@ -172,7 +172,7 @@ class _Pair:
 
 
 def _coarse(pairs: Sequence[_Pair], offset: float) -> list[Convention]:
-    """All signs, orders and units, with scales that make the motion as long as motion is."""
+    """All signs, orders and units, with scales that give the motion a likely length."""
     stored = np.concatenate([np.abs(pair.now[Role.MOTION] + np.float32(offset)).reshape(-1) for pair in pairs])
     length = float(np.quantile(stored, 0.95))
     if length < 1e-12:
@@ -208,7 +208,7 @@ def _common(best: Convention, size: Size) -> list[Convention]:
 
 
 def round_to(value: float, digits: int = 4) -> float:
-    """A number to so many significant digits."""
+    """Round a number to significant digits."""
     return float(f"{value:.{digits}g}")
 
 
@@ -216,7 +216,7 @@ def profile_lines(
     profile: str, layer: str, letters: Sequence[str], swapped: bool, unit: str, offset: Iterable[float],
     scale: tuple[float, float]
 ) -> str:
-    """A profile, as TOML, that extends another one by motion in a layer; channels are in the order x, y."""
+    """TOML of a profile that extends another one by motion in a layer; channels are in the order x, y."""
     order = list(letters)[::-1] if swapped else list(letters)
     lines = [f'extends = "{profile}"', "[[plane]]", 'role = "motion"', f"names = [{json.dumps(layer)}]",
              f"channels = [{json.dumps(order)}]"]

@@ -1,8 +1,8 @@
 """Common mistakes in motion vectors, how to correct each, and which correction fits the pictures.
 
-The previous frame is warped onto this one by every variant of the motion, and scored on guides and colour. A score is
+Every variant of the motion warps the previous frame onto this one, and guides and colour score the result. A score is
 the error of the warped pictures in units of what one pixel of misregistration costs: 0 is a perfect fit. Only pixels
-with contrast count. The fifth that fits worst is left out, which removes occlusions, and so are pixels that come from
+with contrast count. The fifth of them that fits worst is left out, to ignore occlusions, as are pixels that come from
 outside the picture.
 """
 
@@ -22,34 +22,35 @@ from postfx.sampling import is_inside, local_mean
 
 Size = tuple[int, int]
 SCALES = (0.5, 2.0, 2 / 3, 1 / 3)
-"""Factors to pixels of the frame: from pixels of an output twice as large, of one half as large, and so on."""
+"""Factors to pixels of the frame from pixels of an output twice as large, half as large, and so on."""
 
 ENCODED_SCALES = tuple(2 ** (step / 4) for step in range(8, 45))
-"""Pixels that motion stored as a colour may span, in steps small enough to be told apart from the next."""
+"""Lengths in pixels that motion stored as a colour may span, in steps that the scores can tell apart."""
 
 POINTS = 1500
 CONTRASTY = 0.75
 OCCLUDED = 0.2
 LEAST_INSIDE = 0.5
 RELATED = 0.7
-"""Part of the score of chance that pictures with something in common stay below."""
+"""Pictures have something in common when their score is below this part of the score of chance."""
 GUIDES = ((Role.DIFFUSE_ALBEDO, 1.0), (Role.SPECULAR_ALBEDO, 1.0), (Role.NORMAL, 1.0))
 DEPTH_WEIGHT, COLOUR_WEIGHT = 0.2, 0.2  # depth changes where the camera goes forward, colour is noisy
 
 
 @dataclass(frozen=True)
 class Variant:
-    """What could make stored motion right.
+    """One mistake that stored motion may hold, and its correction.
 
     Attributes:
-        code: finding that it leads to; '' for the motion as it is.
-        name: what the motion would have to be.
-        cause: what was done to it.
+        code: code of the finding; '' for the motion as it is.
+        name: how the motion is stored, if this is the mistake.
+        cause: the likely reason.
         fix: what to do with the stored values.
         correct: (..., 2) motion, size (width, height) and jitter difference -> (..., 2) motion in pixels of the frame.
-        priority: of two variants that fit alike, the lower one is named.
-        is_colour: whether it makes sense for motion within 0..1 only.
-        change: the same as whether axes are swapped, a factor for each, and a unit; None where that does not say it.
+        priority: of two variants that fit equally well, the finding names the one with the lower priority.
+        is_colour: whether it makes sense only for motion within 0..1.
+        change: the correction for a profile: whether axes are swapped, a factor for each, and a unit; None where a
+            profile cannot say it.
     """
 
     code: str
@@ -131,7 +132,7 @@ def _scaled(unit: _Unit, signs: tuple[int, int]) -> Variant:
 
 
 def _profile(unit: _Unit, signs: tuple[int, int]) -> str:
-    """Keys of a profile's plane that put motion right which is read without them."""
+    """Keys of a profile's plane that correct motion which was read without them."""
     scale = [sign * unit.scale for sign in signs]
     keys = [f"offset = [{unit.offset:g}, {unit.offset:g}]"] if unit.offset else []
     keys += [f"scale = [{scale[0]:.4g}, {scale[1]:.4g}]"] if scale != [1, 1] else []
@@ -183,7 +184,7 @@ VARIANTS = (
 
 
 class Feature(NamedTuple):
-    """A plane of the earlier frame, and the pixels of the later one where it has contrast, with values and motion."""
+    """A plane of the earlier frame, and its pixels with contrast in the later one, with their values and motion."""
 
     role: Role
     weight: float
@@ -201,10 +202,10 @@ class Warped:
 
     Attributes:
         before, now: the frames.
-        features: what they were compared by.
-        scores: variant -> score; infinite where most of the picture comes from outside.
-        by_role: variant -> role -> score by that plane.
-        unrelated: score of places chosen at random, as for pictures that have nothing in common.
+        features: the planes that they were compared by.
+        scores: variant -> score; infinite if most of the picture comes from outside.
+        by_role: variant -> role -> score of that plane.
+        unrelated: score of positions chosen at random: the score of pictures that have nothing in common.
         moved: mean length of the stored motion.
     """
 
@@ -234,7 +235,7 @@ class Warped:
 
 
 def warp_pair(before: Frame, now: Frame) -> Warped | None:
-    """Scores of all variants; None without motion or where nothing has contrast."""
+    """Scores of all variants; None without motion or without contrast."""
     features = features_of(before, now) if Role.MOTION in now else []
     if not features:
         return None
@@ -252,20 +253,20 @@ def warp_pair(before: Frame, now: Frame) -> Warped | None:
 
 
 def is_like_colour(frame: Frame) -> bool:
-    """Whether motion lies within 0..1, most of it near 0.5: only then can it be stored as a colour."""
+    """Whether motion lies within 0..1 and mostly near 0.5: only then can it be stored as a colour."""
     motion = finite(frame[Role.MOTION])
     return bool(motion.min() >= 0 and motion.max() <= 1.001 and 0.2 < float(np.median(motion)) < 0.8)
 
 
 def score_variant(warped: Warped, variant: Variant) -> float:
-    """Score of any variant, also of one that is not in `VARIANTS`."""
+    """Score of a variant, which need not be one of `VARIANTS`."""
     size, jitter = (warped.now.spec.width, warped.now.spec.height), warped.jitter
     errors = {f.role: _error(f, variant.correct(f.motion, size, jitter) + jitter) for f in warped.features}
     return _mean(errors, warped.features)
 
 
 def scaled_variants() -> list[Variant]:
-    """Motion in a unit that is not known, from 1/128 to 128 times a pixel, in steps of the root of 2."""
+    """Variants for motion in an unknown unit of 1/128 to 128 pixels, in steps of the root of 2."""
     units = [_Unit(f"about {factor:.3g} times as long", "motion was written in a unit that is not pixels of the frame, "
                    "for example for each second or for a picture of another size", factor)
              for factor in (2 ** (step / 2) for step in range(-14, 15)) if factor != 1]
@@ -273,17 +274,17 @@ def scaled_variants() -> list[Variant]:
 
 
 def features_of(before: Frame, now: Frame) -> list[Feature]:
-    """Planes that both frames hold and that have contrast; the later one has motion."""
+    """Planes with contrast that both frames hold; the later frame has motion."""
     rng, motion, found = np.random.default_rng(1), finite(now[Role.MOTION]), []
     for role, weight in (*GUIDES, (Role.DEPTH, DEPTH_WEIGHT), (Role.COLOUR, COLOUR_WEIGHT)):
         if role in before and role in now:
-            feature = _feature(role, weight, prepared(before, role), prepared(now, role), motion, rng)
+            feature = _feature(role, weight, prepare_plane(before, role), prepare_plane(now, role), motion, rng)
             found += [feature] if feature else []
     return found
 
 
-def prepared(frame: Frame, role: Role) -> np.ndarray:
-    """A plane as it is compared: depth and blurred colour as logarithms, the others as they are."""
+def prepare_plane(frame: Frame, role: Role) -> np.ndarray:
+    """A plane in the form that is compared: depth and blurred colour as logarithms, the others unchanged."""
     plane = frame[role]
     if role is Role.DEPTH:
         result: np.ndarray = np.log(np.clip(np.nan_to_num(plane, nan=1e4), 1e-3, 1e4))
@@ -304,7 +305,7 @@ def score_shifts(features: list[Feature], shifts: Callable[[Feature], np.ndarray
 
 
 def score_offset(features: list[Feature], offset: np.ndarray) -> float:
-    """Score of the motion as it is plus one offset for the whole picture, in pixels."""
+    """Score of the stored motion plus one offset for the whole picture, in pixels."""
     errors = {f.role: _error(f, f.motion + np.float32(offset)) for f in features}
     return _mean(errors, features)
 
@@ -328,7 +329,7 @@ def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, mot
 
 
 def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
-    """Scores (count,) of shifts (count, points, 2); infinite for those that come from outside the picture mostly."""
+    """Scores (count,) of shifts (count, points, 2); infinite if most points come from outside the picture."""
     x, y = (feature.columns + shifts[..., 0]).astype(np.float32), (feature.rows + shifts[..., 1]).astype(np.float32)
     inside, apart = np.empty(x.shape, bool), np.empty(x.shape, np.float32)
     compare_places(feature.before, feature.now, x, y, apart, inside)

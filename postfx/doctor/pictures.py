@@ -1,4 +1,4 @@
-"""One picture a plane, mapped so that mistakes show: values that are not finite are magenta."""
+"""One picture for each plane, mapped so that mistakes show: values that are not finite are magenta."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def picture(plane: np.ndarray, role: Role) -> np.ndarray:
 
 
 def contact_sheet(frame: Frame) -> list[dict[str, Any]]:
-    """Of each plane and guide its 'name', 'src' (a data URI, at most 480 pixels wide or high) and 'size'."""
+    """For each plane and guide its 'name', 'src' (a data URI, at most 480 pixels wide or high) and 'size'."""
     planes = {str(role): _entry(plane, role) for role, plane in frame.planes.items()}
     planes |= {f"guide {role}": _entry(plane, role) for role, plane in frame.guides.items()}
     return [{"name": name, **entry} for name, entry in planes.items()]

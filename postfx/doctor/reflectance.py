@@ -1,9 +1,9 @@
-"""What colour says of the albedo: across a texture on one surface, colour and albedo change together.
+"""Check the albedo by the colour: across a texture on one surface, both change together.
 
-A picture is cut into squares of 8 x 8 pixels. Those that show one smooth surface with a texture are split into the
-third with the least albedo and the third with the most. Both see nearly the same light, so the logarithm of their
-colours' ratio is that of their albedos, or less where a gloss adds light of its own: the slope between the two is at
-most 1. An albedo stored with a display curve has less contrast than it should, and the slope is about twice as large.
+A picture is cut into squares of 8 x 8 pixels. Squares that show one smooth surface with a texture are split into the
+third with the least albedo and the third with the most. Both thirds receive nearly the same light, so the ratio of
+their colours equals the ratio of their albedos, or is smaller where a gloss adds light: the slope between the
+logarithms is at most 1. An albedo stored with a display curve has too little contrast, which doubles the slope or so.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from postfx.frame import Frame, Role
 
 SIDE = 8
 LEAST_RATIO = 0.2
-"""Least logarithm of the ratio of both thirds' albedos."""
+"""Least logarithm of the ratio of the two thirds' albedos."""
 FIREFLY = 4.0
-"""Colour above this many medians of its square is cut off."""
+"""Colour is cut off at this many times the median of its square."""
 DARK = 0.02
-"""Squares whose median is below this part of the picture's mean are too noisy to tell."""
+"""Squares whose median is below this part of the picture's mean are too noisy to use."""
 ALIGNED, FLAT = 0.97, 1.15
-"""Least length of the mean normal of one surface, and most ratio of its depths."""
+"""On one surface the mean normal is at least this long, and the ratio of depths is at most this large."""
 
 
 class Slopes(NamedTuple):
@@ -84,7 +84,7 @@ def _squares(plane: np.ndarray) -> np.ndarray:
 
 
 def _ratios(colour: np.ndarray, albedo: np.ndarray, key: np.ndarray) -> np.ndarray:
-    """(squares, 2): logarithms of the ratio of colours and of albedos, of the thirds with the most and the least key.
+    """(squares, 2): logarithms of the ratios of colours and of albedos, between the thirds with the most and least key.
 
     All arguments are (squares, 64).
     """

@@ -12,17 +12,12 @@ from postfx.frame import DEPTH_MISS
 
 BLOCK = 8
 FLATTEST = 25
-"""Percentile of the blocks' noise that counts: the flattest quarter has the least texture."""
+"""Percentile of the noise of all blocks that is taken: the flattest quarter has the least texture."""
 
 
 @dataclass(frozen=True)
 class Values:
-    """Counts of values of a plane as it is stored, before any repair on reading.
-
-    Attributes:
-        nan, infinite, negative: count of values.
-        total: count of all values.
-    """
+    """Counts of odd values of a plane as it is stored, before reading repairs them; `total` counts all values."""
 
     nan: int
     infinite: int
@@ -31,7 +26,7 @@ class Values:
 
 
 def count_values(plane: np.ndarray) -> Values:
-    """Odd values of a plane of any shape."""
+    """Count the odd values of a plane of any shape."""
     with np.errstate(invalid="ignore"):
         negative = int((plane < 0).sum())
     return Values(int(np.isnan(plane).sum()), int(np.isinf(plane).sum()), negative, plane.size)
@@ -45,7 +40,7 @@ def sum_values(values: Iterable[Values]) -> Values:
 
 @dataclass(frozen=True)
 class Range:
-    """Least and largest finite value of a plane, None without any, and the count of pixels that show nothing."""
+    """Least and largest finite value of a plane, None without any, and the number of pixels that hit nothing."""
 
     low: float | None
     high: float | None
@@ -53,7 +48,7 @@ class Range:
 
 
 def range_of(plane: np.ndarray, is_depth: bool) -> Range:
-    """Range of a plane; of depth without misses, which are counted."""
+    """Range of a plane; misses of depth do not belong to the range and are counted instead."""
     valid = np.isfinite(plane) & (plane < DEPTH_MISS) if is_depth else np.isfinite(plane)
     misses = int((plane >= DEPTH_MISS).sum()) if is_depth else 0
     if not valid.any():
@@ -69,16 +64,16 @@ def join_ranges(ranges: Iterable[Range]) -> Range:
 
 
 def finite(plane: np.ndarray, miss: float = DEPTH_MISS) -> np.ndarray:
-    """The plane with 0 for what is not finite or a miss."""
+    """The plane with 0 in place of misses and of values that are not finite."""
     return np.where(np.isfinite(plane) & (np.abs(plane) < miss), plane, np.float32(0))
 
 
 def noise_level(plane: np.ndarray) -> float | None:
-    """Standard deviation of pixel noise in the flattest quarter of the picture; None where nothing is measured.
+    """Standard deviation of pixel noise in the flattest quarter of the picture; None if no block can be measured.
 
-    plane: (height, width, C). The Laplacian of Immerkaer 1996 ("Fast noise variance estimation") takes edges and
-    slopes out; its mean size in blocks of 8 x 8 pixels is taken, the largest of the channels. Blocks that hold misses
-    or 0 only are left out.
+    plane: (height, width, C). The Laplacian of Immerkaer 1996 ("Fast noise variance estimation") removes edges
+    and slopes; its mean magnitude is taken in blocks of 8 x 8 pixels, of the channel where it is largest. Blocks that
+    hold misses, or nothing but 0, are left out.
     """
     if min(plane.shape[:2]) < BLOCK + 2:
         return None
@@ -111,7 +106,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def percent(mask: np.ndarray) -> float:
-    """Share of true values, in percent; 0 of none."""
+    """Share of true values, in percent; 0 for an empty mask."""
     return 100 * float(mask.mean()) if mask.size else 0.0
 
 

@@ -48,4 +48,4 @@ def test_another_renderer_with_every_mistake(shared_frames, diagnose):
 
 def test_the_page_shows_every_mistake():
     page = (Path(__file__).parent.parent.parent / "docs" / "doctor.md").read_text(encoding="utf-8")
-    assert f"with {len(VARIANTS)} variants" in page and with_table(page) == page, "run python -m tests.doctor.table"
+    assert f" {len(VARIANTS)} variants" in page and with_table(page) == page, "run python -m tests.doctor.table"

@@ -107,7 +107,7 @@ def test_a_single_coverage_that_cannot_be_is_seen(value):
     overlay = np.zeros((40, 48, 4), np.float32)
     overlay[7, 9, 3] = value
     material = Material([Frame({Role.COLOUR: np.ones((40, 48, 3), np.float32), Role.OVERLAY: overlay}, 1)])
-    (found,) = planes.overlay_alpha(material)
+    (found,) = planes.check_overlay_alpha(material)
     assert found.code == "overlay-alpha" and found.evidence.startswith("0.0521 % of the pixels")  # 1 of 1920
 
 

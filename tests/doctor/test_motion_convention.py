@@ -111,12 +111,12 @@ def test_a_correction_is_put_into_the_profile_that_reads_it() -> None:
     """Arnold's motion is read with y up, while the shutter is open."""
     rule = load_profile("arnold").rules(Role.MOTION)[0]
     read = ReadMotion("arnold", "motionvector", ("R", "G"), rule)
-    lines = read.corrected(False, (1, -1), "pixels")
+    lines = read.correct(False, (1, -1), "pixels")
     assert lines is not None and tomllib.loads(lines) == {"extends": "arnold", "plane": [
         {"role": "motion", "names": ["motionvector"], "channels": [["R", "G"]], "scale": [-1, -1], "per": "shutter"}]}
-    swapped = read.corrected(True, (1, 1), "uv")
+    swapped = read.correct(True, (1, 1), "uv")
     assert swapped is not None and tomllib.loads(swapped)["plane"] == [
         {"role": "motion", "names": ["motionvector"], "channels": [["G", "R"]], "scale": [1, -1], "unit": "uv",
          "per": "shutter"}]
     unreal = ReadMotion("unreal", "mv", ("R", "G"), load_profile("unreal").rules(Role.MOTION)[0])
-    assert unreal.corrected(False, (1, 1), "ndc") is None
+    assert unreal.correct(False, (1, 1), "ndc") is None

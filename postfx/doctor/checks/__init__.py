@@ -11,65 +11,65 @@ from postfx.doctor.material import Material
 Check = Callable[[Material], Iterator[Finding]]
 
 WHOLE_PLANE_CHECKS: tuple[Check, ...] = (
-    planes.uniform,
-    planes.misplaced,
-    planes.enlarged,
+    planes.check_uniform_planes,
+    planes.check_misplaced_planes,
+    planes.check_enlarged_planes,
 )
-"""Planes that are wrong as a whole. What these name is left out of `COMPARING_CHECKS`, which it would only confuse."""
+"""Find planes that are wrong as a whole. `COMPARING_CHECKS` then leave these planes out, as they would only confuse."""
 
 PLANE_CHECKS: tuple[Check, ...] = (
-    geometry.depth_misses,
-    geometry.depth_kind,
-    geometry.normal_encoding,
-    geometry.normal_space,
-    geometry.normal_mixed,
-    geometry.normal_facing,
-    geometry.albedo_above_one,
-    geometry.albedo_noisy,
-    geometry.bright_metal,
-    geometry.roughness_range,
-    geometry.roughness_kind,
-    planes.overlay_alpha,
-    planes.overlay_straight,
-    planes.alpha_straight,
+    geometry.check_depth_misses,
+    geometry.check_depth_kind,
+    geometry.check_normal_encoding,
+    geometry.check_normal_space,
+    geometry.check_normal_mixed,
+    geometry.check_normal_facing,
+    geometry.check_albedo_above_one,
+    geometry.check_albedo_noisy,
+    geometry.check_bright_metal,
+    geometry.check_roughness_range,
+    geometry.check_roughness_kind,
+    planes.check_overlay_alpha,
+    planes.check_overlay_straight,
+    planes.check_alpha_straight,
 )
-"""Planes of one frame, compared with each other."""
+"""Compare planes of one frame with each other."""
 
 COMPARING_CHECKS: tuple[Check, ...] = (
-    motion.motion_variant,
-    motion.motion_zero,
+    motion.check_motion_variant,
+    motion.check_motion_zero,
     *PLANE_CHECKS,
-    geometry.albedo_encoded,
-    motion.cut_unmarked,
-    motion.reset_always,
-    motion.jitter_range,
-    motion.jitter_missing,
-    motion.samples_repeat,
-    planes.reactive_everywhere,
-    planes.opaque_samples,
-    planes.exposure_mismatch,
-    planes.overlay_twice,
+    geometry.check_albedo_encoded,
+    motion.check_cut_unmarked,
+    motion.check_reset_always,
+    motion.check_jitter_range,
+    motion.check_jitter_missing,
+    motion.check_samples_repeat,
+    planes.check_reactive_everywhere,
+    planes.check_opaque_samples,
+    planes.check_exposure_mismatch,
+    planes.check_overlay_twice,
 )
-"""Planes compared with each other, and over frames."""
+"""Compare planes with each other, within a frame and between frames."""
 
 VALUE_CHECKS: tuple[Check, ...] = (
-    planes.not_finite,
-    planes.negative,
-    planes.out_of_unit_range,
+    planes.check_finite_values,
+    planes.check_negative_values,
+    planes.check_unit_range,
 )
-"""Values that no plane should hold."""
+"""Find values that no plane should hold."""
 
 SEQUENCE_CHECKS: tuple[Check, ...] = (
-    planes.unreadable,
-    planes.colour_clipped,
-    motion.one_frame,
-    motion.sizes_change,
-    planes.hit_distance_unused,
-    planes.missing,
-    motion.motion_unread,
-    planes.overlay_missing,
+    planes.check_readable_frames,
+    planes.check_colour_clipped,
+    motion.check_frame_count,
+    motion.check_frame_sizes,
+    planes.check_hit_distance_unused,
+    planes.check_missing_planes,
+    motion.check_motion_unread,
+    planes.check_overlay_missing,
 )
-"""What is there and what is not."""
+"""Find what the sequence lacks, and what stops other checks."""
 
-GUIDE_CHECKS: tuple[Check, ...] = (*VALUE_CHECKS, planes.enlarged, *PLANE_CHECKS)
-"""Those that make sense for the guides of a single frame, too."""
+GUIDE_CHECKS: tuple[Check, ...] = (*VALUE_CHECKS, planes.check_enlarged_planes, *PLANE_CHECKS)
+"""Checks that also make sense for the guides of a single frame."""

@@ -1,4 +1,4 @@
-"""Depth, normals, albedos and roughness: what each plane holds, by how the planes agree."""
+"""Depth, normals, albedos and roughness: find what each plane holds by comparing it with the others."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ FAR_AWAY = 50.0
 ANY_FOV = tuple(range(20, 122, 2))
 
 
-def depth_misses(material: Material) -> Iterator[Finding]:
-    """Misses marked with something else than 1e10, and negative depth."""
+def check_depth_misses(material: Material) -> Iterator[Finding]:
+    """Misses that are not 1e10, and negative depth."""
     if Role.DEPTH not in material.middle:
         return
     depth = np.nan_to_num(material.middle[Role.DEPTH][..., 0], nan=DEPTH_MISS)
     below = depth < 0
     if percent(below) > 0.1:
         evidence = f"{percent(below):.3g} % of the pixels negative, least {depth.min():.4g}"
-        yield error(Role.DEPTH, "depth-negative", evidence, "camera space that looks along -z, or -1 for misses",
+        yield error(Role.DEPTH, "depth-negative", evidence, "a camera that looks along -z, or -1 for misses",
                     "negate it; misses are 1e10 (in a profile scale = [-1], miss = VALUE)")
     share = percent(depth == 0)
     if share > 0.1:
@@ -71,21 +71,21 @@ def depth_misses(material: Material) -> Iterator[Finding]:
 
 
 def _have_normals(frame: Frame, there: np.ndarray) -> bool:
-    """Whether pixels show a surface, such as a backdrop that faces the camera: their normals are of unit length."""
+    """Whether pixels show a surface, such as a backdrop that faces the camera: they have normals of unit length."""
     if Role.NORMAL not in frame:
         return False
     lengths = np.linalg.norm(np.nan_to_num(frame[Role.NORMAL][there]), axis=-1)
     return percent(np.abs(lengths - 1) < 0.1) > 90
 
 
-def depth_kind(material: Material) -> Iterator[Finding]:
-    """Ray distance, reversed or buffer depth, and a wrong field of view, by the normals that follow from depth."""
+def check_depth_kind(material: Material) -> Iterator[Finding]:
+    """Ray distance, reversed or buffer depth, and a wrong field of view, found by the normals that depth gives."""
     frame = material.middle
     if Role.DEPTH not in frame or is_unsigned(frame):
         return
     fits = fit_depth_kinds(frame)
     if DEPTH_KINDS[0] not in fits:
-        yield info(Role.DEPTH, "depth-untested", "whether depth is planar, ray distance or reversed cannot be told",
+        yield info(Role.DEPTH, "depth-untested", "depth may be planar, ray distance or reversed: not tested",
                    "it needs normals and some hundred pixels of smooth surfaces", "look at its picture (--pictures)")
         return
     stored = fits[DEPTH_KINDS[0]].angle
@@ -116,7 +116,7 @@ AGREES, DIFFERS = np.cos(np.radians(5)), np.cos(np.radians(15))
 _FLIPS = [np.diag(signs) for signs in product((-1.0, 1.0), repeat=3)]
 
 
-def normal_encoding(material: Material) -> Iterator[Finding]:
+def check_normal_encoding(material: Material) -> Iterator[Finding]:
     """Normals stored as 0..1."""
     if Role.NORMAL not in material.middle:
         return
@@ -135,18 +135,18 @@ def normal_encoding(material: Material) -> Iterator[Finding]:
             yield error(Role.NORMAL, "normal-length", evidence, "scaled, or not a normal", "write unit normals, or "
                         "scale them in a profile")
         else:
-            yield info(Role.NORMAL, "normal-averaged", evidence, "each pixel's normal is the mean of its samples', of "
-                       "which some missed or saw other surfaces: fur, leaves, volumes, motion blur, depth of field",
-                       "nothing: such a normal is a hint rather than the surface's, and is used as one")
+            yield info(Role.NORMAL, "normal-averaged", evidence, "each pixel's normal is the mean of samples that "
+                       "missed or saw several surfaces: fur, leaves, volumes, motion blur, depth of field",
+                       "nothing: postfx uses such a normal as a hint")
 
 
-def normal_space(material: Material) -> Iterator[Finding]:
-    """Camera space, inverted normals, or a matrix that does not fit, by the normals that follow from depth."""
+def check_normal_space(material: Material) -> Iterator[Finding]:
+    """Camera space, inverted normals, or a matrix that does not fit, found by the normals that depth gives."""
     frame, fit = material.middle, material.fit
     if Role.NORMAL not in frame or is_unsigned(frame):
         return
     if fit is None or fit.angle > DEPTH_EXPLAINS:
-        yield info(Role.NORMAL, "normal-space-untested", "the space of the normals cannot be told",
+        yield info(Role.NORMAL, "normal-space-untested", "the space of the normals was not tested",
                    "it needs depth along the view axis and smooth surfaces", "look at its picture (--pictures): world "
                    "normals keep their colours when the camera turns")
         return
@@ -154,17 +154,17 @@ def normal_space(material: Material) -> Iterator[Finding]:
     if frame.world_to_camera is None:
         yield from _without_matrix(camera)
         return
-    if material.explained is not None:
+    if material.picture_to_world is not None:
         return
     world = min(world_axes(frame), key=lambda matrix: _turn(fit.matrix, matrix))
     off = _turn(fit.matrix, world)
-    evidence = (f"normals are turned by {off:.3g} degrees from the world as worldToCamera has it, "
+    evidence = (f"normals are turned by {off:.3g} degrees from the world of worldToCamera, "
                 f"by {camera:.2g} degrees from the camera's axes")
     if camera < SAME_AXES:
         yield error(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space",
                     "write world normals, or in a profile space = \"camera\"")
     elif (inverted := min(_turn(fit.matrix, -matrix) for matrix in world_axes(frame))) < SAME_AXES:
-        evidence = f"negated, they are within {inverted:.2g} degrees of what depth and camera say"
+        evidence = f"negated, they are within {inverted:.2g} degrees of the normals that depth and camera give"
         yield error(Role.NORMAL, "normal-inverted", evidence, "normals point away from the viewer",
                     "negate them, in a profile scale = [-1, -1, -1]")
     elif not _is_right(material) and min(
@@ -172,16 +172,16 @@ def normal_space(material: Material) -> Iterator[Finding]:
         yield error("sequence", "matrix-transposed", evidence, "worldToCamera stored for column vectors, or inverted",
                     "store it for row vectors (p_camera = p_world M)")
     elif (other := _other_axes(frame, fit)) is not None:
-        evidence = f"with {other[0]} they are within {other[1]:.2g} degrees of what depth and camera say"
-        yield error(Role.NORMAL, "normal-axes", evidence, "the world of the normals has other axes than that of "
-                    "worldToCamera: channels swapped, one negated, or y up and z up mixed",
+        evidence = f"with {other[0]} they are within {other[1]:.2g} degrees of the normals that depth and camera give"
+        yield error(Role.NORMAL, "normal-axes", evidence, "the normals and worldToCamera use different world axes: "
+                    "channels swapped, one negated, or y up and z up mixed",
                     "write normals and worldToCamera in the same world, or reorder the channels in a profile")
     else:
         yield warning("sequence", "matrix-mismatch", evidence, "worldToCamera of another frame or with other axes",
                       "give the matrix of this frame, for row vectors (p_camera = p_world M)")
 
 
-def normal_mixed(material: Material) -> Iterator[Finding]:
+def check_normal_mixed(material: Material) -> Iterator[Finding]:
     """Some normals in world space and some in camera space."""
     frame = material.middle
     if frame.world_to_camera is None or Role.NORMAL not in frame or Role.DEPTH not in frame or is_unsigned(frame):
@@ -189,7 +189,7 @@ def normal_mixed(material: Material) -> Iterator[Finding]:
     points, fov = smooth_points(frame[Role.DEPTH]), frame.fov_x or (material.fit.fov_x if material.fit else None)
     if fov is None or points.rows.size < FEW_POINTS:
         return
-    if material.fit and material.fit.angle < DEPTH_EXPLAINS and material.explained is None:
+    if material.fit and material.fit.angle < DEPTH_EXPLAINS and material.picture_to_world is None:
         return  # all normals are in one space, though not in the world's
     seen, stored = normals_of_depth(frame, fov, points)[0], unit_normals(frame, points)
     world = max((((seen @ matrix) * stored).sum(-1) for matrix in world_axes(frame)), key=lambda c: percent(c > AGREES))
@@ -202,28 +202,29 @@ def normal_mixed(material: Material) -> Iterator[Finding]:
                     "write all in world space")
 
 
-def normal_facing(material: Material) -> Iterator[Finding]:
-    """Normals of some surfaces that point away from the viewer."""
+def check_normal_facing(material: Material) -> Iterator[Finding]:
+    """Some normals point away from the viewer."""
     frame, fit = material.middle, material.fit
     if fit is None or fit.angle > DEPTH_EXPLAINS or is_unsigned(frame):
         return
     points = smooth_points(frame[Role.DEPTH])
     seen, _ = normals_of_depth(frame, fit.fov_x, points)
-    explained = material.explained
+    explained = material.picture_to_world
     cosines = ((seen @ (fit.matrix if explained is None else explained)) * unit_normals(frame, points)).sum(-1)
     if (share := percent(cosines < -0.7)) > 1:
         yield warning(Role.NORMAL, "normal-facing", f"{share:.3g} % of the pixels point away from the viewer",
-                      "normals of the geometry, not turned towards the viewer", "negate those with normal . view > 0")
+                      "normals of the geometry, not turned towards the viewer",
+                      "negate the normals with normal . view > 0")
 
 
 def _is_right(material: Material) -> bool:
-    """Whether worldToCamera explains the stored motion: a transposed one may explain normals with other axes, too."""
+    """Whether worldToCamera explains the stored motion: a transposed matrix may explain normals with other axes."""
     fits = [fit for pair in material.pairs if (fit := fit_depth_scale(*pair)) and fit.length > LEAST_MOVE]
     return bool(fits) and all(fit.error_as_it_is < RIGHT_MOTION * fit.length for fit in fits)
 
 
 def _other_axes(frame: Frame, fit: Fit) -> tuple[str, float] | None:
-    """Order and signs of the channels that make normals fit the camera, in words, and the degrees left."""
+    """Order and signs of the channels that make normals fit the camera, in words, and the angle that remains."""
     found = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -255,12 +256,12 @@ BRIGHT = 0.5
 SAME_NOISE = 0.5
 LEAST_SQUARES, TOO_STEEP, SWAPPED = 20, 1.2, -0.2
 ENCODED_DARK = 0.2
-"""Largest channel of the darkest albedos (2nd percentile): 0.04, which is a dark one, is encoded as 0.22."""
+"""Largest channel of the darkest albedos (2nd percentile): a dark albedo of 0.04 is encoded as 0.22."""
 MUCH_TOO_BRIGHT = 0.3  # percent
 
 
-def albedo_above_one(material: Material) -> Iterator[Finding]:
-    """Reflectance above 1: more light than came in."""
+def check_albedo_above_one(material: Material) -> Iterator[Finding]:
+    """Reflectance above 1: more light leaves than arrives."""
     for role in ALBEDOS:
         if role not in material.middle:
             continue
@@ -268,13 +269,13 @@ def albedo_above_one(material: Material) -> Iterator[Finding]:
         share = percent(plane > 1.001)
         if share > 0:
             evidence = f"{share:.3g} % of the pixels above 1, largest {plane.max():.3g}"
-            cause = "a light or a reflection seen in the plane, lit colour instead of reflectance, or a scale"
+            cause = "the plane shows a light or a reflection, holds lit colour instead of reflectance, or is scaled"
             fix = "write reflectance without light; values above 1 are cut off"
             level = error if share > MOST_ABOVE else warning if share > 0.1 else info
             yield level(role, "albedo-above-one", evidence, cause, fix)
 
 
-def albedo_noisy(material: Material) -> Iterator[Finding]:
+def check_albedo_noisy(material: Material) -> Iterator[Finding]:
     """Noise in flat areas of an albedo."""
     for role in ALBEDOS:
         if role not in material.middle:
@@ -294,13 +295,13 @@ def albedo_noisy(material: Material) -> Iterator[Finding]:
 
 
 def _is_averaged(frame: Frame) -> bool:
-    """Whether planes are means of few samples that saw different things: then their noise is the colour's."""
+    """Whether planes are means of few samples that saw different surfaces: then they have the colour's noise."""
     normals = surface_normals(frame) if Role.NORMAL in frame else np.zeros((0, 3))
     return len(normals) > 0 and not are_scaled(normals) and percent(lengths_of(normals) < 0.9) > 20
 
 
-def albedo_encoded(material: Material) -> Iterator[Finding]:
-    """Albedo stored with a display curve, with red and blue swapped, or multiplied into colour once more."""
+def check_albedo_encoded(material: Material) -> Iterator[Finding]:
+    """Albedo stored with a display curve, with red and blue swapped, or multiplied into the colour twice."""
     frames = [frame for frame in material.frames if Role.COLOUR in frame and Role.DIFFUSE_ALBEDO in frame]
     if not frames or _is_averaged(material.middle):
         return
@@ -308,7 +309,7 @@ def albedo_encoded(material: Material) -> Iterator[Finding]:
     darkest = float(np.percentile(albedo[albedo > 0.004], 2)) if (albedo > 0.004).any() else 0.0
     contrast, tint = measure_slopes(frames)
     words = ("textures change colour {:.2f} times as much as the albedo (logarithms, upper quartile of {} squares), "
-             "where at most once is possible")
+             "where at most 1 is possible")
     if contrast and contrast.squares >= LEAST_SQUARES and contrast.upper > TOO_STEEP:
         evidence = words.format(contrast.upper, contrast.squares)
         if darkest > ENCODED_DARK:
@@ -316,8 +317,8 @@ def albedo_encoded(material: Material) -> Iterator[Finding]:
                           "albedo stored with the sRGB curve, as a picture", "write it linear, or decode it: an "
                           "encoded albedo leaves textures in the noise")
         else:
-            yield warning(Role.COLOUR, "colour-times-albedo", evidence, "colour was multiplied by albedo once more",
-                          "write light times albedo once")
+            yield warning(Role.COLOUR, "colour-times-albedo", evidence, "colour was multiplied by albedo twice",
+                          "multiply light by albedo once")
     elif darkest > ENCODED_DARK and (share := _too_bright(material.middle)) > MUCH_TOO_BRIGHT:
         yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded", f"nothing is darker than {darkest:.2f}, and {share:.3g} % "
                       "of the pixels reflect more than 1.03 in sum; decoded from sRGB, nearly none do",
@@ -346,8 +347,8 @@ def _shared_noise(frame: Frame, albedo: np.ndarray) -> float:
     return correlation(light - local_mean(light, 2), reflected - local_mean(reflected, 2))
 
 
-def bright_metal(material: Material) -> Iterator[Finding]:
-    """Diffuse and specular albedo bright in the same pixels: together they would reflect more than they get."""
+def check_bright_metal(material: Material) -> Iterator[Finding]:
+    """Diffuse and specular albedo bright in the same pixels: together they reflect more light than arrives."""
     if not all(role in material.middle for role in ALBEDOS):
         return
     diffuse, specular = (finite(material.middle[role]) for role in ALBEDOS)
@@ -361,7 +362,7 @@ def bright_metal(material: Material) -> Iterator[Finding]:
                       "metals too", "diffuse albedo = base colour x (1 - metallic); metals' colour is specular albedo")
 
 
-def roughness_range(material: Material) -> Iterator[Finding]:
+def check_roughness_range(material: Material) -> Iterator[Finding]:
     """Roughness above 1."""
     if Role.ROUGHNESS in material.middle:
         plane = finite(material.middle[Role.ROUGHNESS])
@@ -370,16 +371,16 @@ def roughness_range(material: Material) -> Iterator[Finding]:
                         "a gloss exponent or 0..255", "write linear roughness 0..1, or scale it in a profile")
 
 
-def roughness_kind(material: Material) -> Iterator[Finding]:
-    """Squared roughness, its root, or smoothness, by what specular albedo says."""
+def check_roughness_kind(material: Material) -> Iterator[Finding]:
+    """Squared roughness, its root, or smoothness, found by the specular albedo."""
     frame = material.middle
     if Role.ROUGHNESS not in frame:
         return
     fit = fit_roughness(frame)
     if fit is None or not fit.is_telling:
-        yield info(Role.ROUGHNESS, "roughness-untested", "whether roughness is linear, squared or smoothness cannot be "
-                   "told", "it needs specular albedo that depends on roughness and view angle, depth and fov_x, and "
-                   "smooth surfaces", "look at its picture (--pictures): mirrors are black, plaster is white")
+        yield info(Role.ROUGHNESS, "roughness-untested", "roughness may be linear, squared or smoothness: not tested",
+                   "it needs specular albedo that depends on roughness and view angle, depth and fov_x, and smooth "
+                   "surfaces", "look at its picture (--pictures): mirrors are black, plaster is white")
         return
     kind, certain = fit.best, fit.certainty
     if kind.code and certain > 0:

@@ -1,4 +1,4 @@
-"""What shows over frames: motion, tried in every variant by warping; cuts, jitter and noise that repeats."""
+"""Checks that compare frames: motion, tried in every variant by warping; cuts, jitter and noise that repeats."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ from postfx.frame import Frame, Role
 from postfx.sampling import local_mean
 
 BETTER, BETTER_BY_JITTER, BETTER_THAN_NONE = 0.85, 0.95, 0.65
-"""Parts of the score as it is that another variant must stay below."""
+"""Another variant must score below this part of the stored motion's score."""
 MOST_PAIRS_AGREE = 0.75
-TELLING = 0.05  # misfit, in units of what a pixel costs: below, motion is right
+TELLING = 0.05  # misfit, in units of what one pixel costs: below, motion is right
 ALIKE, LIKE_COLOUR = 1.03, 1.15
-"""Parts of the best score that count as no worse; where motion lies within 0..1 only, a colour may score worse."""
+"""Scores up to this many times the best one count as equal; the second holds for a colour if motion lies in 0..1."""
 SEARCHED = 12  # pixels each way
 CLEARLY_MOVED = 0.75
 LEAST_CAMERA_MOTION = 0.1  # pixels
 JITTER_CODES = ("motion-jitter", "jitter-sign", "jitter-unit")
 USEFUL = 0.7
-"""Part of the score of no motion at all that right motion stays below."""
+"""Right motion scores below this part of the score without motion."""
 SOME_PAIRS = 2
 LEAST_LENGTH, CAMERA_DISAGREES, SCALE_EXPLAINS = 0.2, 0.3, 0.1
-"""Least length in pixels of motion that cameras are compared with; parts of it that count as off, and as explained."""
+"""Least length in pixels of motion that cameras are compared with; parts of it that count as wrong, as explained."""
 PLANAR = 5.0  # degrees between the normals of depth and the stored ones, above which depth is not understood
 RIGHT_UNIT = 0.9
 LEAST_BLOCKS = 4
 NO_JITTER = 0.02  # pixels
 SHIFTED_SAMPLES = 0.501
 NOISE_ONLY = 1.0
-"""Score of chance below which planes have no more structure than noise."""
+"""Planes have no more structure than noise when the score of chance is below this."""
 
 
-def motion_variant(material: Material) -> Iterator[Finding]:
+def check_motion_variant(material: Material) -> Iterator[Finding]:
     """The variant that fits clearly better than the stored motion."""
     shots = [warped for warped in material.shots if warped.moved > 0]
     if not shots:
@@ -61,7 +61,7 @@ def motion_variant(material: Material) -> Iterator[Finding]:
         yield from _by_other_means(material, shots)
         return
     if best.code in JITTER_CODES and (unit := _unit_by_cameras(_camera_fits(material, shots), shots)):
-        yield unit  # without its motion a picture seems to move with the jitter alone
+        yield unit  # without its motion, a picture seems to move by the jitter alone
         return
     code, cause, fix = best.code, best.cause, best.fix
     if code == "motion-worse-than-none" and (scaled := best_scale(shots)):
@@ -74,19 +74,19 @@ def motion_variant(material: Material) -> Iterator[Finding]:
 
 
 def _with_lines(material: Material, variant: Variant, fix: str) -> str:
-    """The fix, and where the file's layer is known the profile that it comes to."""
-    lines = material.read_motion.corrected(*variant.change) if material.read_motion and variant.change else None
-    return f"{fix}; all of it, for --profile FILE.toml:\n{lines}" if lines else fix
+    """The fix and, if the file's layer is known, the complete profile."""
+    lines = material.read_motion.correct(*variant.change) if material.read_motion and variant.change else None
+    return f"{fix}; as a file for --profile FILE.toml:\n{lines}" if lines else fix
 
 
-def motion_unread(material: Material) -> Iterator[Finding]:
+def check_motion_unread(material: Material) -> Iterator[Finding]:
     """Motion in a layer that no profile reads, and the convention that the pictures show."""
     for motion in material.unread:
         name = f"{motion.layer}.{','.join(motion.letters)}"
         found = measure_convention(material.frames, motion)
         if found is None or not found.fits:
             yield info(Role.MOTION, "motion-unread", f"{name} is not read, and does not fit the pictures as motion",
-                       "no motion, or too little in view moves", "try a part of the sequence in which much moves")
+                       "it is not motion, or too little in view moves", "try a part of the sequence with more motion")
             continue
         better = found.still / max(found.misfit, 1e-9)
         evidence = (f"{name} is not read; the previous frame, warped by it, fits {better:.3g} times better than "
@@ -98,7 +98,7 @@ def motion_unread(material: Material) -> Iterator[Finding]:
 
 
 def _by_other_means(material: Material, shots: list[Warped]) -> Iterator[Finding]:
-    """Motion that no usual variant puts right: another unit, depth that does not fit, or things that move alone."""
+    """Motion that no usual variant corrects: another unit, depth that does not fit, or objects that move alone."""
     if scaled := best_scale(shots):
         yield error(Role.MOTION, scaled.code, _evidence(shots, scaled), scaled.cause,
                     _with_lines(material, scaled, scaled.fix))
@@ -110,7 +110,7 @@ def _by_other_means(material: Material, shots: list[Warped]) -> Iterator[Finding
 
 
 def _camera_fits(material: Material, shots: list[Warped]) -> list[DepthScale]:
-    """How the cameras' motion differs from the stored one; empty where it does not, or depth is not understood."""
+    """How the cameras' motion differs from the stored motion; empty if it does not, or if depth is not understood."""
     if material.fit and material.fit.angle > PLANAR:
         return []
     fits = [fit for w in shots[:SOME_PAIRS] if (fit := fit_depth_scale(w.before, w.now)) and fit.length > LEAST_LENGTH]
@@ -119,11 +119,12 @@ def _camera_fits(material: Material, shots: list[Warped]) -> list[DepthScale]:
 
 def _camera_evidence(fits: list[DepthScale]) -> tuple[str, float]:
     length, apart = (float(np.median([getattr(fit, name) for fit in fits])) for name in ("length", "error_as_it_is"))
-    return f"worldToCamera and depth give motion that is {apart:.3g} pixels off in the median, of {length:.3g}", length
+    text = f"worldToCamera and depth give motion that differs by {apart:.3g} of {length:.3g} pixels in the median"
+    return text, length
 
 
 def _unit_by_cameras(fits: list[DepthScale], shots: list[Warped]) -> Finding | None:
-    """Motion that is the cameras' but for one factor, if the pictures say so as well."""
+    """Motion that differs from the cameras' by one factor, if the pictures confirm it."""
     if not fits:
         return None
     evidence, length = _camera_evidence(fits)
@@ -146,25 +147,25 @@ def _cameras_disagree(fits: list[DepthScale]) -> Finding:
         return error(Role.DEPTH, "depth-scale", f"{evidence}; {least:.2g} pixels if depth is about {scale:.3g} times "
                      "as large", "depth in another unit than worldToCamera, or divided by the far plane",
                      f"write depth in the unit of the camera's position, or in a profile scale = [{scale:.3g}]")
-    return warning(Role.MOTION, "motion-mismatch", evidence, "vectors or camera matrices of another frame, or a "
-                   "picture in which everything moves", "write the vectors and the matrix of this frame")
+    return warning(Role.MOTION, "motion-mismatch", evidence, "vectors or camera matrices of another frame, or nothing "
+                   "in view stands still", "write the vectors and the matrix of this frame")
 
 
 def _movers(shots: list[Warped]) -> Iterator[Finding]:
-    """Things that move although their vectors are those of the world around them."""
+    """Objects that move although they have the vectors of the world around them."""
     found = [next((thing for thing in find_movers(w.before, w.now) if thing.blocks >= LEAST_BLOCKS), None)
              for w in shots]
     things = [(w, thing) for w, thing in zip(shots, found, strict=True) if thing]
     if things and len(things) == len(shots):
         warped, thing = max(things, key=lambda pair: pair[1].blocks)
         evidence = (f"frame {warped.now.number}: around pixel ({thing.x}, {thing.y}), {thing.blocks} blocks of 8 x 8 "
-                    f"pixels come from {thing.step} pixels beside where their vectors point")
-        yield error(Role.MOTION, "motion-of-things", evidence, "only the camera's motion was written: things "
+                    f"pixels come from a place that is {thing.step} pixels off the one where their vectors point")
+        yield error(Role.MOTION, "motion-of-things", evidence, "only the camera's motion was written: objects "
                     "that move or deform have the vectors of the world behind them",
-                    "write vectors from where each thing was in the previous frame, animation and deformation included")
+                    "write vectors that include the animation and deformation of each object")
 
 
-def motion_zero(material: Material) -> Iterator[Finding]:
+def check_motion_zero(material: Material) -> Iterator[Finding]:
     """Motion that is 0 everywhere though the camera or the picture moves."""
     for warped in [warped for warped in material.warped if not warped.now.reset and warped.moved == 0][:2]:
         if evidence := _by_camera(warped) or _by_picture(warped):
@@ -178,7 +179,7 @@ def _by_camera(warped: Warped) -> str:
     moved = motion_of_camera(warped.before, warped.now)
     if moved is None or not len(moved) or (mean := float(np.linalg.norm(moved, axis=-1).mean())) < LEAST_CAMERA_MOTION:
         return ""
-    return f"but by worldToCamera and depth the camera moves surfaces by {mean:.2f} pixels in the mean"
+    return f"but worldToCamera and depth say that the camera moves surfaces by {mean:.2f} pixels in the mean"
 
 
 def _by_picture(warped: Warped) -> str:
@@ -192,7 +193,7 @@ def _by_picture(warped: Warped) -> str:
 
 
 def best_variant(shots: list[Warped]) -> Variant | None:
-    """The simplest of the variants that fit best; None when the stored motion fits best."""
+    """The simplest of the variants that fit best; None if the stored motion fits best."""
     ratios = {variant: _ratio(shots, variant) for variant in VARIANTS if variant.code}
     good = {variant: ratio for variant, ratio in ratios.items() if _is_better(shots, variant, ratio)}
     if not good:
@@ -205,7 +206,7 @@ def best_variant(shots: list[Warped]) -> Variant | None:
 
 
 def best_scale(shots: list[Warped]) -> Variant | None:
-    """An unusual unit of the motion that fits clearly better; None where motion as it is beats no motion at all."""
+    """An unusual unit of the motion that fits clearly better; None if the stored motion beats no motion at all."""
     still = next(variant for variant in VARIANTS if variant.code == "motion-worse-than-none")
     some = shots[:SOME_PAIRS]
     stored = float(np.mean([warped.as_it_is for warped in some]))
@@ -247,7 +248,7 @@ def _evidence(shots: list[Warped], best: Variant) -> str:
 
 
 def _follows_jitter(shots: list[Warped]) -> bool:
-    """Whether the motion of the whole picture jumps with the jitter; taken for granted with too few frames."""
+    """Whether the motion of the whole picture jumps with the jitter; assumed with too few frames."""
     if len(shots) < 4:
         return True
     motion = np.array([np.median(warped.now[Role.MOTION].reshape(-1, 2), axis=0) for warped in shots])
@@ -261,7 +262,7 @@ def _untested(material: Material) -> Iterator[Finding]:
                    "no pair of frames that belong together and show contrast", "give more frames of one shot")
 
 
-LEAST_MOVE = 1.0  # pixels: below, a texture that stays looks like noise that stays
+LEAST_MOVE = 1.0  # pixels: below, a texture that stays in place looks like noise that stays in place
 REPEATED = 0.15
 ONE_SEED = ("the same random seed in every frame",
             "change the seed with the frame number (Blender: Noise > Seed, clock icon; Mitsuba: seed of render)")
@@ -271,7 +272,7 @@ FITS_BETTER = 0.82
 JITTER_PAIRS = 5
 
 
-def one_frame(material: Material) -> Iterator[Finding]:
+def check_frame_count(material: Material) -> Iterator[Finding]:
     """Too few frames for checks that compare frames."""
     if not material.pairs:
         count = len(material.frames)
@@ -279,16 +280,16 @@ def one_frame(material: Material) -> Iterator[Finding]:
                    "motion, jitter, cuts and repeated noise need two consecutive frames of one size", "give a sequence")
 
 
-def sizes_change(material: Material) -> Iterator[Finding]:
-    """Frames of more than one size: with a scale, the output has as many, and the history ends at each change."""
+def check_frame_sizes(material: Material) -> Iterator[Finding]:
+    """Frames of several sizes: with a scale the output has several, too, and the history ends at each change."""
     sizes = list(dict.fromkeys(f"{frame.spec.width}x{frame.spec.height}" for frame in material.frames))
     if len(sizes) > 1:
         yield info("sequence", "sizes-change", f"frames are {', '.join(sizes)}", "dynamic resolution",
-                   "give the output a size (--size): it stays, and the history goes on")
+                   "give the output a fixed size (--size): then the history continues")
 
 
-def cut_unmarked(material: Material) -> Iterator[Finding]:
-    """A frame that has nothing in common with the one its motion points to."""
+def check_cut_unmarked(material: Material) -> Iterator[Finding]:
+    """A frame that has nothing in common with the frame before it, to which its motion points."""
     new = [w for w in material.warped if not w.now.reset and not w.is_related]
     if not new:
         return
@@ -299,25 +300,25 @@ def cut_unmarked(material: Material) -> Iterator[Finding]:
     scores = ", ".join(f"frame {w.now.number}: {min(w.scores.values()) / w.unrelated:.2f}" for w in new[:4])
     evidence = f"the previous frame, warped by any variant of the motion, fits hardly better than chance (1): {scores}"
     if len(new) == len(material.warped) and len(new) > 1:
-        yield error(Role.MOTION, "motion-no-fit", evidence, "motion that means nothing, or frames of different shots",
+        yield error(Role.MOTION, "motion-no-fit", evidence, "meaningless motion, or frames of different shots",
                     "look at the picture of the motion (--pictures), write the renderer's motion vectors")
     else:
-        yield warning("sequence", "cut-unmarked", evidence, "a cut whose first frame has motion vectors as if it "
-                      "went on", "write postfx:reset = 1 in that frame, or process the shots one by one")
+        yield warning("sequence", "cut-unmarked", evidence, "a cut whose first frame has motion vectors as if the shot "
+                      "continued", "write postfx:reset = 1 in that frame, or process the shots one by one")
 
 
-def reset_always(material: Material) -> Iterator[Finding]:
-    """Every frame claims to begin a shot, though it continues the previous one."""
+def check_reset_always(material: Material) -> Iterator[Finding]:
+    """Every frame is marked as the first of a shot, though it continues the previous one."""
     marked = [w for w in material.warped if w.now.reset and w.is_related]
     if marked:
         numbers = ", ".join(str(w.now.number) for w in marked[:8])
         evidence = f"frames {numbers} say postfx:reset, but fit the previous frame ({marked[0].as_it_is:.2f} of " \
                    f"{marked[0].unrelated:.2f})"
         yield warning("sequence", "reset-needless", evidence, "the header was copied from the first frame",
-                      "write postfx:reset at cuts only: the history is dropped there")
+                      "write postfx:reset at cuts only: it drops the history")
 
 
-def jitter_range(material: Material) -> Iterator[Finding]:
+def check_jitter_range(material: Material) -> Iterator[Finding]:
     """Jitter that is not a position within the pixel minus 0.5."""
     jitter = np.array([frame.jitter for frame in material.frames])
     if np.abs(jitter).max() <= SHIFTED_SAMPLES:
@@ -331,7 +332,7 @@ def jitter_range(material: Material) -> Iterator[Finding]:
                       "write the sample's position minus 0.5 in pixels of the frame, -0.5..0.5")
 
 
-def jitter_missing(material: Material) -> Iterator[Finding]:
+def check_jitter_missing(material: Material) -> Iterator[Finding]:
     """Pictures that shift by fractions of a pixel from frame to frame, without a jitter header."""
     if any(max(map(abs, frame.jitter)) > NO_JITTER for frame in material.frames) or len(material.shots) < 3:
         return
@@ -346,7 +347,7 @@ def jitter_missing(material: Material) -> Iterator[Finding]:
                       "y down")
 
 
-def samples_repeat(material: Material) -> Iterator[Finding]:
+def check_samples_repeat(material: Material) -> Iterator[Finding]:
     """Noise that stays in its place while the picture moves, or does not change at all."""
     pairs = [(a, b) for a, b in material.pairs if Role.COLOUR in a and Role.COLOUR in b]
     if pairs and all(_identical(*pair) for pair in pairs):
@@ -357,8 +358,8 @@ def samples_repeat(material: Material) -> Iterator[Finding]:
     found = [value for pair in pairs if not pair[1].reset and (value := _repeated(*pair)) is not None]
     if not found:
         if pairs:
-            yield info(Role.COLOUR, "samples-untested", "whether noise repeats over the frames cannot be told",
-                       "it needs motion of more than a pixel", "give frames where the camera moves")
+            yield info(Role.COLOUR, "samples-untested", "noise may repeat from frame to frame: not tested",
+                       "it needs motion of more than a pixel", "give frames in which the camera moves")
         return
     same, elsewhere = np.mean([value[0] for value in found]), np.mean([value[1] for value in found])
     if same - elsewhere > REPEATED:
@@ -376,7 +377,7 @@ def _identical(before: Frame, now: Frame) -> bool:
 
 
 def _repeated(before: Frame, now: Frame) -> tuple[float, float] | None:
-    """Correlation of the noise at the same pixel and a few pixels off, where the surface moves on."""
+    """Correlation of the noise in the same pixel and in pixels nearby, on surfaces that move."""
     if min(now[Role.COLOUR].shape[:2]) < 32 or Role.MOTION not in now:
         return None
     moves = np.linalg.norm(finite(now[Role.MOTION]), axis=-1) > LEAST_MOVE
@@ -390,7 +391,7 @@ def _repeated(before: Frame, now: Frame) -> tuple[float, float] | None:
 
 
 def _noise(frame: Frame) -> np.ndarray:
-    """(height, width): by how many of its local deviations a pixel is off its neighbourhood, -3..3."""
+    """(height, width): a pixel's difference from its neighbourhood in local standard deviations, -3..3."""
     whole = local_mean(np.isfinite(frame[Role.COLOUR]).all(2, keepdims=True).astype(np.float32), 3)[..., 0] > 0.999
     light = np.log1p(np.maximum(luminance(finite(frame[Role.COLOUR])), 0) * 4)
     if Role.DIFFUSE_ALBEDO in frame:

@@ -1,4 +1,4 @@
-"""Planes one by one: missing ones, broken values, overlays, the reactive mask, exposure."""
+"""Check single planes: missing planes, broken values, overlays, the reactive mask, exposure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from postfx.sampling import local_mean
 
 
 class Cost(NamedTuple):
-    """Least and most loss of PSNR in dB without a plane."""
+    """Least and greatest loss of PSNR in dB without a plane."""
 
     least: float
     most: float
@@ -38,10 +38,10 @@ COSTS = {
 MATTERS_DB = 0.2
 
 FOLLOWING = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
-"""Without these planes reflections cannot be followed by their hit distance."""
+"""Planes that are needed to follow reflections by their hit distance."""
 
 
-def hit_distance_unused(material: Material) -> Iterator[Finding]:
+def check_hit_distance_unused(material: Material) -> Iterator[Finding]:
     """A hit distance without the planes and headers needed to follow reflections."""
     first = material.first
     if Role.SPECULAR_HIT_DISTANCE not in first:
@@ -51,11 +51,11 @@ def hit_distance_unused(material: Material) -> Iterator[Finding]:
     lacking += ["postfx:fovX"] if first.fov_x is None else []
     if lacking:
         yield info(Role.SPECULAR_HIT_DISTANCE, "hit-distance-unused", f"no {', '.join(lacking)}",
-                   "planes or headers that are not written", "write them: then the history of reflections follows them")
+                   "planes or headers that are not written", "write them: then the history follows reflections")
 
 
-def missing(material: Material) -> Iterator[Finding]:
-    """Planes that would improve the result, and colour, without which there is none."""
+def check_missing_planes(material: Material) -> Iterator[Finding]:
+    """Colour, which is required, and planes that would improve the result."""
     if Role.COLOUR not in material.first:
         yield error(Role.COLOUR, "missing-colour", "no colour plane was found", "another name or layer",
                     "name it in a profile (--profile FILE.toml)")
@@ -76,14 +76,14 @@ NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, Role.DIFFUSE_ALBEDO, Role.SPECULAR_AL
 UNIFORM = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH, Role.ROUGHNESS)
 BLACK, MOST_LISTED = 1e-4, 8
 ENLARGED = {"repetition": (1, -1), "linear interpolation": (-0.5, 1.5, -1.5, 0.5)}
-"""Differences that are 0 in every other place of a plane enlarged two times."""
+"""Differences that are 0 at every other place of a plane that was enlarged to twice its size."""
 LEAST_SIDE, LEAST_ROWS, EXACT = 32, 12, 0.08
 FLIP_FITS, FLIP_LEAST = 1.5, 0.13
 OTHER_FITS, OTHER_LEAST, SHARED, MOST_OFF, LEAST_FRAMES = 1.15, 0.03, 0.12, 0.6, 3
 IN_UNIT_RANGE = (Role.ALPHA, Role.STRENGTH, Role.REACTIVE)
 
 
-def not_finite(material: Material) -> Iterator[Finding]:
+def check_finite_values(material: Material) -> Iterator[Finding]:
     """NaN and infinities; an infinite depth is a miss."""
     for role, values in material.stored.items():
         infinite = 0 if role is Role.DEPTH else values.infinite
@@ -96,18 +96,18 @@ def not_finite(material: Material) -> Iterator[Finding]:
         yield (error if share > MANY else warning)(role, "not-finite", evidence, cause, fix)
 
 
-def uniform(material: Material) -> Iterator[Finding]:
-    """Planes that are black, or hold one value everywhere, though the picture shows something."""
+def check_uniform_planes(material: Material) -> Iterator[Finding]:
+    """Planes that are black or hold a single value, though the picture shows something."""
     for role in UNIFORM:
         frames = [frame for frame in material.frames if role in frame and _shows_surfaces(frame)]
         sizes = {frame.number: float(np.abs(finite(frame[role])).max(initial=0)) for frame in frames}
         black = [number for number, size in sizes.items() if size < BLACK]
         spread = {float(value) for frame in frames for value in _extremes(frame[role])}
         if black and role is not Role.DEPTH:
-            evidence = f"0 everywhere in frame{'s' * (len(black) > 1)} {_listed(black)} of {len(frames)} looked at"
+            evidence = f"0 everywhere in frame{'s' * (len(black) > 1)} {_listed(black)}; {len(frames)} were examined"
             wrong = role is Role.NORMAL or (role is Role.DIFFUSE_ALBEDO and not _is_metal(material.middle))
             yield (error if wrong else info)(role, "black", evidence, "the pass is switched off or was never written"
-                                             if wrong else "switched off, or nothing in view has any",
+                                             if wrong else "switched off, or nothing in view has such a value",
                                              "render it, or leave the plane out: a black plane misleads")
         elif frames and not black and len(spread) == (1 if role is not Role.NORMAL else 0):
             yield _constant(role, next(iter(spread)), len(frames))
@@ -122,13 +122,13 @@ def _constant(role: Role, value: float, frames: int) -> Finding:
 
 
 def _shows_surfaces(frame: Frame) -> bool:
-    """Whether the picture is lit, and depth, where there is any, shows something."""
+    """Whether the picture is lit and its depth, if it has any, shows surfaces."""
     lit = Role.COLOUR not in frame or float(np.abs(finite(frame[Role.COLOUR])).max(initial=0)) > BLACK
     return lit and (Role.DEPTH not in frame or percent(is_hit(frame[Role.DEPTH])) > 1 or not frame[Role.DEPTH].any())
 
 
 def _is_metal(frame: Frame) -> bool:
-    """Whether what is seen reflects so much specularly that nothing diffuse need be there."""
+    """Whether the surfaces in view reflect so much specularly that their diffuse albedo may be 0."""
     return Role.SPECULAR_ALBEDO in frame and float(np.median(largest(finite(frame[Role.SPECULAR_ALBEDO])))) > 0.3
 
 
@@ -144,11 +144,11 @@ def _listed(numbers: Sequence[int]) -> str:
     return ", ".join(map(str, numbers[:MOST_LISTED])) + " ..." * (len(numbers) > MOST_LISTED)
 
 
-def enlarged(material: Material) -> Iterator[Finding]:
+def check_enlarged_planes(material: Material) -> Iterator[Finding]:
     """Planes of half the resolution, enlarged to the size of the others."""
     for role in (Role.COLOUR, *PLANES):
         if role in material.middle and (how := _enlarged_how(material.middle[role])):
-            yield error(role, "half-resolution", f"along rows and columns, 1 pixel of 2 follows from others by {how}",
+            yield error(role, "half-resolution", f"1 pixel in 2 along rows and columns follows by {how}",
                         "rendered at half the resolution and enlarged", "write it at the size of the colour")
 
 
@@ -165,7 +165,7 @@ def _enlarged_how(plane: np.ndarray) -> str:
 
 
 def _phase_ratio(plane: np.ndarray, taps: np.ndarray) -> float:
-    """Size of a difference down columns in one phase over that in the other; 1 where too few rows tell."""
+    """Ratio of the differences down the columns in even and odd rows; 1 with too few rows that tell."""
     count = len(plane) - len(taps) + 1
     size = np.abs(sum(tap * plane[at : at + count] for at, tap in enumerate(taps)))
     told = np.minimum(size, 10 * size.mean()).mean(axis=(1, 2))
@@ -177,14 +177,14 @@ def _phase_ratio(plane: np.ndarray, taps: np.ndarray) -> float:
     return low / max(high, 1e-12) if np.count_nonzero(told > 0.01 * told.mean()) >= LEAST_ROWS else 1.0
 
 
-def misplaced(material: Material) -> Iterator[Finding]:
-    """Planes of another frame than their own, and planes that are flipped, by their outlines."""
+def check_misplaced_planes(material: Material) -> Iterator[Finding]:
+    """Planes of another frame, and flipped planes, found by their outlines."""
     frames = [frame for frame in material.frames if frame.spec.width == material.first.spec.width
               and frame.spec.height == material.first.spec.height]
     frozen = _frozen(frames)
     for role in frozen:
-        yield error(role, "other-frame", f"the same to the bit in frames {_listed([f.number for f in frames])}, while "
-                    "other planes change", "the plane of one frame was written to all", "write each frame's own plane")
+        yield error(role, "other-frame", f"identical in frames {_listed([f.number for f in frames])}, while other "
+                    "planes change", "the plane of one frame was written to all", "write each frame's own plane")
     for role, placement in compare_edges(frames).items():
         flip = max(placement.flips, key=lambda name: placement.flips[name])
         if placement.flips[flip] > FLIP_FITS * max(placement.own, 0) + FLIP_LEAST:
@@ -208,7 +208,7 @@ def _of_other_frame(role: Role, table: np.ndarray, numbers: list[int]) -> Iterat
 
 
 def _frozen(frames: Sequence[Frame]) -> list[Role]:
-    """Planes that never change and show something, where most others change."""
+    """Planes that show something and never change, although most others do."""
     if len(frames) < 2:
         return []
     pairs = list(zip(frames, frames[1:], strict=False))
@@ -220,8 +220,8 @@ def _frozen(frames: Sequence[Frame]) -> list[Role]:
     return [role for role in still if role is not Role.COLOUR] if len(changing) >= max(2, len(still)) else []
 
 
-def negative(material: Material) -> Iterator[Finding]:
-    """Negative values where none can be."""
+def check_negative_values(material: Material) -> Iterator[Finding]:
+    """Negative values in planes that cannot hold any."""
     for role in NEVER_NEGATIVE:
         values = material.stored.get(role)
         if values is None or values.negative == 0:
@@ -234,7 +234,7 @@ def negative(material: Material) -> Iterator[Finding]:
         yield level(role, "negative", evidence, cause, "render with a positive pixel filter, and linear Rec.709")
 
 
-def out_of_unit_range(material: Material) -> Iterator[Finding]:
+def check_unit_range(material: Material) -> Iterator[Finding]:
     """Masks above 1."""
     for role in IN_UNIT_RANGE:
         if role in material.first and (share := percent(material.first[role] > 1.001)) > 0:
@@ -243,7 +243,7 @@ def out_of_unit_range(material: Material) -> Iterator[Finding]:
                           "profile")
 
 
-def colour_clipped(material: Material) -> Iterator[Finding]:
+def check_colour_clipped(material: Material) -> Iterator[Finding]:
     """Colour that ends at exactly 1, as if made for a display."""
     if Role.COLOUR not in material.first:
         return
@@ -255,46 +255,46 @@ def colour_clipped(material: Material) -> Iterator[Finding]:
                       "write scene-linear light without a view transform or clamp")
 
 
-def unreadable(material: Material) -> Iterator[Finding]:
+def check_readable_frames(material: Material) -> Iterator[Finding]:
     """A later frame that cannot be read."""
     if material.unreadable:
-        yield error("sequence", "unreadable", material.unreadable, "the file is broken or lacks planes of the others",
+        yield error("sequence", "unreadable", material.unreadable, "a broken file, or one without the others' planes",
                     "render or copy this frame again")
 
 
 LEAST_COVERAGE, LEAST_CHANGE, FEW = 0.02, 0.02, 200
 STRAIGHT = 0.3
-MOST_NOISE = 0.2  # stops of coverage between neighbours that noise of the colour does not hide
+MOST_NOISE = 0.2  # stops between neighbours' coverage: the noise of the colour does not hide larger steps
 NARROW, WIDE, TWICE = 2, 16, 0.4
 
 
-def overlay_alpha(material: Material) -> Iterator[Finding]:
-    """Coverage outside 0..1, or that hides everything."""
+def check_overlay_alpha(material: Material) -> Iterator[Finding]:
+    """Coverage outside 0..1, or coverage that hides everything."""
     if Role.OVERLAY not in material.middle:
         return
     alpha = finite(material.middle[Role.OVERLAY])[..., 3]
     if (share := percent((alpha < -0.001) | (alpha > 1.001))) > 0:
         evidence = f"{share:.3g} % of the pixels outside of 0..1, from {alpha.min():.3g} to {alpha.max():.3g}"
-        yield warning(Role.OVERLAY, "overlay-alpha", evidence, "stored in percent or 0..255, or layers that were added",
-                      "write coverage 0..1, layers composited over each other; other values are cut off")
+        yield warning(Role.OVERLAY, "overlay-alpha", evidence, "stored in percent or 0..255, or layers were added",
+                      "write coverage 0..1, and composite layers over each other; other values are cut off")
     if (share := percent(alpha > 0.999)) > 99:
         yield warning(Role.OVERLAY, "overlay-opaque", f"alpha is 1 at {share:.4g} % of the pixels", "rendered with its "
-                      "background", "render the transparents alone, on a transparent background")
+                      "background", "render transparent objects alone, on a transparent background")
 
 
-def overlay_straight(material: Material) -> Iterator[Finding]:
+def check_overlay_straight(material: Material) -> Iterator[Finding]:
     """Overlay colour that is not multiplied by its coverage."""
     if Role.OVERLAY not in material.middle:
         return
     slope, pairs = _slope(finite(material.middle[Role.OVERLAY]))
     if pairs >= FEW and slope < STRAIGHT:
-        evidence = (f"where coverage doubles, colour becomes {2**slope:.2f} times as bright, not 2 times ({pairs} "
+        evidence = (f"where coverage doubles, colour becomes {2**slope:.2f} times as bright, not twice ({pairs} "
                     "pairs of neighbours)")
         yield warning(Role.OVERLAY, "overlay-straight", evidence, "colour that is not multiplied by alpha",
                       "write premultiplied colour, or multiply it by alpha; else edges are too bright")
 
 
-def alpha_straight(material: Material) -> Iterator[Finding]:
+def check_alpha_straight(material: Material) -> Iterator[Finding]:
     """Colour that is not multiplied by its alpha."""
     frame = material.middle
     if not all(role in frame for role in (Role.COLOUR, Role.ALPHA)):
@@ -302,11 +302,11 @@ def alpha_straight(material: Material) -> Iterator[Finding]:
     slope, pairs = _slope(finite(np.concatenate([frame[Role.COLOUR], frame[Role.ALPHA]], axis=2)), MOST_NOISE)
     if pairs >= FEW and slope < STRAIGHT:
         yield warning(Role.COLOUR, "alpha-straight", f"where alpha doubles, colour becomes {2**slope:.2f} times as "
-                      f"bright, not 2 times ({pairs} pairs of neighbours)", "colour that is not multiplied by alpha",
+                      f"bright, not twice ({pairs} pairs of neighbours)", "colour that is not multiplied by alpha",
                       "write premultiplied colour: else edges are too bright")
 
 
-def overlay_twice(material: Material) -> Iterator[Finding]:
+def check_overlay_twice(material: Material) -> Iterator[Finding]:
     """Colour that already holds the overlay."""
     frame = material.middle
     if not all(role in frame for role in (Role.COLOUR, Role.OVERLAY)):
@@ -317,26 +317,28 @@ def overlay_twice(material: Material) -> Iterator[Finding]:
     shared = correlation(_detail(np.minimum(light, np.percentile(light, 90)))[used], change[used])
     if used.sum() >= FEW and shared > TWICE:
         yield warning(Role.OVERLAY, "overlay-twice", f"detail of the colour is {shared:.2f} correlated with what the "
-                      "overlay changes", "the colour already holds the overlay, which would appear twice",
+                      "overlay changes", "the colour already holds the overlay, so it would appear twice",
                       "write the colour before transparents, as colour or beside it as 'opaque', or give --overlay "
                       "ignore")
 
 
-def overlay_missing(material: Material) -> Iterator[Finding]:
+def check_overlay_missing(material: Material) -> Iterator[Finding]:
     """Two colours, with and without transparents, and no overlay."""
     frame = material.middle
     colours = (Role.COLOUR, Role.OPAQUE_COLOUR)
     if all(role in frame for role in colours) and Role.OVERLAY not in (*frame.planes, *frame.guides):
         share = percent((frame[Role.COLOUR] != frame[Role.OPAQUE_COLOUR]).any(2))
         evidence = (f"colours with and without transparents differ at {share:.3g} % of the pixels, but there is no "
-                    "overlay: the one with them is denoised")
-        yield info(Role.OVERLAY, "overlay-missing", evidence, "three differences a pixel do not tell the four channels "
-                   "of an overlay", "write the transparents as 'overlay', premultiplied RGBA")
+                    "overlay: the colour with transparents is denoised")
+        yield info(Role.OVERLAY, "overlay-missing", evidence, "an overlay's four channels do not follow from three "
+                   "differences", "write transparent objects as 'overlay', premultiplied RGBA")
 
 
 def _slope(overlay: np.ndarray, least_change: float = LEAST_CHANGE) -> tuple[float, int]:
-    """How the logarithm of the light grows with that of the coverage from pixel to pixel, and the pairs that tell: 1 of
-    premultiplied colour, 0 of straight one."""
+    """Slope of the logarithm of light over the logarithm of coverage from pixel to pixel, and the number of pairs used.
+
+    The slope is 1 for premultiplied colour and 0 for straight colour.
+    """
     light, alpha = luminance(np.maximum(overlay[..., :3], 0)), overlay[..., 3]
     used = (alpha > LEAST_COVERAGE) & (light > 1e-4)
     logs = [np.log2(np.where(used, plane, 1)) for plane in (light, alpha)]
@@ -348,27 +350,27 @@ def _slope(overlay: np.ndarray, least_change: float = LEAST_CHANGE) -> tuple[flo
 
 
 def _detail(plane: np.ndarray) -> np.ndarray:
-    """Detail of middle size: without noise, which is finer, and shading, which is coarser."""
+    """Detail of medium size: without noise, which is finer, and shading, which is coarser."""
     result: np.ndarray = local_mean(plane[..., None], NARROW) - local_mean(plane[..., None], WIDE)
     return result
 
 
 MOST_REACTIVE = 90.0  # percent of pixels that ignore more than half of their history
-DIFFERENT, ALIKE_NEIGHBOURS = 25.0, 65.0  # percent: of pixels, and of neighbours that are both brighter or both darker
+DIFFERENT, ALIKE_NEIGHBOURS = 25.0, 65.0  # percent of pixels, and of neighbours both brighter or both darker
 
 
-def reactive_everywhere(material: Material) -> Iterator[Finding]:
+def check_reactive_everywhere(material: Material) -> Iterator[Finding]:
     """A mask that drops the history nearly everywhere."""
     frame = material.middle
     if Role.REACTIVE in frame and (share := percent(frame[Role.REACTIVE] > 0.5)) > MOST_REACTIVE:
         evidence = f"{share:.3g} % of the pixels ignore more than half of their history"
         yield warning(Role.REACTIVE, "reactive-everywhere", evidence, "stored the other way round, 1 where the history "
-                      "is used", "store 0 where it is used and 1 where it is ignored")
+                      "is used", "store 0 to use the history and 1 to ignore it")
 
 
-def opaque_samples(material: Material) -> Iterator[Finding]:
-    """Colour before transparency whose noise is another than that of the colour: it is brighter here and darker next
-    to it, where something in front makes neighbours alike."""
+def check_opaque_samples(material: Material) -> Iterator[Finding]:
+    """Colour before transparency with other noise than the colour: it is brighter here and darker next to it, where a
+    transparent object would change neighbours alike."""
     frame = material.middle
     if Role.COLOUR not in frame or Role.OPAQUE_COLOUR not in frame:
         return
@@ -381,7 +383,7 @@ def opaque_samples(material: Material) -> Iterator[Finding]:
         evidence = (f"{share:.3g} % of the pixels differ from the colour by more than a tenth, and {alike:.3g} % of "
                     "neighbours in the same direction")
         yield warning(Role.OPAQUE_COLOUR, "opaque-samples", evidence, "rendered with other samples than the colour, so "
-                      "that the reactive mask is made of noise", "write both colours of the same samples, or a plane "
+                      "the reactive mask holds noise", "write both colours from the same samples, or a plane "
                       "'reactive'; --reactive none leaves it out")
 
 
@@ -402,13 +404,13 @@ def _jumps(frames: list[Frame], metered: dict[int, float]) -> Iterator[Finding]:
             role = "sequence" if abs(header) > abs(colour) else Role.COLOUR
             yield warning(role, "exposure-jump", f"from frame {before.number} to {now.number} the picture becomes "
                           f"{header + colour:+.2f} EV brighter ({colour:+.2f} by its colour, {header:+.2f} by the "
-                          "header)", "a light that is switched, auto exposure in the render, or a header that does not "
+                          "header)", "a light was switched, the renderer exposes automatically, or the header does not "
                           "follow the colour", "render with one exposure; mark a cut with postfx:reset = 1")
             return
 
 
-def exposure_mismatch(material: Material) -> Iterator[Finding]:
-    """The header's exposure against metering, which brings the picture to mid grey."""
+def check_exposure_mismatch(material: Material) -> Iterator[Finding]:
+    """An exposure in the header that differs from metering, which brings the picture to mid grey."""
     frames = [frame for frame in material.frames if Role.COLOUR in frame]
     metered = {frame.number: ev for frame in frames if (ev := measure(frame[Role.COLOUR])) is not None}
     if frames and not metered:
