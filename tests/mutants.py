@@ -53,11 +53,11 @@ class Room(NamedTuple):
     tests: str
 
 
-def _kernels(module: str, drawn: int, *names: str) -> tuple[Room, Room]:
-    """The compiled rows of some kernels, and their CUDA sources."""
+def _kernels(module: str, drawn: int, *names: str, also: str = "") -> tuple[Room, Room]:
+    """The compiled rows of some kernels, and their CUDA sources. also: more tests, if their names fit."""
     chosen = " or ".join(names)
     cuda = "tests/kernels/test_cuda_kernels.py"
-    python = f"tests/kernels/test_denoise_kernels.py {cuda} tests/stress/test_kernel_bounds.py"
+    python = f"tests/kernels/test_denoise_kernels.py {cuda} tests/stress/test_kernel_bounds.py {also}"
     return (Room(f"postfx/kernels/denoise/{module}.py", drawn, f"{python} -k '{chosen}'"),
             Room(f"postfx/kernels/denoise/{module}.cu", 0, f"{cuda} -k '{chosen}'"))
 
@@ -80,11 +80,12 @@ ROOMS = (
     *_kernels("output", 3, "denoise_judge", "denoise_detail", "denoise_restore", "detail_is_told", "denoise_assemble",
               "denoise_strength"),
     *_kernels("reactive", 1, "denoise_reactive", "denoise_spread", "denoise_keep"),
-    *_kernels("reflections", 2, "denoise_reflections", "error_of_reflections"),
+    *_kernels("reflections", 2, "denoise_reflections", "error_of_reflections",
+              also="tests/passes/test_denoise_reflections.py"),
     *_kernels("upsample", 3, "denoise_upsample"),
     _room("kernels/denoise/layout.py", 0, *_in("kernels", "denoise_kernels")),
     _room("kernels/image.py", 3, "kernels", *_in("passes", "composite_overlay"), "test_sampling.py",
-          "-k 'resampl or overlay or checkerboard or sampling or box'"),
+          "-k 'resampl or overlay or checkerboard or sampling or cells'"),
     _room("kernels/tonemap.", 2, *_in("kernels", "tonemap_kernels", "cuda_kernels"), "-k 'not denoise_'"),
     _room("kernels/colour.", 1, *_in("kernels", "tonemap_kernels"), "-k 'encode_display or apply_cube'"),
     _room("kernels/pixel_formats.py", 1, *_in("io", "encode_dither", "writer", "encode_light")),
@@ -169,9 +170,9 @@ CHOSEN = (
 )
 """Python or CUDA, what stands once in all of postfx's sources of that kind, and the fault that is put in its place."""
 EQUIVALENT = {
+    "number: 0 -> -1 in mix_row(": "the output of a network holds one frame, the first and the last",
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",
     "chosen: or abs(columns[1]) > MARGIN - 3 -> or columns[1] > MARGIN - 3": "the second column lies after the first",
-    "number: 1e-20 -> -1.0": "a squared distance is above 0",
 }
 """How the name of a fault begins -> why no test can find it."""
 

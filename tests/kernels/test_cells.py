@@ -1,13 +1,60 @@
-"""Kernels of the coarse grid are what NumPy says."""
+"""Kernels of cells, blocks and places are what NumPy says."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from postfx.kernels.image import box_means, mark_positive, moments
+from postfx.kernels.image import block_means, box_means, compare_places, half_means, mark_positive, moments
+from postfx.sampling import bilinear, is_inside
 
 RANDOM = np.random.default_rng(0)
+RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722
+"""Weights of luminance, ITU-R BT.709-6, item 3.2."""
+
+
+def bad_colours(height: int, width: int) -> np.ndarray:
+    """Pixels of every sign, some of which are no numbers."""
+    colour = RANDOM.normal(0.5, 1, (height, width, 3)).astype(np.float32)
+    colour.reshape(-1)[::23] = RANDOM.choice([np.nan, np.inf, -np.inf], len(colour.reshape(-1)[::23]))
+    return colour
+
+
+def light_of(colour: np.ndarray) -> np.ndarray:
+    return np.asarray(colour, np.float64) @ (RED, GREEN, BLUE)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (5, 7), (16, 24)], ids=str)
+def test_block_means(size: tuple[int, int]) -> None:
+    colour, found = bad_colours(*size), np.empty([-(-side // 4) for side in size])
+    block_means(colour, 4, found)
+    for y, x in np.ndindex(found.shape):
+        light = light_of(colour[4 * y:4 * y + 4, 4 * x:4 * x + 4]).ravel()
+        light = np.sort(np.maximum(light[np.isfinite(light)], 0))
+        np.testing.assert_allclose(found[y, x], light[:-1].mean() if light.size > 1 else light.sum(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("block", [2, 5])
+def test_means_of_even_and_odd_rows(block: int) -> None:
+    colour, found = bad_colours(11, 15), np.empty((2, 11 // block, 15 // block))
+    half_means(colour, block, found)
+    for half, y, x in np.ndindex(found.shape):
+        light = light_of(colour[y * block:(y + 1) * block, x * block:(x + 1) * block][half::2]).ravel()
+        light = np.sort(np.maximum(np.where(np.isfinite(light), light, 0), 0))
+        np.testing.assert_allclose(found[half, y, x], light[:-1].mean(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 6), (5, 1), (6, 9)], ids=str)
+def test_compared_places(size: tuple[int, int]) -> None:
+    before, now = (RANDOM.random((*shape, 2)).astype(np.float32) for shape in (size, (40,)))
+    x, y = (RANDOM.uniform(-1, side, (3, 40)).astype(np.float32) for side in size[::-1])
+    x[:, 0], y[:, 0] = size[1] - 1, size[0] - 1
+    apart, inside = np.empty((3, 40), np.float32), np.empty((3, 40), bool)
+    compare_places(before, now, x, y, apart, inside)
+    mixed = bilinear(before, x.ravel(), y.ravel()).reshape(3, 40, 2)
+    np.testing.assert_allclose(apart, np.abs(mixed - now).max(-1), atol=1e-5)
+    np.testing.assert_array_equal(inside, is_inside(before, x, y))
+    assert inside[:, 0].all()
 
 
 @pytest.mark.parametrize("size", [(1, 1, 1), (3, 40, 2), (45, 80, 6)], ids=str)

@@ -10,7 +10,7 @@ import pytest
 
 from postfx.frame import Frame, Role
 from postfx.integrate import pixel_positions, project
-from postfx.kernels.denoise.reflections import REFLECTIONS
+from postfx.kernels.denoise.reflections import REFLECTIONS, curvature
 from postfx.passes.base import ResidentFrame
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.history import NO_CAMERA, NO_FIT, Camera, Cameras
@@ -83,6 +83,25 @@ def test_a_floor_shows_its_image_where_geometry_has_it() -> None:
     off = np.abs(found - truth)[inner].max(-1)  # of the mean of 3x3 hit distances, at the edge of the picture
     assert off.max() < 0.06 and np.median(off) < 0.003
     np.testing.assert_array_equal(found[~seen], surface[~seen])
+
+
+@pytest.mark.parametrize(("size", "share"), [((5, 7), 1), ((2, 2), 1), ((1, 7), 0.5), ((5, 1), 0.5), ((1, 1), 0)])
+def test_a_ball_bends_by_one_over_its_radius(size: tuple[int, int], share: float) -> None:
+    """At the edges of the picture, too; an axis of one pixel adds nothing to the mean. From inside it is hollow."""
+    radius, middle, turn = 2.0, np.array([0.1, -0.05, 4.0]), np.linalg.qr(np.arange(9.0).reshape(3, 3) % 5 + 1)[0]
+    camera = np.float32([50, 50, 50, 50, 0.1, -0.2, *12 * [0], *turn.ravel()])
+    y, x = np.mgrid[:size[0], :size[1]] + 0.5
+    rays = np.stack([(x + 0.1 - size[1] / 2) / 50, (y - 0.2 - size[0] / 2) / 50, np.ones(size)], -1)
+    along = rays @ middle / (rays**2).sum(-1)
+    reach = np.sqrt(along**2 - (middle @ middle - radius**2) / (rays**2).sum(-1))
+    for side, wanted in ((-1, share / radius), (1, 0)):
+        depth = (along + side * reach)[..., None]
+        normal = -side * (rays * depth - middle) / radius @ turn.T
+        found = [curvature(np.float32(normal), np.float32(depth), camera, *at) for at in np.ndindex(size)]
+        np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-6)
+    if max(size) > 2:
+        depth[size[0] // 2, size[1] // 2] *= 1.2
+        assert curvature(np.float32(normal), np.float32(depth), camera, size[0] // 2, size[1] // 2) == -1
 
 
 @pytest.mark.parametrize("convention", scene.TURNS)
