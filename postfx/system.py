@@ -137,7 +137,7 @@ class Scratch:
         self.left = max(self.budget - PROCESS, self.budget // LEAST)
         self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 
-    def empty(self, shape: tuple[int, ...], dtype: str = "float32") -> np.ndarray:
+    def empty(self, shape: tuple[int, ...], dtype: np.typing.DTypeLike = "float32") -> np.ndarray:
         """An array of any content, in a temporary file if it is large."""
         nbytes = math.prod(shape) * np.dtype(dtype).itemsize
         if nbytes < self.left // SMALL:

@@ -29,7 +29,8 @@ class Kernel:
     Attributes:
         name: the kernel's and its portable file's name, for example 'slice_apply'.
         reads: names of the arguments that are read, in argument order; scalars are small vectors such as 'params'.
-        writes: names of the arguments that are written, in argument order.
+        writes: names of the arguments that are written, in argument order. One that is also read is changed in place:
+            it is one argument, among those that are read, and one output '<name>_out' of the portable definition.
         rows: `rows(y0, y1, *reads, *writes)` computes rows y0 to y1 - 1 of every written argument and nothing else.
             Compile it with `kernel_jit` of `postfx.kernels.numeric`; `fastmath` only where parity with the portable
             definition holds; no `parallel=True`: the device owns the threads.
@@ -53,7 +54,7 @@ class Kernel:
 
     def __post_init__(self) -> None:
         names = self.reads + self.writes
-        if len(set(names)) != len(names):
+        if len(set(self.reads)) + len(set(self.writes)) != len(names):
             raise ValueError(f"kernel '{self.name}' names a binding twice: {', '.join(names)}")
         if self.row_axis[0] not in self.writes:
             raise ValueError(f"kernel '{self.name}' counts rows of '{self.row_axis[0]}', which it does not write")
@@ -61,6 +62,11 @@ class Kernel:
         if unknown:
             raise ValueError(f"kernel '{self.name}' gives shapes or types of unknown bindings: "
                              f"{', '.join(sorted(unknown))}")
+
+    @property
+    def in_place(self) -> dict[str, str]:
+        """Arguments that are changed in place, with the name of the portable definition's output."""
+        return {name: f"{name}_out" for name in self.reads if name in self.writes}
 
     def fixed_shape(self, name: str) -> tuple[int, ...]:
         """The shape of a binding without symbols; ValueError if it has some."""

@@ -241,6 +241,9 @@ def look_inside(dispatch: Dispatch, placement: Placement, keep: Keep, ran: bool)
     """
     assert dispatch.state is not None and dispatch.model is not None  # it runs a network
     bindings = dispatch.state.bindings
+    if any(binding.access == "read-write" for binding in bindings):
+        raise CaptureError(f"{dispatch} changes what it reads in place, so its nodes cannot be run again: capture "
+                           "without network=True")
     inputs = _named(bindings, "read", dispatch.reads)
     written = _named(bindings, "write", dispatch.writes) if ran else {}
     found, errors = CapturedNetwork(), []

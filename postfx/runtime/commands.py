@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future
+from concurrent.futures import wait as wait_for_futures
 from contextlib import contextmanager
 from itertools import groupby
 from operator import attrgetter
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from postfx.errors import CommandError, CommandTimeout, EncodingError
+from postfx.frame import LOG
 from postfx.runtime.capture import CapturableDevice, Recorder
 from postfx.runtime.encoders import ComputeEncoder, Dispatch, Encoder, MachineLearningEncoder, Record
-from postfx.runtime.hazards import Footprint, Hazards, RecordedCommands
+from postfx.runtime.hazards import Footprint, Hazards, RecordedCommands, predecessors
 from postfx.runtime.heap import Placement
 from postfx.runtime.memory import Memory
 from postfx.runtime.session import first_line
@@ -37,6 +40,9 @@ class CommandDevice(CapturableDevice, Protocol):
 
     @property
     def queue(self) -> CommandQueue: ...
+
+    @property
+    def lanes(self) -> Executor: ...
 
     def next_encoder(self) -> int: ...
 
@@ -71,6 +77,7 @@ class CommandBuffer:
         self._timings: dict[int, tuple[str, float]] = {}
         self._recorder: Recorder | None = None
         self._execution: Execution | None = None
+        self._handlers: list[Callable[[CommandBuffer], None]] = []
         device.hazards.open(self)
 
     def begin(self, label: str | None = None) -> None:
@@ -84,7 +91,7 @@ class CommandBuffer:
         self._require_no_encoder("begin again")
         self.label = self.label if label is None else label
         self.records, self._kept, self._placement, self._footprint = [], set(), None, None
-        self._error, self._timings = None, {}
+        self._error, self._timings, self._handlers = None, {}, []
         self._state = "open"
         self.device.hazards.open(self)
 
@@ -110,6 +117,15 @@ class CommandBuffer:
         tensors is committed. Raises EncodingError after commit."""
         self._require_open()
         self._kept.update(tensor.allocation for tensor in tensors)
+
+    def add_completed_handler(self, handler: Callable[[CommandBuffer], None]) -> None:
+        """Call `handler(buffer)` whenever the commands are done or one has failed, on the queue's thread.
+
+        Keep it short. It may `wait`, which then returns or raises at once, and read results. What it raises goes to the
+        log. Metal's `addCompletedHandler:`; `begin` drops it. Raises EncodingError after commit.
+        """
+        self._require_open()
+        self._handlers.append(handler)
 
     def commit(self) -> None:
         """Give transient tensors their memory, check all hazards and hand the commands to the device's queue.
@@ -221,14 +237,19 @@ class CommandBuffer:
         return "/".join([*self._groups, label])
 
     def _run(self) -> None:
-        execution = self._execution = Execution(self.device.memory, self.device.hazards, self.label,
-                                                self.footprint().dispatches, self._recorder)
+        execution = self._execution = Execution(self.device, self.label, self.footprint(), self._recorder)
         execution.run()
         self._error, self._timings = execution.error, execution.timings
         self._execution = None
         if self._recorder is not None:
             self._recorder.finish()
+        handlers = list(self._handlers)  # as soon as the host knows that all is done, it may begin anew
         self._done.set()
+        for handler in handlers:
+            try:
+                handler(self)
+            except Exception:
+                LOG.exception("a handler of '%s' failed", self.label)
 
 
 class Span(NamedTuple):
@@ -250,23 +271,25 @@ class Execution:
     """
 
     def __init__(
-        self, memory: Memory, hazards: Hazards, label: str, dispatches: Sequence[Dispatch],
-        recorder: Recorder | None = None
+        self, device: CommandDevice, label: str, footprint: Footprint, recorder: Recorder | None = None
     ) -> None:
         self.running: Dispatch | None = None
         self.error: CommandError | None = None
         self.timings: dict[int, tuple[str, float]] = {}
-        self._memory = memory
-        self._hazards = hazards
+        self._device = device
+        self._memory = device.memory
+        self._hazards = device.hazards
         self._label = label
-        self._dispatches = dispatches
+        self._footprint = footprint
+        self._dispatches = footprint.dispatches
         self._recorder = recorder
 
     def run(self) -> None:
         """Run the dispatches up to the first that fails, and wait until they are done."""
         spans = self._replay()
         if spans is None:
-            spans = self._one_by_one()
+            beside = self._footprint.narrow and self._recorder is None and self._device.scratch is None
+            spans = self._side_by_side() if beside else self._one_by_one()
         try:
             self._memory.synchronise()
             self.timings = _timings(self._memory, spans)
@@ -296,18 +319,50 @@ class Execution:
         spans: list[Span] = []
         for index, dispatch in enumerate(self._dispatches):
             self.running = dispatch
-            lost = self._lost_input(dispatch)
-            if lost is not None:
-                what = f"{dispatch} of '{self._label}' did not run: it reads {lost[0]}, but {lost[1]}"
-                self._failed(self._dispatches[index:], CommandError(what, dispatch.label), lost[1], lost[1])
+            if self._cannot_run(dispatch, self._dispatches[index:]):
                 break
             try:
                 spans += self._execute(dispatch)
             except BaseException as error:  # of any kind: the host that waits must see it
-                what = f"{dispatch} of '{self._label}' failed: {first_line(error)}"
-                self._failed(self._dispatches[index:], CommandError(what, dispatch.label), error)
+                self._failed(self._dispatches[index:], self._failure(dispatch, error), error)
                 break
         return spans
+
+    def _side_by_side(self) -> list[Span]:
+        """Run commands beside each other that no barrier orders, as far as the device has threads for them."""
+        earlier = predecessors(self._footprint.records)
+        free, done, spans = self._device.threads, 0, []
+        waiting, running = dict(enumerate(self._dispatches)), dict[Future[list[Span]], int]()
+        while waiting or running:
+            for index, dispatch in list(waiting.items()):
+                if earlier[index] & ~done or _threads(dispatch) > free:
+                    continue
+                if self._cannot_run(dispatch, list(waiting.values())):
+                    waiting = {}
+                    break
+                running[self._device.lanes.submit(self._execute, dispatch)] = index
+                free -= _threads(waiting.pop(index))
+            self.running = self._dispatches[min(running.values())] if running else None
+            for future in wait_for_futures(running, return_when=FIRST_COMPLETED).done:
+                dispatch = self._dispatches[index := running.pop(future)]
+                free, done = free + _threads(dispatch), done | 1 << index
+                try:
+                    spans += future.result()
+                except BaseException as error:  # what runs beside it goes on to its end
+                    self._failed([dispatch, *waiting.values()], self._failure(dispatch, error), error)
+                    waiting = {}
+        return spans
+
+    def _cannot_run(self, dispatch: Dispatch, left: Sequence[Dispatch]) -> bool:
+        """Whether a command failed to write what a dispatch reads; then it and all that is left count as failed."""
+        lost = self._lost_input(dispatch)
+        if lost is not None:
+            what = f"{dispatch} of '{self._label}' did not run: it reads {lost[0]}, but {lost[1]}"
+            self._failed(left, CommandError(what, dispatch.label), lost[1], lost[1])
+        return lost is not None
+
+    def _failure(self, dispatch: Dispatch, error: BaseException) -> CommandError:
+        return CommandError(f"{dispatch} of '{self._label}' failed: {first_line(error)}", dispatch.label)
 
     def _execute(self, dispatch: Dispatch) -> list[Span]:
         memory = self._memory
@@ -337,6 +392,12 @@ class Execution:
         self._hazards.mark_lost([tensor for left in dispatches for tensor in left.writes], first or error)
         if self._recorder is not None:
             self._recorder.note_failure(dispatches[0], first or error, ran=first is None)
+
+
+def _threads(dispatch: Dispatch) -> int:
+    """How many of its device's threads a dispatch takes."""
+    assert dispatch.state is not None  # as recorded by an encoder
+    return dispatch.state.threads
 
 
 def _enqueue(memory: Memory, dispatches: Sequence[Dispatch]) -> list[Span]:

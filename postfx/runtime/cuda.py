@@ -87,6 +87,11 @@ class CudaMemory:
             check_result(driver().cuMemcpyDtoHAsync(address(array), pointer, array.nbytes, self.stream))
             self._stream.sync()
 
+    def copy(self, target: int, source: int, nbytes: int) -> None:
+        """Put a copy within the GPU's memory on the stream."""
+        self._enter()
+        check_result(driver().cuMemcpyDtoDAsync(target, source, nbytes, self.stream))
+
     def relax(self) -> None:
         """Does nothing: no tensor is in a file."""
 

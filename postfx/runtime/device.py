@@ -8,6 +8,8 @@ import re
 import threading
 import warnings
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +23,8 @@ from postfx.runtime.commands import CommandBuffer, wait_for_all
 from postfx.runtime.cuda import CudaMemory, find_source
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
-from postfx.runtime.memory import HostMemory, Immediate, Memory, address
+from postfx.runtime.memory import HostMemory, Immediate, Memory, address, byte_span
+from postfx.runtime.model_file import fix_dimensions
 from postfx.runtime.models import Library
 from postfx.runtime.session import Placement, Session, first_line
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
@@ -31,6 +34,10 @@ from postfx.system import Scratch, usable_cores
 
 if TYPE_CHECKING:
     from postfx.kernels.kernel import Kernel
+
+Dims = Mapping[str, int] | Mapping[tuple[str, int], int] | Mapping[str | tuple[str, int], int]
+"""Sizes of free dimensions: by name, or by input or output and axis."""
+
 
 class Device:
     """Where passes run.
@@ -98,22 +105,26 @@ class Device:
         return CommandQueue(f"postfx {self.name}")
 
     @cached_property
+    def lanes(self) -> ThreadPoolExecutor:
+        """Threads for commands that run side by side."""
+        return ThreadPoolExecutor(self.threads, thread_name_prefix="postfx lane")
+
+    @cached_property
     def helpers(self) -> Helpers:
         """Threads that help the queue's own thread with bands of kernels."""
         return Helpers(max(1, self.threads - 1))
 
     def wrap(self, name: str, array: np.ndarray, copy: Tensor | None = None) -> Tensor:
-        """A tensor with a C-contiguous array's content: the same memory on the CPU, an upload elsewhere.
+        """A tensor with an array's content: the same memory on the CPU, an upload elsewhere.
 
-        The tensor counts as written. Do not change the array while commands use it.
+        The tensor counts as written. Do not change the array while commands use it. One with strides, such as a crop or
+        a transposed array, is copied by every command that uses it.
 
         Args:
             copy: a tensor of the same shape and type to upload to, where the device has its own memory.
 
-        Raises BindingError when the array is not C-contiguous or of a type or byte order tensors cannot have.
+        Raises BindingError when the array is of a type or byte order that tensors cannot have.
         """
-        if not array.flags.c_contiguous:
-            raise BindingError(f"array '{name}' is not C-contiguous: pass np.ascontiguousarray(array)")
         if not array.dtype.isnative:
             raise BindingError(f"array '{name}' has the byte order of other machines: pass it as {array.dtype.name}")
         if not self.memory.host_visible:
@@ -121,29 +132,49 @@ class Device:
             tensor = Tensor(self, name, copy.shape, copy.dtype, Allocation(name, copy.start, copy.nbytes, owner=copy))
             tensor.upload(array)
             return tensor
-        allocation = Allocation(name, address(array), array.nbytes, owner=array, writable=array.flags.writeable)
-        tensor = Tensor(self, name, array.shape, array.dtype.name, allocation)
+        strided = None if array.flags.c_contiguous else array
+        first, end = (address(array), address(array) + array.nbytes) if strided is None else byte_span(array)
+        allocation = Allocation(name, first, end - first, owner=array, writable=array.flags.writeable)
+        tensor = Tensor(self, name, array.shape, array.dtype.name, allocation, strided=strided)
         self.hazards.mark_written(tensor)
         return tensor
 
-    def pipeline_state(self, library: Library, name: str, dims: Mapping[str, int] | None = None) -> PipelineState:
+    def pipeline_state(
+        self, library: Library, name: str, dims: Dims | None = None,
+        in_place: Mapping[str, str] | None = None, threads: int | None = None,
+    ) -> PipelineState:
         """A network of a library, with its free dimensions fixed.
 
         Args:
-            dims: free dimension name -> size.
+            dims: free dimension name -> size; a dimension without a name is given by (input or output, axis).
+            in_place: input -> output that replaces its content: one binding of the access 'read-write', by the input's
+                name.
+            threads: how many of the device's threads it takes, default all of them. Commands that no barrier orders and
+                that take fewer run side by side. CPU only.
 
-        Raises ModelError when the model is missing, damaged or cannot run here, or a dimension is left free.
+        Raises ModelError when the model is missing, damaged or cannot run here, a dimension is left free, or two
+        bindings cannot be one.
         """
         fixed = {key: int(size) for key, size in (dims or {}).items()}
-        exclusive = self.placement.stream != 0
-        session = Session(library.load(name), name, self.placement, fixed, library.path(name).parent, exclusive)
+        content, named = library.load(name), {key: size for key, size in fixed.items() if isinstance(key, str)}
+        by_axis = {key: size for key, size in fixed.items() if not isinstance(key, str)}
+        if by_axis:
+            try:
+                content = fix_dimensions(content, by_axis)
+            except ValueError as error:
+                raise ModelError(f"network '{name}' cannot have the dims {_text_dims(by_axis)}: {error}") from error
+        taken = self.threads if threads is None else threads
+        if not 1 <= taken <= self.threads:
+            raise DeviceError(f"network '{name}' cannot take {taken} of the {self.threads} threads of {self!r}")
+        placement, exclusive = replace(self.placement, threads=taken), self.placement.stream != 0
+        session = Session(content, name, placement, named, library.path(name).parent, exclusive)
         for value in (*session.inputs, *session.outputs):
-            free = [str(size or "?") for size in value.shape if not isinstance(size, int)]
+            free = [str(size or f"axis {axis}") for axis, size in enumerate(value.shape) if not isinstance(size, int)]
             if free:
-                given = ", ".join(f"{key}={size}" for key, size in fixed.items()) or "none"
-                raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' free: dims were {given}")
+                raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' free: dims were "
+                                 f"{_text_dims(fixed)}")
         self.name_model(library, name)
-        return PipelineState(self, name, session, fixed, library.path(name), library.constants(name))
+        return PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken)
 
     def name_model(self, library: Library, name: str) -> None:
         """Add a network to `models` before it is loaded, because it may be needed later."""
@@ -229,11 +260,17 @@ def _within(scratch: Scratch, memory: Memory, name: str) -> HostMemory:
 
 def _check_portable(kernel: Kernel, session: Session) -> None:
     for values, names, what in ((session.inputs, kernel.reads, "inputs"), (session.outputs, kernel.writes, "outputs")):
-        found = sorted((value.name, value.dtype) for value in values)
+        renamed = {result: name for name, result in kernel.in_place.items()} if what == "outputs" else {}
+        found = sorted((renamed.get(value.name, value.name), value.dtype) for value in values)
         wanted = sorted((name, kernel.types.get(name, "float32")) for name in names)
         if found != wanted:
             raise ModelError(f"portable definition of kernel '{kernel.name}' has the {what} {_text(found)}: "
                              f"they must be {_text(wanted)}")
+
+
+def _text_dims(dims: Dims) -> str:
+    given = {key if isinstance(key, str) else f"{key[0]}[{key[1]}]": size for key, size in dims.items()}
+    return ", ".join(f"{key}={size}" for key, size in given.items()) or "none"
 
 
 def _text(values: list[tuple[str, str]]) -> str:
@@ -310,6 +347,10 @@ class ProviderMemory(Immediate):
     def read(self, pointer: int, array: np.ndarray) -> None:
         """Copy from the device into a C-contiguous host array."""
         self._copy.copy_bytes(self._here(pointer), ("cpu", 0, address(array)), array.nbytes)
+
+    def copy(self, target: int, source: int, nbytes: int) -> None:
+        """Copy within the device's memory."""
+        self._copy.copy_bytes(self._here(source), self._here(target), nbytes)
 
     def check(self) -> None:
         """Copy a few bytes to the device and back; DeviceError when they come back changed."""

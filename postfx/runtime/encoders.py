@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, Self
 
-from postfx.errors import BindingError, EncodingError, HazardError
+from postfx.errors import BindingError, EncodingError
 from postfx.runtime.states import Arguments, ArgumentTable, State
 from postfx.runtime.tensor import Tensor, TensorDevice
 
@@ -173,7 +173,7 @@ class Encoder:
         names = self.label, state.command, self.stage, self._number
         kept = None if arguments.execute else arguments  # the commit places the transient ones
         dispatch = Dispatch(*names, *accesses, arguments.execute, state.model, state, kept)
-        check_dispatch(dispatch)
+        arguments.check_aliases(str(dispatch), self.label)
         self._record(dispatch)
 
     def _record(self, record: Record) -> None:
@@ -228,13 +228,3 @@ class MachineLearningEncoder(Encoder):
         Raises BindingError for unbound or unfitting arguments, HazardError for aliased ones.
         """
         self._dispatch(state, table)
-
-
-def check_dispatch(dispatch: Dispatch) -> None:
-    """HazardError when one dispatch reads and writes, or writes twice, the same memory."""
-    for index, written in enumerate(dispatch.writes):
-        for other in (*dispatch.reads, *dispatch.writes[:index]):
-            if written.overlaps(other):
-                pair = f"'{other.name}' and '{written.name}'" if other.name != written.name else f"'{written.name}'"
-                message = f"{dispatch} has {pair} on the same memory, one of them written: bind separate tensors"
-                raise HazardError(message, "aliasing", written.name, None, dispatch.label)

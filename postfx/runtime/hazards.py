@@ -200,6 +200,7 @@ class Footprint:
         writes: the data that exists afterwards.
         spans: the byte ranges of the dispatches' tensors, without repeats.
         ordered: whether a search showed that barriers order all these commands; that stays true.
+        narrow: whether some take fewer than all threads of their device, so that others may run beside them.
     """
 
     def __init__(self, records: Sequence[Record]) -> None:
@@ -210,6 +211,8 @@ class Footprint:
         self.writes: dict[Allocation, Ranges] = {}
         self.spans = _spans(self.dispatches)
         self.ordered = False
+        self.narrow = any(item.state is not None and item.state.threads < item.state.device.threads
+                          for item in self.dispatches)
         for dispatch in self.dispatches:
             for tensor in dispatch.reads:
                 self.users.setdefault(tensor.allocation, (tensor, dispatch))

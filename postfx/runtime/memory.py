@@ -46,6 +46,10 @@ class Memory(Protocol):
         """Copy from `pointer` into a C-contiguous host array."""
         ...
 
+    def copy(self, target: int, source: int, nbytes: int) -> None:
+        """Copy within the device's memory, in the order of its commands."""
+        ...
+
     def synchronise(self) -> None:
         """Wait until all started work is done."""
         ...
@@ -147,15 +151,26 @@ class HostMemory(Immediate):
         """Copy from `pointer` into a C-contiguous array."""
         ctypes.memmove(address(array), pointer, array.nbytes)
 
+    def copy(self, target: int, source: int, nbytes: int) -> None:
+        """Copy bytes that do not overlap."""
+        ctypes.memmove(target, source, nbytes)
+
 
 def address(array: np.ndarray) -> int:
     """Address of an array's first element."""
     return int(array.__array_interface__["data"][0])
 
 
-def view_at(pointer: int, shape: tuple[int, ...], dtype: str, owner: object) -> np.ndarray:
+def byte_span(array: np.ndarray) -> tuple[int, int]:
+    """Addresses of an array's first byte and of the one after its last, whatever its strides."""
+    reach = [(size - 1) * stride for size, stride in zip(array.shape, array.strides, strict=True) if array.size]
+    first, last = (address(array) + sum(pick(0, step) for step in reach) for pick in (min, max))
+    return first, last + array.itemsize * bool(array.size)
+
+
+def view_at(pointer: int, shape: tuple[int, ...], dtype: np.dtype[Any], owner: object) -> np.ndarray:
     """A writable array over host memory; it keeps `owner`, which holds the memory, alive."""
-    nbytes = math.prod(shape) * np.dtype(dtype).itemsize
+    nbytes = math.prod(shape) * dtype.itemsize
     buffer: Any = (ctypes.c_char * nbytes).from_address(pointer)
     buffer.owner = owner
     view: np.ndarray = np.frombuffer(buffer, dtype)

@@ -8,8 +8,9 @@ https://protobuf.dev/programming-guides/encoding. Of weights it reads only sizes
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import count
 
 Dimension = int | str
 Field = int | memoryview
@@ -69,7 +70,6 @@ class ModelFile:
     inputs: list[Declared] = field(default_factory=list)
     outputs: list[Declared] = field(default_factory=list)
     inner: list[Declared] = field(default_factory=list)
-    domains: list[str] = field(default_factory=list)
     graphs: int = 0
     extras: set[str] = field(default_factory=set)
 
@@ -89,8 +89,6 @@ class _Reader:
             if number == 7:
                 model.graphs += 1
                 self._parse_graph(_message(value), model)
-            elif number == 8:
-                model.domains += [text(inner) for key, inner in self._wire.fields(_message(value)) if key == 1] or [""]
             elif number == 20:
                 model.extras.add("training")
             elif number == 25:
@@ -203,6 +201,57 @@ class _Reader:
         return next(self._wire.integers(value), 0)
 
 
+def fix_dimensions(content: bytes, sizes: Mapping[tuple[str, int], int]) -> bytes:
+    """A model's file with sizes in place of dimensions of its inputs and outputs, by name and axis.
+
+    ONNX Runtime fixes dimensions by their symbols only, and some have none. Raises ValueError for a name or an axis
+    that the model has not, and where it says another size.
+    """
+    model = parse_model(content)
+    shapes = {value.name: value.shape for value in (*model.inputs, *model.outputs)}
+    for (name, axis), size in sizes.items():
+        shape = shapes.get(name)
+        if shape is None:
+            known = ", ".join(f"'{other}'" for other, there in shapes.items() if there is not None)
+            raise ValueError(f"no input or output '{name}' has a shape: {known} have one")
+        if not 0 <= axis < len(shape):
+            raise ValueError(f"'{name}' has {len(shape)} axes, counted from 0, and no axis {axis}")
+        if size < 1 or (isinstance(shape[axis], int) and shape[axis] != size):
+            raise ValueError(f"axis {axis} of '{name}' is {shape[axis] or 'free'}, it cannot be {size}")
+
+    def fix_value(message: memoryview) -> bytes:
+        name = next((text(value) for number, value, _ in _fields(message) if number == 1), "")
+        axes = count()
+
+        def fix_dimension(dimension: memoryview) -> bytes:
+            size = sizes.get((name, next(axes)))
+            return bytes(dimension) if size is None else b"\x08" + _as_varint(size)  # dim_value
+
+        return _replace(message, (2, 1, 2, 1), fix_dimension)  # type, tensor_type, shape, dim
+
+    return _replace(_replace(content, (7, 11), fix_value), (7, 12), fix_value)  # graph, input; graph, output
+
+
+def _replace(message: bytes | memoryview, path: tuple[int, ...], change: Callable[[memoryview], bytes]) -> bytes:
+    """A message with every inner one at a path of field numbers changed."""
+    parts: list[bytes | memoryview] = []
+    for number, value, raw in _fields(memoryview(message)):
+        if number == path[0] and not isinstance(value, int):
+            new = _replace(value, path[1:], change) if path[1:] else change(value)
+            parts += [_as_varint(number << 3 | BYTES), _as_varint(len(new)), new]
+        else:
+            parts.append(raw)
+    return b"".join(parts)
+
+
+def _as_varint(value: int) -> bytes:
+    result = bytearray()
+    while value > 0x7F:
+        result.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*result, value])
+
+
 def _message(value: Field) -> memoryview:
     if isinstance(value, int):
         raise WireError("a number where a message should be")
@@ -230,9 +279,9 @@ class Wire:
 
         The format is defined at https://protobuf.dev/programming-guides/encoding. Groups are not read.
         """
-        for found in _fields(message):
+        for number, value, _ in _fields(message):
             self._count()
-            yield found
+            yield number, value
 
     def integers(self, value: int | memoryview) -> Iterator[int]:
         """Members of a repeated integer field, one of them or many packed, as signed 64 bits."""
@@ -250,14 +299,16 @@ class Wire:
             raise WireError("it has too many parts")
 
 
-def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
+def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview, memoryview]]:
+    """Number and value of each field, and all of its bytes."""
     at = 0
     while at < len(message):
+        start = at
         key, at = _varint(message, at)
         number, kind = key >> 3, key & 7
         if kind == VARINT:
             value, at = _varint(message, at)
-            yield number, value
+            yield number, value, message[start:at]
             continue
         if kind == BYTES:
             length, at = _varint(message, at)
@@ -267,7 +318,7 @@ def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
             raise WireError(f"wire type {kind}")
         if length > len(message) - at:
             raise WireError("it ends early")
-        yield number, message[at : at + length]
+        yield number, message[at : at + length], message[start : at + length]
         at += length
 
 

@@ -23,16 +23,22 @@ class Library:
 
     Where two folders hold a model of the same name, the folder given first wins. Without a folder, the models that
     come with postfx. Raises ModelError when a folder does not exist.
+
+    Args:
+        trust: load models of any operators and domains, with control flow and functions of their own, because you know
+            where they come from. Hashes, sizes, and what cards say are checked all the same.
     """
 
-    def __init__(self, *folders: str | Path) -> None:
+    def __init__(self, *folders: str | Path, trust: bool = False) -> None:
+        self.trust = trust
         self.folders = tuple(Path(folder) for folder in folders) or (models_dir(),)
         for folder in self.folders:
             if not folder.is_dir():
                 raise ModelError(f"model folder '{folder}' does not exist")
 
     def __repr__(self) -> str:
-        return f"Library({', '.join(repr(str(folder)) for folder in self.folders)})"
+        folders = [repr(str(folder)) for folder in self.folders]
+        return f"Library({', '.join(folders + ['trust=True'] * self.trust)})"
 
     def names(self) -> tuple[str, ...]:
         """Names of all models, sorted."""
@@ -86,7 +92,7 @@ class Library:
                 raise ModelError(f"card of '{path}' has weights in '{file}': name a file of the same folder")
             _checked(path.with_name(file), expected)
         content = _checked(path, card.get("sha256"))
-        check_model(path, content, card)
+        check_model(path, content, card, self.trust)
         return content
 
 
@@ -118,23 +124,46 @@ MOST_DIMENSIONS = 16
 MOST_SHOWN = 300
 """Characters of a reason that are shown, for it may quote the file."""
 
-DOMAINS = ("", "ai.onnx")
 OPERATORS = frozenset("""
-    Abs Acos Acosh Add And ArgMax ArgMin Asin Asinh Atan Atanh AveragePool BatchNormalization BitShift BitwiseAnd
-    BitwiseNot BitwiseOr BitwiseXor Cast CastLike Ceil Celu CenterCropPad Clip Concat Constant ConstantOfShape Conv
-    ConvInteger ConvTranspose Cos Cosh CumSum DeformConv DepthToSpace DequantizeLinear Div Dropout
-    DynamicQuantizeLinear Einsum Elu Equal Erf Exp Expand EyeLike Flatten Floor Gather GatherElements GatherND Gelu Gemm
-    GlobalAveragePool GlobalMaxPool Greater GreaterOrEqual GridSample GroupNormalization HardSigmoid HardSwish Hardmax
-    Identity InstanceNormalization IsInf IsNaN LRN LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax MatMul
-    MatMulInteger Max MaxPool Mean MeanVarianceNormalization Min Mish Mod Mul Neg NonZero Not OneHot Or PRelu Pad Pow
-    QLinearConv QLinearMatMul QuantizeLinear Range Reciprocal ReduceL1 ReduceL2 ReduceLogSum ReduceLogSumExp ReduceMax
-    ReduceMean ReduceMin ReduceProd ReduceSum ReduceSumSquare Relu Reshape Resize Round ScatterElements ScatterND Selu
-    Shape Shrink Sigmoid Sign Sin Sinh Size Slice Softmax Softplus Softsign SpaceToDepth Split Sqrt Squeeze Sub Sum Tan
-    Tanh ThresholdedRelu Tile TopK Transpose Trilu Unsqueeze Where Xor
+    Abs Acos Acosh Add AffineGrid And ArgMax ArgMin Asin Asinh Atan Atanh Attention AveragePool BatchNormalization
+    BitCast BitShift BitwiseAnd BitwiseNot BitwiseOr BitwiseXor BlackmanWindow Cast CastLike CausalConvWithState Ceil
+    Celu CenterCropPad Clip Col2Im Compress Concat Constant ConstantOfShape Conv ConvInteger ConvTranspose Cos Cosh
+    CumProd CumSum DFT DeformConv DepthToSpace DequantizeLinear Det Div Dropout DynamicQuantizeLinear Einsum Elu Equal
+    Erf Exp Expand EyeLike Flatten Floor GRU Gather GatherElements GatherND Gelu Gemm GlobalAveragePool GlobalLpPool
+    GlobalMaxPool Greater GreaterOrEqual GridSample GroupNormalization HammingWindow HannWindow HardSigmoid HardSwish
+    Hardmax Identity InstanceNormalization IsInf IsNaN LRN LSTM LayerNormalization LeakyRelu Less LessOrEqual
+    LinearAttention Log LogSoftmax LpNormalization LpPool MatMul MatMulInteger Max MaxPool MaxRoiPool MaxUnpool Mean
+    MeanVarianceNormalization MelWeightMatrix Min Mish Mod Mul Neg NonMaxSuppression NonZero Not OneHot Or PRelu Pad
+    Pow QLinearConv QLinearMatMul QuantizeLinear RMSNormalization RNN Range Reciprocal ReduceL1 ReduceL2 ReduceLogSum
+    ReduceLogSumExp ReduceMax ReduceMean ReduceMin ReduceProd ReduceSum ReduceSumSquare Relu Reshape Resize
+    ReverseSequence RoiAlign RotaryEmbedding Round STFT Scatter ScatterElements ScatterND Selu Shape Shrink Sigmoid
+    Sign SimplifiedLayerNormalization Sin Sinh Size Slice Softmax Softplus Softsign SpaceToDepth Split Sqrt Squeeze Sub
+    Sum SwiGLU Swish Tan Tanh TensorScatter ThresholdedRelu Tile TopK Transpose Trilu Unique Unsqueeze Upsample Where
+    Xor
 """.split())
 """ONNX operators that only compute with tensors: no control flow (it may never end), no randomness, no strings."""
 
-SIZED_BY = {"ConstantOfShape": 0, "Expand": 1, "Reshape": 1, "Tile": 1, "Resize": 3}
+MICROSOFT_OPERATORS = frozenset("""
+    Attention BiasAdd BiasGelu BiasSoftmax BiasSplitGelu CDist CausalConvWithState ComplexMul ComplexMulConj
+    ConvTransposeWithDynamicPads CropAndResize DecoderMaskedMultiHeadAttention DequantizeLinear DynamicQuantizeLSTM
+    DynamicQuantizeMatMul EmbedLayerNormalization ExpandDims FastGelu FusedConv FusedGemm FusedMatMul
+    FusedMatMulActivation GatedRelativePositionBias GatherBlockQuantized GatherND Gelu GemmFastGelu GridSample
+    GroupNorm GroupQueryAttention Inverse Irfft LinearAttention LongformerAttention MatMulBnb4 MatMulFpQ4
+    MatMulInteger16 MatMulIntegerToFloat MatMulNBits MaxpoolWithMask MulInteger MultiHeadAttention NhwcConv
+    NhwcFusedConv NhwcMaxPool PackedAttention PackedMultiHeadAttention Pad QAttention QEmbedLayerNormalization QGemm
+    QLinearAdd QLinearAveragePool QLinearConcat QLinearConv QLinearGlobalAveragePool QLinearLeakyRelu QLinearMul
+    QLinearReduceMean QLinearSigmoid QLinearSoftmax QLinearWhere QuantizeLinear QuickGelu Range ReduceSumInteger
+    RelativePositionBias Rfft RotaryEmbedding ScaledSiLU SkipGroupNorm SkipLayerNormalization
+    SkipSimplifiedLayerNormalization SparseAttention SparseToDenseMatMul SwiGLU TransposeMatMul Trilu Unique
+""".split())
+"""ONNX Runtime's own operators of that kind. Others of its domain search with graphs of their own, draw random
+numbers, take strings apart or load programs (`EPContext`, `Snpe`)."""
+
+KNOWN = {"": OPERATORS, "ai.onnx": OPERATORS, "com.microsoft": MICROSOFT_OPERATORS}
+"""Operators by domain."""
+
+SIZED_BY = {"AffineGrid": 1, "BlackmanWindow": 0, "Col2Im": 1, "ConstantOfShape": 0, "Expand": 1, "HammingWindow": 0,
+            "HannWindow": 0, "MaxUnpool": 2, "Reshape": 1, "Resize": 3, "Tile": 1}
 """Operators whose output size is the value of an input -> the index of that input."""
 
 _BITS = {1: 32, 2: 8, 3: 8, 4: 16, 5: 16, 6: 32, 7: 64, 9: 8, 10: 16, 11: 64, 12: 32, 13: 64, 16: 16, 17: 8, 18: 8,
@@ -142,27 +171,35 @@ _BITS = {1: 32, 2: 8, 3: 8, 4: 16, 5: 16, 6: 32, 7: 64, 9: 8, 10: 16, 11: 64, 12
 """Element types that tensors of a model may have, by ONNX's number -> bits; no strings, no complex numbers."""
 
 
-def check_model(path: Path, content: bytes, card: Mapping[str, Any]) -> None:
-    """Raises ModelError with the reason when a model's file is not to be loaded."""
+def check_model(path: Path, content: bytes, card: Mapping[str, Any], trust: bool = False) -> None:
+    """Raises ModelError with the reason when a model's file is not to be loaded; with `trust`, what its nodes do is no
+    reason."""
     try:
         model = parse_model(content)
         if model.graphs != 1 or not model.outputs:
             raise WireError("it holds no graph")
     except WireError as error:
         raise ModelError(f"model '{path}' is damaged or no ONNX file ({error}): get it again") from error
+    for reason in () if trust else _unknown_work(model):
+        raise ModelError(f"model '{path}' is refused: {make_printable(reason[:MOST_SHOWN])}; if you know where it "
+                         "comes from, Library(folder, trust=True) loads it")
     for reason in _reasons(model, path, card):
         raise ModelError(f"model '{path}' is refused: {make_printable(reason[:MOST_SHOWN])}")
 
 
-def _reasons(model: ModelFile, path: Path, card: Mapping[str, Any]) -> Iterator[str]:
+def _unknown_work(model: ModelFile) -> Iterator[str]:
+    """What a model does beyond computing with tensors. Domains that it only declares, as optimised ones do, are no
+    harm."""
     yield from (f"it holds {extra}" for extra in sorted(model.extras))
-    yield from (f"operators of the domain '{name}' are not known" for name in model.domains if name not in DOMAINS)
     for node in model.nodes:
-        if node.domain not in DOMAINS or node.operator not in OPERATORS:
+        if node.operator not in KNOWN.get(node.domain, ()):
             name = f"{node.domain}.{node.operator}" if node.domain else node.operator
             yield f"the operator '{name}' is not known"
         if node.has_graph:
             yield f"a node '{node.operator}' holds a graph of its own"
+
+
+def _reasons(model: ModelFile, path: Path, card: Mapping[str, Any]) -> Iterator[str]:
     for weights in (*model.weights, *(inner for node in model.nodes for inner in node.weights)):
         yield from _wrong_weights(weights, path, card)
     for value in (*model.inputs, *model.outputs, *model.inner):

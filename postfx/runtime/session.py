@@ -23,13 +23,14 @@ import onnxruntime as ort
 
 from postfx.errors import ModelError
 from postfx.files import atomic_file, parse_json
-from postfx.runtime.tensor import Tensor
+from postfx.runtime.tensor import Tensor, element_type
 from postfx.system import private_folder, usable_memory
 
 CONSTANTS = "postfx.constants"
 """Key of a model's metadata under which `training.export` puts outputs that no node makes, which some execution
 providers cannot have: {name: {"shape": [...], "float32": "base64"}}."""
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
+_BFLOAT16 = 16
 OPTIMISED_FOLDER = "networks"
 MOST_BYTES = 256 << 20
 """Total bytes of cached files; the least recently used are removed first."""
@@ -120,7 +121,7 @@ class Session:
         computed = [name for name in names if name not in stored]
         if not computed:
             return stored
-        zeros = {value.name: np.zeros(value.fixed, value.dtype) for value in self.inputs}
+        zeros = {value.name: np.zeros(value.fixed, element_type(value.dtype)) for value in self.inputs}
         options = ort.RunOptions()
         options.only_execute_path_to_fetches = True
         try:
@@ -192,8 +193,9 @@ def _value(item: ort.NodeArg) -> Value:
     return Value(item.name, tuple(item.shape), _ELEMENT_TYPES.get(element, element))
 
 
-def _element_type(tensor: Tensor) -> type:
-    return np.dtype(tensor.dtype).type
+def _element_type(tensor: Tensor) -> type | int:
+    """What ONNX Runtime calls a tensor's elements: NumPy's type, or ONNX's number where NumPy has none."""
+    return _BFLOAT16 if tensor.dtype == "bfloat16" else np.dtype(tensor.dtype).type
 
 
 def make_session(model: bytes, dims: Mapping[str, int],

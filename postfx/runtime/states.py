@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from postfx.errors import BindingError
+from postfx.errors import BindingError, HazardError, ModelError
 from postfx.runtime.session import Session
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 from postfx.runtime.threads import Band, Helpers
@@ -24,7 +24,7 @@ MINIMUM_ROWS = 4
 
 
 class Binding(NamedTuple):
-    """One argument of a network or kernel.
+    """One argument of a network or kernel; `access` is 'read', 'write' or 'read-write'.
 
     `shape` is None if a kernel leaves it open, and may hold symbols ('height', '2*width') in kernels only.
     """
@@ -33,6 +33,16 @@ class Binding(NamedTuple):
     access: str
     shape: tuple[int | str, ...] | None
     dtype: str
+
+    @property
+    def reads(self) -> bool:
+        """Whether its content is read."""
+        return self.access != "write"
+
+    @property
+    def writes(self) -> bool:
+        """Whether it gets new content."""
+        return self.access != "read"
 
 
 class StateDevice(TensorDevice, Protocol):
@@ -49,13 +59,16 @@ class StateDevice(TensorDevice, Protocol):
 
 class State(Protocol):
     """What an argument table is made for and an encoder dispatches; `model` is a network's file, `capturable` whether
-    it may become part of a CUDA graph."""
+    it may become part of a CUDA graph, `threads` how many of the device's threads it takes."""
 
     device: StateDevice
     command: str
     stage: str
     capturable: bool
     bindings: tuple[Binding, ...]
+
+    @property
+    def threads(self) -> int: ...
 
     @property
     def model(self) -> Path | None: ...
@@ -79,20 +92,23 @@ class PipelineState:
     capturable = True
 
     def __init__(self, device: StateDevice, name: str, session: Session, dims: dict[str, int], model: Path,
-                 constants: Sequence[str] = ()) -> None:
+                 constants: Sequence[str] = (), in_place: Mapping[str, str] | None = None,
+                 threads: int | None = None) -> None:
         self.device = device
+        self.threads = threads or device.threads
         self.name = name
         self.dims = dims
         self.model = model
         self.command = f"network '{name}'"
-        self.bindings = tuple(binding for binding in _session_bindings(session) if binding.name not in constants)
+        self._in_place = dict(in_place or {})
+        self.bindings = _session_bindings(name, session, constants, self._in_place)
         self.shapes = {value.name: value.fixed for value in (*session.inputs, *session.outputs)}
         self.constants = session.constants(constants)
         self._session = session
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that runs the network on bound tensors."""
-        return _bind_session(self._session, self.bindings, tensors)
+        return _bind_session(self._session, self.bindings, tensors, self._in_place)
 
 
 class ComputeState:
@@ -107,6 +123,7 @@ class ComputeState:
         self.name = kernel.name
         self.command = f"kernel '{kernel.name}'"
         self.bindings = kernel_bindings(kernel)
+        self.threads = device.threads
         self._row_axis = kernel.row_axis
 
     def _extent(self, tensors: Sequence[Tensor]) -> tuple[int, ...]:
@@ -124,10 +141,11 @@ class PortableComputeState(ComputeState):
     def __init__(self, device: StateDevice, kernel: Kernel, session: Session) -> None:
         super().__init__(device, kernel)
         self._session = session
+        self._in_place = kernel.in_place
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that runs the portable definition on bound tensors."""
-        return _bind_session(self._session, self.bindings, tensors)
+        return _bind_session(self._session, self.bindings, tensors, self._in_place)
 
 
 class CompiledComputeState(ComputeState):
@@ -176,7 +194,9 @@ class CudaComputeState(ComputeState):
 
 def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:
     """Bindings of a kernel in argument order."""
-    named = [(name, "read") for name in kernel.reads] + [(name, "write") for name in kernel.writes]
+    changed = kernel.in_place
+    named = [(name, "read-write" if name in changed else "read") for name in kernel.reads]
+    named += [(name, "write") for name in kernel.writes if name not in changed]
     shapes = {name: tuple(shape) for name, shape in kernel.shapes.items()}
     return tuple(Binding(name, access, shapes.get(name), kernel.types.get(name, "float32")) for name, access in named)
 
@@ -193,18 +213,44 @@ def _compile_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
     compile_for((types.int64, types.int64, *arrays))
 
 
-def _session_bindings(session: Session) -> tuple[Binding, ...]:
-    reads = [Binding(value.name, "read", value.fixed, value.dtype) for value in session.inputs]
-    writes = [Binding(value.name, "write", value.fixed, value.dtype) for value in session.outputs]
-    return tuple(reads + writes)
+def _session_bindings(
+    name: str, session: Session, constants: Sequence[str], in_place: Mapping[str, str]
+) -> tuple[Binding, ...]:
+    reads = {value.name: Binding(value.name, "read", value.fixed, value.dtype) for value in session.inputs}
+    writes = {value.name: Binding(value.name, "write", value.fixed, value.dtype) for value in session.outputs
+              if value.name not in constants}
+    for source, result in in_place.items():
+        if source not in reads or result not in writes:
+            raise ModelError(f"network '{name}' cannot replace '{source}' by '{result}': it has the inputs "
+                             f"{_quoted(reads)} and the outputs {_quoted(writes)}")
+        one, other = reads[source], writes.pop(result)
+        if (one.shape, one.dtype) != (other.shape, other.dtype):
+            raise ModelError(f"network '{name}' cannot replace '{source}', {one.shape} {one.dtype}, by '{result}', "
+                             f"{other.shape} {other.dtype}: give two that are alike")
+        reads[source] = one._replace(access="read-write")
+    return (*reads.values(), *writes.values())
 
 
-def _bind_session(session: Session, bindings: tuple[Binding, ...], tensors: Sequence[Tensor]) -> Callable[[], None]:
+def _bind_session(
+    session: Session, bindings: tuple[Binding, ...], tensors: Sequence[Tensor], in_place: Mapping[str, str]
+) -> Callable[[], None]:
+    """A function that runs a session. What it changes in place is written elsewhere first, as its nodes may read it to
+    the end."""
     bound = {binding.name: tensor for binding, tensor in zip(bindings, tensors, strict=True)}
-    return session.bind(
-        {binding.name: bound[binding.name] for binding in bindings if binding.access == "read"},
-        {binding.name: bound[binding.name] for binding in bindings if binding.access == "write"},
-    )
+    inputs = {binding.name: bound[binding.name] for binding in bindings if binding.reads}
+    outputs = {binding.name: bound[binding.name] for binding in bindings if binding.access == "write"}
+    if not in_place:
+        return session.bind(inputs, outputs)
+    replaced = [(bound[name], bound[name].device.heap.tensor(result, bound[name].shape, bound[name].dtype))
+                for name, result in in_place.items()]
+    run = session.bind(inputs, outputs | {new.name: new for _, new in replaced})
+
+    def run_in_place() -> None:
+        run()
+        for old, new in replaced:
+            old.device.memory.copy(old.start, new.start, old.nbytes)
+
+    return run_in_place
 
 
 _BIND = "set table['name'] = tensor"
@@ -222,12 +268,25 @@ class Arguments:
     def __init__(self, state: State, tensors: tuple[Tensor, ...]) -> None:
         pairs = list(zip(state.bindings, tensors, strict=True))
         self.state = state
-        self.reads = tuple(tensor for binding, tensor in pairs if binding.access == "read")
-        self.writes = tuple(tensor for binding, tensor in pairs if binding.access == "write")
+        self.reads = tuple(tensor for binding, tensor in pairs if binding.reads)
+        self.writes = tuple(tensor for binding, tensor in pairs if binding.writes)
         self.transients = tuple(dict.fromkeys(a for a in (t.allocation for t in tensors) if isinstance(a, Transient)))
-        self.execute: Callable[[], None] | None = None if self.transients else state.prepare(tensors)
+        self.execute: Callable[[], None] | None = None if self.transients else _prepare(state, tensors)
         self._tensors = tensors
         self._placed: tuple[tuple[Allocation | None, ...], Arguments] | None = None
+
+    def check_aliases(self, what: str, label: str) -> None:
+        """HazardError when two bindings have the same memory and one of them is written; it begins with `what`."""
+        pairs = list(zip(self.state.bindings, self._tensors, strict=True))
+        writers = [index for index, (binding, _) in enumerate(pairs) if binding.writes]
+        for index in writers:
+            written = self._tensors[index]
+            for number, (binding, other) in enumerate(pairs):
+                if number == index or (binding.writes and number > index) or not written.overlaps(other):
+                    continue
+                pair = f"'{other.name}' and '{written.name}'" if other.name != written.name else f"'{written.name}'"
+                message = f"{what} has {pair} on the same memory, one of them written: bind separate tensors"
+                raise HazardError(message, "aliasing", written.name, None, label)
 
     def with_memory(self) -> Arguments:
         """The same arguments on the memory that transient tensors have now; cached until that changes."""
@@ -235,6 +294,28 @@ class Arguments:
         if self._placed is None or self._placed[0] != places:
             self._placed = places, Arguments(self.state, tuple(tensor.resident() for tensor in self._tensors))
         return self._placed[1]
+
+
+def _prepare(state: State, tensors: tuple[Tensor, ...]) -> Callable[[], None]:
+    """A function that runs a state. What has strides is gathered before and scattered after it."""
+    if all([tensor.contiguous for tensor in tensors]):
+        return state.prepare(tensors)
+    packed = [tensor if tensor.contiguous else state.device.heap.tensor(tensor.name, tensor.shape, tensor.dtype)
+              for tensor in tensors]
+    run = state.prepare(packed)
+    strided = [(binding, tensor, copy) for binding, tensor, copy in zip(state.bindings, tensors, packed, strict=True)
+               if not tensor.contiguous]
+
+    def run_packed() -> None:
+        for binding, tensor, copy in strided:
+            if binding.reads:
+                copy.host_view()[...] = tensor.host_view()
+        run()
+        for binding, tensor, copy in strided:
+            if binding.writes:
+                tensor.host_view()[...] = copy.host_view()
+
+    return run_packed
 
 
 class ArgumentTable:
@@ -297,7 +378,7 @@ class ArgumentTable:
             raise BindingError(f"{where}: tensor '{tensor.name}' is {tensor.dtype}, it must be {binding.dtype}")
         if binding.shape is not None and not could_match(tensor.shape, binding.shape):
             raise BindingError(f"{where}: tensor '{tensor.name}' is {tensor.shape}, it must be {_text(binding.shape)}")
-        if binding.access == "write" and not tensor.allocation.writable:
+        if binding.writes and not tensor.allocation.writable:
             fix = "wrap a writable one"
             raise BindingError(f"{where} is written, but tensor '{tensor.name}' wraps a read-only array: {fix}")
 

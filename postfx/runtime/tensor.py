@@ -6,6 +6,7 @@ import math
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -138,13 +139,28 @@ class TensorHeap(Protocol):
     def explain_loss(self, transient: Transient) -> str | None: ...
 
 
-DTYPES = ("float32", "float16", "float64", "int64", "int32", "int16", "int8", "uint8", "bool")
+DTYPES = ("float32", "float16", "bfloat16", "float64", "int64", "int32", "int16", "int8", "uint64", "uint32", "uint16",
+          "uint8", "bool")
 """Element types a tensor may have."""
+
+
+@cache
+def element_type(dtype: str) -> np.dtype[Any]:
+    """NumPy's type of a tensor's elements. Raises BindingError for bfloat16 without the package ml_dtypes."""
+    if dtype != "bfloat16":
+        return np.dtype(dtype)
+    try:
+        from ml_dtypes import bfloat16
+    except ImportError:
+        fix = "pip install ml_dtypes"
+        raise BindingError(f"tensors of bfloat16, which NumPy has not, need the package ml_dtypes: {fix}") from None
+    found: np.dtype[Any] = np.dtype(bfloat16)
+    return found
 
 
 def size_in_bytes(shape: tuple[int, ...], dtype: str) -> int:
     """Bytes of a contiguous tensor."""
-    return math.prod(shape) * np.dtype(dtype).itemsize
+    return math.prod(shape) * element_type(dtype).itemsize
 
 
 class Allocation:
@@ -208,18 +224,23 @@ class Transient(Allocation):
 
 
 class Tensor:
-    """A contiguous tensor on a device.
+    """A tensor on a device.
 
     Made by `device.heap.tensor` (undefined content), `device.heap.transient` (content within a command buffer) or
     `device.wrap` (content of a NumPy array).
+
+    Attributes:
+        contiguous: whether its elements lie in order without gaps; if not, `strided` was given, the array that it wraps
+            in the host's memory. What runs on it works on a contiguous copy, which costs a copy each time.
     """
 
     def __init__(
         self, device: TensorDevice, name: str, shape: tuple[int, ...], dtype: str, allocation: Allocation,
-        offset: int = 0
+        offset: int = 0, strided: np.ndarray | None = None
     ) -> None:
         if dtype not in DTYPES:
             raise BindingError(f"tensor '{name}' cannot be of type {dtype}: use one of {', '.join(DTYPES)}")
+        self.contiguous = strided is None
         self._device = device
         self.name = name
         self.shape = tuple(int(size) for size in shape)
@@ -227,8 +248,8 @@ class Tensor:
         self.allocation = allocation
         self.nbytes = size_in_bytes(self.shape, dtype)
         self.start = allocation.pointer + offset
-        self.end = self.start + self.nbytes
-        self._host: np.ndarray | None = None
+        self.end = self.start + (self.nbytes if self.contiguous else allocation.nbytes)
+        self._host = strided
         self._resident: Tensor | None = None
 
     def __repr__(self) -> str:
@@ -269,12 +290,14 @@ class Tensor:
         """A NumPy copy of the content. Raises HazardError as `array` does."""
         check_host_read(self.name, self.state)
         scratch, here = self._device.scratch, self.resident()
+        if not self.contiguous:
+            return here.host_view().copy("C")
         if scratch is None:
-            copy = np.empty(self.shape, self.dtype)
+            copy = np.empty(self.shape, element_type(self.dtype))
             if copy.nbytes:
                 self._device.memory.read(here.start, copy)
             return copy
-        copy, view = scratch.empty(self.shape, self.dtype), here.host_view()
+        copy, view = scratch.empty(self.shape, element_type(self.dtype)), here.host_view()
         if not copy.ndim:
             copy[...] = view
             return copy
@@ -289,13 +312,15 @@ class Tensor:
         Raises BindingError when they do not fit, or the tensor is read-only or transient. Raises HazardError while a
         recorded command or one in flight uses the memory, for it would see the new values.
         """
-        source = np.asarray(values)
-        if source.shape != self.shape or not np.can_cast(source.dtype, self.dtype, "same_kind"):
+        source, kind = np.asarray(values), element_type(self.dtype)
+        if source.shape != self.shape or not np.can_cast(source.dtype, kind, "same_kind"):
             given = f"{source.shape} {source.dtype}"
             raise BindingError(f"upload of {given} to '{self.name}': the tensor is {self.shape} {self.dtype}")
         self._check_host_write()
-        contiguous = np.ascontiguousarray(source, self.dtype).reshape(self.shape)
-        if contiguous.nbytes:
+        contiguous = np.ascontiguousarray(source, kind).reshape(self.shape)
+        if not self.contiguous:
+            self.host_view()[...] = contiguous
+        elif contiguous.nbytes:
             self._device.memory.write(self.start, contiguous)
         self._device.hazards.mark_written(self)
 
@@ -303,7 +328,7 @@ class Tensor:
         """Set every element to `value`. Raises HazardError as `upload` does."""
         scratch = self._device.scratch
         if scratch is None or not self.shape:
-            self.upload(np.broadcast_to(np.asarray(value, self.dtype), self.shape))
+            self.upload(np.broadcast_to(np.asarray(value, element_type(self.dtype)), self.shape))
             return
         self._check_host_write()
         for first, last in scratch.pieces(self.shape[0], self.nbytes // max(1, self.shape[0])):
@@ -312,7 +337,9 @@ class Tensor:
 
     def view(self, name: str, shape: tuple[int, ...], offset: int = 0) -> Tensor:
         """A tensor over part of the same memory: `shape` elements from element `offset` on, no copy."""
-        skipped = offset * np.dtype(self.dtype).itemsize
+        if not self.contiguous:
+            raise BindingError(f"'{self.name}' is strided: take the view of the array, and wrap that")
+        skipped = offset * element_type(self.dtype).itemsize
         if offset < 0 or skipped + size_in_bytes(shape, self.dtype) > self.nbytes:
             raise BindingError(f"view '{name}' {tuple(shape)} at {offset} does not fit into '{self.name}' {self.shape}")
         inside = self.start - self.allocation.pointer + skipped
@@ -349,7 +376,7 @@ class Tensor:
         if not self._device.memory.host_visible:
             raise DeviceError(f"tensor '{self.name}' lives on {self._device.name}: use download() for a copy")
         if self._host is None:
-            self._host = view_at(self.start, self.shape, self.dtype, self.allocation.owner)
+            self._host = view_at(self.start, self.shape, element_type(self.dtype), self.allocation.owner)
         return self._host
 
     def _check_host_write(self) -> None:

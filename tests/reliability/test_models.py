@@ -6,8 +6,10 @@ import os
 import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
+from onnxruntime.capi import onnxruntime_pybind11_state as onnxruntime_state
 
-from postfx.runtime import Device, Library
+from postfx.runtime import Device, Library, ModelError
+from postfx.runtime.models import MICROSOFT_OPERATORS, OPERATORS
 from postfx.system import models_dir
 from tests import toys
 from tests.reliability.model_files import graph_of, model_of, outside, weights_of
@@ -116,7 +118,40 @@ def test_output_that_is_not_the_cards(refused):
 def test_unknown_domain(refused):
     node = helper.make_node("Evil", ["x"], ["y"], domain="com.evil")
     model = model_of(node, opsets=[helper.make_opsetid("com.evil", 1)])
-    assert "operators of the domain 'com.evil' are not known" in refused(model)
+    assert "the operator 'com.evil.Evil' is not known" in refused(model)
+
+
+def test_domain_that_no_node_uses_is_no_harm(tmp_path):
+    model = model_of(opsets=[helper.make_opsetid("ai.onnx.ml", 3), helper.make_opsetid("com.microsoft", 1)])
+    (tmp_path / "optimised.onnx").write_bytes(model.SerializeToString())
+    assert Library(tmp_path).load("optimised")
+
+
+def test_every_known_operator_is_one_of_onnx_runtime():
+    schemas = {(item.domain, item.name) for item in onnxruntime_state.get_all_operator_schema()}
+    assert {("", name) for name in OPERATORS} <= schemas
+    assert {("com.microsoft", name) for name in MICROSOFT_OPERATORS} <= schemas
+
+
+@pytest.mark.parametrize("operator", ["BeamSearch", "EPContext", "Sampling", "Snpe", "Tokenizer"])
+def test_operators_of_onnx_runtime_that_do_more_than_compute(refused, operator):
+    node = helper.make_node(operator, ["x"], ["y"], domain="com.microsoft")
+    reason = refused(model_of(node, opsets=[helper.make_opsetid("com.microsoft", 1)]))
+    assert f"the operator 'com.microsoft.{operator}' is not known" in reason and "trust=True" in reason
+
+
+def test_trust_overrides_what_nodes_do_and_nothing_else(tmp_path, device):
+    taken = graph_of([helper.make_node("Neg", ["x"], ["z"])], inputs=(), outputs=[toys.value("z", (1, "height"))])
+    chosen = helper.make_node("If", ["yes"], ["y"], then_branch=taken, else_branch=taken)
+    path = tmp_path / "branch.onnx"
+    path.write_bytes(model_of(chosen, weights=[numpy_helper.from_array(np.array(True), "yes")]).SerializeToString())
+    with pytest.raises(ModelError, match=r"operator 'If' is not known; .* Library\(folder, trust=True\) loads it"):
+        Library(tmp_path).load("branch")
+    trusting = Library(tmp_path, trust=True)
+    assert device.pipeline_state(trusting, "branch", {"height": 4}).bindings[1].shape == (1, 4)
+    path.with_suffix(".json").write_text('{"outputs": {"z": {}}}')
+    with pytest.raises(ModelError, match="it has the outputs y, its card has z"):
+        trusting.load("branch")
 
 
 def test_operator_of_an_undeclared_domain(refused):

@@ -43,6 +43,16 @@ def double(device: Device, library: Library) -> PipelineState:
     return device.pipeline_state(library, "double", {"height": 4, "width": 5})
 
 
+def run_once(state, tensors: dict, stage: str = "machine_learning") -> None:
+    """Run a state on tensors, from commit to wait."""
+    commands = state.device.command_buffer("once")
+    with getattr(commands, f"{stage}_encoder")("once") as encoder:
+        dispatch = encoder.dispatch_network if stage == "machine_learning" else encoder.dispatch
+        dispatch(state, ArgumentTable(state, tensors))
+    commands.commit()
+    commands.wait(60)
+
+
 class Bench:
     """A device with a network 'double' and a kernel 'add' on tensors of one size, to record short graphs with."""
 

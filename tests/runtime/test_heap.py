@@ -152,11 +152,9 @@ def test_wrap_shares_memory_and_counts_as_written(device, ones):
     assert np.all(ones == 2.0)
 
 
-def test_wrap_needs_contiguous_arrays_of_this_machines_byte_order(device):
+def test_wrap_needs_arrays_of_this_machines_byte_order(device):
     with pytest.raises(BindingError, match="has the byte order of other machines: pass it as float32"):
         device.wrap("x", np.ones(3, ">f4"))
-    with pytest.raises(BindingError, match="not C-contiguous"):
-        device.wrap("t", np.zeros((4, 4), np.float32).T)
 
 
 def test_wrapped_read_only_arrays_cannot_be_written(device, ones):

@@ -1,0 +1,127 @@
+"""Commands that no barrier orders run side by side where they leave each other threads; handlers are told the end."""
+
+import logging
+import threading
+
+import numpy as np
+import pytest
+
+from postfx.runtime import ArgumentTable, CommandError, Device, DeviceError
+from tests import toys
+
+WAIT = 20
+"""Seconds until a test gives up."""
+
+
+class Meeting:
+    """A stand-in for what a network runs: waits until `count` of them run at once."""
+
+    def __init__(self, count):
+        self.barrier, self.most, self.now, self.lock = threading.Barrier(count), 0, 0, threading.Lock()
+
+    def __call__(self, run):
+        def met():
+            with self.lock:
+                self.now += 1
+                self.most = max(self.most, self.now)
+            try:
+                if self.barrier.parties > 1:
+                    self.barrier.wait(WAIT)
+                run()
+            finally:
+                with self.lock:
+                    self.now -= 1
+
+        return met
+
+
+@pytest.fixture
+def record(library, monkeypatch):
+    """Records three networks, the third after both others or, without barriers, beside them."""
+
+    def make(device, threads, meeting, barrier=False, networks=3):
+        state = device.pipeline_state(library, "double", {"height": 4, "width": 5}, threads=threads)
+        prepare = state.prepare
+        monkeypatch.setattr(state, "prepare", lambda tensors: meeting(prepare(tensors)))
+        x = device.wrap("x", np.ones((1, 4, 5), np.float32))
+        results = [device.heap.tensor(f"y{i}", (1, 4, 5)) for i in range(networks)]
+        commands = device.command_buffer("frame")
+        with commands.machine_learning_encoder("networks") as encoder:
+            for result in results:
+                encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": result}))
+                if barrier:
+                    encoder.barrier()
+        return commands, results
+
+    return make
+
+
+def test_as_many_as_there_are_threads_for(record):
+    meeting = Meeting(3)  # it would wait in vain if fewer ran at once
+    commands, results = record(Device("cpu", threads=3), 1, meeting)
+    commands.commit()
+    commands.wait(WAIT)
+    assert meeting.most == 3 and all(np.all(y.array == 2.0) for y in results)
+    assert [label for label, _ in commands.timings] == ["networks"]
+
+
+@pytest.mark.parametrize("threads, taken, barrier", [(3, 3, False), (3, 2, False), (3, 1, True)])
+def test_no_more_than_fit_and_none_before_a_barrier(record, threads, taken, barrier):
+    meeting = Meeting(1)
+    commands, results = record(Device("cpu", threads=threads), taken, meeting, barrier)
+    commands.commit()
+    commands.wait(WAIT)
+    assert meeting.most == 1 and all(np.all(y.array == 2.0) for y in results)
+
+
+def test_a_failure_ends_what_has_not_begun(device, library):
+    pick, state = device.pipeline_state(library, "pick", threads=1), device.compute_state(toys.ADD)
+    good, bad = (device.wrap("index", np.array([i])) for i in (1, 7))
+    picked = [device.heap.tensor(f"picked {i}", (1,)) for i in range(2)]
+    total = device.heap.tensor("total", (1, 4, 5))
+    ones = device.wrap("ones", np.ones((1, 4, 5), np.float32))
+    commands = device.command_buffer("frame")
+    with commands.machine_learning_encoder("pick") as encoder:
+        for index, result in zip((good, bad), picked, strict=True):
+            encoder.dispatch_network(pick, ArgumentTable(pick, {"index": index, "picked": result}))
+    with commands.compute_encoder("after") as encoder:
+        encoder.barrier(after="machine-learning", before="compute")
+        encoder.dispatch(state, ArgumentTable(state, {"a": ones, "b": ones, "total": total}))
+    commands.commit()
+    with pytest.raises(CommandError, match="'pick' .*of 'frame' failed"):
+        commands.wait(WAIT)
+    assert picked[0].array.tolist() == [20] and total.state.failed and picked[1].state.failed
+
+
+def test_threads_that_a_network_cannot_take(device, library):
+    with pytest.raises(DeviceError, match="cannot take 3 of the 2 threads"):
+        device.pipeline_state(library, "double", {"height": 4, "width": 5}, threads=3)
+
+
+def test_handlers_are_called_at_every_end(bench, caplog):
+    x, y, told = bench.tensor("x", filled=True), bench.tensor("y"), []
+    called = threading.Semaphore(0)
+
+    def tell(commands):
+        commands.wait()
+        told.append((commands.label, float(y.array[0, 0, 0])))
+        called.release()
+
+    def fail(commands):
+        raise ValueError("no")
+
+    commands = bench.device.command_buffer("frame")
+    commands.add_completed_handler(fail)
+    commands.add_completed_handler(tell)
+    with commands.machine_learning_encoder("double") as encoder:
+        encoder.dispatch_network(*bench.double(x, y))
+    with caplog.at_level(logging.ERROR, "postfx"):
+        for _ in range(2):
+            commands.commit()
+            assert called.acquire(timeout=WAIT)
+    assert told == [("frame", 2.0)] * 2 and caplog.text.count("a handler of 'frame' failed") == 2
+    commands.begin("next")
+    commands.commit()
+    commands.wait(WAIT)
+    bench.device.wait_idle(WAIT)
+    assert len(told) == 2
