@@ -408,6 +408,10 @@ READING = Section("reading and running", (
            help="where shots begin, so that the history is dropped: by headers and pictures, nowhere, or at these "
            "frames, e.g. 1,48,90 (default: auto)"),
     Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", sets="device.name", help="where to run"),
+    Option(flag="--provider", metavar="NAME[,OPTION=VALUE...]", sets="device.provider", changes="rounding",
+           help="run networks on an execution provider of ONNX Runtime, with options of its own, e.g. "
+           "OpenVINO,device_type=CPU; library=FILE or PACKAGE loads one that is a plug-in; tensors and kernels stay on "
+           "the CPU"),
     Option(flag="--memory", metavar="SIZE", sets="device.memory", changes="rounding",
            help="what the process may have in memory, e.g. 4G: frames are worked on in tiles, and what is too large "
            "lies in temporary files (TMPDIR); CPU only (default: no limit)"),

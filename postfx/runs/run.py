@@ -118,7 +118,7 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
     """
     settings = {name: _plain(settings[name]) for name in sorted(settings)}
     passes = {step.name: {key: _plain(value) for key, value in step.instance.options.items()} for step in plan.steps}
-    place = {"name": device.name, "provider": device.placement.provider, "threads": device.threads}
+    place = {"name": device.name, "provider": str(device.placement), "threads": device.threads}
     library = Library()
     models = {name: library.sha256(name) for name in library.names()}
     foreign = {step.instance.name for step in plan.steps if step.instance.name not in BUILT_IN}

@@ -26,7 +26,7 @@ from postfx.runtime.heap import Heap
 from postfx.runtime.memory import HostMemory, Immediate, Memory, address, byte_span
 from postfx.runtime.model_file import fix_dimensions
 from postfx.runtime.models import Library
-from postfx.runtime.session import Placement, Session, first_line
+from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, parse_provider
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import Allocation, Tensor
 from postfx.runtime.threads import CommandQueue, Helpers
@@ -52,6 +52,9 @@ class Device:
             passes work in tiles. CPU only; 'auto' then means the CPU.
         kernels: library of portable definitions that go before those which come with the kernels.
         graphs: launch commands that ran before on the same tensors as one CUDA graph.
+        provider: an execution provider of ONNX Runtime for the networks, as 'OpenVINO,device_type=CPU': its name,
+            options of its own, and library=, a plug-in's file or package. Kernels and tensors stay on the CPU, and so
+            do nodes that it cannot run; 'auto' then means the CPU.
 
     Attributes:
         models: name -> SHA-256 of the networks that are loaded, or may be for frames of another size.
@@ -69,14 +72,17 @@ class Device:
         kernels: Library | None = None,
         memory: str | int | None = None,
         graphs: bool = True,
+        provider: str | Provider | None = None,
     ) -> None:
         if threads is not None and threads < 1:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
-        self._arguments = name, threads, compiled_kernels, kernels, memory, graphs
+        self._arguments = name, threads, compiled_kernels, kernels, memory, graphs, provider
         self.threads = threads or usable_cores()
         self.scratch = None if memory is None else Scratch(memory)
-        name = "cpu" if self.scratch and name == "auto" else name
+        name = "cpu" if (self.scratch or provider) and name == "auto" else name
         self.placement, self.memory = choose(name, self.threads, graphs)
+        if provider is not None:
+            self.placement = _run_by(self.placement, provider, name)
         if self.scratch:
             self.memory = _within(self.scratch, self.memory, name)
         self.name = name if name != "auto" else self.placement.memory
@@ -251,6 +257,14 @@ class Device:
         return Library(kernel.portable.parent).load(kernel.name)
 
 
+def _run_by(placement: Placement, provider: str | Provider, name: str) -> Placement:
+    """The CPU's placement, with networks on another provider."""
+    if placement.provider != CPU:
+        raise DeviceError(f"a provider works on the host's memory, not on '{name}': leave one of them out")
+    asked = find_provider(parse_provider(provider) if isinstance(provider, str) else provider)
+    return replace(placement, provider=asked.name, asked=asked)
+
+
 def _within(scratch: Scratch, memory: Memory, name: str) -> HostMemory:
     """Memory of a device with a budget."""
     if not memory.host_visible:
@@ -290,7 +304,7 @@ def choose(name: str, threads: int, graphs: bool = True) -> tuple[Placement, Mem
     if match[1] == "cuda" and fault:
         raise DeviceError(f"device '{name}' is not available: {fault}")
     if match[1] == "cpu" or fault:
-        return Placement("CPUExecutionProvider", "cpu", 0, threads), HostMemory()
+        return Placement(CPU, "cpu", 0, threads), HostMemory()
     try:
         memory = CudaMemory(index, graphs)
     except DeviceError:

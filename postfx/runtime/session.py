@@ -15,13 +15,14 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import onnxruntime as ort
 
-from postfx.errors import ModelError
+from postfx.errors import DeviceError, ModelError
 from postfx.files import atomic_file, parse_json
 from postfx.runtime.tensor import Tensor, element_type
 from postfx.system import private_folder, usable_memory
@@ -43,15 +44,91 @@ EXTERNAL_WEIGHTS = b"location"
 PROCESSOR = ("model name", "flags", "Features")
 
 
+CPU = "CPUExecutionProvider"
+
+
+class Provider(NamedTuple):
+    """An execution provider of ONNX Runtime that networks run on, with tensors in the host's memory.
+
+    Attributes:
+        name: ONNX Runtime's name; its end 'ExecutionProvider' may be left out.
+        options: name -> value, the provider's own.
+        library: file, or name of the installed package, of a provider that is no part of this onnxruntime but a plug-in
+            for it.
+    """
+
+    name: str
+    options: tuple[tuple[str, str], ...] = ()
+    library: str | None = None
+
+    def __str__(self) -> str:
+        parts = [self.name, *(f"{key}={value}" for key, value in self.options)]
+        return ",".join(parts + [f"library={self.library}"] * (self.library is not None))
+
+
+def parse_provider(text: str) -> Provider:
+    """A provider from 'NAME[,option=value...][,library=FILE|PACKAGE]'. Raises DeviceError where that cannot be read."""
+    name, *rest = re.split(r",(?=\w+=)", text.strip())
+    options = dict(part.partition("=")[::2] for part in rest)
+    if not re.fullmatch(r"\w+", name):
+        raise DeviceError(f"provider '{text}' cannot be read: write NAME,option=value,..., as in "
+                          "OpenVINO,device_type=CPU")
+    library = options.pop("library", None)
+    return Provider(name, tuple(options.items()), library)
+
+
+def find_provider(asked: Provider) -> Provider:
+    """The provider by its full name; a plug-in's library is loaded.
+
+    Raises DeviceError that lists what there is when it is none of this onnxruntime's, the library cannot be loaded, or
+    the machine has no device for it.
+    """
+    if asked.library is not None:
+        _register(asked.library)
+    there = {device.ep_name for device in _plug_in_devices()} if asked.library else set(ort.get_available_providers())
+    names = {name.removesuffix("ExecutionProvider").lower(): name for name in there}
+    name = names.get(asked.name.removesuffix("ExecutionProvider").lower())
+    if name is None:
+        known = ", ".join(sorted(there)) or "none"
+        if asked.library:
+            raise DeviceError(f"provider '{asked.name}' has no device on this machine, although '{asked.library}' is "
+                              f"loaded: those with one are {known}")
+        raise DeviceError(f"no provider '{asked.name}' in onnxruntime {ort.__version__}, which has {known}: install "
+                          "one that has it, in an environment of its own, or give a plug-in as library=FILE|PACKAGE")
+    return asked._replace(name=name)
+
+
+@cache
+def _register(library: str) -> None:
+    """Load a plug-in's library, once a process."""
+    try:
+        path = library if Path(library).is_file() else import_module(library).get_library_path()
+        ort.register_execution_provider_library(f"postfx {library}", str(Path(path).absolute()))
+    except (ImportError, AttributeError, TypeError) as error:
+        raise DeviceError(f"library '{library}' of a provider is neither a file nor a package that has one "
+                          f"({first_line(error)}), or onnxruntime {ort.__version__} is too old for plug-ins") from error
+    except Exception as error:
+        raise DeviceError(f"library '{library}' of a provider cannot be loaded: {first_line(error)}") from error
+
+
+def _plug_in_devices() -> list[Any]:
+    return list(ort.get_ep_devices()) if hasattr(ort, "get_ep_devices") else []
+
+
 @dataclass(frozen=True)
 class Placement:
-    """Where sessions run: ONNX Runtime's names for the provider and the memory, the CPU threads, and a GPU's stream."""
+    """Where sessions run: ONNX Runtime's names for the provider and the memory, the CPU threads, a GPU's stream, and
+    what the user asked for of a provider."""
 
     provider: str
     memory: str
     index: int
     threads: int
     stream: int = 0
+    asked: Provider | None = None
+
+    def __str__(self) -> str:
+        return str(self.asked or self.provider)
 
 
 class Value(NamedTuple):
@@ -86,10 +163,13 @@ class Session:
             return found
 
         try:
-            if placement.provider == "CPUExecutionProvider":
+            if placement.provider == CPU and not placement.asked:
                 self._session = make_session(model, dims, options)
+            elif placement.asked and placement.asked.library:
+                self._session = _plug_in_session(model, options(), placement.asked)
             else:
-                self._session = ort.InferenceSession(model, options(), providers=providers_of(placement, exclusive))
+                self._session = ort.InferenceSession(model, options(), providers=providers_of(placement, exclusive),
+                                                     enable_fallback=not placement.asked)
             self.inputs = [_value(item) for item in self._session.get_inputs()]
             self.outputs = [_value(item) for item in self._session.get_outputs()]
         except Exception as error:
@@ -179,12 +259,21 @@ def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.Sessio
 
 def providers_of(placement: Placement, exclusive: bool) -> list[Any]:
     """ONNX Runtime's list of providers; unless `exclusive`, the CPU runs nodes that the provider cannot."""
-    if placement.provider == "CPUExecutionProvider":
-        return ["CPUExecutionProvider"]
+    if placement.asked:
+        return [(placement.provider, dict(placement.asked.options))] + [CPU] * (placement.provider != CPU)
+    if placement.provider == CPU:
+        return [CPU]
     options = {"device_id": str(placement.index), "prefer_nhwc": "1", "fuse_conv_bias": "1"}
     if placement.stream:
         options["user_compute_stream"] = str(placement.stream)
-    return [(placement.provider, options)] + ["CPUExecutionProvider"] * (not exclusive)
+    return [(placement.provider, options)] + [CPU] * (not exclusive)
+
+
+def _plug_in_session(model: bytes, options: ort.SessionOptions, asked: Provider) -> ort.InferenceSession:
+    """A session on all devices of a plug-in's provider, and for what that cannot run on the CPU."""
+    devices = [device for device in _plug_in_devices() if device.ep_name == asked.name]
+    options.add_provider_for_devices(devices, dict(asked.options))
+    return ort.InferenceSession(model, options)
 
 
 def _value(item: ort.NodeArg) -> Value:
@@ -209,7 +298,7 @@ def make_session(model: bytes, dims: Mapping[str, int],
 
 
 def _session(model: bytes, options: ort.SessionOptions) -> ort.InferenceSession:
-    return ort.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    return ort.InferenceSession(model, options, providers=[CPU])
 
 
 def _load_optimised(path: Path, options: ort.SessionOptions) -> ort.InferenceSession | None:
