@@ -57,7 +57,7 @@ class Material:
 
     def __init__(self, sources: Sources) -> None:
         self.sources = sources
-        self.noisy = Sequence(sources.noisy, sources.frames, sources.profile, guides=sources.guides)
+        self.noisy = Sequence(sources.noisy, sources.frames, sources.profile, guides=sources.guides).first_view()
         self._references = Sequence(sources.reference)
         self._lone = len(self.noisy) == 1 and len(self._references) == 1
         self.spec = _one_spec(self.noisy, self.noisy.numbers)
@@ -269,7 +269,7 @@ def measure(task: Task) -> dict[str, Any] | None:
     """
     kept = _compiled_kernels()
     device = Device(task.device, task.threads)
-    sequence = Sequence(task.noisy, task.frames, task.profile, guides=task.guides)
+    sequence = Sequence(task.noisy, task.frames, task.profile, guides=task.guides).first_view()
     method = make(task.method, device, task.scale, task.size, sequence)
     first = _timed(method, next(iter(sequence)))
     if _compiled_kernels() != kept:

@@ -32,7 +32,7 @@ class ExposureCheck:
     def __init__(self, arguments: argparse.Namespace) -> None:
         self._arguments = arguments
         self._sequence = Sequence(arguments.input, arguments.frames, arguments.profile,
-                                  **FILES.values_for("sequence", arguments))
+                                  **FILES.values_for("sequence", arguments)).first_view()
         self._device = Device(arguments.device)
         self._report = self._measure()
 

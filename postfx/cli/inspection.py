@@ -42,7 +42,7 @@ class Inspection:
         depth: str | None = None, colourspace: str | None = None, layer: str | None = None, view: str | None = None,
     ) -> None:
         self.sequence = Sequence(source, frames, profile, guides=guides, depth=depth, colourspace=colourspace,
-                                 layer=layer, view=view)
+                                 layer=layer, view=view).first_view()
         self._reading: Reading = read_material(self.sequence)
         self.findings: list[Finding] = examine(self._reading.material)
         self.exit_code = exit_code(self.findings)

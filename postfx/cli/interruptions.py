@@ -136,6 +136,10 @@ def check_sizes(frame: Frame, first: FrameSpec, sized: bool) -> None:
     if not sized and (spec.width, spec.height) != (first.width, first.height):
         raise FrameError(f"{frame.source}: frame {frame.number} is {spec.width}x{spec.height}, the first one "
                          f"{first.width}x{first.height}: render it at one size, or give the output's with --size")
+    for view in frame.views.values():
+        if (view.spec.width, view.spec.height) != (spec.width, spec.height):
+            raise FrameError(f"{view.source}: is {view.spec.width}x{view.spec.height}, the first view "
+                             f"{spec.width}x{spec.height}: render all views at one size")
     if guides and first.guides and (guides.width, guides.height) != (first.guides.width, first.guides.height):
         raise GuideError(f"{guides.source}: guides are {guides.width}x{guides.height}, those of the first frame "
                          f"{first.guides.width}x{first.guides.height}: render them at one size")

@@ -137,6 +137,7 @@ class Job:
         self._cuts: list[int] = []
         self._bad_pixels: dict[str, dict[str, int]] = {}
         self._written: list[str] = []
+        self._frames = 0  # written
 
     def _values(self, part: str) -> dict[str, Any]:
         return RUN.values_for(part, self._arguments)
@@ -204,12 +205,14 @@ class Job:
         frame = self.sequence.read(number, self.plan.planes, self._guides)
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         result = self.pipeline(frame)
-        return write_frame(self._files().path(number), result, relax=self._relax, **self._format)
+        for path, picture in self._files().split(result):
+            write_frame(path, picture, relax=self._relax, **self._format)
+        return self._files().path(number)
 
     def report(self, failure: BaseException | None = None) -> Report:
         """What happened so far."""
         return Report(
-            frames=len(self._written),
+            frames=self._frames,
             total=len(self.sequence),
             seconds=self._seconds,
             preparation=self._preparation,
@@ -370,14 +373,19 @@ class Job:
     def _write(self, run: Run, done: FrameResult, progress: FrameProgress) -> None:
         number, result, used = done.source.number, done.result, done.exposure
         told = {} if used is None else {APPLIED if self._is_exposed else USED: used}
-        write = partial(write_frame, self._files().path(number), result, relax=self._relax,
-                        provenance={**run.header(), **told}, **self._format)
-        if path := self._faults.attempt(number, True, write):
-            run.note_output(number, path, result, **done.facts())
-            if used is not None:
-                self._exposure.multipliers[number], self._exposure.lit[number] = used, done.lit
-            self._written.append(str(path))
-            progress.advance(str(path))
+        facts, paths = done.facts(), []
+        for path, picture in self._files().split(result):
+            write = partial(write_frame, path, picture, relax=self._relax, provenance={**run.header(), **told},
+                            **self._format)
+            if self._faults.attempt(number, True, write) is None:
+                return
+            run.note_output(number, path, picture, **facts)
+            facts = {}  # those of a frame are told once
+            paths.append(str(path))
+        if used is not None:
+            self._exposure.multipliers[number], self._exposure.lit[number] = used, done.lit
+        self._written, self._frames = self._written + paths, self._frames + 1
+        progress.advance(" ".join(paths))
 
     def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False) -> tuple[list[Pass], list[Skip]]:
         """The passes, the first with these options, or without a denoiser if they are None; and what is left out."""
@@ -413,9 +421,9 @@ class Job:
         return {"strength": 0.0,
                 **({"size": size} if size else {"scale": self.plan.output.width / self.plan.input.width})}
 
-    def _inspect(self, numbers: list[int]) -> Inspection:
-        """What `postfx inspect` finds in the input; from the first of these frames on that can be read whole, if the
-        sequence's own first one cannot."""
+    def _inspect(self, numbers: list[int], view: str | None) -> Inspection:
+        """What `postfx inspect` finds in a view of the input; from the first of these frames on that can be read whole,
+        if the sequence's own first one cannot."""
         from postfx.cli.inspection import Inspection
 
         given, listed = self._arguments, self.sequence.numbers
@@ -423,7 +431,7 @@ class Job:
             frames = listed[listed.index(number):]
             try:
                 return Inspection(given.input, frames, given.profile, given.guides, given.depth,
-                                  given.colourspace, given.layer, self.sequence.view)
+                                  given.colourspace, given.layer, view or self.sequence.view)
             except PostfxError:
                 if number == numbers[-1]:
                     raise

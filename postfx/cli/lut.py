@@ -58,7 +58,7 @@ def execute(arguments: argparse.Namespace) -> int:
         raise WriteError(f"{path}: is not a .cube file: name it {path.with_suffix('.cube')}")
     passes, _ = display_passes(True, **_LOOK.values_for("look", arguments))
     sequence = Sequence(arguments.input, arguments.frames, arguments.profile, [Role.COLOUR],
-                        **FILES.values_for("sequence", arguments))
+                        **FILES.values_for("sequence", arguments)).first_view()
     numbers = sequence.numbers if arguments.frames else sequence.numbers[:: -(-len(sequence) // _MOST_FRAMES)]
     meter = ExposureMeter(arguments.exposure)
     frames = [expose_colour(frame, meter(frame)) for frame in map(sequence.read, numbers)]

@@ -30,8 +30,8 @@ class RunReport:
     """What --report asks for: it looks at every frame that is written, and writes the page at the end.
 
     Args:
-        inspect: looks at the input from the first of these frames on that can be read, for the page's findings and
-            pictures of planes.
+        inspect: looks at a view of the input from the first of these frames on that can be read, for the page's
+            findings and pictures of planes.
         path: the page.
         reference: noise-free frames at output size.
         check: whether the page's folder must be one that can be written.
@@ -39,22 +39,24 @@ class RunReport:
     Raises ReportError when references do not fit, WriteError when the page's folder cannot be written.
     """
 
-    def __init__(self, sequence: Sequence, pipeline: Pipeline, plan: Plan, inspect: Callable[[list[int]], Inspection],
-                 path: str, reference: str | None = None, check: bool = True) -> None:
+    def __init__(self, sequence: Sequence, pipeline: Pipeline, plan: Plan,
+                 inspect: Callable[[list[int], str | None], Inspection], path: str, reference: str | None = None,
+                 check: bool = True) -> None:
         self._sequence, self._pipeline, self._plan, self._inspect = sequence, pipeline, plan, inspect
         self._path = Path(path)
         output = plan.output
         size = output.width, output.height
-        self._references = References(reference, size) if reference else None
+        self._views = (sequence.view or "", *sequence.views) if sequence.views else ()
+        self._references = References(reference, size, self._views) if reference else None
         self._look = Look(output.encoding != "scene-linear")
-        self._views: dict[str, Pipeline] = {}
+        self._displays: dict[str, Pipeline] = {}
         self._log = FrameLog([], self._look, "after")
         if check:
             _check(self._path)
 
     def choose(self, numbers: list[int]) -> None:
         """Say which frames will be written, in order."""
-        self._log = FrameLog(numbers, self._look, "after")
+        self._log = FrameLog(numbers, self._look, f"after {self._views[0]}" if self._views else "after")
 
     def add(self, done: FrameResult) -> None:
         """Look at a frame that just came out."""
@@ -62,49 +64,63 @@ class RunReport:
         cut = done.cut or frame.reset or not self._follows(frame.number)
         metered = measure(frame[Role.COLOUR])
         exposure = done.exposure or 2.0 ** (metered or 0.0)
-        pictures = self._pictures(frame, done.result, exposure, cut)
         readings = {"exposure used": float(np.log2(exposure)), "exposure metered": metered}
-        found = self._compared(pictures, exposure)
         timed = {"ms passes": done.milliseconds} if self._log.rows else {}  # the first one compiles
-        self._log.add(frame.number, pictures, exposure, frame.planes.get(Role.MOTION), cut,
-                      readings | (found.figures if found else {}) | timed, {"FLIP": found.flip} if found else {})
+        pictures: dict[str, np.ndarray] = {}
+        motions: dict[str, np.ndarray | None] = {}
+        maps: dict[str, np.ndarray] = {}
+        sources, results = (frame, *frame.views.values()), (done.result, *done.result.views.values())
+        for view, source, result in zip(self._views or (None,), sources, results, strict=True):
+            own = self._pictures(view, source, result, exposure, cut)
+            found = self._compared(own, exposure)
+            pictures |= {_label(name, view): light for name, light in own.items()}
+            motions |= {_label(name, view): source.planes.get(Role.MOTION) for name in own}
+            if found:
+                readings |= {_label(name, view): value for name, value in found.figures.items()}
+                maps[_label("FLIP", view)] = found.flip
+        self._log.add(frame.number, pictures, exposure, motions, cut, readings | timed, maps)
 
     def write(self, report: Report, plan: str) -> Report:
         """Write the page on the frames seen, with the text of the `plan`; returns the report with the page's path."""
         if not self._log.rows:
             return report
-        inspection = self._inspect([row.number for row in self._log.rows])
+        numbers = [row.number for row in self._log.rows]
+        inspected = {view or "": self._inspect(numbers, view) for view in self._views or (None,)}
         report = dataclasses.replace(report, page=str(self._path))
-        name = Path(str(inspection.sequence.pattern)).name
-        write_report(self._path, f"postfx report: {name}", self._log, inspection.facts(), inspection.frames[0],
-                     {**report.as_dict(), "plan": plan})
+        name = Path(str(self._sequence.pattern)).name
+        write_report(self._path, f"postfx report: {name}", self._log,
+                     {view: one.facts() for view, one in inspected.items()},
+                     {view: one.frames[0] for view, one in inspected.items()}, {**report.as_dict(), "plan": plan})
         return report
 
     def _follows(self, number: int) -> bool:
         """Whether the frame looked at last is the one before, and not one before frames that were left out."""
         return bool(self._log.rows) and self._sequence.before(number, 1) == [self._log.rows[-1].number]
 
-    def _pictures(self, frame: Frame, result: Frame, exposure: float, cut: bool) -> dict[str, np.ndarray]:
-        """Light of one size that is shown alike: before, after and, if there is one, the reference."""
+    def _pictures(
+        self, view: str | None, frame: Frame, result: Frame, exposure: float, cut: bool
+    ) -> dict[str, np.ndarray]:
+        """Light of one size that is shown alike: a view before, after and, if there is one, its reference."""
         after = result[Role.COLOUR]
         height, width = after.shape[:2]
         before = resampled(frame[Role.COLOUR], height, width, frame.jitter)
         scene = {"before": before}
-        reference = self._references.colour(frame.number) if self._references else None
+        reference = self._references.colour(frame.number, view) if self._references else None
         scene |= {"reference": reference} if reference is not None and reference.shape == after.shape else {}
-        shown = {name: self._viewed(name, light, frame, exposure, cut) for name, light in scene.items()}
+        shown = {name: self._displayed(_label(name, view), light, frame, exposure, cut)
+                 for name, light in scene.items()}
         return {"before": shown.pop("before"), "after": _light_of(result), **shown}
 
-    def _viewed(self, name: str, light: np.ndarray, frame: Frame, exposure: float, cut: bool) -> np.ndarray:
+    def _displayed(self, name: str, light: np.ndarray, frame: Frame, exposure: float, cut: bool) -> np.ndarray:
         """Scene-linear light through the passes that made the output a display's, each picture with its own history."""
         if not self._look.display:
             return light
-        if name not in self._views:
+        if name not in self._displays:
             shown = [step for step in self._plan.steps if step.reflection.output.encoding != step.input.encoding]
             passes = [type(step.instance)(**step.instance.options) for step in shown]
-            self._views[name] = Pipeline(passes, self._pipeline.device, "metadata", cuts="none")
+            self._displays[name] = Pipeline(passes, self._pipeline.device, "metadata", cuts="none")
         one = Frame({Role.COLOUR: light}, frame.number, exposure=exposure, reset=cut, metadata=frame.metadata)
-        return _light_of(self._views[name](one))
+        return _light_of(self._displays[name](one))
 
     def _compared(self, pictures: dict[str, np.ndarray], exposure: float) -> Comparison | None:
         if "reference" not in pictures:
@@ -124,7 +140,12 @@ def write_inspection(inspection: Inspection, path: str) -> None:
         log.add(frame.number, {"input": frame[Role.COLOUR]}, meter(frame), motion, frame.reset, readings)
     _check(Path(path))
     name = Path(str(inspection.sequence.pattern)).name
-    write_report(Path(path), f"postfx inspect: {name}", log, inspection.facts(), inspection.frames[0])
+    write_report(Path(path), f"postfx inspect: {name}", log, {"": inspection.facts()}, {"": inspection.frames[0]})
+
+
+def _label(name: str, view: str | None) -> str:
+    """What a picture or a figure is called, of one of several views."""
+    return f"{name} {view}" if view else name
 
 
 def _check(path: Path) -> None:

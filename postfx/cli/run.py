@@ -16,7 +16,7 @@ EXR output stays scene-linear unless --tonemap or --display is given. PNG, JPEG 
 encoded for a display, sRGB if not told otherwise.
 INPUT is a file name with ####, %04d, @@@@ or $F4 for the frame number, a name with wildcards (quoted or not), a folder
 that holds one sequence, or files of one sequence. Where every plane has a file of its own, put {plane} where their
-names differ: shot_{plane}.####.exr
+names differ: shot_{plane}.####.exr; where every view has, put {view}, or %V as Nuke does, into INPUT and OUTPUT.
 
 Albedo, normal, roughness and depth may come at output size as guides, which make edges exact: in files of their own
 (--guides), or as planes larger than the colour in INPUT. The output then has their size.
@@ -29,6 +29,7 @@ examples:
   postfx run '~/shot/noisy.*.exr' -o '~/out/' --denoise-only
   postfx run shot/dynamic.####.exr -o out/clean.####.exr --size 1920x1080
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
+  postfx run shot/noisy.%V.####.exr -o out/clean.%V.####.exr
   postfx run shot/noisy.####.exr -o out/clean.####.exr --both-ways
   postfx run shot/noisy.####.exr -o out/clean.####.exr --run-up 16
   postfx run shot/noisy.####.exr -o out/picture.####.png --model l --budget 500

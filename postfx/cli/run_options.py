@@ -324,12 +324,16 @@ def display_passes(
 
 
 def refuse_views(sequence: Sequence, outputs: OutputFiles | None) -> None:
-    """WriteError if files cannot hold all views that are asked for."""
+    """WriteError if files cannot hold all views that are asked for, or are for views and there are none."""
     from postfx.errors import WriteError
+    from postfx.io.pattern import VIEW
 
-    if sequence.views and outputs and outputs.display:
-        raise WriteError(f"{outputs.pattern}: only EXR holds several views: write EXR, or run once for each with "
-                         f"--view {sequence.view}, --view {sequence.views[0]}")
+    if sequence.views and outputs and outputs.display and not outputs.has_views:
+        raise WriteError(f"{outputs.pattern}: only EXR holds several views: write EXR, or a file for each: put {VIEW} "
+                         "into the name")
+    if outputs and outputs.has_views and not sequence.view:
+        raise WriteError(f"{outputs.pattern}: {VIEW} is for the names of views, and none is known: give --view all for "
+                         "stereo files, or leave it out")
 
 
 def refuse_several_views(arguments: argparse.Namespace, verb: str) -> None:
@@ -377,8 +381,9 @@ COLOURSPACE = Option(
 LAYER = Option(flag="--layer", metavar="NAME", sets="sequence.layer",
                help="view layer or other layer to read (default: of several view layers that with the most planes)")
 VIEW = Option(flag="--view", metavar="NAMES", sets="sequence.view",
-              help="view of stereo files to read, e.g. left (default: the first); 'postfx run' takes several "
-              "(left,right or all), each with its own history, and writes them into one EXR as they came")
+              help="view of stereo files to read, e.g. left (default: the first, or all where {view} in INPUT says "
+              "that each has files of its own); 'postfx run' takes several (left,right or all), each with its own "
+              "history, and writes them into one EXR as they came, or with {view} in OUTPUT into one file each")
 FILES = Options(Section("", (COLOURSPACE, LAYER, VIEW)))
 """What every verb that reads frames must let the user say about them."""
 

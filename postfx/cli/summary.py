@@ -378,7 +378,7 @@ class Report:
         lines += [f"capture  {self.capture}"] if self.capture else []
         lines += [f"report   {self.page}"] if self.page else []
         if self.outputs:
-            more = f" ... {self.outputs[-1]}" if self.frames > 1 else ""
+            more = f" ... {self.outputs[-1]}" if len(self.outputs) > 1 else ""
             lines.append(f"wrote    {self.outputs[0]}{more}")
         return "\n".join(lines)
 

@@ -6,7 +6,7 @@ import glob
 import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -17,7 +17,9 @@ from postfx.errors import SequenceError
 from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.image_file import READABLE
 
-PLANE = "{plane}"
+PLANE, VIEW = "{plane}", "{view}"
+_NUKES_VIEW = re.compile(r"%[vV](?![A-Za-z])")
+"""How Nuke writes the place of a view's name, or of its first letter."""
 _NUMBER = re.compile(
     r"%(?:0(?P<printf>\d+))?d|(?P<hash>#+)|(?P<at>@+)|\$F(?P<houdini>\d*)|<F(?P<angle>\d*)>", re.ASCII
 )
@@ -50,8 +52,25 @@ class Pattern:
         """Whether every plane has a file of its own."""
         return PLANE in self.prefix + self.suffix
 
+    @property
+    def has_views(self) -> bool:
+        """Whether every view has files of its own."""
+        return VIEW in self.prefix + self.suffix
+
+    def of_view(self, view: str) -> Pattern:
+        """Pattern of one view's files."""
+        return replace(self, prefix=self.prefix.replace(VIEW, view), suffix=self.suffix.replace(VIEW, view))
+
+    def by_view(self) -> dict[str, Pattern]:
+        """View -> pattern of its files, of all views on the disk; '' -> this one where views share their files."""
+        if not self.has_views:
+            return {"": self}
+        regex = self._regex()
+        found = {match["view"] for name in glob.glob(self._glob()) if (match := regex.fullmatch(name))}
+        return {view: self.of_view(view) for view in sorted(found)}
+
     def path(self, number: int, plane: str = "") -> Path:
-        """File of a frame (and of a plane, where every plane has its own)."""
+        """File of a frame (and of a plane, where every plane has its own); of one view."""
         name = self.prefix + self.suffix
         if self.digits is not None:
             sign = "-" if number < 0 else ""
@@ -66,7 +85,7 @@ class Pattern:
         return match["plane"] if match and same else None
 
     def found(self) -> dict[int, dict[str, Path]]:
-        """Frames on the disk: number -> plane word ('' where one file holds all planes) -> file."""
+        """Frames of one view on the disk: number -> plane word ('' where one file holds all planes) -> file."""
         frames: dict[int, dict[str, Path]] = {}
         regex = self._regex()
         for name in sorted(glob.glob(self._glob())):
@@ -88,7 +107,8 @@ class Pattern:
 
     def _glob(self) -> str:
         number = "*" if self.numbered else ""
-        return (glob.escape(self.prefix) + number + glob.escape(self.suffix)).replace(PLANE, "*")
+        name = glob.escape(self.prefix) + number + glob.escape(self.suffix)
+        return name.replace(PLANE, "*").replace(VIEW, "*")
 
     def _regex(self) -> re.Pattern[str]:
         # programs that count the minus among the digits write frame -3 of #### as -003
@@ -96,8 +116,10 @@ class Pattern:
         if self.digits is not None:
             number = rf"(?P<number>\d{{{self.digits},}}|-\d{{{max(1, self.digits - 1)},}})"
         name = re.escape(self.prefix) + number + re.escape(self.suffix)
-        name = name.replace(re.escape(PLANE), r"(?P<plane>[^./]+)", 1)
-        return re.compile(name.replace(re.escape(PLANE), r"(?P=plane)"), re.ASCII)
+        for word in (PLANE, VIEW):
+            group = word.strip("{}")
+            name = name.replace(re.escape(word), rf"(?P<{group}>[^./]+)", 1).replace(re.escape(word), f"(?P={group})")
+        return re.compile(name, re.ASCII)
 
     def __str__(self) -> str:
         return self.prefix + ("" if self.digits is None else "#" * max(self.digits, 1)) + self.suffix
@@ -106,8 +128,9 @@ class Pattern:
 def parse_pattern(text: str) -> Pattern:
     """Pattern of a file name that holds %04d, ####, @@@@, $F4 or <F4> once in its last part; else a single file.
 
-    SequenceError when a folder's name holds a frame number, or a name holds two.
+    Nuke's %V and %v stand for {view}. SequenceError when a folder's name holds a frame number, or a name holds two.
     """
+    text = _NUKES_VIEW.sub(VIEW, text)
     folder, _, name = text.rpartition("/")
     found = list(_NUMBER.finditer(name))
     if len(found) > 1 or (folder and _NUMBER.search(folder)):
@@ -221,12 +244,13 @@ def locate(source: Source) -> tuple[Pattern, list[int] | None]:
     if os.path.isdir(name):
         return _folder_pattern(Path(name)), None
     pattern = parse_pattern(name)
-    if _WILD.search(name) and not pattern.found():
+    if _WILD.search(name) and not any(own.found() for own in pattern.by_view().values()):
         return _matches(pattern, str(source))
-    if pattern.numbered or pattern.has_planes:
+    if pattern.numbered:
         return pattern, None
-    number = number_in_name(Path(name))
-    return pattern_of(Path(name)), None if number is None else [number]
+    path = Path(str(pattern))
+    number = number_in_name(path)
+    return pattern_of(path), None if number is None else [number]
 
 
 def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[int] | None]:
@@ -243,7 +267,8 @@ def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[in
 
 def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
     """Pattern of the files, or of the one folder, that wildcards fit."""
-    wild = (pattern.prefix + ("*" if pattern.numbered else "") + pattern.suffix).replace(PLANE, "*")
+    wild = pattern.prefix + ("*" if pattern.numbered else "") + pattern.suffix
+    wild = wild.replace(PLANE, "*").replace(VIEW, "*")
     found = sorted(map(Path, glob.glob(wild)))
     folders = [path for path in found if path.is_dir()]
     paths = [path for path in found if path.is_file() and path.suffix.lower() in READABLE]

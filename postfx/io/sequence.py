@@ -14,11 +14,14 @@ from postfx.io.colours import parse_colourspace
 from postfx.io.convert import parse_depth
 from postfx.io.frame_reader import Area, FrameFiles
 from postfx.io.parts import parse_parts
-from postfx.io.pattern import Source, format_frames, locate, parse_frames
+from postfx.io.pattern import VIEW, Pattern, Source, format_frames, locate, parse_frames
 from postfx.io.windows import scaled_windows
 from postfx.masks.cryptomatte import Coverage, parse_leave
 from postfx.repair import Fireflies, clamp_fireflies, parse_limit
 from postfx.system import Scratch
+
+Frames = dict[int, dict[str, Path]]
+"""Frame number -> plane word -> file."""
 
 
 class Sequence:
@@ -38,7 +41,8 @@ class Sequence:
         leave: what is left as it is.
         left_alone: how much of the frames read so far that is.
         parts: which layers are read as parts of the picture; may be replaced.
-        view: of stereo files, the view that frames are of; None for the first, until a frame was opened.
+        view: of stereo files, the view that frames are of; None for the first, until a frame was opened. Where views
+            have files of their own ({view} in `pattern`), all are read if none is asked for.
         fireflies: what `clamp_fireflies` took of the frames that were read.
         views: other views that are read with each frame, into `Frame.views`; those of 'all' are known as soon as a
             frame was opened.
@@ -68,8 +72,13 @@ class Sequence:
         self.parts = parse_parts(aov, aov_denoise)
         self._layer = layer
         self.view, self.views, self._all_views = parse_views(view)
-        self._known_views = (self.view, *self.views)
         self.pattern, named = locate(source)
+        self._found = _files_of(self.pattern)
+        if not self._found:
+            raise SequenceError(f"{source}: no such file: check the folder and the frame pattern")
+        if self.pattern.has_views:
+            self._choose_views()
+        self._known_views = (self.view, *self.views)
         self.profile = profile
         self.depth = None if depth is None else parse_depth(depth)
         self.cuts = None if cuts is None else frozenset(cuts)
@@ -79,18 +88,18 @@ class Sequence:
         self.coverage = Coverage()
         self.colours = parse_colourspace(colourspace)
         self.without = frozenset(map(Role, without))
-        self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth)
+        own = ",".join(filter(None, self._known_views)) if self.pattern.has_views else None
+        self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth, view=own)
         self.planes = None if planes is None else tuple(Role(role) for role in planes)
         self.warnings: list[str] = []
-        self._found = self.pattern.found()
-        if not self._found:
-            raise SequenceError(f"{source}: no such file: check the folder and the frame pattern")
-        self._step = _step(list(self._found))
+        self._step = _step(self.present())
         self._last: int | None = None
         wanted = frames if frames is not None else named or self._on_disk()
         self.numbers = tuple(parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted))
         if self.guides and not self.guides.pattern.numbered and len(self.numbers) > 1:
             raise SequenceError(f"{guides}: one file of guides for {len(self)} frames: name them like guides.####.exr")
+        if self.guides and self.guides.pattern.has_views != self.pattern.has_views:
+            raise SequenceError(f"{guides}: guides have files for each view where frames do: put {VIEW} into both")
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -108,6 +117,13 @@ class Sequence:
         found.view, found.views, found._all_views = view or self.view, (), False
         return found
 
+    def first_view(self) -> Sequence:
+        """The same frames of the first view alone, for whoever looks at one; a warning names the others."""
+        if not self.views:
+            return self
+        self._warn(f"view {self.view} is looked at, not {', '.join(self.views)}: --view chooses one")
+        return self.reader()
+
     def pictures(self) -> Sequence:
         """The same frames without guides and without `leave`."""
         found = copy.copy(self)
@@ -117,7 +133,7 @@ class Sequence:
     def look_again(self, step: int) -> None:
         """Take notice of files that were written since the sequence was made; step: from one frame to the next, which
         files that are not there yet do not tell."""
-        self._found, self._step = self.pattern.found(), step
+        self._found, self._step = _files_of(self.pattern), step
         if self.guides:
             self.guides.look_again(step)
 
@@ -136,11 +152,12 @@ class Sequence:
 
     def holds(self, number: int) -> bool:
         """Whether a frame, wanted or not, is on the disk, and its guides are."""
-        return number in self._found and (self.guides is None or number in self.guides.present())
+        return all(number in frames for frames in self._read_files()) and \
+            (self.guides is None or not self.guides.pattern.numbered or self.guides.holds(number))
 
     def present(self) -> list[int]:
-        """Numbers of the frames on the disk, wanted or not."""
-        return list(self._found)
+        """Numbers of the frames on the disk, wanted or not, also of those that not all views have."""
+        return sorted(set().union(*self._read_files()))
 
     def missing(self) -> list[int]:
         """Numbers of wanted frames that are not on the disk, or whose guides are not, in order."""
@@ -151,39 +168,47 @@ class Sequence:
         numbers = list(numbers)
         missing = sorted({number for number in numbers if not self.holds(number)})
         if len(missing) == 1:
-            self.files(missing[0])
-            self.guide_files(missing[0])
+            self.inputs(missing[0])
         elif missing:
-            pattern = self.pattern if any(number not in self._found for number in missing) else \
-                f"guides {self.guides.pattern if self.guides else ''}"
+            own = self.pattern if any(number not in frames for number in missing for frames in self._read_files()) \
+                else None
+            pattern = own or f"guides {self.guides.pattern if self.guides else ''}"
             raise MissingFrameError(f"{pattern}: {len(missing)} of {len(numbers)} frames are missing: "
                                     f"{format_frames(missing)}: render them, leave them out with --frames, or give "
                                     "--on-error skip")
 
     def all_files(self) -> list[Path]:
         """Files of all frames on the disk, wanted or not, and of their guides."""
-        own = [path for words in self._found.values() for path in words.values()]
+        own = [path for frames in self._found.values() for words in frames.values() for path in words.values()]
         return own + (self.guides.all_files() if self.guides else [])
+
+    def inputs(self, number: int) -> list[Path]:
+        """All files that a frame is read from; MissingFrameError when one of them is not there."""
+        of_views = [self, *map(self.reader, self.views if self.pattern.has_views else ())]
+        return [path for one in of_views for files in (one.files(number), one.guide_files(number) or {})
+                for path in files.values()]
 
     def files(self, number: int) -> dict[str, Path]:
         """Plane word ('' where one file holds all planes) -> file of a frame; MissingFrameError when it has none."""
-        if number not in self._found:
-            path = self.pattern.path(number)
+        frames, *_ = self._read_files()
+        if number not in frames:
+            path = self.pattern.of_view(self.view or "").path(number)
             raise MissingFrameError(f"{path}: frame {number} is missing: render it or leave it out with --frames")
-        return self._found[number]
+        return frames[number]
 
     def guide_files(self, number: int) -> dict[str, Path] | None:
         """Likewise, files of a frame's guides; None where they have no files of their own."""
         if self.guides is None:
             return None
+        frames = self.guides._found[self._key]
         if not self.guides.pattern.numbered:
-            return next(iter(self.guides._found.values()))
-        if number not in self.guides._found:
-            path = self.guides.pattern.path(number)
+            return next(iter(frames.values()))
+        if number not in frames:
+            path = self.guides.pattern.of_view(self._key).path(number)
             raise MissingFrameError(
                 f"{path}: guides of frame {number} are missing: render them or leave the frame out with --frames"
             )
-        return self.guides._found[number]
+        return frames[number]
 
     def shown_size(self, width: int, height: int) -> tuple[int, int]:
         """Width and height of the display window of an output of a size, which is larger where there is overscan."""
@@ -198,7 +223,7 @@ class Sequence:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
         guides, strict = self.guide_files(number), not self._named
         files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self.without,
-                           self._areas.get(self.view), self._layer, self.view, self.parts)
+                           self._areas.get(self.view), self._layer, None if self._key else self.view, self.parts)
         self._layer = self._layer or files.layout.chosen_layer
         self._named = True  # a thing that was found need not be in every frame
         if self._all_views and files.views:
@@ -270,6 +295,23 @@ class Sequence:
         frame.reset = (frame.reset if self.cuts is None else number in self.cuts) or after_gap
         return frame
 
+    def _choose_views(self) -> None:
+        """Take the views that are asked for, all by default, where they have files of their own."""
+        asked = tuple(filter(None, (self.view, *self.views))) or tuple(self._found)
+        if absent := [view for view in asked if view not in self._found]:
+            raise SequenceError(f"{self.pattern}: no view '{absent[0]}': there are files of {', '.join(self._found)}")
+        self.view, self.views, self._all_views = asked[0], asked[1:], False
+
+    @property
+    def _key(self) -> str:
+        """Of the view's files among those that were found."""
+        return self.view or "" if self.pattern.has_views else ""
+
+    def _read_files(self) -> list[Frames]:
+        """Files of the frames of each view that is read, or of all views where they share files; the first ones first.
+        """
+        return [self._found[view] for view in (self._key, *(self.views if self.pattern.has_views else ()))]
+
     def _warn_of_views(self, views: tuple[str, ...]) -> list[str]:
         others = ", ".join(view for view in views[1:] if view not in self._known_views)
         return [f"view {views[0]} is read; {others} not, and is only copied where the output keeps other channels: "
@@ -288,7 +330,7 @@ class Sequence:
             LOG.warning("%s: %s", self.pattern, warning)
 
     def _on_disk(self) -> list[int]:
-        numbers = list(self._found)
+        numbers = self.present()
         if any((number - numbers[0]) % self._step for number in numbers):
             return numbers
         return list(range(numbers[0], numbers[-1] + 1, self._step))
@@ -314,9 +356,9 @@ def read_sequence(
     """Frames of a sequence, read one at a time while iterating.
 
     Args:
-        pattern: file name with %04d, ####, @@@@ or $F4 for the frame number and, where every plane has its own file,
-            {plane} for the plane; or a folder; or a single file; or wildcards such as shot.*.exr; or files in a list.
-            A leading ~ is the home folder.
+        pattern: file name with %04d, ####, @@@@ or $F4 for the frame number, {plane} for the plane where every plane
+            has its own file, and {view} (in Nuke %V) for the view where every view has its own files; or a folder; or a
+            single file; or wildcards such as shot.*.exr; or files in a list. A leading ~ is the home folder.
         frames: '1-100x2', '1,5,8-12' or numbers; None for all that are on the disk.
         profile: name of a built-in renderer profile or path of a TOML file; None to detect it.
         planes: roles to read, of planes and guides; None for all that are there.
@@ -333,8 +375,9 @@ def read_sequence(
             turned to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.
         without: roles of planes to take as absent, such as `Role.OVERLAY`.
         layer: view layer or other layer whose channels are read; None for that with the most planes.
-        view: of stereo files, such as 'left'; None for the first. Several, such as 'left,right', or 'all': each frame
-            is of the first one and holds the others in `Frame.views`.
+        view: of stereo files, such as 'left'; None for the first, or for all where {view} in `pattern` says that each
+            has files of its own. Several, such as 'left,right', or 'all': each frame is of the first one and holds the
+            others in `Frame.views`.
         aov: layers that add up to the picture, 'key,fill', or 'auto' for those that the profile knows, which become
             `Frame.parts`. aov_denoise: other layers by their kind, 'normal=N,depth=Z'.
         clamp_fireflies: how many times as bright as the pixels around it a pixel may be; see
@@ -363,6 +406,12 @@ def parse_views(text: str | None) -> tuple[str | None, tuple[str, ...], bool]:
 
 
 ALL_VIEWS = "all"
+
+
+def _files_of(pattern: Pattern) -> dict[str, Frames]:
+    """Files on the disk, by view; '' -> all where views share their files."""
+    found = {view: own.found() for view, own in pattern.by_view().items()}
+    return {view: frames for view, frames in found.items() if frames}
 
 
 def _step(numbers: list[int]) -> int:

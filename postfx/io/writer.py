@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from enum import StrEnum
 from os import PathLike
 from pathlib import Path
@@ -20,7 +21,7 @@ from postfx.io.encode import JPEG, Dither, Picture, encode, halves, has_end, lig
 from postfx.io.exr.container import COMPRESSIONS
 from postfx.io.exr.passthrough import enlargement_of, kept_attributes, set_attributes
 from postfx.io.image_file import reason_of
-from postfx.io.pattern import PLANE, Pattern, parse_pattern
+from postfx.io.pattern import PLANE, VIEW, Pattern, parse_pattern
 from postfx.io.sequence import Sequence
 from postfx.io.windows import OutputWindows, Pixels, cut, output_windows
 from postfx.version import __version__
@@ -271,9 +272,10 @@ class Existing(StrEnum):
 class OutputFiles:
     """Output files of a sequence.
 
-    `target` is a pattern with a frame number, a folder (input names are kept, as EXR), or one file for one frame.
-    Raises WriteError when the format is unknown, when several frames would share a file, or when an output would be
-    an input; OutputExistsError from `check`.
+    `target` is a pattern with a frame number, a folder (input names are kept, as EXR), or one file for one frame; with
+    {view} each view has a file of its own. Raises WriteError when the format is unknown, when several frames would
+    share a file, when views that were read from files of their own would, or when an output would be an input;
+    OutputExistsError from `check`.
     """
 
     def __init__(self, target: str, sequence: Sequence, existing: Existing = Existing.REFUSE) -> None:
@@ -284,6 +286,11 @@ class OutputFiles:
         if len(sequence) > 1 and not self._pattern.numbered:
             stem, suffix = Path(target).stem, Path(target).suffix
             raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like {stem}.####{suffix}")
+        if VIEW in os.path.dirname(str(self._pattern)):
+            raise WriteError(f"{self._pattern}: all views go into one folder: put {VIEW} into the file's name")
+        if sequence.pattern.has_views and sequence.views and not self.has_views:
+            raise WriteError(f"{target}: one file for {len(sequence.views) + 1} views, which have files of their own: "
+                             f"put {VIEW} into the name, or choose one with --view NAME")
         self._refuse_inputs(sequence)
 
     @property
@@ -291,14 +298,30 @@ class OutputFiles:
         """How the files are named, with # for digits."""
         return Path(str(self._pattern)).name
 
+    @property
+    def has_views(self) -> bool:
+        """Whether every view has a file of its own."""
+        return self._pattern.has_views
+
     def path(self, number: int) -> Path:
-        """Output file of a frame."""
-        return self._pattern.path(number)
+        """Output file of a frame, or of its first view."""
+        return self.paths(number)[0]
+
+    def paths(self, number: int) -> list[Path]:
+        """Output files of a frame, of the first view first."""
+        return [self._pattern.of_view(view).path(number) for view in self._views()]
+
+    def split(self, frame: Frame) -> list[tuple[Path, Frame]]:
+        """A frame's output files, each with what goes into it."""
+        if not self.has_views:
+            return [(self.path(frame.number), frame)]
+        return [(path, replace(one, views={})) for path, one in
+                zip(self.paths(frame.number), (frame, *frame.views.values()), strict=True)]
 
     def check(self, numbers: tuple[int, ...]) -> None:
         """OutputExistsError when a file is already there and is to be neither overwritten nor skipped."""
         if self.existing is Existing.REFUSE:
-            for path in map(self.path, numbers):
+            for path in self._likely(numbers):
                 if os.path.lexists(path):
                     raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")
 
@@ -310,7 +333,7 @@ class OutputFiles:
         """No input may be replaced, whatever links, `..` or letter case lead there, and no output may become a frame of
         the input: the next run would read it."""
         inputs = {_place(path) for path in sequence.all_files()}
-        outputs = list(map(self.path, sequence.numbers))
+        outputs = self._likely(sequence.numbers)
         there = any(map(os.path.lexists, outputs))
         linked = {_identity(path) for path in sequence.all_files()} - {None} if there else set()
         for path in outputs:
@@ -318,6 +341,15 @@ class OutputFiles:
                 raise WriteError(f"{path}: is an input: write to another folder or name")
             if sequence.pattern.takes(path):
                 raise WriteError(f"{path}: would be a frame of the input: write to another folder or name")
+
+    def _views(self) -> list[str]:
+        """Views that have files of their own; '' where all share one."""
+        return [view or "" for view in (self._sequence.view, *self._sequence.views)] if self.has_views else [""]
+
+    def _likely(self, numbers: Iterable[int]) -> list[Path]:
+        """Files of frames, of whatever views are on the disk where no frame was opened yet that tells them."""
+        views = [view for view in self._views() if view or not self.has_views] or ["view", *self._pattern.by_view()]
+        return [self._pattern.of_view(view).path(number) for number in numbers for view in views]
 
 
 def _place(path: Path) -> str:
@@ -354,4 +386,6 @@ def _output_pattern(target: str, source: Pattern) -> Pattern:
     if not (target.endswith("/") or Path(target).is_dir() or not Path(target).suffix):
         return parse_pattern(target)
     name = Path(str(source)).name.replace(PLANE, "frame")
+    if source.has_views and VIEW not in name:
+        name = f"{VIEW}.{name}"
     return parse_pattern(f"{target.rstrip('/')}/{Path(name).stem}.exr")

@@ -27,6 +27,7 @@ WHITE_STOPS = 6
 
 
 Pixels = Mapping[str, np.ndarray]
+Motion = np.ndarray | None | Mapping[str, np.ndarray | None]
 
 
 @dataclass(frozen=True)
@@ -85,13 +86,14 @@ class FrameLog:
         self.rows: list[Row] = []
 
     def add(
-        self, number: int, pictures: Pixels, exposure: float, motion: np.ndarray | None = None, cut: bool = False,
+        self, number: int, pictures: Pixels, exposure: float, motion: Motion = None, cut: bool = False,
         readings: Mapping[str, float | None] | None = None, maps: Pixels | None = None,
     ) -> None:
         """Add a frame: `pictures` by name, light (height, width, 3) of one size; `motion`, (h, w, 2) in its own pixels,
-        ignored at a `cut`; `maps` by name, colours (height, width, 3) 0..1.
+        of all or by the name of the picture, ignored at a `cut`; `maps` by name, colours (height, width, 3) 0..1.
         """
-        changes = {name: self._change(name, light, exposure, None if cut else motion)
+        motions = motion if isinstance(motion, Mapping) else dict.fromkeys(pictures, motion)
+        changes = {name: self._change(name, light, exposure, None if cut else motions[name])
                    for name, light in pictures.items()}
         self._before = dict(pictures)
         named = {f"change {name}": value for name, value in changes.items()}
@@ -150,23 +152,29 @@ class Comparison(NamedTuple):
 class References:
     """Noise-free frames at output size; frames without one are not compared.
 
-    Raises SequenceError if there are none, ReportError if their size is not (width, height) or a library is missing.
+    views: those that each frame has, where there are several. Raises SequenceError if there are none, ReportError if
+    their size is not (width, height), a view has none, or a library is missing.
     """
 
-    def __init__(self, source: str, size: tuple[int, int]) -> None:
+    def __init__(self, source: str, size: tuple[int, int], views: Sequence[str] = ()) -> None:
         for module, package in LIBRARIES.items():
             if find_spec(module) is None:
                 raise ReportError(f"{package} is not installed, and --reference needs it: pip install 'postfx[bench]'")
         self._sequence, self._size = FrameSequence(source), size
         with self._sequence.open(self._sequence.numbers[0]) as files:
             spec = files.spec()
+            held = {*files.views, self._sequence.view, *self._sequence.views}
+        if absent := [view for view in views if view not in held]:
+            raise ReportError(f"{self._sequence.pattern}: references have no view '{absent[0]}': give them for all "
+                              "views, or choose one with --view NAME")
         self._check(spec.width, spec.height)
 
-    def colour(self, number: int) -> np.ndarray | None:
-        """Light of a frame's reference, (height, width, 3); None if it has no file."""
-        if number not in self._sequence.present():
+    def colour(self, number: int, view: str | None = None) -> np.ndarray | None:
+        """Light of a frame's reference, (height, width, 3), of one of the views if there are several; None if it has no
+        file."""
+        if not self._sequence.holds(number):
             return None
-        colour = self._sequence.read(number, [Role.COLOUR], [])[Role.COLOUR]
+        colour = self._sequence.reader(view).read(number, [Role.COLOUR], [])[Role.COLOUR]
         self._check(*colour.shape[1::-1])
         return colour
 

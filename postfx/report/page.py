@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -64,12 +64,14 @@ REPORT_SCRIPTS = ("report_light.js", "report_viewer.js", "report_charts.js", "re
 
 
 def write_report(
-    path: Path, title: str, log: FrameLog, facts: dict[str, Any], first: Frame, run: dict[str, Any] | None = None
+    path: Path, title: str, log: FrameLog, facts: Mapping[str, dict[str, Any]], firsts: Mapping[str, Frame],
+    run: dict[str, Any] | None = None,
 ) -> None:
     """Write the page. Raises WriteError.
 
-    log: data of the frames. facts: of the input, as `postfx inspect --json` prints them. first: the input's first frame
-    with all planes. run: as `postfx run --json` prints it, with 'plan', the text of --explain.
+    log: data of the frames. facts: view ('' where there are not several) -> facts of the input, as `postfx inspect
+    --json` prints them. firsts: likewise, the input's first frame with all planes. run: as `postfx run --json` prints
+    it, with 'plan', the text of --explain.
     """
     data = {
         "postfx": __version__,
@@ -80,8 +82,9 @@ def write_report(
         "cuts": [row.number for row in log.rows if row.cut],
         "charts": charts(log.rows),
         "readings": {row.number: row.readings for row in log.rows},
-        "facts": facts,
-        "sheet": contact_sheet(first),
+        "facts": next(iter(facts.values())),
+        "views": facts,
+        "sheet": [{**one, "view": view} for view, first in firsts.items() for one in contact_sheet(first)],
         "run": run,
     }
     try:

@@ -213,6 +213,6 @@ def _unknown(folder: Path, manifest: Manifest) -> list[str]:
     patterns = {str(facts.get("output", "")) for facts in manifest.runs.values()}
     names = set()
     for pattern in filter(is_plain_name, patterns):
-        files = parse_pattern(str(folder / pattern)).found().values()
-        names |= {path.name for words in files for path in words.values()}
+        for own in parse_pattern(str(folder / pattern)).by_view().values():
+            names |= {path.name for words in own.found().values() for path in words.values()}
     return sorted(names - set(manifest.outputs))

@@ -206,7 +206,7 @@ class Run:
 
     def __enter__(self) -> Run:
         first = self._outputs.path(self._sequence.numbers[0])
-        names = {self._outputs.path(number).name: number for number in self._sequence.numbers}
+        names = {path.name: number for number in self._sequence.numbers for path in self._outputs.paths(number)}
         try:
             self._folder = RunFolder(first.parent, self._id, names)
         except OSError as error:
@@ -304,15 +304,17 @@ class Run:
         size = self._sequence.shown_size(self._plan.output.width, self._plan.output.height)
         before, wanted = self._folder.before, set()
         others = []
-        for name, number in names.items():
-            path, known = self._outputs.path(number), before.outputs.get(name)
-            found = judge(path, known, size, self._inputs(number))
-            if not found.kept:
+        for number in dict.fromkeys(names.values()):
+            paths, inputs = self._outputs.paths(number), self._inputs(number)
+            known = [before.outputs.get(path.name) for path in paths]
+            found = [judge(path, one, size, inputs) for path, one in zip(paths, known, strict=True)]
+            if not all(one.kept for one in found):
                 wanted.add(number)
                 continue
-            self.skips.append(Skip(f"frame {number}", f"{path} exists and is complete"))
-            self.warnings += [f"{path} {found.why}"] if found.why else []
-            others += [number] if known and not self._is_alike(known) else []
+            there = f"{paths[0]} exists and is" if len(paths) == 1 else " and ".join(map(str, paths)) + " exist and are"
+            self.skips.append(Skip(f"frame {number}", f"{there} complete"))
+            self.warnings += [f"{path} {one.why}" for path, one in zip(paths, found, strict=True) if one.why]
+            others += [number] if any(one and not self._is_alike(one) for one in known) else []
         if others:
             self.warnings.append(f"{len(others)} kept frames, {others[0]} the first, were made with other settings, "
                                  "models or versions: --overwrite makes them again")
@@ -346,11 +348,7 @@ class Run:
         return run.get("fingerprint") == self._provenance.fingerprint
 
     def _inputs(self, number: int) -> dict[str, tuple[int, int]]:
-        if not self._sequence.holds(number):
-            return {}
-        files = {**self._sequence.files(number), **{f"guides {k}": v for k, v in
-                                                    (self._sequence.guide_files(number) or {}).items()}}
-        return _states_of(list(files.values()))
+        return _states_of(self._sequence.inputs(number)) if self._sequence.holds(number) else {}
 
 
 def _states_of(paths: list[Path]) -> dict[str, tuple[int, int]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -186,8 +187,132 @@ def test_what_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> N
     assert main(["run", str(path), "-o", str(tmp_path / "out.png"), "--view", "all"]) == 2
     assert main(["inspect", str(path), "--view", "all"]) == 2
     told = capfd.readouterr().err
-    assert "only EXR holds several views: write EXR, or run once for each with --view left, --view right" in told
+    assert "only EXR holds several views: write EXR, or a file for each: put {view} into the name" in told
     assert "'postfx inspect' looks at one view: give --view with one name" in told
+
+
+def write_apart(folder: Path, numbers: range = range(1, 4), views: tuple[str, ...] = ("left", "right")) -> None:
+    """Files of each view, whose pictures move one pixel to the right a frame."""
+    for seed, view in enumerate(views):
+        still, none = picture(seed, "RGBA"), np.zeros((HEIGHT, WIDTH), np.float16)
+        for number in numbers:
+            moved = {name: np.roll(plane, number, axis=1) for name, plane in still.items()}
+            motion = {"motion.X": none - 1, "motion.Y": none}
+            write_part(folder / f"in.{view}.{number:04d}.exr", moved | motion | {"Z": still["A"]})
+
+
+def write_part(path: Path, channels: dict[str, np.ndarray]) -> None:
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(path))
+
+
+def run(folder: Path, *words: str) -> int:
+    return main(["run", str(folder / words[0]), "-o", str(folder / words[1]), "--exposure", "0",
+                 "--device", "cpu", *words[2:]])
+
+
+@pytest.mark.parametrize("view", ["%V", "{view}"])
+def test_a_file_for_each_view_is_as_a_run_for_each(tmp_path: Path, view: str) -> None:
+    """History, pixels and what is kept."""
+    write_apart(tmp_path)
+    assert run(tmp_path, f"in.{view}.####.exr", f"out.{view}.####.exr", "--denoise-only") == 0
+    for name in ("left", "right"):
+        assert run(tmp_path, f"in.{name}.####.exr", f"alone.{name}.####.exr", "--denoise-only") == 0
+        for number in (1, 3):
+            ((_, _, both),), ((_, _, alone),) = (channels_of(tmp_path / f"{word}.{name}.{number:04d}.exr")
+                                                 for word in ("out", "alone"))
+            assert {*both} == {*alone} == {*"RGBAZ", "motion.X", "motion.Y"}
+            for channel, plane in alone.items():
+                np.testing.assert_array_equal(both[channel], plane, err_msg=channel)
+
+
+def test_a_run_of_files_for_each_view_goes_on_where_one_is_missing(tmp_path: Path, capfd) -> None:
+    write_apart(tmp_path)
+    words = ("in.%V.####.exr", "out.%V.####.png", "--skip-existing")
+    assert run(tmp_path, *words) == 0
+    whole = {path.name: path.read_bytes() for path in tmp_path.glob("out.*.png")}
+    assert len(whole) == 6
+    (tmp_path / "out.right.0003.png").unlink()
+    (tmp_path / "out.left.0002.png").unlink()
+    capfd.readouterr()
+    assert run(tmp_path, *words) == 0
+    told = capfd.readouterr().err
+    assert "frame 1: " in told and "and" in told
+    assert {path.name: path.read_bytes() for path in tmp_path.glob("out.*.png")} == whole
+    assert main(["verify", str(tmp_path)]) == 0
+    (tmp_path / "out.up.0001.png").write_bytes(b"")
+    assert main(["verify", str(tmp_path)]) != 0 and "out.up.0001.png" in capfd.readouterr().out
+
+
+def test_files_for_each_view_in_folders(tmp_path: Path, capfd) -> None:
+    write_apart(tmp_path, range(1, 2))
+    for view in ("left", "right"):
+        (tmp_path / view).mkdir()
+        (tmp_path / f"in.{view}.0001.exr").rename(tmp_path / view / "shot.0001.exr")
+    assert run(tmp_path, "{view}/shot.####.exr", "out/", "--view", "right,left", "--no-denoise") == 0
+    assert "views right, left" in capfd.readouterr().err
+    written = [path.name for path in (tmp_path / "out").glob("*.exr")]
+    assert sorted(written) == ["left.shot.0001.exr", "right.shot.0001.exr"]
+    frames = read_sequence(tmp_path / "%V" / "shot.####.exr")
+    assert (frames.view, frames.views) == ("left", ("right",)) and list(next(iter(frames)).views) == ["right"]
+    assert read_sequence(tmp_path / "{view}" / "shot.0001.exr", view="right").numbers == (1,)
+
+
+def test_views_of_one_file_into_files_for_each(tmp_path: Path) -> None:
+    path = write(tmp_path / "in.exr", layouts(picture(1, "RGBAZ"), picture(2, "RGBAZ"))["parts with a view"])
+    assert run(tmp_path, "in.exr", "out.%V.png", "--view", "all", "--no-denoise") == 0
+    assert run(tmp_path, "in.exr", "alone.png", "--view", "right", "--no-denoise") == 0
+    assert (tmp_path / "out.right.png").read_bytes() == (tmp_path / "alone.png").read_bytes()
+    assert (tmp_path / "out.left.png").is_file() and path.is_file()
+
+
+def test_what_is_refused_of_files_for_each_view(tmp_path: Path, capfd) -> None:
+    write_apart(tmp_path, range(1, 4))
+    (tmp_path / "in.right.0002.exr").unlink()
+    pattern = "in.%V.####.exr"
+    told = {
+        (pattern, "out.%V.####.exr"): "in.right.0002.exr: frame 2 is missing",
+        (pattern, "out.####.exr"): "one file for 2 views, which have files of their own: put {view} into the name",
+        (pattern, "%V/out.####.exr"): "all views go into one folder: put {view} into the file's name",
+        (pattern, "in.%V.####.exr", "--overwrite"): "in.left.0001.exr: is an input",
+        (pattern, "in.new_%V.####.exr"): "in.new_left.0001.exr: would be a frame of the input",
+        (pattern, "out.%V.####.exr", "--view", "left,up"): "no view 'up': there are files of left, right",
+        ("in.left.####.exr", "out.%V.####.exr"): "{view} is for the names of views, and none is known",
+        (pattern, "out.%V.####.exr", "--guides", str(tmp_path / "in.left.####.exr")): "put {view} into both",
+    }
+    for words, message in told.items():
+        assert run(tmp_path, *words) == 2, words
+        assert message in capfd.readouterr().err, words
+    assert run(tmp_path, pattern, "out.%V.####.exr", "--on-error", "skip", "--no-denoise") == 3
+    assert sorted(path.name for path in tmp_path.glob("out.*2.exr")) == []
+    large = {name: np.repeat(plane, 2, axis=0) for name, plane in picture(1, "RGB").items()}
+    write_part(tmp_path / "in.right.0001.exr", large)
+    assert run(tmp_path, pattern, "big.%V.####.exr", "--frames", "1", "--no-denoise") == 2
+    assert "in.right.0001.exr: is 24x40, the first view 24x20: render all views at one size" in capfd.readouterr().err
+
+
+def test_verbs_that_look_at_one_view(tmp_path: Path, capfd) -> None:
+    write_apart(tmp_path)
+    assert main(["inspect", str(tmp_path / "in.%V.####.exr")]) <= 2
+    assert "view left is looked at, not right: --view chooses one" in capfd.readouterr().out
+    assert main(["exposure", str(tmp_path / "in.%V.####.exr"), "--device", "cpu"]) <= 1
+    assert main(["watch", str(tmp_path / "in.%V.####.exr"), "-o", str(tmp_path / "p.####.png")]) == 2
+    assert "watches one view: put its name for {view}" in capfd.readouterr().err
+
+
+def test_a_report_shows_all_views(tmp_path: Path) -> None:
+    write_apart(tmp_path)
+    page = tmp_path / "page.html"
+    assert run(tmp_path, "in.%V.####.exr", "out.%V.####.exr", "--report", str(page), "--reference",
+               str(tmp_path / "in.%V.####.exr"), "--denoise-only") == 0
+    text = page.read_text()
+    data = json.loads(text[text.index('id="data">') + 10:].partition("</script>")[0])
+    (first, *_) = data["frames"]
+    names = ["before left", "after left", "reference left", "before right", "after right", "reference right"]
+    assert list(first["pictures"]) == names and list(first["maps"]) == ["FLIP left", "FLIP right"]
+    curves = {"change after left", "change after right", "psnr after right", "flip after left"}
+    assert curves <= {*data["readings"]["2"]}
+    assert list(data["views"]) == ["left", "right"] and {one["view"] for one in data["sheet"]} == {"left", "right"}
+    assert first["pictures"]["after left"] != first["pictures"]["after right"]
 
 
 def test_the_command_line_writes_both(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

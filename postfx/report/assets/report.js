@@ -9,8 +9,14 @@ function row(table, cells, head = false) {
   return line;
 }
 
+// Of every view; which one says the evidence.
+function allFindings() {
+  return Object.entries(data.views).flatMap(([view, { findings }]) => findings.map(
+    finding => ({ ...finding, evidence: view ? `${view}: ${finding.evidence}` : finding.evidence })));
+}
+
 function drawSummary() {
-  const { facts, run } = data, { frames } = facts, worst = facts.findings.map(finding => finding.level);
+  const { facts, run } = data, { frames } = facts, worst = allFindings().map(finding => finding.level);
   const verdict = VERDICTS[["error", "warning"].find(level => worst.includes(level))] || "nothing wrong was found";
   const count = frames.count > 1 ? `${frames.count} frames, ${frames.first} to ${frames.last}` : "1 frame";
   const size = run ? `, ${run.frames} written` : "";
@@ -19,7 +25,7 @@ function drawSummary() {
 }
 
 function drawFindings() {
-  const table = document.getElementById("findings"), { findings, examined } = data.facts;
+  const table = document.getElementById("findings"), { examined } = data.facts, findings = allFindings();
   if (!findings.length) element("caption", table, `None, in ${examined.length} frames that were looked at.`, "note");
   else row(table, ["", "what", "evidence", "likely cause and fix"], true);
   for (const finding of findings) {
@@ -31,19 +37,20 @@ function drawFindings() {
 
 function drawSheet() {
   const place = document.getElementById("sheet");
-  for (const { name, src, size } of data.sheet) {
+  for (const { view, name, src, size } of data.sheet) {
+    const title = view ? `${view} ${name}` : name;
     const box = element("figure", place), button = element("button", box), image = element("img", button);
     image.src = src;
-    image.alt = name;
+    image.alt = title;
     button.addEventListener("click", () => box.classList.toggle("open"));
-    element("figcaption", box, `${name}, ${size[0]}x${size[1]}`);
-    element("p", box, rangeOf(name), "figures");
+    element("figcaption", box, `${title}, ${size[0]}x${size[1]}`);
+    element("p", box, rangeOf(name, data.views[view]), "figures");
   }
 }
 
 // Least and largest value of a plane, and what is odd in it.
-function rangeOf(name) {
-  const { planes, guides } = data.facts, own = name.startsWith("guide ") && guides ? guides.planes : planes;
+function rangeOf(name, { planes, guides }) {
+  const own = name.startsWith("guide ") && guides ? guides.planes : planes;
   const plane = own.find(({ role }) => role === name.replace("guide ", ""));
   if (!plane) return "";
   const odd = [[plane.misses, "misses"], [plane.nan, "NaN"], [plane.infinite, "infinite"]].filter(([found]) => found);
@@ -54,8 +61,11 @@ function rangeOf(name) {
 function drawRoles() {
   const table = document.getElementById("roles");
   row(table, ["role", "channels", "why"], true);
-  for (const [role, { planes, why, guides }] of Object.entries(data.facts.roles))
-    row(table, [role, [planes.join(", ") || "none", guides ? `guides ${guides.join(", ")}` : ""].filter(Boolean).join("; "), why]);
+  for (const [view, { roles }] of Object.entries(data.views))
+    for (const [role, { planes, why, guides }] of Object.entries(roles)) {
+      const channels = [planes.join(", ") || "none", guides ? `guides ${guides.join(", ")}` : ""].filter(Boolean).join("; ");
+      row(table, [view ? `${view} ${role}` : role, channels, why]);
+    }
 }
 
 function drawRun() {

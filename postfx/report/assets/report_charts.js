@@ -56,9 +56,15 @@ function drawAxes(root, span, x, y) {
   }
 }
 
+// What a curve is of, as classes: 'after', and of views but the first one 'other'.
+function classesOf(name) {
+  const [of, ...view] = name.split(" ");
+  return Object.keys(data.views).indexOf(view.join(" ")) > 0 ? `${of} other` : of;
+}
+
 // A line through neighbours that both have a value; a dot where there is no neighbour, or there are few frames.
 function drawCurve(root, name, values, x, y) {
-  const group = svg("g", { class: name, "data-curve": name }, root);
+  const group = svg("g", { class: classesOf(name), "data-curve": name }, root);
   const path = values.map((value, i) => value === null ? "" : `${i && values[i - 1] !== null ? "L" : "M"}${x(i)},${y(value)}`);
   svg("path", { class: "curve", d: path.join("") }, group);
   const few = values.length <= 60;
@@ -70,7 +76,7 @@ function drawCurve(root, name, values, x, y) {
 function drawLegend(place, chart, index) {
   place.replaceChildren();
   for (const [name, values] of Object.entries(chart.curves)) {
-    element("span", place, undefined, `key ${name}`);
+    element("span", place, undefined, `key ${classesOf(name)}`);
     const value = index === null ? undefined : values[index];
     place.append(value === undefined ? name : `${name} ${value === null ? "none" : value.toPrecision(4)}`);
   }

@@ -45,9 +45,9 @@ class Viewer {
   describe() {
     const { size, exposure_ev, pictures, number } = this.frame, shown = Object.values(pictures)[0];
     const reduced = shown.width < size[0] ? `, reduced to ${shown.width}x${shown.height} (at most ${data.longest} pixels)` : "";
-    const found = data.readings[number], figures = [["psnr before", "PSNR before", "dB"], ["psnr after", "PSNR after", "dB"],
-      ["flip after", "FLIP", ""]].filter(([key]) => key in found);
-    const text = figures.map(([key, name, unit]) => `${name} ${found[key].toPrecision(4)} ${unit}`.trim()).join(", ");
+    const figures = Object.entries(data.readings[number]).filter(([key]) => /^(psnr|flip) /.test(key));
+    const text = figures.map(([key, value]) => key.startsWith("psnr")
+      ? `PSNR ${key.slice(5)} ${value.toPrecision(4)} dB` : `${key.replace("flip after", "FLIP")} ${value.toPrecision(4)}`).join(", ");
     document.getElementById("frame-note").textContent = `Frame ${number}, ${size[0]}x${size[1]}${reduced}. `
       + (data.display ? "Light of the display that the output is for; the slider exposes that."
         : `Scene-linear light, exposed by ${exposure_ev.toFixed(2)} EV, shown as x / (1 + x).`) + (text ? ` ${text}.` : "");
