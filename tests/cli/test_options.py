@@ -75,7 +75,7 @@ def test_settings_are_those_that_change_pixels():
     assert settings["run_up"] == 3 and settings["input"] == "in/" and settings["overlay"] == "composite"
     assert not {"output", "memory", "preroll", "log", "execute", "capture", "on_error"} & set(settings)
     assert RUN.settings(given, "rounding") == {"memory": "4G", "provider": None}
-    assert len(RUN.settings(given)) + len(RUN.settings(given, "nothing")) + 1 == len(list(RUN))
+    assert len(RUN.settings(given)) + len(RUN.settings(given, "nothing")) + 2 == len(list(RUN))
 
 
 def test_what_is_not_given_is_left_to_the_part():
