@@ -358,6 +358,42 @@ def test_layout(open_layout, tmp_path, name):
     assert set(sources.replace(" and", ",").split(", ")) == used
 
 
+RIGHT, UP = 3, 2
+"""Pixels that a surface moves in a frame, so that it was further left and lower before."""
+STORED_MOTION = {
+    "Blender 5, one part": ("ViewLayer.Vector", "XY", -RIGHT, -UP),  # previous minus current, y up
+    "Cycles in Gaffer, layers": ("motion", "RG", -RIGHT, -UP),
+    "MoonRay": ("motionvec", "RG", RIGHT / (WIDTH / 2), UP / (HEIGHT / 2)),  # -1..1 of the image, to the next frame
+    "Unreal": (UNREAL + "MotionVectors", "RG", 0.5 + RIGHT / WIDTH / 2, 0.5 + UP / HEIGHT / 2),  # -2..2 of half of it
+    "V-Ray, Max Velocity known": ("VRayVelocity", "RG", 0.5 + RIGHT / 40, 0.5 + UP / 40),  # 0..1 for -20..20 pixels
+    "Octane, shutter known": ("Motion Vector", "RG", RIGHT * 0.2 / WIDTH, UP * 0.2 / WIDTH),  # parts of the width
+    "Arnold": ("motionvector", "RG", RIGHT / 2, UP / 2),  # half a frame's: the frame before is at x - 2 dx, y + 2 dy
+    "RenderMan": ("backward", "xy", -RIGHT, UP),  # raster space counts from the top
+    "RenderMan, asrgba": ("motionBack", "xy", -RIGHT, UP),
+    "Redshift, raw vectors": ("MotionVectors", "RG", RIGHT, UP),
+    "Redshift, remapped vectors, Max Motion known": ("MotionVectors", "RG", 0.5 + RIGHT / 128, 0.5 + UP / 128),
+    "plain names": ("motion", "XY", -RIGHT, UP),
+}
+"""Layout -> layer, letters and values of motion, written out from what docs/renderers.md says and its sources."""
+
+
+@pytest.mark.parametrize("name", STORED_MOTION)
+def test_a_surface_that_moves_right_and_up(open_layout, tmp_path, name):
+    layout, (layer, letters, x, y) = LAYOUTS[name], STORED_MOTION[name]
+    stored = {key: plane for key, plane in layout.stored.items() if not key.startswith("backward")}
+    stored |= {f"{layer}.{letters[0]}": np.full((HEIGHT, WIDTH), x), f"{layer}.{letters[1]}": np.full((HEIGHT, WIDTH), y)}
+    own = tmp_path / "own.toml"
+    own.write_text(f'extends = "{layout.profile}"\n[camera]\n{layout.camera}\n')
+    with open_layout(replace(layout, stored=stored), str(own) if layout.camera else None) as files:
+        motion = files.read(1, [Role.MOTION])[Role.MOTION]
+    np.testing.assert_allclose(motion, np.broadcast_to((-RIGHT, UP), motion.shape), rtol=1e-4)
+
+
+def test_every_renderer_whose_motion_is_read_is_among_them():
+    read = {layout.profile for layout in LAYOUTS.values() if Role.MOTION in layout.roles}
+    assert {LAYOUTS[name].profile for name in STORED_MOTION} == read - {"cycles-4"}  # which is a kind of cycles-5
+
+
 def in_words(stored: Mapping[str, Any]) -> dict[str, Any]:
     """Channels as Nuke writes them again: red, green, blue and alpha instead of letters."""
     words = dict(zip("rgba", ("red", "green", "blue", "alpha"), strict=True))
