@@ -381,7 +381,7 @@ STORED_MOTION = {
 def test_a_surface_that_moves_right_and_up(open_layout, tmp_path, name):
     layout, (layer, letters, x, y) = LAYOUTS[name], STORED_MOTION[name]
     stored = {key: plane for key, plane in layout.stored.items() if not key.startswith("backward")}
-    stored |= {f"{layer}.{letters[0]}": np.full((HEIGHT, WIDTH), x), f"{layer}.{letters[1]}": np.full((HEIGHT, WIDTH), y)}
+    stored |= store(layer, letters, np.full((HEIGHT, WIDTH, 2), (x, y), np.float64))
     own = tmp_path / "own.toml"
     own.write_text(f'extends = "{layout.profile}"\n[camera]\n{layout.camera}\n')
     with open_layout(replace(layout, stored=stored), str(own) if layout.camera else None) as files:
