@@ -24,7 +24,7 @@ MISTAKES = {
     "x0.5": lambda number: -1.0,
     "drifting": lambda number: 0.2 * (number - 1),
 }
-"""Stops that the chain exposes by besides what it is told, by frame number."""
+"""Stops by which the chain exposes more than it is told, by frame number."""
 
 
 def show(light):

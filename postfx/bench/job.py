@@ -1,4 +1,4 @@
-"""One benchmark: what is asked for, the loop over the methods, its progress, and the files that come out."""
+"""One benchmark: the request, the loop over the methods, its progress, and the files that it writes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"), 
 
 @dataclass(frozen=True)
 class Request:
-    """Arguments of `postfx bench` beside the frames."""
+    """Arguments of `postfx bench`, except those that name the frames."""
 
     output: Path
     methods: str | None = None
@@ -40,7 +40,7 @@ class Request:
 
 
 class Bench:
-    """A benchmark. Making it checks everything that can be checked before measuring.
+    """A benchmark. Its constructor checks everything that can be checked before measuring.
 
     Raises PostfxError if frames, methods or installed libraries do not fit.
     """
@@ -63,7 +63,7 @@ class Bench:
             raise WriteError(f"{wish.output}: cannot be made: {error.strerror}; choose another folder") from error
 
     def run(self) -> dict[str, Any]:
-        """Measure and score all methods; returns everything that is known, in plain types."""
+        """Measure and score all methods; returns all results and facts, in plain types."""
         rows = []
         with BenchProgress([method.name for method in self.methods], self._wish.runs) as progress:
             for method in self.methods:
@@ -71,7 +71,7 @@ class Bench:
                     rows.append(self._row(method, progress))
                 except BenchError as error:
                     self.omissions = (*self.omissions, Omission(method.title, str(error)))
-                    progress.failed(method.name, str(error))
+                    progress.skip(method.name, str(error))
         if not rows:
             raise BenchError(f"no method could be measured; the last error: {self.omissions[-1].why}")
         facts = self._facts(rows)
@@ -100,10 +100,10 @@ class Bench:
         progress.begin(method.name)
         task = self._task(method)
         time = timing(run_task(task, progress.note_runs), self._device)
-        progress.scoring()
+        progress.begin_scoring()
         scores = score(self.material, task.output)
         summary = scores.summary()
-        progress.done(time, summary)
+        progress.finish(time, summary)
         return {**asdict(method), "time": time, "scores": summary, "frames": scores.frames, "output": task.output}
 
     def _task(self, method: Any) -> Task:
@@ -145,7 +145,7 @@ def machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what was measured and what measured."""
+    """Versions of the programs that were measured, and of those that measured them."""
     found = {"postfx": __version__}
     for name in ("onnxruntime", "onnxruntime-gpu", "pyoidn", "flip-evaluator", "scikit-image"):
         try:
@@ -175,26 +175,26 @@ class BenchProgress:
         self._bar.stop()
 
     def begin(self, method: str) -> None:
-        """A method is about to be measured."""
+        """Show that a method is about to be measured."""
         self._count += 1
         self._bar.update(self._task, doing=f"{method}: warming up", completed=(self._count - 1) * (self._runs + 1))
 
     def note_runs(self, runs: int) -> None:
-        """So many of its runs are done."""
+        """Show how many of its runs are done."""
         method = self._methods[self._count - 1]
         self._bar.update(self._task, doing=f"{method}: {runs} of {self._runs} runs", advance=1)
 
-    def scoring(self) -> None:
-        """Its results are being scored."""
+    def begin_scoring(self) -> None:
+        """Show that its results are being scored."""
         self._bar.update(self._task, doing=f"{self._methods[self._count - 1]}: scoring")
 
-    def done(self, time: dict[str, Any], scores: dict[str, Any]) -> None:
-        """It is finished."""
+    def finish(self, time: dict[str, Any], scores: dict[str, Any]) -> None:
+        """Print the figures of a finished method."""
         text = f"{time['wall_ms']:.1f} ms a frame, PSNR {scores['psnr']:.2f} dB"
         self._print(self._methods[self._count - 1], text)
 
-    def failed(self, method: str, reason: str) -> None:
-        """It could not be measured."""
+    def skip(self, method: str, reason: str) -> None:
+        """Print why a method could not be measured."""
         self._print(method, f"failed: {reason}")
 
     def _print(self, method: str, text: str) -> None:

@@ -1,8 +1,8 @@
-"""The frames of a benchmark, and measuring one method on them: its time, its memory and the scores of what it wrote.
+"""The frames of a benchmark, and how one method is measured on them: its time, its memory and the scores of its output.
 
-Each method runs in a process of its own, so that its peak of memory is its own.
-`run_task` starts the process, python -m postfx.bench.measure, which reads a task as JSON on standard input and writes
-progress, and at the end the times, as lines of JSON on standard output.
+Each method runs in its own process, so that peak memory counts this method only. `run_task` starts the process,
+python -m postfx.bench.measure, which reads a task as JSON from standard input and writes progress, and at the end the
+times, as lines of JSON to standard output.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LEAST, MOST = 1.0, 3.0
 
 @dataclass(frozen=True)
 class Sources:
-    """What the user named: patterns, a frame range and a renderer profile."""
+    """The user's input: patterns, a frame range and a renderer profile."""
 
     noisy: str
     reference: str
@@ -80,7 +80,7 @@ class Material:
         return next(iter(Sequence(pattern.replace("{number}", f"{number:04d}"), planes=[Role.COLOUR])))
 
     def _reference_number(self, number: int) -> int:
-        """Frame numbers must agree, unless there is one frame and one reference."""
+        """Number of a frame's reference: the frame's own, unless there is one frame and one reference."""
         if self._lone:
             return self._references.numbers[0]
         if number not in self._references.present():
@@ -108,7 +108,7 @@ def _one_spec(sequence: Sequence, numbers: list[int] | tuple[int, ...]) -> Frame
 
 
 def _scale(spec: FrameSpec, target: FrameSpec, references: Sequence) -> float:
-    """A scale that leads from one size to the other, as the denoiser rounds sizes."""
+    """The scale that turns one size into the other, as the denoiser rounds sizes."""
     sides = ((target.width, spec.width), (target.height, spec.height))
     low = max(LEAST, *((out - 0.5) / side for out, side in sides))
     high = min(MOST, *((out + 0.5) / side for out, side in sides))
@@ -140,11 +140,11 @@ if TYPE_CHECKING:
     from postfx.bench.metrics import SequenceScore
 
 ATTEMPTS = 4
-"""The first process may compile kernels, and so may others on the machine meanwhile."""
+"""The first process may have to compile kernels, and so may other processes on the machine at the same time."""
 
 
 def run_task(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
-    """Times of a task, as `measure` gives them; `tell` is called with the count of finished runs.
+    """Times of a task, as `measure` returns them; calls `tell` with the number of finished runs.
 
     Raises BenchError when the process fails.
     """
@@ -182,10 +182,10 @@ def _run_process(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
 
 
 def timing(times: dict[str, Any], device: str) -> dict[str, Any]:
-    """The figures of interest; gpu_ms is None on the CPU.
+    """The figures to report; gpu_ms is None on the CPU.
 
-    A run's milliseconds are the median over its frames, because other work slows single frames; reported are the
-    median, least and most over the runs. cpu_s is the mean over frames, median over the runs.
+    A run's milliseconds are the median over its frames, because other work slows single frames; the figures are the
+    median, least and greatest of all runs. cpu_s is the mean over frames, and the median over the runs.
     """
     wall = [median(run) for run in times["wall_ms"]]
     gpu = [median(run) for run in times["device_ms"]]
@@ -201,7 +201,7 @@ def timing(times: dict[str, Any], device: str) -> dict[str, Any]:
 
 
 def score(material: Material, pattern: str) -> SequenceScore:
-    """Scores of the results that a method wrote."""
+    """Score the results that a method wrote."""
     from postfx.bench.metrics import SequenceScore  # imported here: its libraries must not count as a method's memory
 
     scores = SequenceScore()
@@ -222,7 +222,7 @@ def _message(line: str) -> dict[str, Any] | None:
 
 @dataclass(frozen=True)
 class Task:
-    """What to measure: a method on a sequence, `runs` times; `output` holds '{number}' for the frame number."""
+    """A measurement to make: a method on a sequence, `runs` times; `output` holds '{number}' for the frame number."""
 
     method: Method
     noisy: str
@@ -265,7 +265,7 @@ def measure(task: Task) -> dict[str, Any] | None:
     """Milliseconds (wall, device) and CPU seconds of every frame of every run, and the peak of memory in MB.
 
     A frame before the runs, `first_ms`, prepares everything. Reading and writing files is not timed. None if kernels
-    had to be compiled, which happens once per machine: measure again, for the compiler's memory would count.
+    had to be compiled, which happens once per machine: measure again, because the compiler's memory would count.
     """
     kept = _compiled_kernels()
     device = Device(task.device, task.threads)
@@ -314,7 +314,7 @@ def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> di
 
 
 def _evened(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Each frame's share of what all took: the first of a part waits until others have run in reverse."""
+    """Spread the time evenly over the frames: the first one of a part waits until others have run in reverse."""
     return [{key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}] * len(rows)
 
 

@@ -1,4 +1,4 @@
-"""The methods that a benchmark can measure, by name, and what carries each out."""
+"""The methods that a benchmark can measure, by name, and the classes that carry them out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from postfx.temporal.run_up import RunUp
 
 GUIDES = "guides"
 PRECISIONS = {"fp32": ("cpu", "cuda"), "int8": ("cpu",), "fp16": ("cuda",)}
-"""Precision -> devices that it is meant for."""
+"""Precision -> devices that it is made for."""
 FAMILIES = {"ours": "this project's networks", "oidn": "Open Image Denoise", "plain": "no denoiser"}
 
 
@@ -40,9 +40,9 @@ class Method:
         alone: whether it drops the history at every frame.
         both: whether it uses later frames as well.
         run_up: whether the first frame of a shot gets a run-up.
-        quality: of OIDN; '' if not used.
+        quality: quality of OIDN; '' if not used.
         accumulated: whether it accumulates frames at output size along the motion.
-        without: names of the frames' planes that are withheld from the network; only in ablations.
+        without: names of planes that the network does not get; only in ablations.
     """
 
     name: str
@@ -60,14 +60,14 @@ class Method:
 
 
 class Omission(NamedTuple):
-    """What is not measured, and why."""
+    """A method that is not measured, and the reason."""
 
     what: str
     why: str
 
 
 class Catalogue(NamedTuple):
-    """Methods that can be measured, and what is left out."""
+    """Methods that can be measured, and methods that are left out."""
 
     methods: tuple[Method, ...]
     omissions: tuple[Omission, ...]
@@ -141,8 +141,8 @@ def _of_model(name: str, motion: bool) -> list[Method]:
 
 
 def _ablations(method: Method, lost: Collection[str]) -> list[Method]:
-    """A network without each of some planes and without all: in full precision only, which they do not depend on, and
-    without guides, which would stand in for the planes."""
+    """A network without each of some planes, and without all: only in full precision, which does not matter here, and
+    without guides, which would replace the planes."""
     if method.guides or method.precision != "fp32":
         return []
     chosen = {name: (name,) for name in lost} | ({"all": tuple(lost)} if len(lost) > 1 else {})
@@ -160,7 +160,7 @@ def _unfit(method: Method, device: str, guides: bool) -> str | None:
 
 
 def _absent(names: list[str], guides: bool) -> list[Omission]:
-    """Precisions that networks do not come in and, for frames with guides, networks that do not read them."""
+    """Precisions that networks lack and, for frames with guides, networks that do not read guides."""
     tags = dict.fromkeys(name.split(".")[0] for name in names)
     wanted = [(tag, precision) for tag in tags for precision in PRECISIONS if precision != "fp32"]
     wanted += [(tag, GUIDES) for tag in tags if guides]
@@ -215,7 +215,7 @@ class Network:
         return result[Role.COLOUR]
 
     def _given(self, frame: Frame) -> Frame:
-        """The frame with what the method is given of it."""
+        """The frame with only the planes that the method may use."""
         planes = {role: plane for role, plane in frame.planes.items() if role not in self._lost}
         return replace(frame, guides=frame.guides if self._method.guides else {}, planes=planes)
 
@@ -252,6 +252,6 @@ class Chain:
 
 def make(method: Method, device: Device, scale: float, size: tuple[int, int],
          sequence: Sequence | None = None) -> Network | Chain:
-    """What carries out a method, for outputs of `size` (height, width). The `sequence` is needed where frames are
-    run ahead: for a run-up and for both ways."""
+    """The object that carries out a method, for outputs of `size` (height, width). A run-up and both ways also need the
+    `sequence`, as they run frames ahead."""
     return Network(method, device, scale, sequence) if method.model else Chain(method, device, size)

@@ -1,7 +1,7 @@
 """Errors of a picture and of a sequence against a reference.
 
-Pictures are compared as people see them: exposed, brought to 0..1 by x / (1 + x), and sRGB-encoded. relMSE is of linear
-light. Colours are (height, width, 3), scene-linear Rec.709, float32.
+Pictures are compared as people see them: exposed, brought to 0..1 by x / (1 + x), and sRGB-encoded. relMSE compares
+linear light. Colours are (height, width, 3), scene-linear Rec.709, float32.
 """
 
 from __future__ import annotations

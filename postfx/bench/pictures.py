@@ -23,7 +23,7 @@ from postfx.frame import Role
 
 COUNT, SIDE = 3, 96
 SHARE = 0.35
-"""Largest side of a crop, as a part of the picture's smaller side."""
+"""Longest side of a crop, as a part of the picture's shorter side."""
 
 
 class Column(NamedTuple):
@@ -46,11 +46,11 @@ def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> No
 
 
 def draw_worst(material: Material, rows: list[dict[str, Any]], path: Path) -> None:
-    """The same for our failures: the frame and the places where we are furthest behind OIDN's methods; a PNG.
+    """The same for our failures: the places of one frame where we are furthest behind OIDN's methods; a PNG.
 
-    Ours is the largest network without guides, which has the same input as OIDN. The frame is the one with the least
-    lead (or largest lag) in PSNR on the best OIDN method. Removes the picture if there is nothing to compare or no
-    place where ours is behind.
+    Ours is the largest network without guides, which has the same input as OIDN. The frame is the one whose PSNR leads
+    the best OIDN method's least, or lags furthest. Removes the picture if there is nothing to compare or if ours is
+    nowhere behind.
     """
     path.unlink(missing_ok=True)
     wanted = _wanted(rows)
@@ -63,20 +63,21 @@ def draw_worst(material: Material, rows: list[dict[str, Any]], path: Path) -> No
     number = material.noisy.numbers[int(np.argmin(gaps))]
     columns = _columns(material, wanted, number)
     errors = {column.title: np.square(column.picture - columns[-1].picture).mean(-1) for column in columns}
-    places = behind(errors[ours["title"]], [errors[row["title"]] for row in theirs], COUNT)
+    places = pick_deficits(errors[ours["title"]], [errors[row["title"]] for row in theirs], COUNT)
     if places:
         _draw(columns, places, f"frame {number}", f"where {ours['title']} is behind OIDN most", path)
 
 
 def pick(difference: np.ndarray, count: int) -> list[tuple[int, int]]:
-    """Upper left corners (y, x) of up to `count` squares of the greatest mean `difference` (H, W), without overlap."""
+    """Upper left corners (y, x) of up to `count` squares with the greatest mean `difference` (H, W), which do not
+    overlap."""
     return _greatest(_means(difference), count, _side(difference.shape))
 
 
-def behind(ours: np.ndarray, others: list[np.ndarray], count: int) -> list[tuple[int, int]]:
-    """Corners as from `pick`, of squares whose mean error (H, W) is furthest above the others' least mean.
+def pick_deficits(ours: np.ndarray, others: list[np.ndarray], count: int) -> list[tuple[int, int]]:
+    """Corners as from `pick`, of the squares where our mean error (H, W) exceeds the others' least mean error most.
 
-    Squares where ours is not above it are left out.
+    Squares where it does not exceed that are left out.
     """
     losses = _means(ours) - np.min([_means(other) for other in others], axis=0)
     return _greatest(np.where(losses > 0, losses, -np.inf), count, _side(ours.shape))
@@ -90,7 +91,7 @@ def _means(values: np.ndarray) -> np.ndarray:
 
 
 def _greatest(means: np.ndarray, count: int, side: int) -> list[tuple[int, int]]:
-    """Corners of the squares of the greatest means, without overlap; minus infinity is never taken."""
+    """Corners of the squares with the greatest means, which do not overlap; minus infinity is never taken."""
     open_ = means.copy()
     found: list[tuple[int, int]] = []
     while len(found) < count and np.isfinite(open_).any():
@@ -140,8 +141,8 @@ def _columns(material: Material, rows: list[dict[str, Any]], number: int) -> lis
 
 
 def _wanted(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """OIDN high, the same with accumulation, and our largest model that sees no later frames, without and with guides;
-    else the first ones."""
+    """OIDN high, OIDN high with accumulation, and our largest model that uses no later frames, without and with guides;
+    if these are missing, the first methods."""
     by_name = {row["name"]: row for row in rows}
     ours = [row for row in rows if row["family"] == "ours" and not (row["alone"] or row["run_up"] or row["both"])
             and row["precision"] == "fp32"]
@@ -157,7 +158,7 @@ def _compared(columns: list[Column]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _repeated(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Enlarged by nearest pixels, so that the input looks as it is."""
+    """Enlarge by nearest pixels, which shows the input unchanged."""
     h, w = image.shape[:2]
     repeated: np.ndarray = image[(np.arange(height) * h // height)[:, None], np.arange(width) * w // width]
     return repeated
@@ -170,7 +171,7 @@ SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14
 """Places for a label, in points from its dot; the first free one is used, with a line to the dot unless NEAR."""
 NEAR = 8
 Point = tuple[float, float, dict[str, Any]]
-"""Where a method's dot is, and its row."""
+"""Position of a method's dot, and its row."""
 
 
 def pareto(facts: dict[str, Any], figure: str, path: Path) -> None:
@@ -236,7 +237,7 @@ def _dot(axes: Axes, x: float, y: float, row: dict[str, Any], figure: str) -> No
 
 
 def _fill(row: dict[str, Any]) -> str:
-    """Which part of a dot is filled."""
+    """The part of a dot that is filled."""
     return "left" if row["both"] else "bottom" if row["run_up"] else "full"
 
 
@@ -276,7 +277,7 @@ def _label(axes: Axes, points: list[Point], figure: str, renderer: RendererAgg) 
 
 
 def _name(row: dict[str, Any]) -> str:
-    """Short name; the marker shows the rest."""
+    """Short name; the marker shows what it leaves out."""
     if row["family"] != "ours":
         return str(row["title"])
     return str(row["model"]).split(".")[0] + ("" if row["precision"] == "fp32" else f" {row['precision']}")
@@ -285,7 +286,7 @@ def _name(row: dict[str, Any]) -> str:
 def _place(
     axes: Axes, renderer: RendererAgg, dot: tuple[float, float], text: str, colour: str, taken: list[Bbox], frame: Bbox
 ) -> Bbox:
-    """Write a label at the first free place, else where it covers least; returns its place."""
+    """Write a label at the first free place, or where it covers least; returns the place."""
     label = axes.annotate(text, dot, (0, 0), textcoords="offset points", fontsize=10.5, color=colour, zorder=4,
                           fontweight="bold" if len(text) <= 2 else "normal",
                           arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkB": 4})

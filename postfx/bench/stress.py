@@ -18,12 +18,12 @@ from postfx.runtime import Device, Library
 
 Change = Callable[[Frame], Frame]
 BRIGHTEST = 4e4
-"""Bound of the denoiser's exposed output: it limits light to 1e4 times reflectance (below 2), filters do not exceed
-that, and sharpening at most doubles it."""
+"""Bound of the denoiser's exposed output: the denoiser limits light to 1e4 times reflectance (below 2), filters do not
+exceed that, and sharpening at most doubles it."""
 
 
 def set_planes(**planes: float | Callable[[np.ndarray], np.ndarray]) -> Change:
-    """Replace those of these planes that the frame has by a value, or by a function of their content."""
+    """Replace planes, if the frame has them, by a value or by a function of their content."""
 
     def change(frame: Frame) -> Frame:
         made = dict(frame.planes)
@@ -69,13 +69,13 @@ HARD: dict[str, Change] = LIGHTS | {
     "misses": set_planes(**_MISSES), "black misses": set_planes(colour=0, **_MISSES),
     "everything NaN": set_planes(**dict.fromkeys(map(str, Role), np.nan)),
 }
-"""Name -> change of a frame; in LIGHTS, of its colour alone."""
+"""Name -> change of a frame; LIGHTS change its colour alone."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result on a hard input: the largest exposed light, NaN if any is NaN, and whether all is well: exposed light
-    is finite and in [0, BRIGHTEST], and tone-mapped in [0, 1]."""
+    """The result on a hard input: the largest exposed light, NaN if any is NaN. It is well if exposed light is finite
+    and in [0, BRIGHTEST], and tone-mapped light in [0, 1]."""
 
     model: str
     case: str

@@ -1,4 +1,4 @@
-"""`postfx exposure`: is the exposure of a sequence right, steady, and applied as told."""
+"""`postfx exposure`: is the exposure of a sequence right, steady, and applied as told?"""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from postfx.cli.options import Option, Options, Section
 from postfx.cli.run_options import FILES, INPUT, refuse_several_views
 
 DESCRIPTION = """\
-Measure the exposure of a sequence where it is seen: a grey checkerboard, divided by the exposure that would be right,
-goes through the tone mapper with the exposure that the run uses. Right, it is a steady mid grey. The level that comes
-out tells by how many stops the exposure is off, frame by frame and shot by shot (from cut to cut), whether it drifts,
-what would be right, and which mistake fits: exposure multiplied in already, not passed on, inverted, in stops, late or
-feeding back.
+Measure the exposure of a sequence at the end of the chain: a grey checkerboard, divided by the right exposure, goes
+through the tone mapper with the exposure that the run uses. If the exposure is right, the board comes out as a steady
+mid grey. Its level shows by how many stops the exposure is off, frame by frame and shot by shot (from cut to cut),
+whether it drifts, which exposure is right, and which mistake fits: exposure already in the colour, not passed on,
+inverted, in stops, late or feeding back.
 
 The board covers the picture, so the denoiser does not run: a frame takes the time to read its colour.
 
 For a tone mapper or a grade outside postfx, 'POSTFX_EXPOSURE_TOOL=1 postfx run ...' writes frames that hold the
-checkerboard, divided by the exposure of each, which is in their headers (postfx:exposureUsed). Take them through your
-chain and hand back what comes out (--graded): it is measured. What your tone mapper makes of a chart at 0 EV (--chart)
-tells its curve (--response); without it, levels are read off the curve of --tonemap.
+checkerboard, divided by each frame's exposure, which is in the headers (postfx:exposureUsed). Take them through your
+chain and give the results to --graded. A chart (--chart) that goes through your tone mapper at 0 EV shows its curve
+(--response); without it, levels are compared with the curve of --tonemap.
 """
 EXAMPLES = """\
 examples:

@@ -1,4 +1,4 @@
-"""Exposure: one multiplier a frame. Metering, following it over time, and measuring whether a chain applies it."""
+"""Exposure: one multiplier a frame. Meter it, smooth it over time, and measure whether a chain applies it."""
 
 from postfx.errors import ExposureError
 from postfx.exposure.metering import (

@@ -1,4 +1,4 @@
-"""The exposure debugger: whether the exposure of a sequence is right, steady and applied; by how much not, and why."""
+"""The exposure debugger: is the exposure of a sequence right, steady and applied? If not, by how much, and why?"""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from postfx.runtime import Device
 TOLERANCE_EV = 0.2
 """Largest mean mismatch that counts as right: below a quarter of a stop, above the meter's noise."""
 DRIFT_EV, MOVING_DRIFT_EV = 0.25, 0.5
-"""Largest drift from the darkest to the brightest frame; more where the scene changes, which exposure need not follow
-entirely."""
+"""Largest drift from the darkest to the brightest frame, of a steady scene and of one that changes: exposure need not
+follow such a change fully."""
 RIGHT, DARK, BRIGHT, DRIFTING = "right", "too dark", "too bright", "drifting"
 
 NEAR_EV = 0.25
-"""A picture this close to mid grey needs no exposure: about what noise does to the meter."""
+"""A picture this close to mid grey needs no exposure: noise may move the meter by as much."""
 SAME_EV = 0.125
 APPLIED_EV = 0.05  # the board's own error is smaller
 STEADY_EV = 0.1
@@ -53,12 +53,12 @@ class Reading(NamedTuple):
     Attributes:
         number: frame number.
         cut: whether a shot begins here.
-        exposure_ev: stops of exposure that the chain is given.
-        reference_ev: stops that the checkerboard is divided by: the right exposure.
+        exposure_ev: stops of exposure that the chain is told to apply.
+        reference_ev: stops of the right exposure, by which the checkerboard is divided.
         picture_ev: stops that the picture itself needs, metered and smooth.
-        level: of the board's mid grey, 0..1.
-        mismatch_ev: stops that the level is too bright, within the limits of the view's response.
-        expected_ev: the same for a view that applies the exposure as given.
+        level: level of the board's mid grey, 0..1.
+        mismatch_ev: stops by which the level is too bright, within the limits of the view's response.
+        expected_ev: the mismatch of a view that applies the exposure as told.
     """
 
     number: int
@@ -78,10 +78,10 @@ class Shot:
     Attributes:
         first, last: frame numbers.
         verdict: 'right', 'too dark', 'too bright' or 'drifting'.
-        mismatch_ev: mean stops too bright.
+        mismatch_ev: mean of the stops by which frames are too bright.
         drift_ev: stops from the darkest to the brightest frame.
         level: mean level of mid grey.
-        right_ev: mean stops that would have been right.
+        right_ev: mean of the right exposure in stops.
         cause: the likely mistake, or None.
     """
 
@@ -101,8 +101,8 @@ class Report:
 
     Attributes:
         grey: level of mid grey at the right exposure.
-        limits_ev: smallest and largest mismatch that the level can show; one at a limit may be larger.
-        curve: by which curve the level was read: the view's, a known one, or the chain's own.
+        limits_ev: smallest and largest mismatch that the level can show; a mismatch at a limit may be larger.
+        curve: the curve that levels were compared with: the view's, a known one, or the chain's own.
     """
 
     readings: list[Reading]
@@ -126,19 +126,19 @@ def debug(
     chain: Sequence[Pass] | None = None,
     device: Device | None = None,
 ) -> Report:
-    """Measure the exposure of frames, read once in order; only their colour is needed.
+    """Measure the exposure of frames; reads them once, in order, and needs only their colour.
 
     Args:
         view: passes that show exposed scene-linear colour on a display, such as `[ToneMap()]`, or your own.
         exposure: the mode under test: 'auto', 'smooth', 'lit', 'metadata' or stops, as in `postfx run`.
-        reference: the mode that would be right; 'smooth' is metered on the pictures.
+        reference: the mode that is right; 'smooth' meters the pictures.
         chain: the passes after the upscaler, if they are not `view`.
 
-    Passes of your own are judged by their own response, sampled on a ramp of light at 0 EV, so a curve of any kind is
-    right if it applies what it is told. Where it is the view's curve or a known one (`known_curves`), but brighter
-    throughout, that is a mistake, too.
+    Passes of your own are judged by their own response, sampled on a ramp of light at 0 EV, so any curve is right if it
+    applies the exposure that it is told. A curve that is the view's or a known one (`known_curves`), but brighter
+    throughout, is a mistake, too.
 
-    Raises ExposureError if a mode has no exposure for a frame, or there is no frame.
+    Raises ExposureError if a mode has no exposure for a frame, or if there is no frame.
     """
     told = _Told(frames, exposure, reference)
     seen = Board(view, told.aspect, device)
@@ -146,7 +146,7 @@ def debug(
     judged = _judge_chain(view, seen, tested)
     levels = [tested.level(*frame.multipliers, frame.begins) for frame in told.frames]
     expected = [float(np.clip(frame.ordered_ev, *judged.response.limits_ev)) for frame in told.frames]
-    if judged.curve == VIEW:  # whose own history is no mistake
+    if judged.curve == VIEW:  # the view's own history is no mistake
         wanted = levels if tested is seen else [seen.level(*frame.multipliers, frame.begins) for frame in told.frames]
         expected = [judged.response.ev_of(level) for level in wanted]
     return _report(told.frames, levels, judged, list(map(judged.response.ev_of, levels)), expected)
@@ -159,16 +159,16 @@ def debug_graded(
     exposure: str | float = "auto",
     reference: str | float = SMOOTH,
 ) -> Report:
-    """The same of checkerboards that went through a chain elsewhere.
+    """Measure the exposure by checkerboards that another program graded.
 
     Args:
-        frames: of the render, as for `debug`.
-        level: frame number -> level of mid grey on what became of its board, such as
+        frames: the render's frames, as for `debug`.
+        level: frame number -> level of mid grey on its graded board, such as
             `postfx.exposure.response.GradedBoards.level`.
-        judged: by what levels are read: `postfx.exposure.response.read_response` or `judge_view`.
-        exposure: what the run of the boards was told, by which each is divided.
+        judged: the response that levels are compared with: `postfx.exposure.response.read_response` or `judge_view`.
+        exposure: the exposure of the run that wrote the boards, by which it divided them.
 
-    Raises ExposureError as `debug` does, and where a frame has no board.
+    Raises ExposureError as `debug` does, and if a frame has no board.
     """
     told = _Told(frames, exposure, reference)
     levels = [level(frame.number) for frame in told.frames]
@@ -177,12 +177,12 @@ def debug_graded(
 
 
 def judge_view(view: Sequence[Pass], device: Device | None = None) -> Calibration:
-    """Read levels by the response of a view, which is taken for that of the chain."""
+    """Compare levels with the response of a view, as if the chain were that view."""
     return Calibration(Response.of_board(Board(view, device=device)), VIEW)
 
 
 def _judge_chain(view: Sequence[Pass], seen: Board, tested: Board) -> Calibration:
-    """A built-in view is right by definition, and so is a chain of the same curve; others are judged by their own."""
+    """A built-in view is right by definition, and so is a chain with its curve; others have their own curve."""
     response = Response.of_board(tested)
     if is_built_in(view):
         shown = response if tested is seen else Response.of_board(seen)
@@ -194,8 +194,8 @@ def _judge_chain(view: Sequence[Pass], seen: Board, tested: Board) -> Calibratio
 
 
 class _Frame(NamedTuple):
-    """A frame that the chain is told of: stops to expose by, stops that are right, and stops that the meter says;
-    whether a shot begins, by its file or as it is the first."""
+    """Stops of a frame: those that the chain is told, those that are right, and those that the meter reads; and whether
+    a shot begins, because its file says so or because it is the first frame."""
 
     number: int
     cut: bool
@@ -210,12 +210,12 @@ class _Frame(NamedTuple):
 
     @property
     def ordered_ev(self) -> float:
-        """Stops that the chain is told to be too bright."""
+        """Stops by which the exposure under test is too bright."""
         return self.exposure_ev - self.reference_ev
 
 
 class _Told:
-    """What a chain is told, frame by frame; the frames are read once."""
+    """The exposures that a chain is told, frame by frame; reads the frames once."""
 
     def __init__(self, frames: Iterable[Frame], exposure: str | float, reference: str | float) -> None:
         told, right = _Mode(exposure), _Mode(reference)
@@ -234,7 +234,7 @@ class _Told:
 
 def _report(frames: Sequence[_Frame], levels: Sequence[float], judged: Calibration, found: Sequence[float],
             expected: Sequence[float]) -> Report:
-    """The report of frames by the stops that each was found, and expected, to be too bright."""
+    """The report of frames from the stops by which each is too bright: as found, and as expected."""
     readings = [Reading(frame.number, frame.cut, frame.exposure_ev, frame.reference_ev, frame.picture_ev, level,
                         mismatch, wanted)
                 for frame, level, mismatch, wanted in zip(frames, levels, found, expected, strict=True)]
@@ -243,7 +243,7 @@ def _report(frames: Sequence[_Frame], levels: Sequence[float], judged: Calibrati
 
 
 class _Mode:
-    """Stops by one of the modes, frame by frame."""
+    """Stops of each frame in one of the modes."""
 
     def __init__(self, mode: str | float) -> None:
         self._meter = None if mode == SMOOTH else ExposureMeter(mode)
@@ -294,16 +294,16 @@ def likely_cause(readings: Sequence[Reading], drifting: bool) -> str | None:
 
 
 def _otherwise_applied(extra: np.ndarray) -> str | None:
-    """Exposure that the passes after the upscaler applied beyond the one they were given."""
+    """Exposure that the passes after the upscaler apply in addition to the one that they are told."""
     if abs(extra).max() <= APPLIED_EV:
         return None
     if np.ptp(extra) > STEADY_EV:
         return (
-            f"after the upscaler the chain exposes by {extra.min():+.2f} to {extra.max():+.2f} EV besides what it is "
-            "given: it meters for itself or lags; give the tone mapper the frame's exposure"
+            f"after the upscaler the chain adds {extra.min():+.2f} to {extra.max():+.2f} EV to the exposure that it is "
+            "told: it meters for itself or lags; give the tone mapper the frame's exposure"
         )
     return (
-        f"after the upscaler the chain exposes by {extra.mean():+.2f} EV besides what it is given: give the tone "
+        f"after the upscaler the chain adds {extra.mean():+.2f} EV to the exposure that it is told: give the tone "
         "mapper the frame's exposure and nothing else"
     )
 
@@ -312,15 +312,15 @@ def _pattern(told: np.ndarray, picture: np.ndarray) -> str | None:
     """Mistakes in the kind of number: applied twice, not passed on, inverted, or stops."""
     if abs(picture).max() <= NEAR_EV < abs(told).max():
         return (
-            "the colour is at mid grey before it is exposed: if the exposure is multiplied in already, it is given a "
-            "second time; divide it out or give an exposure of 1 (0 EV)"
+            "the colour is at mid grey before it is exposed: if it already includes the exposure, it is exposed a "
+            "second time; divide the colour by it, or give an exposure of 1 (0 EV)"
         )
     if not told.any():
         return "the exposure is 1 (0 EV) throughout: it is probably not passed on"
     if abs(told + picture).max() <= SAME_EV:
-        return "the exposure is inverted: give the multiplier and not its inverse"
+        return "the exposure is inverted: give the multiplier, not its inverse"
     if (picture > 0).all() and abs(np.exp2(told) - picture).max() <= SAME_EV:
-        return "the exposure is the number of stops that is needed: give 2 to the power of it"
+        return "the exposure is the number of stops that the picture needs: give 2 to the power of it"
     return None
 
 
@@ -330,10 +330,10 @@ def _movement(told: np.ndarray, picture: np.ndarray) -> str:
     if told_moves and not picture_moves:
         return "the exposure changes while the picture does not"
     if picture_moves and not told_moves:
-        return "the picture's brightness changes and the exposure does not follow; if that is intended, it is right"
+        return "the picture's brightness changes and the exposure does not follow, which may be intended"
     if told_moves and np.corrcoef(told, picture)[0, 1] < OPPOSED:
         return (
-            "the picture gets brighter as the exposure rises, so the exposure is in the colour when it is metered: it "
+            "the picture gets brighter as the exposure rises, so the meter sees colour that is already exposed, and "
             "feeds back; meter before exposing"
         )
     return "the exposure follows the picture late or not far enough; --exposure smooth looks ahead"

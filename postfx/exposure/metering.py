@@ -1,8 +1,8 @@
 """Exposure metering: one multiplier a frame, from the picture, from its header or fixed; or from the whole sequence.
 
-Colour times the multiplier is what the tone mapper and the eye should see; mid grey is 0.18. `ExposureMeter` looks at
-this frame and the past only, so a sequence gives the same numbers in one run and frame by frame. `SmoothExposure`
-meters the whole sequence first, then follows it by a smooth curve that looks both ways in time.
+The tone mapper and the eye should see colour times the multiplier; mid grey is 0.18. `ExposureMeter` uses only this
+frame and earlier ones, so a sequence gives the same numbers in one run and frame by frame. `SmoothExposure` meters the
+whole sequence first, then fits a smooth curve that looks both ways in time.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ PERCENTILES = (2.0, 98.0)
 RANGE_EV = 9.0  # anything further below the 98th percentile counts as black
 BLACK = 2.0**-24  # mean luminance of an empty block: borders, misses
 BLOCK, MOST_BLOCKS = 8, 160
-BRIGHTEN_SECONDS, DARKEN_SECONDS = 1.0, 0.4  # an eye and a camera close faster than they open
+BRIGHTEN_SECONDS, DARKEN_SECONDS = 1.0, 0.4  # eyes and cameras close faster than they open
 FRAMES_PER_SECOND = 24.0
 MODES = ("auto", "lit", "metadata")
 USED = "postfx:exposureUsed"
 """Header attribute with the multiplier that a run used, for later programs; the author's own is postfx:exposure."""
 APPLIED = "postfx:exposureApplied"
-"""The same, if the pixels already include it."""
+"""The attribute's name if the pixels already include the multiplier."""
 
 SMOOTH = "smooth"
 SECONDS = 0.5
@@ -63,13 +63,13 @@ def measure(colour: np.ndarray) -> float | None:
 
 
 class ExposureMeter:
-    """Stateful exposure: call it with each frame in order, get the multiplier (> 0) to use for that frame.
+    """Stateful exposure: call it with each frame in order to get the multiplier (> 0) for that frame.
 
     mode: 'auto' meters each picture and follows it smoothly in EV, slower towards brighter (1 s) than towards
-    darker (0.4 s), at once on the first frame and at cuts (`frame.reset`); a black frame keeps the shot's last value.
-    'lit' shows the light as its author made it: `frame.exposure`, or 1 if the header has none. 'metadata' fails then,
-    except for frames of an earlier run, whose multiplier it takes (`USED`). A number is an EV: the multiplier is
-    2 ** EV.
+    darker (0.4 s), but at once on the first frame and at cuts (`frame.reset`); a black frame keeps the shot's last
+    value. 'lit' shows the light as its author made it: `frame.exposure`, or 1 if the header has none. 'metadata' is an
+    error if the header has none, unless an earlier run wrote the frame: then it takes that run's multiplier (`USED`).
+    A number is an EV: the multiplier is 2 ** EV.
     """
 
     def __init__(self, mode: str | float = "auto") -> None:
@@ -77,12 +77,12 @@ class ExposureMeter:
         self._ev: float | None = None
 
     def reset(self) -> None:
-        """Forget the past: the next frame is metered like a first one."""
+        """Forget the past: the next frame is metered like the first one."""
         self._ev = None
 
     @property
     def remembers(self) -> bool:
-        """Whether the multiplier depends on the frames before."""
+        """Whether the multiplier depends on earlier frames."""
         return self.mode == "auto"
 
     def history(self) -> dict[str, np.ndarray]:
@@ -122,7 +122,7 @@ def frame_rate(frame: Frame) -> float:
 
 
 def _share(frame: Frame, brighter: bool) -> float:
-    """Part of the way to the metered EV that one frame goes."""
+    """Share of the way to the metered EV that one frame covers."""
     return 1.0 - math.exp(-1.0 / (frame_rate(frame) * (BRIGHTEN_SECONDS if brighter else DARKEN_SECONDS)))
 
 
@@ -164,12 +164,11 @@ class MeterReading(NamedTuple):
 
 
 class SmoothExposure:
-    """Exposure metered on the whole sequence first; used in place of an `ExposureMeter`.
+    """Exposure that meters the whole sequence first; use it in place of an `ExposureMeter`.
 
-    frames: the sequence; it is iterated once, when the first multiplier is needed. Within each
-    shot the EV follows a local straight line, weighted by a Gaussian of `seconds` in time (Cleveland 1979), which
-    does not lag; it is broken at cuts (`frame.reset`). A frame that was not metered gets the multiplier of the nearest
-    frame number.
+    frames: the sequence, which is read once, when the first multiplier is needed. Within each shot, from cut to cut
+    (`frame.reset`), a straight line is fitted around each frame, weighted by a Gaussian of `seconds` in time (Cleveland
+    1979); it does not lag. A frame that was not metered gets the multiplier of the nearest frame number.
     """
 
     def __init__(self, frames: Iterable[Frame], seconds: float = SECONDS) -> None:
@@ -182,7 +181,7 @@ class SmoothExposure:
     remembers = False
 
     def history(self) -> dict[str, np.ndarray]:
-        """Empty, for the same reason."""
+        """Empty: the curve belongs to the sequence."""
         return {}
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
@@ -204,7 +203,7 @@ def meter_frames(frames: Iterable[Frame]) -> Iterator[MeterReading]:
 
 
 def colours_of(sequence: FrameSequence, lenient: bool = False) -> Iterator[Frame]:
-    """Frames of a sequence with their colour only; other readers of the sequence are not disturbed.
+    """Frames of a sequence with their colour only; does not disturb other readers of the sequence.
 
     If `lenient`, frames that cannot be read are skipped.
     """
@@ -238,7 +237,7 @@ def smooth_ev(readings: Sequence[MeterReading], width: float) -> dict[int, float
 
 
 def _smoothed(ev: np.ndarray, width: float) -> list[float]:
-    """A straight line fitted around each frame; a line, and not a mean, as it does not bend at the shot's ends."""
+    """A straight line fitted around each frame; a mean would bend at the shot's ends."""
     known = np.flatnonzero(np.isfinite(ev))
     if known.size == 0:
         return [0.0] * len(ev)

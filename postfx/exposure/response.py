@@ -1,7 +1,7 @@
-"""What a chain makes of mid grey that is so many stops off: sampled on a ramp of light, and not assumed.
+"""Response of a chain: its level of mid grey by how many stops the light is too bright, measured and not assumed.
 
-A chain of passes is sampled here. A tone mapper or a grade elsewhere is sampled by a chart that goes through it, and
-boards that it hands back are read by that.
+A chain of passes is sampled here, on a ramp of light. A tone mapper or a grade in another program is sampled by a chart
+that goes through it; its boards are then read by that response.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
 STEPS_EV = np.arange(-8.0, 8.01, 0.25)
-"""Where a response is sampled."""
+"""Stops at which a response is sampled."""
 HEIGHT = 20 * CELLS
 FLAT = 0.02
-"""Levels of a response that tells nothing differ by less."""
+"""A response whose levels differ by less does not show the exposure."""
 ALIKE = 0.01
-"""Two responses are the same curve, one brighter, where no level differs by more than this."""
+"""Two responses are one curve, shifted by a gain, if no level differs by more than this."""
 SHIFTS_EV = np.arange(-6.0, 6.001, 0.01)
 TELLING = (0.03, 0.97)
-"""Levels at which a curve has its shape; near black and white all are alike."""
+"""Levels between which curves differ; near black and white all are alike."""
 OWN_CURVE, VIEW = "its own", "the view's"
 _BUILT_IN = (Display, ToneMap, View)
 
 
 class Board:
-    """A chain of passes that sees nothing but the checkerboard.
+    """A chain of passes that processes nothing but the checkerboard.
 
-    passes: what comes after the upscaler. aspect: width over height of the frames. The board is 180 rows high whatever
-    the frames are: it looks the same at every size, and what it covers does not matter.
+    passes: the passes after the upscaler. aspect: width over height of the frames. The board always has 180 rows: it
+    looks the same at every size, and the picture under it does not matter.
     """
 
     def __init__(self, passes: Sequence[Pass], aspect: float = 16 / 9, device: Device | None = None) -> None:
@@ -73,31 +73,32 @@ def grey_level(picture: np.ndarray) -> float:
 
 
 class Response:
-    """Levels of the board over the stops that its light is too bright.
+    """Levels of the board over the stops by which its light is too bright.
 
     Args:
-        ev: stops, rising; levels: of the board there. Where levels fall, the curve is held.
-        gain_ev: stops that the chain is too bright throughout, as far as that is known.
+        ev: stops, rising.
+        levels: levels of the board at these stops. Where levels fall, the curve stays at the highest before.
+        gain_ev: stops by which the chain is too bright throughout, if known.
 
     Attributes:
-        grey: level of the board when it is exposed right.
-        limits_ev: stops between which the level tells the exposure; beyond, a view is black or white.
+        grey: level of the board at the right exposure.
+        limits_ev: stops between which the level shows the exposure; beyond, a view is black or white.
 
-    Raises ExposureError where all levels are alike.
+    Raises ExposureError if all levels are alike.
     """
 
     def __init__(self, ev: np.ndarray, levels: Iterable[float], gain_ev: float = 0.0) -> None:
         self._levels, rising = np.unique(np.maximum.accumulate([*levels]), return_index=True)
         if np.ptp(self._levels) < FLAT:
-            raise ExposureError(f"the chain shows light of any brightness alike, at {self._levels[0]:.0%} of the "
-                                "signal: it meters for itself: switch that off, and give it the frame's exposure")
+            raise ExposureError(f"the chain shows light of any brightness at the same level, {self._levels[0]:.0%} of "
+                                "the signal: it meters for itself: switch that off, and give it the frame's exposure")
         self._ev = ev[rising] + gain_ev
         self.grey = self.level_at(0.0)
         self.limits_ev = float(self._ev[0]), float(self._ev[-1])
 
     @classmethod
     def of_board(cls, board: Board) -> Response:
-        """The response of a chain, by a ramp of light that it is told to leave as it is."""
+        """The response of a chain to a ramp of light at 0 EV."""
         return cls(STEPS_EV, [board.level(1.0, 2.0**-ev, cut=True) for ev in STEPS_EV])
 
     @classmethod
@@ -106,8 +107,8 @@ class Response:
         dark, light = (np.clip(curve(KEY * np.exp2(STEPS_EV + stops)), 0, 1) for stops in (-STOPS, STOPS))
         return cls(STEPS_EV, (dark + light) / 2)
 
-    def brighter(self, gain_ev: float) -> Response:
-        """The same levels, of a chain that is so many stops too bright throughout."""
+    def with_gain(self, gain_ev: float) -> Response:
+        """The same levels, for a chain that is too bright by `gain_ev` stops throughout."""
         return Response(self._ev, self._levels, gain_ev)
 
     def level_at(self, ev: float) -> float:
@@ -115,11 +116,11 @@ class Response:
         return float(np.interp(ev, self._ev, self._levels))
 
     def ev_of(self, level: float) -> float:
-        """Stops that mid grey of this level is too bright, within the limits."""
+        """Stops by which mid grey of this level is too bright, within the limits."""
         return float(np.interp(level, self._levels, self._ev))
 
     def gain_over(self, other: Response) -> float | None:
-        """Stops that this is brighter than another one throughout; None where it is another curve."""
+        """Stops by which this response is brighter than another one throughout; None if it is another curve."""
         tells = (self._levels > TELLING[0]) & (self._levels < TELLING[1])
         ev, levels = self._ev[tells], self._levels[tells]
         if len(ev) < 8:
@@ -166,12 +167,11 @@ def known_curves() -> dict[str, Response]:
 
 
 class Calibration(NamedTuple):
-    """By what a chain is judged.
+    """The response that a chain is judged by.
 
     Attributes:
-        response: of the chain, with the gain that it has over a curve that is known.
-        curve: the name of that curve; `OWN_CURVE` where it is none that is known: a gain that is the same throughout
-            cannot be told from the look then.
+        response: response of the chain, with its gain over a known curve.
+        curve: name of that curve; `OWN_CURVE` if it is not a known one: then a constant gain counts as a look.
     """
 
     response: Response
@@ -179,17 +179,17 @@ class Calibration(NamedTuple):
 
 
 def calibrate(own: Response, known: Mapping[str, Response]) -> Calibration:
-    """Judge a chain by its own response, and by its gain over the known curve of the same shape; the least gain where
-    there are several."""
+    """Judge a chain by its own response, and by its gain over the known curve of the same shape; of several such curves
+    by the smallest gain."""
     gains = {name: gain for name, other in known.items() if (gain := own.gain_over(other)) is not None}
     if not gains:
         return Calibration(own, OWN_CURVE)
     name = min(gains, key=lambda name: abs(gains[name]))
-    return Calibration(own.brighter(gains[name]), name)
+    return Calibration(own.with_gain(gains[name]), name)
 
 
 def is_built_in(passes: Sequence[Pass]) -> bool:
-    """Whether passes are postfx's own, which are right, and not classes made of them."""
+    """Whether passes are postfx's own, which are right, and not subclasses of them."""
     return all(type(item) in _BUILT_IN for item in passes)
 
 
@@ -198,13 +198,13 @@ def is_built_in(passes: Sequence[Pass]) -> bool:
 STEP, CHART_HEIGHT = 16, 270
 """Pixels of a step of the chart, and its rows."""
 UNEVEN, LEAST = 0.35, 0.01
-"""Spread of a board's greys, as part of their difference, and the least that counts: JPEG and dither make some."""
+"""Greatest spread of a board's greys, as a part of their difference, and least difference: JPEG and dither add some."""
 
 
 def write_chart(path: str | PathLike[str]) -> Path:
     """Write the chart as an EXR: mid grey times 2^-8 to 2^8 in steps of a quarter stop from left to right.
 
-    Its header says that its exposure is 1. Raises WriteError.
+    Its header gives an exposure of 1. Raises WriteError.
     """
     steps = np.repeat(KEY * np.exp2(STEPS_EV), STEP).astype(np.float32)
     colour = np.ascontiguousarray(np.broadcast_to(steps[None, :, None], (CHART_HEIGHT, steps.size, 3)))
@@ -213,26 +213,26 @@ def write_chart(path: str | PathLike[str]) -> Path:
 
 
 def read_response(path: str | PathLike[str]) -> Calibration:
-    """By what frames are judged that went through the same tone mapper as the chart, which was told to leave its light
-    as it is. Raises ExposureError for what is no picture of the chart."""
+    """Calibration from a picture of the chart that went through a tone mapper at an exposure of 1; its other pictures
+    are judged by that. Raises ExposureError if the file does not show the chart."""
     level = luma(load_picture(Path(path)))
     height, width = level.shape
     if width < 4 * STEPS_EV.size:
-        raise ExposureError(f"{path}: {width} pixels for {STEPS_EV.size} steps of the chart: hand it back at its size")
+        raise ExposureError(f"{path}: {width} pixels for {STEPS_EV.size} steps of the chart: write it at its own size")
     edges = np.linspace(0, width, STEPS_EV.size + 1)
     middle = slice(height // 4, max(height // 4 + 1, height * 3 // 4))
     columns = [slice(round(first + (last - first) / 4), round(last - (last - first) / 4))
                for first, last in zip(edges, edges[1:], strict=False)]
     steps = np.array([level[middle, column].mean() for column in columns])
     if (np.diff(steps) < -LEAST).any():
-        raise ExposureError(f"{path}: gets darker where the chart gets brighter: hand back the chart that --chart "
-                            "wrote, through the tone mapper and nothing else")
-    board = (steps[:-2] + steps[2:]) / 2  # whose greys are a quarter stop below and above
+        raise ExposureError(f"{path}: gets darker where the chart gets brighter: give the chart that --chart wrote, "
+                            "after the tone mapper and nothing else")
+    board = (steps[:-2] + steps[2:]) / 2  # the board's greys are a quarter stop below and above
     return calibrate(Response(STEPS_EV[1:-1], board), known_curves())
 
 
 class GradedBoards:
-    """Pictures of a sequence's boards after they left the chain.
+    """Pictures of a sequence's boards after the chain.
 
     source: pattern of PNG, TIFF, JPEG or EXR files with display code values, numbered like the render.
     """
@@ -244,7 +244,7 @@ class GradedBoards:
             raise ExposureError(f"{source}: no such file: check the folder and the frame pattern")
 
     def level(self, number: int) -> float:
-        """Level of mid grey on a frame's board. Raises ExposureError where it is missing or shows no board."""
+        """Level of mid grey on a frame's board. Raises ExposureError if it is missing or shows no board."""
         if number not in self._files:
             raise ExposureError(f"{self.pattern.path(number)}: frame {number} is missing: grade it, or leave it out "
                                 "with --frames")
@@ -253,9 +253,9 @@ class GradedBoards:
 
 
 def board_level(picture: np.ndarray, name: str) -> float:
-    """Mean of the levels of a board's two greys, whichever form it has; picture: (height, width, 3).
+    """Mean of the levels of a board's two greys, in either form; picture: (height, width, 3).
 
-    Raises ExposureError where no board is seen.
+    Raises ExposureError if the picture shows no board.
     """
     level = luma(picture)
     halves = [_halves(level[board_area(level.shape[0], level.shape[1], part)]) for part in (True, False)]
@@ -266,12 +266,12 @@ def board_level(picture: np.ndarray, name: str) -> float:
             return (greys[0] + greys[1]) / 2
     if np.ptp(level) <= 2 * LEAST:  # all black or all white
         return float(level.mean())
-    raise ExposureError(f"{name}: shows no checkerboard: hand back what became of the frames of "
-                        "'POSTFX_EXPOSURE_TOOL=1 postfx run', not cropped")
+    raise ExposureError(f"{name}: shows no checkerboard: give the frames of 'POSTFX_EXPOSURE_TOOL=1 postfx run' "
+                        "after your program, not cropped")
 
 
 def _halves(level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Levels of the board's dark cells and of its light ones."""
+    """Levels of the board's dark cells and of its light cells."""
     rows, columns = cells(level.shape[0], level.shape[1])
     is_dark = rows[:, None] == columns[None, :]
     return level[is_dark], level[~is_dark]

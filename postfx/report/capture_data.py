@@ -1,4 +1,4 @@
-"""Captures in plain types, as in capture.json; edges between commands that share data; where two captures differ."""
+"""Captures in plain types, as in capture.json; edges between commands that share data; differences of two captures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FILE = "capture.json"
 
 
 def as_dict(capture: Capture) -> dict[str, Any]:
-    """The capture in JSON's types, without pictures; non-finite numbers are text.
+    """The capture in JSON's types, without pictures; numbers that are not finite become text.
 
     'commands' are all dispatches in order; 'buffers' have the order of dispatches and barriers; 'edges' say which
     command wrote the data that another one reads (see `edges`). Times are milliseconds, memory bytes.
@@ -166,7 +166,7 @@ class Difference:
     """A tensor in both captures.
 
     Attributes:
-        index, label, command: of the command, as in the first capture.
+        index, label, command: the command's, as in the first capture.
         access: 'input' for a tensor from outside, 'node' for the output of a network's node, 'write' for the output of
             the command.
         node: "node 12 Conv 'name'"; None except for nodes.

@@ -103,8 +103,8 @@ def add_key(picture: np.ndarray) -> np.ndarray:
 
 
 class Chart(NamedTuple):
-    """A chart. `prefix`: of the readings that it shows; the rest of their names are the curves' names. `span`: least
-    height."""
+    """A chart of all readings whose names begin with `prefix`; the rest of a name is the curve's name. `span` is the
+    least height in the readings' unit."""
 
     prefix: str
     title: str

@@ -1,4 +1,4 @@
-"""Gathers a report's data while a sequence's frames pass: curves of all frames, pictures of a few.
+"""Collect a report's data while a sequence is processed: curves over all frames, pictures of a few.
 
 The curves show the change along the motion and, with references, the errors against them.
 """
@@ -32,7 +32,7 @@ Motion = np.ndarray | None | Mapping[str, np.ndarray | None]
 
 @dataclass(frozen=True)
 class Look:
-    """How light is shown: scene-linear light exposed and compressed by x / (1 + x), display light unchanged."""
+    """How light is shown: scene-linear light is exposed and compressed by x / (1 + x), display light is not changed."""
 
     display: bool
 
@@ -42,7 +42,7 @@ class Look:
         return 1.0 if self.display else 2.0**WHITE_STOPS
 
     def expose(self, light: np.ndarray, exposure: float) -> np.ndarray:
-        """Light as stored in the page."""
+        """Light as the page stores it."""
         return light if self.display else light * np.float32(exposure)
 
     def codes(self, light: np.ndarray, exposure: float) -> np.ndarray:
@@ -70,10 +70,10 @@ class Sight:
 
 
 class FrameLog:
-    """Keeps the numbers of every frame, and the pictures of the first, the middle, the last and the least steady one.
+    """Keeps the figures of every frame, and pictures of four: the first, the middle, the last and the least steady one.
 
-    numbers: of the coming frames, in order. judged: name of the picture whose change along the motion decides which
-    frame is least steady. The pictures of the previous frame are kept as well, at full size.
+    numbers: numbers of the coming frames, in order. judged: name of the picture whose change along the motion decides
+    which frame is least steady. The pictures of the previous frame are kept as well, at full size.
     """
 
     def __init__(self, numbers: Sequence[int], look: Look, judged: str) -> None:
@@ -150,7 +150,7 @@ class Comparison(NamedTuple):
 
 
 class References:
-    """Noise-free frames at output size; frames without one are not compared.
+    """Noise-free references at output size; frames without one are not compared.
 
     views: those that each frame has, where there are several. Raises SequenceError if there are none, ReportError if
     their size is not (width, height), a view has none, or a library is missing.
@@ -204,9 +204,9 @@ def measure_change(before: np.ndarray, now: np.ndarray, motion: np.ndarray, curv
     """1000 times the mean absolute difference to the previous frame along the motion: how unsteady the picture is.
 
     before, now: light (height, width, 3), which `curve` turns into code values 0..1; motion: (h, w, 2) in its own
-    pixels. Uses an even grid of up to 40000 pixels without those that come from outside the picture, and of these the
-    calmest 80 %, which leaves out disoccluded pixels. None if too few pixels are left or the sizes differ. Moving
-    reflections and shadows count, so a clean picture is not at 0: compare pictures of the same frames.
+    pixels. Takes an even grid of up to 40000 pixels, leaves out those that come from outside the picture, and uses the
+    calmest 80 % of the rest, to leave out disoccluded pixels. None if too few pixels are left or the sizes differ.
+    Moving reflections and shadows count, so even a clean picture is above 0: compare pictures of the same frames.
     """
     height, width = now.shape[:2]
     if before.shape != now.shape:

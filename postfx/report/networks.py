@@ -22,18 +22,22 @@ if TYPE_CHECKING:
 
 LONGEST = 200
 MOST_VALUES = 16
-"""Most elements of weights that are shown in full."""
+"""Weights of at most so many elements are shown in full."""
 
 
 def describe(path: Path, dims: Mapping[str, int]) -> dict[str, Any]:
     """The graph in a model file with its free dimensions fixed to `dims`.
 
-    Returns 'name', 'file', 'dims', 'note' and the content of the graph: 'inputs' and 'outputs', names; 'values', name
-    -> 'dtype' and 'shape', if they can be inferred without running it; 'weights', name -> 'dtype', 'shape', 'bytes',
-    'statistics' and, of small ones, 'values'; 'nodes' in the order of the file and 'blocks' of them in the order to
-    draw (`postfx.report.networks`). A node has 'op', 'domain', 'name', 'attributes', 'inputs' and 'outputs',
-    'constant', whether it depends on no input of the graph, and 'weights', the names of those that it reads, directly
-    or through constant nodes. `note` says why there are no nodes, or is None.
+    Returns a dictionary:
+        name, file, dims: as given.
+        inputs, outputs: names.
+        values: name -> 'dtype' and 'shape', if they can be inferred without running the graph.
+        weights: name -> 'dtype', 'shape', 'bytes', 'statistics' and, if it is small, 'values'.
+        nodes: in the order of the file. A node has 'op', 'domain', 'name', 'attributes', 'inputs' and 'outputs';
+            'constant', whether it depends on no input of the graph; and 'weights', the names of the weights that it
+            reads, directly or through constant nodes.
+        blocks: lists of node numbers, in the order to draw them.
+        note: why there are no nodes, or None.
     """
     head = {"name": path.name.removesuffix(".onnx"), "file": str(path), "dims": dict(dims)}
     try:
@@ -114,7 +118,7 @@ def _weight(item: TensorProto) -> dict[str, Any]:
 
 
 def _values(model: ModelProto, dims: Mapping[str, int]) -> dict[str, dict[str, Any]]:
-    """Type and shape of every value that can be told without running; a size that cannot be is '?'."""
+    """Type and shape of every value, as far as they follow without running the graph; '?' for an unknown size."""
     from onnx import ModelProto, helper, shape_inference
 
     fixed = ModelProto()
@@ -139,7 +143,7 @@ def _values(model: ModelProto, dims: Mapping[str, int]) -> dict[str, dict[str, A
 
 
 class Node(NamedTuple):
-    """Names of what a node reads and writes, and whether it is constant: it depends on no input of the graph."""
+    """Names that a node reads and writes, and whether it is constant, which means that it depends on no input."""
 
     inputs: Sequence[str]
     outputs: Sequence[str]
@@ -162,7 +166,7 @@ def blocks(nodes: Sequence[Node]) -> list[list[int]]:
 
 
 def _neighbours(nodes: Sequence[Node]) -> tuple[dict[int, list[int]], dict[int, list[int]]]:
-    """Of every node that is not constant, those it reads from, and those that read from it."""
+    """For every node that is not constant, the nodes that it reads from, and the nodes that read from it."""
     writer = {name: n for n, node in enumerate(nodes) if not node.constant for name in node.outputs if name}
     before, after = defaultdict(list), defaultdict(list)
     for n, node in enumerate(nodes):
@@ -180,7 +184,7 @@ def _chain(head: int, following: dict[int, int]) -> list[int]:
 
 
 def _in_order(chains: dict[int, list[int]], before: dict[int, list[int]]) -> list[int]:
-    """Heads of the chains, each after those it depends on, else in the order of the file."""
+    """Heads of the chains: each after the heads that it depends on, otherwise in the order of the file."""
     chain_of = {n: head for head, chain in chains.items() for n in chain}
     waits = {head: {chain_of[n] for n in before[head]} for head in chains}
     needed = defaultdict(list)
@@ -200,7 +204,7 @@ def _in_order(chains: dict[int, list[int]], before: dict[int, list[int]]) -> lis
 
 
 def _with_constants(nodes: Sequence[Node], chains: list[list[int]]) -> list[list[int]]:
-    """The chains with each constant node before its first reader; those that nobody reads come last."""
+    """The chains with each constant node before its first reader; constant nodes without a reader come last."""
     writer = {name: n for n, node in enumerate(nodes) if node.constant for name in node.outputs if name}
     placed: set[int] = set()
 

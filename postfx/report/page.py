@@ -1,4 +1,4 @@
-"""Pages that open from the disk: one HTML file that needs nothing beside it and asks no network.
+"""Pages that open from the disk: one HTML file that needs no other files and no network.
 
 `write_report` writes the page of a sequence, `write_capture` the page and the JSON of a capture, and `FrameCapture`
 captures one frame of a run.
@@ -32,7 +32,7 @@ _PARTS = Path(__file__).parent / "assets"
 def page(title: str, name: str, scripts: Sequence[str], data: dict[str, Any]) -> str:
     """The file's text: the elements of `name`.html with the style of page.css and `name`.css, and the scripts.
 
-    page.js runs before the `scripts`, which are files of `assets`; they find the given `data` (JSON types) in `data`.
+    page.js runs before the `scripts`, which are files of `assets` and read `data` (JSON types) from a variable `data`.
     """
     parts = {
         "title": html.escape(title),
@@ -45,13 +45,13 @@ def page(title: str, name: str, scripts: Sequence[str], data: dict[str, Any]) ->
 
 
 def _as_script(data: dict[str, Any]) -> str:
-    """JSON that cannot end the element it stands in."""
+    """JSON that cannot end the HTML element around it."""
     text = json.dumps(data, allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _filled(template: str, parts: dict[str, str]) -> str:
-    """The template with `{{name}}` replaced; what is put in is not looked at again."""
+    """The template with each `{{name}}` replaced; inserted text is not searched again."""
     pieces = template.split("{{")
     return pieces[0] + "".join(parts[name] + rest for name, _, rest in (piece.partition("}}") for piece in pieces[1:]))
 
@@ -69,9 +69,9 @@ def write_report(
 ) -> None:
     """Write the page. Raises WriteError.
 
-    log: data of the frames. facts: view ('' where there are not several) -> facts of the input, as `postfx inspect
-    --json` prints them. firsts: likewise, the input's first frame with all planes. run: as `postfx run --json` prints
-    it, with 'plan', the text of --explain.
+    log: data of the frames. facts: view ('' if there is only one) -> facts about the input, as `postfx inspect --json`
+    prints them. firsts: view -> the input's first frame with all planes. run: as `postfx run --json` prints it, with
+    'plan', the text of --explain.
     """
     data = {
         "postfx": __version__,
@@ -169,7 +169,7 @@ def _node_picture(snapshot: Snapshot) -> list[dict[str, Any]]:
 
 
 def _pictures(snapshot: Snapshot) -> list[dict[str, Any]]:
-    """The first three slices as one picture, and where all was captured, each slice as one of its own."""
+    """The first three slices as one picture and, if all slices were captured, each as a picture of its own."""
     slices = snapshot.pictures
     together = slices[:3]
     label = "the only channel" if snapshot.channels == 1 else f"channels 0 to {len(together) - 1} as colour"
@@ -180,7 +180,7 @@ def _pictures(snapshot: Snapshot) -> list[dict[str, Any]]:
 
 
 def _networks(data: dict[str, Any]) -> list[dict[str, Any]]:
-    """Each network once for every size that it ran at, with the numbers of its 'commands'."""
+    """Each network once for every size at which it ran, with the numbers of its 'commands'."""
     ran: dict[tuple[str, tuple[tuple[str, int], ...]], list[int]] = {}
     for command in data["commands"]:
         if command["model"]:
@@ -189,20 +189,20 @@ def _networks(data: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 class FrameCapture:
-    """What --capture asks for: one frame is captured, the rest run as they would.
+    """Capture one frame of a run, for --capture; all other frames run as usual.
 
     Args:
         folder: where to write.
-        number: of the frame; None for the second one that is processed.
+        number: frame number; None for the second frame that is processed.
         tensors, network: as for `Device.capture`.
-        check: whether the folder must be one that can be written.
+        check: whether to check that the folder can be written.
 
-    Raises WriteError when the folder cannot be written; CaptureError when options do not fit together, or a package
-    that they need is missing.
+    Raises WriteError if the folder cannot be written; CaptureError if options do not fit together, or if a package that
+    they need is missing.
 
     Attributes:
-        page: the page that was written; None before.
-        warnings: why there is none, if the frame failed.
+        page: path of the page; None before it is written.
+        warnings: why there is no page, if the frame failed.
     """
 
     def __init__(self, device: Device, folder: str, number: int | None = None,
@@ -212,14 +212,15 @@ class FrameCapture:
         self._following: list[int] = []  # frames to capture instead of one that fails
         self._device, self._number, self._tensors, self._network = device, number, tensors, network
         self._folder = Path(folder)
-        self._made()  # what it cannot do must not be found out after the first frames
+        self._made()  # raises its errors now, and not after the first frames
         if check:
             check_folder(self._folder, "capture")
 
     def choose(self, numbers: Sequence[int]) -> None:
-        """Choose among the frames that will be processed, in their order. Raises SequenceError when it is none of them.
+        """Choose among the frames that will be processed, in their order. Raises SequenceError if the number is none of
+        them.
 
-        Without --capture-frame it is the second, which has a history, or the first if there is no other.
+        Without --capture-frame it is the second frame, which has a history, or the first if there is no other.
         """
         if not numbers:
             return
@@ -230,8 +231,9 @@ class FrameCapture:
 
     @contextmanager
     def around(self, number: int) -> Iterator[None]:
-        """Process a frame inside: if it is the one to capture, this writes the capture at the end, also when a command
-        fails. If the frame failed before any command, the next one is captured, unless --capture-frame names it."""
+        """Context in which a frame is processed. For the frame to capture it writes the capture at the end, even if a
+        command fails. If the frame fails before any command, the next one is captured, unless --capture-frame names it.
+        """
         if self.page or number != self._number:
             yield
             return
@@ -239,7 +241,7 @@ class FrameCapture:
         try:
             with capture:
                 yield
-        except CommandError:  # then the capture is wanted most
+        except CommandError:  # then the capture is needed most
             self._write(capture, number)
             raise
         if capture.buffers:

@@ -24,7 +24,7 @@ _NOT_FINITE = (255, 0, 255)
 
 
 def picture(slices: list[np.ndarray]) -> dict[str, str]:
-    """One slice as grey, two as red and green, three as red, green and blue: {'src': data URI, 'range': text}.
+    """A picture of one slice (grey), two (red, green) or three (red, green, blue): {'src': data URI, 'range': text}.
 
     Values are float (height, width) of any range; black and white are chosen for all slices together. Without
     negative values, black is 0 and the gamma is 2.2; otherwise the scale is linear. NaN and infinities are magenta.
@@ -37,8 +37,8 @@ def picture(slices: list[np.ndarray]) -> dict[str, str]:
 
 
 def sheet(slices: list[np.ndarray]) -> dict[str, Any]:
-    """All slices as grey tiles of one picture, `SHEET_COLUMNS` in a row: as `picture`, and 'tiles': [columns, rows] and
-    'liveliest', the number of the slice with the most contrast, or of one with non-finite values."""
+    """A picture with a grey tile for each slice, `SHEET_COLUMNS` in a row: as `picture`, plus "tiles", [columns, rows],
+    and "liveliest", the number of the slice with the most contrast, or of one with values that are not finite."""
     stack = np.stack(slices)
     shown, text = _shown(stack)
     tiles = np.repeat(shown[..., None], 3, axis=-1)
@@ -63,7 +63,7 @@ def png(pixels: np.ndarray) -> bytes:
 
 
 def png_uri(pixels: np.ndarray) -> str:
-    """The same as a data URI."""
+    """A PNG file of uint8 (height, width, 3) as a data URI."""
     return "data:image/png;base64," + base64.b64encode(png(pixels)).decode("ascii")
 
 
@@ -160,8 +160,8 @@ def encode_light(light: np.ndarray, highest: float) -> np.ndarray:
 def pack_codes(codes: np.ndarray, highest: float) -> dict[str, Any]:
     """Codes for the page's script: 'width', 'height', 'toe', 'highest', and 'data', which is base64 of zlib.
 
-    Inside are three planes, green, red - green and blue - green: each row as differences to the pixel before it, folded
-    to 0, -1, 1, -2, ... -> 0, 1, 2, 3, ...; the low bytes of all planes come first, then the high bytes.
+    It holds three planes, green, red - green and blue - green. Each row is stored as differences to the pixel before,
+    folded as 0, -1, 1, -2, ... -> 0, 1, 2, 3, ...; the low bytes of all planes come first, then the high bytes.
     """
     red, green, blue = np.moveaxis(codes.astype(np.int32), 2, 0)
     steps = np.diff(np.stack([green, red - green, blue - green]), axis=2, prepend=0)

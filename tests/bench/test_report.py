@@ -110,14 +110,14 @@ def test_crops_are_where_pictures_differ_and_do_not_overlap():
 
 def test_failures_are_where_ours_is_behind_the_better_of_the_others():
     pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
-    from postfx.bench.pictures import behind
+    from postfx.bench.pictures import pick_deficits
 
     ours, one, other = np.zeros((60, 100)), np.full((60, 100), 0.1), np.full((60, 100), 9.0)
     ours[10:31, 70:91] = 0.3
     ours[35:56, 5:26] = 0.8
     ours[0:21, 0:21], one[0:21, 0:21] = 5.0, 6.0  # bad, but better than both
-    assert behind(ours, [one, other], 2) == [(35, 5), (10, 70)]
-    assert behind(ours, [ours + 0.01], 3) == []
+    assert pick_deficits(ours, [one, other], 2) == [(35, 5), (10, 70)]
+    assert pick_deficits(ours, [ours + 0.01], 3) == []
 
 
 class Sequence:

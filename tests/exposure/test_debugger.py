@@ -83,7 +83,7 @@ def test_beyond_black_and_white_the_limit_is_told(device: Device) -> None:
     report = debug(scene([0.0]), [Display()], 6.0, device=device)
     assert report.limits_ev[1] == report.shots[0].mismatch_ev < 3
     assert report.verdict == "too bright" and report.readings[0].level == pytest.approx(1.0)
-    assert "besides" not in (report.shots[0].cause or "")
+    assert "the chain adds" not in (report.shots[0].cause or "")
 
 
 @pytest.mark.parametrize("size", [(1, 1), (40, 90), (200, 30), (17, 33)])
@@ -125,7 +125,7 @@ def cause(report: Report) -> str:
 def test_an_exposure_that_is_in_the_colour_already(device: Device) -> None:
     given = np.full(4, 2.0)
     needed = np.full(4, 2.0) - given  # multiplied in before the file was written
-    assert "given a second time" in cause(debug(scene(needed, given), [ToneMap()], "metadata", device=device))
+    assert "exposed a second time" in cause(debug(scene(needed, given), [ToneMap()], "metadata", device=device))
 
 
 def test_an_exposure_that_is_not_passed_on(device: Device) -> None:
@@ -162,7 +162,7 @@ class Brighter(ToneMap):
 def test_a_tone_mapper_that_applies_another_exposure(device: Device) -> None:
     report = debug(scene([1.0] * 3), [ToneMap()], "smooth", chain=[Brighter()], device=device)
     assert report.verdict == "too bright" and report.shots[0].mismatch_ev == pytest.approx(1.0, abs=0.05)
-    assert "exposes by +1.00 EV besides" in cause(report)
+    assert "adds +1.00 EV to" in cause(report)
 
 
 def test_a_tone_mapper_that_exposes_twice(device: Device) -> None:
@@ -172,7 +172,7 @@ def test_a_tone_mapper_that_exposes_twice(device: Device) -> None:
             super().encode(commands, frame)
 
     report = debug(scene([1.5] * 3), [ToneMap()], "smooth", chain=[Twice()], device=device)
-    assert report.shots[0].mismatch_ev == pytest.approx(1.5, abs=0.05) and "besides" in cause(report)
+    assert report.shots[0].mismatch_ev == pytest.approx(1.5, abs=0.05) and "the chain adds" in cause(report)
 
 
 def test_a_tone_mapper_that_meters_for_itself(device: Device) -> None:
@@ -204,11 +204,11 @@ def test_a_tone_mapper_of_ones_own_is_judged_by_its_own_curve(device: Device) ->
         report = debug(scene([1.5] * 2), [view] if view else own, "smooth", chain=own if chain else None, device=device)
         assert report.shots[0].mismatch_ev == pytest.approx(error, abs=0.05), (error, view)
         assert report.verdict == ("right" if error == 0 else "too bright" if error > 0 else "too dark")
-        assert ("besides" in (report.shots[0].cause or "")) == (error != 0)
+        assert ("the chain adds" in (report.shots[0].cause or "")) == (error != 0)
 
 
 def test_a_tone_mapper_that_shows_all_light_alike_is_named(device: Device) -> None:
-    with pytest.raises(ExposureError, match="shows light of any brightness alike.*meters for itself"):
+    with pytest.raises(ExposureError, match="shows light of any brightness at the same level.*meters for itself"):
         debug(scene([1.5]), [Own(by=lambda _: 2.0**-16)], "smooth", device=device)
 
 

@@ -100,7 +100,7 @@ def test_what_the_chain_does_adds_to_what_it_is_told(hand_back, chart) -> None:
     boards = GradedBoards(hand_back(film, [1.0] * 3))
     report = debug_graded(scene([NEEDED - 0.5] * 3), boards.level, read_response(chart(film)), NEEDED)
     assert report.verdict == "too bright" and report.shots[0].mismatch_ev == pytest.approx(1.5, abs=0.06)
-    assert "exposes by +1.0" in (report.shots[0].cause or "") and "besides" in (report.shots[0].cause or "")
+    assert "adds +1.0" in (report.shots[0].cause or "") and "the chain adds" in (report.shots[0].cause or "")
 
 
 def test_a_known_curve_that_is_too_bright_is_told_by_the_chart_alone(chart, hand_back) -> None:
