@@ -57,6 +57,16 @@ def test_a_network_slower_than_expected_is_tried_less_and_less() -> None:
     assert found.count(0) > 950 and len(tries) < 12 and (gaps[1:] >= gaps[:-1] - 5).all()
 
 
+def test_it_climbs_by_the_mean_of_the_times_and_goes_back_after_two_frames() -> None:
+    """A rung of twice the cost needs a mean of at most 42.5 twice in a row; the means are 60, 52.8, 47.8, 44.2, 41.8
+    and 40.0. The first frame of a rung does not count."""
+    ladder, found = Ladder((1.0, 2.0), 100), []
+    for milliseconds in (999, 60, 36, 36, 36, 36, 36, 999, 101, 101):
+        ladder.note_time(milliseconds)
+        found.append(ladder.rung)
+    assert found == [0, 0, 0, 0, 0, 0, 1, 1, 1, 0]
+
+
 def test_a_frame_may_take_the_whole_budget() -> None:
     ladder = Ladder((1.0, 2.0), 40)
     ladder.rung = 1

@@ -210,13 +210,13 @@ class Ladder:
     def note_time(self, milliseconds: float) -> None:
         """Tell how long the last frame took; a rung's first frame is not counted, since it prepares what later ones
         find ready."""
-        if self._frames:
+        self._frames += 1
+        if self._frames > 1:
             before = self._time or milliseconds
             self._time = before + WEIGHT * (milliseconds - before)
             self._over = self._over + 1 if milliseconds > self._budget else 0
             self._fits = self._fits + 1 if self._best(ROOM * self._budget) > self.rung and not self._over else 0
             self._decide(milliseconds)
-        self._frames += 1
 
     def note_resize(self, ratio: float) -> None:
         """Tell by what factor the next frame has more pixels than the last one."""
