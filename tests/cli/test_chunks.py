@@ -12,7 +12,7 @@ import pytest
 
 from postfx.cli.chunks import describe_job
 from postfx.io.sequence import Sequence
-from postfx.runs.schedule import Chunk, find_preroll
+from postfx.runs.schedule import Chunk, find_preroll, make_chunks
 
 RUN = ("--scale", "1", "--model", "s", "--threads", "1")
 
@@ -71,6 +71,11 @@ def test_a_preroll_ends_where_the_shot_begins_and_where_a_frame_is_missing(six):
     assert find_preroll(Sequence(files, cuts=[3]), 6) == [3, 4, 5]
     (six / "in/shot.0002.exr").unlink()
     assert find_preroll(Sequence(files), 4) == [3]
+
+
+def test_chunks_of_two_shots(six):
+    parts = make_chunks(Sequence(str(six / "in/shot.####.exr")), 2, ahead=1)
+    assert list(parts) == [Chunk((1, 2), (), (3,)), Chunk((3, 4), (1, 2), (5,)), Chunk((5, 6))]
 
 
 def test_what_does_not_join_is_said(postfx, noise):
