@@ -104,7 +104,7 @@ ROOMS = (
     _room("io/convert.py", 1, *_in("io", "convert_depth", "frame_reader"), "files/test_profiles.py"),
     _room("io/pattern.py", 1, *_in("io", "sequence"), *_in("files", "paths")),
     _room("io/sequence.py", 1, *_in("io", "sequence", "frame_reader_guides", "parts"), *_in("files", "broken")),
-    _room("io/", 4, "io", *_in("files", "windows", "profiles", "broken")),
+    _room("io/", 4, "io", *_in("files", "windows", "profiles", "broken", "paths")),
     _room("runtime/hazards.py", 3, *_in("runtime", "hazards", "hazards_random", "barriers")),
     _room("runtime/heap.py", 3, *_in("runtime", "heap_plan", "heap_arena", "heap")),
     _room("runtime/memory.py", 1, *_in("runtime", "memory", "heap")),

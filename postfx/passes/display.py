@@ -36,7 +36,7 @@ class Display(Pass):
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         _source(spec, self._target)
-        output = FrameSpec(spec.width, spec.height, {Role.COLOUR: 3, **dict(spec.planes)}, str(self._target))
+        output = FrameSpec(spec.width, spec.height, spec.planes, str(self._target))
         return Reflection(reads=(Role.COLOUR,), writes=(Role.COLOUR,), output=output)
 
     def skip(self, spec: FrameSpec) -> str | None:
@@ -127,7 +127,7 @@ class View(Pass):
         return str(self._view.display)
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        output = FrameSpec(spec.width, spec.height, {Role.COLOUR: 3, **dict(spec.planes)}, self.output)
+        output = FrameSpec(spec.width, spec.height, spec.planes, self.output)
         return Reflection(reads=(Role.COLOUR,), writes=(Role.COLOUR,), output=output)
 
     def skip(self, spec: FrameSpec) -> str | None:

@@ -124,7 +124,7 @@ class ToneMap(Pass):
             raise PassOptionError(f"pass '{self.name}' keeps 0 to below 1 of the last grid, not {keep}")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        output = FrameSpec(spec.width, spec.height, {Role.COLOUR: 3, **dict(spec.planes)}, "srgb")
+        output = FrameSpec(spec.width, spec.height, spec.planes, "srgb")
         return Reflection(reads=(Role.COLOUR,), writes=(Role.COLOUR,), output=output)
 
     def skip(self, spec: FrameSpec) -> str | None:

@@ -14,8 +14,16 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MissingFrameError, ReadError, SequenceError
-from postfx.io.exr.container import LINES, MAX_SIDE, ExrContainer, NewPart, count_chunks, write_container
-from postfx.io.exr.header import Header
+from postfx.io.exr.container import (
+    LINES,
+    MAX_SIDE,
+    ExrContainer,
+    NewPart,
+    check_claims,
+    count_chunks,
+    write_container,
+)
+from postfx.io.exr.header import PIXEL_BYTES, Header
 from postfx.io.sequence import read_sequence
 from tests.files.exr_files import write_deep, write_mixed, write_studio
 
@@ -173,6 +181,20 @@ def test_sides_are_taken_up_to_the_limit(source: Path, across: bool) -> None:
         header.set("dataWindow", "box2i", window(0, 0, *((side - 1, 0) if across else (0, side - 1))))
         with pytest.raises(ReadError, match=f"claims {f'{side}x1' if across else f'1x{side}'} pixels"):
             count_chunks(header)
+
+
+@pytest.mark.parametrize(("compression", "most"), [(0, 1), (3, 1100)])
+def test_pixels_are_taken_up_to_what_a_file_can_hold(source: Path, compression: int, most: int) -> None:
+    """Its bytes times the most that the compression leaves out, and a megabyte."""
+    with ExrContainer(source) as file:
+        header = file.headers[0]
+    pixel = sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
+    size = next(size for size in range(4096, 8192) if (most * size + (1 << 20)) % pixel == 0)
+    header.set("compression", "compression", bytes([compression]))
+    header.set("dataWindow", "box2i", window(0, 0, (most * size + (1 << 20)) // pixel - 1, 0))
+    check_claims(header, size)
+    with pytest.raises(ReadError, match=f"its header claims .* pixels in {size - 1} bytes"):
+        check_claims(header, size - 1)
 
 
 HDR = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"

@@ -117,6 +117,15 @@ def test_model_that_is_none(folder, tmp_path):
     assert not list(Path(folder).glob("*"))
 
 
+def test_model_that_would_run_elsewhere(monkeypatch):
+    """Where a provider cannot be had, ONNX Runtime warns and takes the CPU."""
+    real = ort.InferenceSession
+    monkeypatch.setattr(ort, "InferenceSession", lambda model, options, providers: real(
+        model, options, ["CPUExecutionProvider"]))
+    with pytest.raises(ModelError, match="model 'net' cannot run on CUDAExecutionProvider: see ONNX Runtime's warning"):
+        session.Session(content(), "net", session.Placement("CUDAExecutionProvider", "cuda", 0, 1), WINDOW)
+
+
 def test_weights_in_other_files_are_not_kept(folder, tmp_path):
     onnx = pytest.importorskip("onnx")
     onnx.save(onnx.load(models_dir() / "denoise_upscale.s.onnx"), tmp_path / "apart.onnx", save_as_external_data=True,

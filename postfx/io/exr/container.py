@@ -229,7 +229,7 @@ class ExrContainer:
         if 8 * sum(self.counts) > self.size - self._table:
             raise ReadError(f"its header claims {sum(self.counts)} chunks in {self.size} bytes")
         for header in self.headers:
-            _check_claims(header, self.size)
+            check_claims(header, self.size)
 
     def _check_table(self) -> None:
         """Read the chunks' offsets. If the table was never written, walk the chunks to find them.
@@ -253,7 +253,7 @@ class ExrContainer:
         return ReadError(f"{self.path}: broken file: {reason}; render or copy this frame again")
 
 
-def _check_claims(header: Header, file_size: int) -> None:
+def check_claims(header: Header, file_size: int) -> None:
     """ReadError for a picture that cannot come out of so small a file."""
     data, display = header.data, header.display
     if not (1 <= display.width <= MAX_SIDE and 1 <= display.height <= MAX_SIDE) or \
