@@ -465,7 +465,7 @@ def host_floats(given: Any, what: str) -> np.ndarray:
     if not isinstance(given, np.ndarray) and hasattr(given, "__dlpack__"):
         try:
             if given.__dlpack_device__()[0] not in (1, 3):  # the host's memory, plain or pinned by CUDA
-                raise BufferError("it lies in the memory of a device")
+                raise BufferError("it lies in the memory of a device, for Pipeline.on_device")
             array = np.asarray(np.from_dlpack(given))
         except (BufferError, RuntimeError, TypeError, ValueError) as error:
             reason = str(error).partition("\n")[0].rstrip(".")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,10 +16,10 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.cuts import CutDetector
-from postfx.errors import CutError, FrameError, PassContractError
+from postfx.errors import CutError, ExposureError, FrameError, PassContractError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import GUIDE_ROLES, LOG, Frame, FrameSpec, Role
-from postfx.passes.base import MOST_SIZES, Pass, ResidentFrame
+from postfx.passes.base import MOST_SIZES, Downloads, Pass, ResidentFrame, share_planes, spec_of
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skip, Step, make_plan
 from postfx.repair import is_unusable, repair_nonfinite
@@ -162,6 +163,70 @@ class Pipeline:
             passes = [copy.copy(item) for item in self.passes]
             self._views[name] = Pipeline(passes, self.device, _SharedExposure(self), "none", of_view and of_view(name))
         return self._views[name]
+
+    def on_device(
+        self,
+        planes: Mapping[Role | str, Any],
+        exposure: float | None = None,
+        *,
+        guides: Mapping[Role | str, Any] | None = None,
+        number: int = 1,
+        jitter: tuple[float, float] = (0.0, 0.0),
+        guide_jitter: tuple[float, float] = (0.0, 0.0),
+        reset: bool = False,
+        samples: int | None = None,
+        world_to_camera: np.ndarray | None = None,
+        fov_x: float | None = None,
+        encoding: str = "scene-linear",
+    ) -> dict[Role, Tensor]:
+        """Run the passes on planes that lie in the device's memory, and leave the results there.
+
+        For renderers and training that keep their pictures on the GPU: nothing is uploaded, and results are shared by
+        DLPack and `__cuda_array_interface__`, as in `torch.from_dlpack(result[Role.COLOUR])`. The results of the next
+        call are on other memory. Planes that are always in the same memory are launched as a CUDA graph.
+
+        Nothing looks at the pixels: cuts are known by `reset` alone, pixels that are not finite count as black or as
+        the largest light, and what does not move is not told apart. Only a plane 'strength', and where reflections are
+        followed depth and motion, are copied to the host.
+
+        Args:
+            planes, guides: role -> (height, width, channels) float32 without gaps, of any library with DLPack or CUDA's
+                array interface. What is in the host's memory is uploaded.
+            exposure: multiplier; None to have the pipeline's meter look at a copy of the colour.
+            number, jitter, guide_jitter, reset, samples, world_to_camera, fov_x, encoding: as in `Frame`.
+
+        Raises FrameError for planes that do not fit together, BindingError for arrays that cannot be read,
+        ExposureError for a multiplier that is not above 0.
+        """
+        try:
+            tensors = share_planes(self.device, "plane", planes)
+            sharp = share_planes(self.device, "guide", guides or {})
+            spec = spec_of(tensors, sharp, encoding)
+            plan, self.ahead, self.cut, self.bad_pixels = self._planned(spec), (), reset, {}
+            if reset:
+                self._reset_passes()
+            self.exposure = self._exposure_of(exposure, tensors, number, reset)
+            used, seen = {role: tensors[role] for role in plan.planes}, {role: sharp[role] for role in plan.guides}
+            resident = ResidentFrame(
+                plan.input, dict(used), number, jitter, self.exposure, reset, samples=samples, fov_x=fov_x,
+                world_to_camera=world_to_camera, guides=seen, guide_jitter=guide_jitter, is_away=True,
+                host_planes=Downloads(used), host_guides=Downloads(seen))
+            result = self._flow.run_away(resident, plan)
+        except BaseException:
+            self._reset_passes()
+            raise
+        self._begins, self.timings = False, dict(self._flow.timings)
+        same_size = (plan.output.width, plan.output.height) == (spec.width, spec.height)
+        return {role: tensor for role, tensor in tensors.items() if same_size and role not in plan.planes} | result
+
+    def _exposure_of(self, given: float | None, tensors: Mapping[Role, Tensor], number: int, reset: bool) -> float:
+        if given is not None:
+            if not 0 < given < math.inf:
+                raise ExposureError(f"exposure {given}: a multiplier is above 0")
+            return float(given)
+        if Role.COLOUR not in tensors:
+            return 1.0
+        return self._meter(Frame({Role.COLOUR: tensors[Role.COLOUR].download()}, number, reset=reset))
 
     def compile(self, spec: FrameSpec, views: Sequence[str] = ()) -> Plan:
         """Make the passes ready for frames of a spec, so that the first one does not wait for it; the plan.
@@ -336,6 +401,22 @@ class Flow:
                 for step in plan.steps:
                     step.instance.note_time(self.timings[step.name])
                 return _finished(given, plan, resident, inputs)
+
+    def run_away(self, resident: ResidentFrame, plan: Plan) -> dict[Role, Tensor]:
+        """The planes that come out of a frame in the device's memory, each on memory of its own."""
+        given, memory = dict(resident.tensors), self._device.memory
+        with self._device.results_lock:
+            self._run(plan.steps, resident)
+            for step in plan.steps:
+                step.instance.note_time(self.timings[step.name])
+            found = dict(resident.tensors)
+            for role, tensor in found.items():
+                if tensor is not given.get(role):
+                    found[role] = self._device.heap.tensor(str(role), tensor.shape)
+                    memory.copy(found[role].start, tensor.resident().start, tensor.nbytes)
+                    self._device.hazards.mark_written(found[role])
+            memory.synchronise()
+        return found
 
     def run_ahead(self, frame: Frame, plan: Plan, steps: Sequence[Step], exposure: float, unusable: bool) -> None:
         """Take a frame through the first steps of a plan, for nothing but their history."""

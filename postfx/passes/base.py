@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from postfx.errors import FrameError, NotCompiledError, PassOptionError
-from postfx.frame import ROLES, FrameSpec, Role
+from postfx.frame import ROLES, FrameSpec, GuideSpec, Role
 
 if TYPE_CHECKING:
     import numpy as np
@@ -66,6 +66,7 @@ class ResidentFrame:
         host_parts: likewise, for parts.
         blank: roles of planes that a pass replaced and that are 0 everywhere.
         history_only: True when only the history that passes keep of this frame is needed, not its picture.
+        is_away: True when the planes came in the device's memory, so that looking at `host_planes` copies them.
     """
 
     spec: FrameSpec
@@ -81,12 +82,13 @@ class ResidentFrame:
     metadata: Mapping[str, Any] = field(default_factory=dict)
     guides: dict[Role, Tensor] = field(default_factory=dict)
     guide_jitter: tuple[float, float] = (0.0, 0.0)
-    host_planes: dict[Role, np.ndarray] = field(default_factory=dict)
-    host_guides: dict[Role, np.ndarray] = field(default_factory=dict)
+    host_planes: MutableMapping[Role, np.ndarray] = field(default_factory=dict)
+    host_guides: MutableMapping[Role, np.ndarray] = field(default_factory=dict)
     parts: dict[str, Tensor] = field(default_factory=dict)
     host_parts: dict[str, np.ndarray] = field(default_factory=dict)
     blank: set[Role] = field(default_factory=set)
     history_only: bool = False
+    is_away: bool = False
 
     def __getitem__(self, role: Role) -> Tensor:
         """Tensor of a plane; FrameError when the frame does not hold it."""
@@ -105,8 +107,10 @@ class ResidentFrame:
         return self.tensors.get(role)
 
     def is_blank(self, role: Role) -> bool:
-        """Whether a plane is known to be 0 everywhere."""
-        return role in self.blank or (role in self.host_planes and not self.host_planes[role].any())
+        """Whether a plane is known to be 0 everywhere, which is not looked for on a GPU."""
+        if self.is_away or role not in self.host_planes:
+            return role in self.blank
+        return not self.host_planes[role].any()
 
     def set(self, role: Role, tensor: Tensor, blank: bool = False) -> None:
         """Replace or add a plane: a float32 tensor (height, width, channels) that a recorded command writes, or, if it
@@ -117,6 +121,68 @@ class ResidentFrame:
         self.tensors[role] = tensor
         self.host_planes.pop(role, None)
         (self.blank.add if blank else self.blank.discard)(role)
+
+
+class Downloads(MutableMapping[Role, "np.ndarray"]):
+    """Planes on the host of a frame that came in the device's memory: copied when something looks at them."""
+
+    def __init__(self, tensors: Mapping[Role, Tensor]) -> None:
+        self._tensors = dict(tensors)
+        self._copies: dict[Role, np.ndarray] = {}
+
+    def __getitem__(self, role: Role) -> np.ndarray:
+        if role not in self._copies:
+            self._copies[role] = self._tensors[role].download()
+        return self._copies[role]
+
+    def __setitem__(self, role: Role, plane: np.ndarray) -> None:
+        self._copies[role] = plane
+
+    def __delitem__(self, role: Role) -> None:
+        del self._tensors[role]
+        self._copies.pop(role, None)
+
+    def __iter__(self) -> Iterator[Role]:
+        return iter(self._tensors)
+
+    def __len__(self) -> int:
+        return len(self._tensors)
+
+    def pop(self, role: Role, default: Any = None) -> Any:
+        """Forget a plane, which was replaced; nothing is copied."""
+        self._tensors.pop(role, None)
+        return self._copies.pop(role, default)
+
+
+def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any]) -> dict[Role, Tensor]:
+    """Arrays of any library as tensors of the device; `kind` is what messages call them.
+
+    Raises FrameError for an unknown role, a wrong shape or type, BindingError for what cannot be read.
+    """
+    found = {}
+    for name, plane in planes.items():
+        try:
+            role = Role(name)
+        except ValueError:
+            raise FrameError(f"{kind} '{name}' has no meaning here: roles are {', '.join(Role)}") from None
+        found[role] = tensor = device.wrap(str(role), plane)
+        if tensor.dtype != "float32" or len(tensor.shape) != 3 or tensor.shape[2] != ROLES[role].channels:
+            raise FrameError(f"{kind} '{role}' is {tensor.shape} {tensor.dtype}: it needs (height, width, "
+                             f"{ROLES[role].channels}) float32")
+    return found
+
+
+def spec_of(planes: Mapping[Role, Tensor], guides: Mapping[Role, Tensor], encoding: str) -> FrameSpec:
+    """Spec of a frame of tensors. FrameError when sizes differ, GuideError for a role that is no guide."""
+    if not planes:
+        raise FrameError("a frame needs at least one plane")
+    for kind, tensors in (("planes", planes), ("guides", guides)):
+        if len({tensor.shape[:2] for tensor in tensors.values()}) > 1:
+            sizes = ", ".join(f"{role} {tensor.shape[1]}x{tensor.shape[0]}" for role, tensor in tensors.items())
+            raise FrameError(f"{kind} differ in size: {sizes}")
+    (height, width, _), sharp = next(iter(planes.values())).shape, next(iter(guides.values()), None)
+    larger = GuideSpec(sharp.shape[1], sharp.shape[0], tuple(guides)) if sharp else None
+    return FrameSpec(width, height, {role: tensor.shape[2] for role, tensor in planes.items()}, encoding, larger)
 
 
 class Pass:

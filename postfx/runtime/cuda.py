@@ -23,7 +23,7 @@ from postfx.caching import LRUCache
 from postfx.errors import DeviceError, ModelError
 from postfx.kernels.denoise import layout
 from postfx.kernels.kernel import Kernel
-from postfx.runtime.memory import address
+from postfx.runtime.memory import CUDA, address
 
 if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor
@@ -62,6 +62,7 @@ class CudaMemory:
         except ImportError:
             raise DeviceError("CUDA needs the package cuda-core: install it by pip install 'postfx[cuda]'") from None
         self._device = Device(index)
+        self.place = CUDA, index
         self._thread = threading.local()
         self._enter()
         self._stream = self._device.create_stream()
@@ -91,6 +92,14 @@ class CudaMemory:
         """Put a copy within the GPU's memory on the stream."""
         self._enter()
         check_result(driver().cuMemcpyDtoDAsync(target, source, nbytes, self.stream))
+
+    def follow(self, stream: int | None) -> int:
+        """Let what comes on the stream wait for the work that a producer's stream has now; the number of ours."""
+        if stream is not None and stream != self.stream:
+            with self._entered():
+                done = Event(stream, False)
+                check_result(driver().cuStreamWaitEvent(self.stream, done.handle, 0))
+        return self.stream
 
     def relax(self) -> None:
         """Does nothing: no tensor is in a file."""

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import onnxruntime as ort
@@ -23,12 +23,12 @@ from postfx.runtime.commands import CommandBuffer, wait_for_all
 from postfx.runtime.cuda import CudaMemory, find_source
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
-from postfx.runtime.memory import HostMemory, Immediate, Memory, address, byte_span
+from postfx.runtime.memory import CUDA, HOST, HOST_KINDS, HostMemory, Immediate, Memory, address, borrow, byte_span
 from postfx.runtime.model_file import fix_dimensions
 from postfx.runtime.models import Library
 from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, parse_provider
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
-from postfx.runtime.tensor import Allocation, Tensor
+from postfx.runtime.tensor import DTYPES, Allocation, Tensor, size_in_bytes
 from postfx.runtime.threads import CommandQueue, Helpers
 from postfx.system import Scratch, usable_cores
 
@@ -120,17 +120,25 @@ class Device:
         """Threads that help the queue's own thread with bands of kernels."""
         return Helpers(max(1, self.threads - 1))
 
-    def wrap(self, name: str, array: np.ndarray, copy: Tensor | None = None) -> Tensor:
+    def wrap(self, name: str, array: Any, copy: Tensor | None = None) -> Tensor:
         """A tensor with an array's content: the same memory on the CPU, an upload elsewhere.
 
         The tensor counts as written. Do not change the array while commands use it. One with strides, such as a crop or
-        a transposed array, is copied by every command that uses it.
+        a transposed array, is copied by every command that uses it on the CPU.
 
         Args:
+            array: of NumPy, or of any library that has `__dlpack__` or `__cuda_array_interface__`; one in this GPU's
+                memory stays there and is not copied, and its producer's work is waited for on the GPU.
             copy: a tensor of the same shape and type to upload to, where the device has its own memory.
 
-        Raises BindingError when the array is of a type or byte order that tensors cannot have.
+        Raises BindingError when the array is of a type or byte order that tensors cannot have, or in the memory of
+        another device.
         """
+        if not isinstance(array, np.ndarray):
+            borrowed = self._borrow(name, array)
+            if isinstance(borrowed, Tensor):
+                return borrowed
+            array = borrowed
         if not array.dtype.isnative:
             raise BindingError(f"array '{name}' has the byte order of other machines: pass it as {array.dtype.name}")
         if not self.memory.host_visible:
@@ -142,6 +150,23 @@ class Device:
         first, end = (address(array), address(array) + array.nbytes) if strided is None else byte_span(array)
         allocation = Allocation(name, first, end - first, owner=array, writable=array.flags.writeable)
         tensor = Tensor(self, name, array.shape, array.dtype.name, allocation, strided=strided)
+        self.hazards.mark_written(tensor)
+        return tensor
+
+    def _borrow(self, name: str, array: Any) -> Tensor | np.ndarray:
+        """A tensor on an array of another library in this device's memory, or NumPy's view of one in the host's."""
+        kind = type(array).__name__
+        if not (hasattr(array, "__dlpack__") or hasattr(array, "__cuda_array_interface__")):
+            raise BindingError(f"array '{name}' is {kind}: give a NumPy array, or one of a library with DLPack")
+        try:
+            if hasattr(array, "__dlpack_device__") and array.__dlpack_device__()[0] in HOST_KINDS:
+                return np.asarray(np.from_dlpack(array))
+            held = borrow(array, self.memory)
+        except (ValueError, TypeError, BufferError, RuntimeError) as error:
+            raise BindingError(f"array '{name}' cannot be read from {kind}: {first_line(error)}") from error
+        nbytes = size_in_bytes(held.shape, held.dtype) if held.dtype in DTYPES else 0
+        allocation = Allocation(name, held.pointer, nbytes, owner=held.owner, writable=not held.is_read_only)
+        tensor = Tensor(self, name, held.shape, held.dtype, allocation)
         self.hazards.mark_written(tensor)
         return tensor
 
@@ -348,6 +373,7 @@ class ProviderMemory(Immediate):
 
     def __init__(self, placement: Placement) -> None:
         self._placement = placement
+        self.place = (CUDA, placement.index) if placement.memory == "cuda" else HOST
         self._copy = Session(_COPY.read_bytes(), "copy", placement, {})
 
     def allocate(self, nbytes: int) -> ProviderChunk:

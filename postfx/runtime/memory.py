@@ -6,8 +6,8 @@ import ctypes
 import math
 import time
 import weakref
-from collections.abc import Callable, Hashable
-from typing import Any, Protocol, TypeVar
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,12 @@ ALIGNMENT = 256
 """Byte alignment of every tensor: a multiple of the cache line and of efficient GPU copies."""
 
 
+HOST, CUDA = (1, 0), 2
+"""DLPack's numbers: the host's memory as kind and number of a device, and the kind of CUDA's."""
+HOST_KINDS = (1, 3)
+"""Kinds that are the host's memory: plain, and pinned by CUDA."""
+
+
 class Chunk(Protocol):
     """One piece of device memory of `nbytes` bytes, at `pointer` in the device's address space."""
 
@@ -29,10 +35,15 @@ class Chunk(Protocol):
 
 class Memory(Protocol):
     """Where a device's tensors live. `host_visible`: NumPy can access it without a copy; `replays`: `replay`
-    can run commands as one CUDA graph."""
+    can run commands as one CUDA graph; `place`: kind and number of the device in DLPack."""
 
     host_visible: bool
     replays: bool
+    place: tuple[int, int]
+
+    def follow(self, stream: int | None) -> int | None:
+        """Let commands run after the work of a producer's stream; the stream that they run on, None without one."""
+        ...
 
     def allocate(self, nbytes: int) -> Chunk:
         """A new chunk of at least `nbytes` bytes, aligned to `ALIGNMENT` on the host."""
@@ -80,6 +91,10 @@ class Immediate:
 
     replays = False
 
+    def follow(self, stream: int | None) -> int | None:
+        """None: commands are on no stream."""
+        return None
+
     def relax(self) -> None:
         """Does nothing."""
 
@@ -123,6 +138,7 @@ class HostMemory(Immediate):
     tensors lie in temporary files."""
 
     host_visible = True
+    place = HOST
 
     def __init__(self, scratch: Scratch | None = None) -> None:
         self._scratch = scratch
@@ -218,3 +234,119 @@ class Ranges:
     def touches(self, other: Ranges) -> bool:
         """Whether any byte of another set is included."""
         return any(s < end and start < e for s, e in self.spans for start, end in other.spans)
+
+
+# Arrays of other libraries, by DLPack (https://dmlc.github.io/dlpack) and by `__cuda_array_interface__`, version 3
+# (https://numba.readthedocs.io/en/stable/cuda/cuda_array_interface.html)
+
+
+class _Managed(ctypes.Structure):
+    """DLPack's `DLManagedTensor`, with the `DLTensor` in it."""
+
+    _fields_ = (("data", ctypes.c_void_p), ("kind", ctypes.c_int32), ("index", ctypes.c_int32),
+                ("ndim", ctypes.c_int32), ("code", ctypes.c_uint8), ("bits", ctypes.c_uint8),
+                ("lanes", ctypes.c_uint16), ("shape", ctypes.POINTER(ctypes.c_int64)),
+                ("strides", ctypes.POINTER(ctypes.c_int64)), ("offset", ctypes.c_uint64),
+                ("context", ctypes.c_void_p), ("deleter", ctypes.c_void_p))
+
+
+_FRESH = b"dltensor"
+"""Name of a capsule that nobody opened yet."""
+_CODES = {"int": 0, "uint": 1, "float": 2, "bfloat": 4, "bool": 6}
+_python = ctypes.pythonapi
+_new_capsule = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p)(
+    ("PyCapsule_New", _python))
+_open_capsule = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)(("PyCapsule_GetPointer", _python))
+_is_fresh = ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_char_p)(("PyCapsule_IsValid", _python))
+_peek_capsule = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)(
+    ("PyCapsule_GetPointer", _python))
+_lent: dict[int, tuple[object, ...]] = {}
+"""What other libraries read now, by the address of its description."""
+
+
+def _take_back(managed: int) -> None:
+    _lent.pop(managed, None)
+
+
+def _drop_capsule(capsule: int) -> None:
+    """Take back what is in a capsule, unless somebody opened it and has it now."""
+    if _is_fresh(capsule, _FRESH):
+        _take_back(_peek_capsule(capsule, _FRESH))
+
+
+_deleter = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_take_back)
+_destructor = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)(_drop_capsule)
+
+
+def lend(pointer: int, shape: tuple[int, ...], dtype: str, place: tuple[int, int], owner: object) -> object:
+    """A DLPack capsule of a contiguous tensor; `owner` lives until the last array on it is gone."""
+    word = dtype.rstrip("0123456789")
+    sizes = (ctypes.c_int64 * len(shape))(*shape)
+    managed = _Managed(pointer, *place, len(shape), _CODES[word], int(dtype.removeprefix(word) or 8), 1, sizes, None, 0,
+                       None, ctypes.cast(_deleter, ctypes.c_void_p))
+    address_of = ctypes.addressof(managed)
+    _lent[address_of] = managed, sizes, owner
+    return _new_capsule(address_of, _FRESH, ctypes.cast(_destructor, ctypes.c_void_p))
+
+
+class Borrowed(NamedTuple):
+    """An array of another library in the device's memory; `owner` keeps it there."""
+
+    pointer: int
+    shape: tuple[int, ...]
+    dtype: str
+    is_read_only: bool
+    owner: object
+
+
+def borrow(array: Any, memory: Memory) -> Borrowed:
+    """An array in this memory, by `__cuda_array_interface__` if that is CUDA's, else by DLPack.
+
+    Raises ValueError with the reason when it lies elsewhere, has strides, or does not describe itself well.
+    """
+    kind, index = array.__dlpack_device__() if hasattr(array, "__dlpack_device__") else (CUDA, memory.place[1])
+    if (int(kind), int(index)) != memory.place:
+        place = _name((int(kind), int(index)))
+        raise ValueError(f"it is in the memory of {place}, the device is {_name(memory.place)}")
+    told = getattr(array, "__cuda_array_interface__", None) if memory.place[0] == CUDA else None
+    return _from_interface(array, told, memory) if told is not None else _from_capsule(array, memory)
+
+
+def _name(place: tuple[int, int]) -> str:
+    return {1: "the host", 3: "the host", CUDA: f"cuda:{place[1]}"}.get(place[0], f"DLPack's device {place}")
+
+
+def _from_interface(array: Any, told: Any, memory: Memory) -> Borrowed:
+    try:
+        (pointer, is_read_only), shape = told["data"], tuple(map(int, told["shape"]))
+        dtype, strides, stream = np.dtype(told["typestr"]), told.get("strides"), told.get("stream")
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"its __cuda_array_interface__ cannot be read ({error!r})") from error
+    if not dtype.isnative:
+        raise ValueError("it has the byte order of other machines")
+    steps = None if strides is None else [step // dtype.itemsize for step in strides]
+    _require_contiguous(shape, steps)
+    memory.follow(stream)
+    return Borrowed(int(pointer or 0), shape, dtype.name, bool(is_read_only), array)
+
+
+def _from_capsule(array: Any, memory: Memory) -> Borrowed:
+    stream = memory.follow(None)
+    capsule = array.__dlpack__() if stream is None else array.__dlpack__(stream=stream)
+    managed = ctypes.cast(_open_capsule(capsule, _FRESH), ctypes.POINTER(_Managed)).contents
+    shape = tuple(managed.shape[: managed.ndim])
+    _require_contiguous(shape, managed.strides[: managed.ndim] if managed.strides else None)
+    word = next((word for word, code in _CODES.items() if code == managed.code), f"DLPack's type {managed.code} of ")
+    dtype = "bool" if word == "bool" else f"{word}{managed.bits}"
+    # The capsule is left unused: it returns the array when it goes.
+    return Borrowed((managed.data or 0) + managed.offset, shape, dtype, False, capsule)
+
+
+def _require_contiguous(shape: tuple[int, ...], steps: Sequence[int] | None) -> None:
+    """Raises ValueError unless elements lie in order; `steps` from one to the next of an axis, None if they do."""
+    expected = 1
+    for size, step in zip(reversed(shape), reversed(steps or ()), strict=False):
+        if size > 1 and step != expected:
+            raise ValueError(f"its elements do not lie in order (strides {tuple(steps or ())} of {shape}): make it "
+                             "contiguous")
+        expected *= size

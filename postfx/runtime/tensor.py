@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from postfx.errors import BindingError, CommandError, DeviceError, HazardError
-from postfx.runtime.memory import Memory, Ranges, view_at
+from postfx.runtime.memory import CUDA, Memory, Ranges, lend, view_at
 from postfx.system import Scratch
 
 
@@ -334,6 +334,32 @@ class Tensor:
         for first, last in scratch.pieces(self.shape[0], self.nbytes // max(1, self.shape[0])):
             self.host_view()[first:last] = value
         self._device.hazards.mark_written(self)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        """Kind and number of the device in DLPack."""
+        return self._device.memory.place
+
+    def __dlpack__(self, *, stream: Any = None, max_version: Any = None, dl_device: Any = None,
+                   copy: bool | None = None) -> object:
+        """The content for other libraries, without a copy: `torch.from_dlpack(tensor)`.
+
+        The memory stays as long as their array, but is the heap's again after `release`. What wrote it was waited for,
+        so no stream has to. Raises HazardError as `array` does, BufferError for strides and where a copy is asked for.
+        """
+        if copy or (dl_device is not None and tuple(dl_device) != self.__dlpack_device__()) or not self.contiguous:
+            raise BufferError(f"tensor '{self.name}' is shared where and as it lies: use download() for a copy")
+        check_host_read(self.name, self.state)
+        here = self.resident()
+        return lend(here.start, self.shape, self.dtype, self._device.memory.place, here)
+
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]:
+        """The same for libraries that know CUDA's arrays; AttributeError in other memory."""
+        if self._device.memory.place[0] != CUDA:
+            raise AttributeError(f"tensor '{self.name}' is not in CUDA's memory")
+        check_host_read(self.name, self.state)
+        return {"shape": self.shape, "typestr": element_type(self.dtype).str, "strides": None, "version": 3,
+                "data": (self.resident().start, not self.allocation.writable), "stream": None}
 
     def view(self, name: str, shape: tuple[int, ...], offset: int = 0) -> Tensor:
         """A tensor over part of the same memory: `shape` elements from element `offset` on, no copy."""

@@ -296,7 +296,7 @@ class DenoiseUpscale(Pass):
         return active_cells(frame.host_planes[Role.STRENGTH])
 
     def _is_still(self, frame: ResidentFrame) -> bool:
-        return Role.MOTION in frame.host_planes and not frame.host_planes[Role.MOTION].any()
+        return frame.is_blank(Role.MOTION)
 
     def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
         """Names of the parts; FrameError for a part that the frame lacks."""

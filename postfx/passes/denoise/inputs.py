@@ -132,10 +132,12 @@ class Passthrough:
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         """Record the work; the frame's planes are then those of the output's size. Alpha that was already replaced is
         left alone."""
-        given = frame.host_guides if self._overlay_is_guide else frame.host_planes
         if Role.LATER in frame.guides:
             frame.set(Role.LATER, frame.guides[Role.LATER])
-        blank = Role.OVERLAY in given and not given[Role.OVERLAY].any()
+        if self._overlay_is_guide:
+            blank = not frame.is_away and not frame.host_guides[Role.OVERLAY].any()
+        else:
+            blank = frame.is_blank(Role.OVERLAY)
         for role, resampler in self._resamplers.items():
             if role is Role.ALPHA and role not in frame.host_planes:
                 continue

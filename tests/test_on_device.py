@@ -1,0 +1,239 @@
+"""Planes that stay where they lie: arrays of other libraries in, tensors for other libraries out.
+
+There may be no GPU here. What only a GPU can do is left to the test with the mark `gpu`; the rest runs on the host's
+memory, once as the CPU's, once as a device's that NumPy does not see, with arrays that say that they are there.
+"""
+
+import ctypes
+import gc
+
+import numpy as np
+import pytest
+
+from postfx import DenoiseUpscale, Device, Frame, Pipeline, PostfxError, Role
+from postfx.runtime import BindingError, HazardError, memory
+from postfx.runtime import device as device_module
+from postfx.runtime.device import ProviderMemory, cuda_fault
+from postfx.runtime.session import Placement
+from postfx.runtime.tensor import element_type
+
+gpu = pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
+RNG = np.random.default_rng(0)
+SIZE = (36, 48)
+PLANES = {Role.COLOUR: RNG.random((*SIZE, 3), np.float32), Role.DEPTH: 1 + RNG.random((*SIZE, 1), np.float32),
+          Role.MOTION: 1 + RNG.random((*SIZE, 2), np.float32), Role.NORMAL: RNG.random((*SIZE, 3), np.float32),
+          Role.DIFFUSE_ALBEDO: RNG.random((*SIZE, 3), np.float32)}
+
+
+class There:
+    """An array in a device's memory as other libraries show it: by DLPack, by CUDA's interface, or by both."""
+
+    def __init__(self, array, place=(2, 0), how=("dlpack", "cuda"), **told):
+        self.array, self.streams = array, []
+        if "dlpack" in how:
+            self.__dlpack_device__ = lambda: place
+        if "cuda" in how:
+            self.__cuda_array_interface__ = {
+                "shape": array.shape, "typestr": array.dtype.str, "data": (memory.address(array), False),
+                "strides": None if array.flags.c_contiguous else array.strides, "version": 3, "stream": None, **told}
+        if "dlpack" in how:
+            self.__class__ = type("There", (There,), {"__dlpack__": There.give, "__dlpack_device__": lambda _: place})
+
+    def give(self, *, stream=None):
+        self.streams.append(stream)
+        return memory.lend(memory.address(self.array), self.array.shape, self.array.dtype.name, (2, 0), self.array)
+
+
+@pytest.fixture
+def far(monkeypatch):
+    """A device whose memory counts as that of the first GPU."""
+
+    class Far(ProviderMemory):
+        followed = []
+
+        def __init__(self, placement):
+            super().__init__(placement)
+            self.place = (2, 0)
+
+        def follow(self, stream):
+            self.followed.append(stream)
+            return 7
+
+    placement = Placement("CPUExecutionProvider", "cpu", 0, 2)
+    monkeypatch.setattr(device_module, "choose", lambda *rest: (placement, Far(placement)))
+    return Device("auto")
+
+
+def frames():
+    moved = {role: np.roll(plane, 1, axis=1) for role, plane in PLANES.items()}
+    return [PLANES, moved, PLANES]
+
+
+def expected(device):
+    pipeline = Pipeline([DenoiseUpscale(model="s", scale=2)], device, exposure=0.0, cuts="none")
+    return [pipeline(Frame(dict(planes), number)) for number, planes in enumerate(frames(), 1)]
+
+
+def test_on_the_host_it_is_the_pipeline_without_copies():
+    torch = pytest.importorskip("torch")
+    pipeline = Pipeline([DenoiseUpscale(model="s", scale=2)], Device("cpu"), cuts="none")
+    results = []
+    for number, planes in enumerate(frames(), 1):
+        given = {str(role): torch.from_numpy(plane.copy()) for role, plane in planes.items()}
+        found = pipeline.on_device(given, 1.0, number=number)
+        results.append(torch.from_dlpack(found[Role.COLOUR]))
+        assert results[-1].data_ptr() == found[Role.COLOUR].start and list(found) == [Role.COLOUR]
+    for result, right in zip(results, expected(Device("cpu")), strict=True):
+        assert np.array_equal(result.numpy(), right[Role.COLOUR])  # also the first, two calls later
+
+
+@pytest.mark.parametrize("how", [("cuda",), ("dlpack",)])
+def test_arrays_of_a_device_stay_there(far, how, monkeypatch):
+    pipeline = Pipeline([DenoiseUpscale(model="s", scale=2)], far, cuts="none")
+    right = expected(far)
+    copied = []
+    for verb in ("write", "read"):
+        original = getattr(far.memory, verb)
+        monkeypatch.setattr(far.memory, verb, lambda pointer, array, original=original, verb=verb: (
+            copied.append((verb, array.nbytes)), original(pointer, array)))
+    for number, planes in enumerate(frames(), 1):
+        del copied[:], far.memory.followed[:]
+        given = {role: There(plane, how=how, **({"stream": 5} if how == ("cuda",) else {})) for role, plane in
+                 planes.items()}
+        found = pipeline.on_device(given, 1.0, number=number)
+        assert number == 1 or sum(nbytes for _, nbytes in copied) < 1000, copied  # parameters; first, what is missing
+        assert found[Role.COLOUR].__dlpack_device__() == (2, 0)
+        assert np.array_equal(found[Role.COLOUR].download(), right[number - 1][Role.COLOUR])
+        if how == ("cuda",):
+            assert far.memory.followed == [5] * len(planes)
+        else:
+            assert all(array.streams == [7] for array in given.values())
+    told, start = found[Role.COLOUR].__cuda_array_interface__, found[Role.COLOUR].start
+    assert told["shape"] == (72, 96, 3) and told["typestr"] == "<f4" and told["data"] == (start, False)
+
+
+def test_exposure_by_the_meter_and_planes_that_no_pass_reads():
+    pipeline = Pipeline([DenoiseUpscale(model="s")], Device("cpu"))
+    found = pipeline.on_device(PLANES)
+    whole = Pipeline([DenoiseUpscale(model="s")], Device("cpu"))
+    assert np.array_equal(found[Role.COLOUR].array, whole(Frame(dict(PLANES)))[Role.COLOUR])
+    assert pipeline.exposure == whole.exposure != 1.0
+
+
+def test_guides():
+    torch = pytest.importorskip("torch")
+    sharp = {Role.DIFFUSE_ALBEDO: RNG.random((72, 96, 3), np.float32), Role.NORMAL: RNG.random((72, 96, 3), np.float32)}
+    plain = Pipeline([DenoiseUpscale(model="m", scale=2)], Device("cpu"), exposure=0.0)
+    right = plain(Frame(dict(PLANES), guides=dict(sharp)))
+    found = plain.on_device(PLANES, 1.0, guides={role: torch.from_numpy(p) for role, p in sharp.items()}, reset=True)
+    assert np.array_equal(found[Role.COLOUR].array, right[Role.COLOUR])
+    assert plain.plan.available.guide_roles == (Role.NORMAL, Role.DIFFUSE_ALBEDO)
+
+
+WRONG = [
+    ({"colour": [1.0]}, {}, "array 'colour' is list: give a NumPy array, or one of a library with DLPack"),
+    ({"color": PLANES[Role.COLOUR][..., :2]}, {}, r"plane 'colour' is \(36, 48, 2\) float32: it needs \(height, width"),
+    ({"colour": PLANES[Role.COLOUR].astype("f8")}, {}, "plane 'colour' is .* float64: it needs"),
+    ({"colours": PLANES[Role.COLOUR]}, {}, "plane 'colours' has no meaning here: roles are colour"),
+    ({"colour": There(PLANES[Role.COLOUR])}, {}, "cannot be read from There: it is in the memory of cuda:0, the device "
+     "is the host"),
+    ({}, {}, "a frame needs at least one plane"),
+    (PLANES | {Role.DEPTH: np.ones((2, 2, 1), "f4")}, {}, "planes differ in size: colour 48x36, depth 2x2"),
+    (PLANES, {"exposure": 0.0}, "exposure 0.0: a multiplier is above 0"),
+    (PLANES, {"guides": {Role.MOTION: PLANES[Role.MOTION]}}, "plane 'motion' cannot be a guide"),
+]
+
+
+@pytest.mark.parametrize("planes, options, message", WRONG)
+def test_wrong_use_on_the_host(planes, options, message):
+    with pytest.raises(PostfxError, match=message):
+        Pipeline([DenoiseUpscale(model="s")], Device("cpu")).on_device(planes, **options)
+
+
+@pytest.mark.parametrize("array, message", [
+    (There(PLANES[Role.COLOUR], (2, 1), ("dlpack",)), "it is in the memory of cuda:1, the device is cuda:0"),
+    (There(PLANES[Role.COLOUR], (10, 0), ("dlpack",)), r"DLPack's device \(10, 0\), the device is cuda:0"),
+    (There(PLANES[Role.COLOUR][::2], how=("cuda",)), r"do not lie in order \(strides .* make it contiguous"),
+    (There(PLANES[Role.COLOUR].astype(">f4"), how=("cuda",)), "byte order of other machines"),
+    (There(PLANES[Role.COLOUR], how=("cuda",), data=None), "its __cuda_array_interface__ cannot be read"),
+    (There(PLANES[Role.COLOUR].astype("c8"), how=("cuda",)), "cannot be of type complex64: use one of"),
+])
+def test_arrays_that_cannot_be_taken(far, array, message):
+    with pytest.raises(BindingError, match=message):
+        far.wrap("colour", array)
+
+
+def test_read_only_arrays_are_not_written(far):
+    array = There(np.zeros((2, 3), np.float32), how=("cuda",))
+    array.__cuda_array_interface__["data"] = (array.__cuda_array_interface__["data"][0], True)
+    with pytest.raises(BindingError, match="wraps a read-only array"):
+        far.wrap("x", array).fill(1.0)
+
+
+def test_what_is_lent_lives_as_long_as_it_is_used():
+    device = Device("cpu")
+    before = len(memory._lent)
+    tensor = device.heap.tensor("x", (2, 3))
+    with pytest.raises(HazardError, match="'x' is read by the host, but no command wrote it"):
+        np.from_dlpack(tensor)
+    tensor.fill(3.0)
+    view = np.from_dlpack(tensor)
+    assert view.tolist() == [[3.0] * 3] * 2 and ctypes.c_float.from_address(tensor.start).value == 3.0
+    used = device.heap.used
+    del tensor
+    gc.collect()
+    assert device.heap.used == used and len(memory._lent) == before + 1 and view.sum() == 18
+    del view
+    gc.collect()
+    assert device.heap.used == 0 and len(memory._lent) == before
+    other = device.heap.tensor("y", (2,))
+    other.fill(0.0)
+    capsule = other.__dlpack__()
+    assert len(memory._lent) == before + 1
+    del capsule  # nobody opened it
+    assert len(memory._lent) == before
+    with pytest.raises(BufferError, match="use download.. for a copy"):
+        other.__dlpack__(copy=True)
+    assert not hasattr(other, "__cuda_array_interface__")
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float16", "bfloat16", "float64", "int64", "int8", "uint16", "bool"])
+def test_every_type_is_shared(dtype):
+    torch = pytest.importorskip("torch")
+    device = Device("cpu")
+    tensor = device.heap.tensor("x", (3,), dtype)
+    tensor.upload(np.array([0, 1, 1]).astype(element_type(dtype)))
+    shared = torch.from_dlpack(tensor)
+    assert str(shared.dtype) == f"torch.{dtype}" and shared.float().tolist() == [0, 1, 1]
+    if dtype == "bfloat16":
+        with pytest.raises(BindingError, match="'y' cannot be read from Tensor"):  # as NumPy has no such type
+            device.wrap("y", shared)
+    else:
+        assert device.wrap("y", shared).array.astype("f4").tolist() == [0, 1, 1]
+
+
+@pytest.mark.gpu
+@gpu
+def test_on_a_gpu_nothing_is_copied_to_the_host():
+    """Also the time that sharing adds: at most 0.1 ms a frame."""
+    import statistics
+    import time
+
+    torch = pytest.importorskip("torch")
+    if not torch.cuda.is_available():
+        pytest.skip("needs PyTorch for CUDA")
+    device = Device("cuda")
+    pipeline = Pipeline([DenoiseUpscale(model="s", scale=2)], device, cuts="none")
+    given = {role: torch.from_numpy(plane).cuda() for role, plane in PLANES.items()}
+    right = expected(device)
+    for number in (1, 2, 3):
+        planes = {role: torch.from_numpy(plane).cuda() for role, plane in frames()[number - 1].items()}
+        found = torch.from_dlpack(pipeline.on_device(planes, 1.0, number=number)[Role.COLOUR])
+        assert found.is_cuda and np.abs(found.cpu().numpy() - right[number - 1][Role.COLOUR]).max() < 1e-2
+    times = []
+    for _ in range(30):
+        begin = time.perf_counter()
+        shared = {role: device.wrap(str(role), plane) for role, plane in given.items()}
+        torch.from_dlpack(shared[Role.COLOUR])
+        times.append(time.perf_counter() - begin)
+    assert statistics.median(times) < 1e-4
