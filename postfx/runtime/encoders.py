@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, Self
 
-from postfx.errors import BindingError, EncodingError
+from postfx.errors import BindingError, EncodingError, HazardError
 from postfx.runtime.states import Arguments, ArgumentTable, State
 from postfx.runtime.tensor import Tensor, TensorDevice
 
@@ -173,7 +173,8 @@ class Encoder:
         names = self.label, state.command, self.stage, self._number
         kept = None if arguments.execute else arguments  # the commit places the transient ones
         dispatch = Dispatch(*names, *accesses, arguments.execute, state.model, state, kept)
-        arguments.check_aliases(str(dispatch), self.label)
+        if arguments.aliases:
+            raise _aliasing_error(dispatch, *arguments.aliases)
         self._record(dispatch)
 
     def _record(self, record: Record) -> None:
@@ -228,3 +229,9 @@ class MachineLearningEncoder(Encoder):
         Raises BindingError for unbound or unfitting arguments, HazardError for aliased ones.
         """
         self._dispatch(state, table)
+
+
+def _aliasing_error(dispatch: Dispatch, other: Tensor, written: Tensor) -> HazardError:
+    pair = f"'{other.name}' and '{written.name}'" if other.name != written.name else f"'{written.name}'"
+    message = f"{dispatch} has {pair} on the same memory, one of them written: bind separate tensors"
+    return HazardError(message, "aliasing", written.name, None, dispatch.label)

@@ -211,8 +211,7 @@ class Footprint:
         self.writes: dict[Allocation, Ranges] = {}
         self.spans = _spans(self.dispatches)
         self.ordered = False
-        self.narrow = any(item.state is not None and item.state.threads < item.state.device.threads
-                          for item in self.dispatches)
+        self.narrow = any([item.state is not None and item.state.narrow for item in self.dispatches])
         for dispatch in self.dispatches:
             for tensor in dispatch.reads:
                 self.users.setdefault(tensor.allocation, (tensor, dispatch))

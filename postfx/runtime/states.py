@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from postfx.errors import BindingError, HazardError, ModelError
+from postfx.errors import BindingError, ModelError
 from postfx.runtime.session import Session
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 from postfx.runtime.threads import Band, Helpers
@@ -59,7 +59,7 @@ class StateDevice(TensorDevice, Protocol):
 
 class State(Protocol):
     """What an argument table is made for and an encoder dispatches; `model` is a network's file, `capturable` whether
-    it may become part of a CUDA graph, `threads` how many of the device's threads it takes."""
+    it may become part of a CUDA graph, `threads` how many of the device's it takes, `narrow` whether not all."""
 
     device: StateDevice
     command: str
@@ -69,6 +69,9 @@ class State(Protocol):
 
     @property
     def threads(self) -> int: ...
+
+    @property
+    def narrow(self) -> bool: ...
 
     @property
     def model(self) -> Path | None: ...
@@ -96,6 +99,7 @@ class PipelineState:
                  threads: int | None = None) -> None:
         self.device = device
         self.threads = threads or device.threads
+        self.narrow = self.threads < device.threads
         self.name = name
         self.dims = dims
         self.model = model
@@ -115,6 +119,7 @@ class ComputeState:
     """A kernel made ready to run on a device. Made by `Device.compute_state`."""
 
     stage = "compute"
+    narrow = False
     model: Path | None = None
     capturable = True
 
@@ -263,30 +268,31 @@ class Arguments:
         reads, writes: the tensors that it reads and writes.
         transients: allocations of transient tensors without memory yet.
         execute: runs the state on them; None while some have no memory.
+        aliases: two tensors on the same memory, the second of which is written; None if there are none.
     """
 
     def __init__(self, state: State, tensors: tuple[Tensor, ...]) -> None:
         pairs = list(zip(state.bindings, tensors, strict=True))
         self.state = state
-        self.reads = tuple(tensor for binding, tensor in pairs if binding.reads)
-        self.writes = tuple(tensor for binding, tensor in pairs if binding.writes)
+        self.reads = tuple([tensor for binding, tensor in pairs if binding.access != "write"])
+        self.writes = tuple([tensor for binding, tensor in pairs if binding.access != "read"])
         self.transients = tuple(dict.fromkeys(a for a in (t.allocation for t in tensors) if isinstance(a, Transient)))
         self.execute: Callable[[], None] | None = None if self.transients else _prepare(state, tensors)
         self._tensors = tensors
+        self.aliases = self._aliases()
         self._placed: tuple[tuple[Allocation | None, ...], Arguments] | None = None
 
-    def check_aliases(self, what: str, label: str) -> None:
-        """HazardError when two bindings have the same memory and one of them is written; it begins with `what`."""
-        pairs = list(zip(self.state.bindings, self._tensors, strict=True))
-        writers = [index for index, (binding, _) in enumerate(pairs) if binding.writes]
-        for index in writers:
+    def _aliases(self) -> tuple[Tensor, Tensor] | None:
+        """Two tensors on the same memory, of two bindings, the second of which is written; None if there are none."""
+        for index, binding in enumerate(self.state.bindings):
+            if binding.access == "read":
+                continue
             written = self._tensors[index]
-            for number, (binding, other) in enumerate(pairs):
-                if number == index or (binding.writes and number > index) or not written.overlaps(other):
-                    continue
-                pair = f"'{other.name}' and '{written.name}'" if other.name != written.name else f"'{written.name}'"
-                message = f"{what} has {pair} on the same memory, one of them written: bind separate tensors"
-                raise HazardError(message, "aliasing", written.name, None, label)
+            for number, other in enumerate(self._tensors):
+                is_later = number > index and self.state.bindings[number].access != "read"
+                if number != index and not is_later and written.overlaps(other):
+                    return other, written
+        return None
 
     def with_memory(self) -> Arguments:
         """The same arguments on the memory that transient tensors have now; cached until that changes."""
