@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from postfx.doctor import material as material_module
+from postfx.doctor.alignment import compare_edges
 from postfx.doctor.checks import planes
-from postfx.doctor.geometry import motion_of_camera, smooth_points
+from postfx.doctor.geometry import are_scaled, are_unit, motion_of_camera, smooth_points
 from postfx.doctor.material import Material, read_material
 from postfx.doctor.pictures import picture
 from postfx.frame import DEPTH_MISS, ROLES, Frame, Role
@@ -116,6 +117,28 @@ def test_of_the_largest_pictures_two_are_compared(monkeypatch):
     for pixels, numbers in ((1, [1, 2]), (3 * 320 * 180, [1, 2, 3])):
         monkeypatch.setattr(material_module, "MOST_PIXELS", pixels)
         assert [frame.number for frame in read_material(sequence).material.frames] == numbers
+
+
+def test_a_far_plane_is_named_among_a_hundred_hits(diagnose):
+    depth = np.ones((10, 10, 1), np.float32)
+    depth[3, 4] = 1000
+    frame = Frame({Role.COLOUR: np.full((10, 10, 3), 0.3, np.float32), Role.DEPTH: depth}, 1)
+    assert "depth-miss-far" in codes(diagnose([frame]), "warning")
+    depth[0, 0] = DEPTH_MISS
+    assert "depth-miss-far" not in codes(diagnose([frame]), "warning")
+
+
+def test_edges_are_compared_from_eight_rows_on():
+    step = np.tile(np.float32([0, 0, 0, 1, 1, 1, 1, 1])[None, :, None], (8, 1, 3))
+    planes = {Role.DIFFUSE_ALBEDO: step, Role.DEPTH: 1 + step[..., :1]}
+    found = compare_edges([Frame(planes, 1)])
+    assert found.keys() == planes.keys() and all(abs(one.own - 1) < 1e-3 for one in found.values())
+    assert compare_edges([Frame({role: plane[:7] for role, plane in planes.items()}, 1)]) == {}
+
+
+def test_no_normals_are_of_no_length(recwarn):
+    nothing = np.zeros((0, 3), np.float32)
+    assert not are_scaled(nothing) and not are_unit(nothing) and not recwarn.list
 
 
 def test_frames_of_different_sizes(room, diagnose):

@@ -74,6 +74,15 @@ def test_every_convention_is_measured() -> None:
             assert (plane.get("unit", "pixels"), sizes) == (unit, {1}), name
 
 
+def test_motion_of_a_square_picture_is_measured() -> None:
+    square = [Frame({Role.COLOUR: frame[Role.COLOUR][:, :HEIGHT]}, frame.number) for frame in frames()[:2]]
+    planes = tuple(np.broadcast_to(MOVED / np.float32(HEIGHT), (HEIGHT, HEIGHT, 2)) for _ in square)
+    found = measure_convention(square, UnreadMotion("mv", ("R", "G"), planes))
+    assert found and found.fits
+    read = found.convention.pixels(planes[1], (HEIGHT, HEIGHT))
+    np.testing.assert_allclose(read, np.broadcast_to(MOVED, read.shape), atol=0.12)
+
+
 def test_what_is_no_motion_is_not_called_so() -> None:
     shown = frames()
     noise = tuple(np.random.default_rng(n).normal(size=(HEIGHT, WIDTH, 2)).astype(np.float32) for n in range(3))
