@@ -44,7 +44,10 @@ def points(target: str, name: str = "foreign", count: int = 1) -> dict[str, tupl
 
 
 class Foreign(Pass):
-    """Of another package: has a size, a flag, a way."""
+    """Of another package: has a size, a flag, a way.
+
+    Lists show the first line only.
+    """
 
     name = "foreign"
     defaults = {"size": 3, "share": 0.5, "flag": False, "way": "up", "lut": None}
@@ -84,6 +87,15 @@ def test_other_peoples_code_that_fails_is_reported_too(monkeypatch, tmp_path):
     monkeypatch.setattr(registry, "_installed", lambda: points("postfx_broken:Pass"))
     with pytest.raises(registry.RegistryError, match="pass 'foreign' cannot be loaded: no licence"):
         registry.load("foreign")
+
+
+def test_a_pass_that_cannot_be_made_is_named(foreign, monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("no licence")
+
+    monkeypatch.setattr(Foreign, "__init__", fail)
+    with pytest.raises(PassOptionError, match="pass 'foreign' cannot be made: no licence"):
+        registry.create("foreign")
 
 
 def test_our_names_cannot_be_taken_and_no_name_means_two_passes(monkeypatch):
@@ -132,7 +144,11 @@ def test_passes_stand_where_they_are_asked_for(foreign):
 
     assert order("foreign,size=1", "foreign,size=2") == ["overlay", "foreign1", "foreign2", "tonemap"]
     assert order("foreign,size=1,after=tonemap", "foreign,size=2,after=tonemap")[2:] == ["foreign1", "foreign2"]
+    assert order(*(f"foreign,size={size},after=overlay" for size in (1, 2, 3))) == [
+        "overlay", "foreign1", "foreign2", "foreign3", "tonemap"]
     assert order("foreign,size=1,before=overlay", "foreign,size=2,before=overlay")[:2] == ["foreign1", "foreign2"]
     assert order("display,before=foreign", "foreign,size=1,after=tonemap")[2:] == ["display", "foreign1"]
     with pytest.raises(OptionError, match="no pass 'overlai' runs here: did you mean overlay. there are overlay, tone"):
         order("foreign,after=overlai")
+    with pytest.raises(OptionError, match="--pass display: no pass 'a' runs here"):
+        order("display,after=a", "foreign,after=b")
