@@ -116,7 +116,8 @@ ROOMS = (
     _room("temporal/", 3, "temporal", *_in("integrate", "motion")),
     _room("masks/", 3, "masks", *_in("io", "masks")),
     _room("exposure/", 2, "exposure"),
-    _room("colour/", 2, "colour", *_in("passes", "display"), "test_look_table.py"),
+    _room("colour/", 2, "colour", *_in("exposure", "views"), *_in("passes", "display", "display_view"),
+          "test_look_table.py"),
     _room("integrate/", 2, "integrate"),
     _room("cuts.py", 1, "test_cuts.py"),
     _room("plan.py", 1, "test_plan.py"),
@@ -170,6 +171,8 @@ CHOSEN = (
 )
 """Python or CUDA, what stands once in all of postfx's sources of that kind, and the fault that is put in its place."""
 EQUIVALENT = {
+    "number: 1 -> 2 in head = json.dumps(": "JSON means the same with other spaces",
+    "number: 0.0 -> -1.0 in signal = np.clip(": "what is below 0 becomes 0, too",
     "number: 0 -> -1 in mix_row(": "the output of a network holds one frame, the first and the last",
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",
     "chosen: or abs(columns[1]) > MARGIN - 3 -> or columns[1] > MARGIN - 3": "the second column lies after the first",

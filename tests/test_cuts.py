@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, Role, read_sequence
-from postfx.cuts import CutDetector
+from postfx.cuts import CutDetector, _picture
 from postfx.errors import CutError
 
 ROOM = Path(__file__).resolve().parent.parent / "samples" / "room"
@@ -38,6 +38,12 @@ def cuts(frames: list[Frame]) -> list[int]:
     """Indices at which a cut is found."""
     detector = CutDetector()
     return [index for index, frame in enumerate(frames) if detector(frame)]
+
+
+@pytest.mark.parametrize(("size", "cells"), [((1080, 1920), (45, 80)), ((2160, 800), (80, 29)), ((64, 96), (16, 24))])
+def test_pictures_have_few_cells_of_four_pixels_and_more(size: tuple[int, int], cells: tuple[int, int]) -> None:
+    found = _picture(Frame({Role.COLOUR: np.ones((*size, 3), np.float32)}))
+    assert found.light.shape == (*cells, 2)
 
 
 def turned(frame: Frame) -> Frame:

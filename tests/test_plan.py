@@ -50,6 +50,22 @@ def test_only_needed_planes_are_read():
     assert make_plan([toys.Enlarge()], SPEC).planes == (Role.COLOUR, Role.ALPHA, Role.DEPTH)
 
 
+def test_steps_up_to_the_last_one_that_improves_with_earlier_frames():
+    class Mean(toys.Sum):
+        """Of all frames so far."""
+
+        name = "mean"
+
+        def accumulates(self, spec):
+            return spec.has(Role.COLOUR)
+
+    def names(*passes: Pass) -> list[str]:
+        return [step.name for step in make_plan(passes, SPEC).accumulating()]
+
+    assert names(toys.Sum(), Mean(), Encode()) == ["sum", "mean"]
+    assert names(Mean(), toys.Sum()) == ["mean"] and names(toys.Sum(), Encode()) == []
+
+
 def test_optional_planes_are_read_when_there():
     with_mask = FrameSpec(6, 10, (Role.COLOUR, Role.REACTIVE))
     assert make_plan([toys.Sum()], with_mask).planes == (Role.COLOUR, Role.REACTIVE)

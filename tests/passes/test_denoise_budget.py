@@ -67,6 +67,18 @@ def test_it_climbs_by_the_mean_of_the_times_and_goes_back_after_two_frames() -> 
     assert found == [0, 0, 0, 0, 0, 0, 1, 1, 1, 0]
 
 
+@pytest.mark.parametrize(("budget", "rung", "times", "wanted"), [
+    (100, 0, (999, 10, 10), [0, 0, 2]), (40, 2, (999, 80, 80), [2, 2, 1]), (10, 2, (999, 80, 80), [2, 2, 0])])
+def test_two_frames_decide(budget: float, rung: int, times: tuple[float, ...], wanted: list[int]) -> None:
+    """The slowest rung that fits, the budget itself included; the fastest where none does."""
+    ladder, found = Ladder((1.0, 2.0, 4.0), budget), []
+    ladder.rung = rung
+    for milliseconds in times:
+        ladder.note_time(milliseconds)
+        found.append(ladder.rung)
+    assert found == wanted
+
+
 def test_a_frame_may_take_the_whole_budget() -> None:
     ladder = Ladder((1.0, 2.0), 40)
     ladder.rung = 1
