@@ -136,11 +136,13 @@ def test_planes_of_another_size_are_dropped(device):
 def test_guides_reach_the_pass_that_reads_them(device):
     pipeline = Pipeline([toys.AddGuide()], device)
     for number in (1, 2):
-        frame = make_frame(number, (6, 10), guides=toys.make_guides((12, 20)))
+        frame = make_frame(number, (6, 10), guides=toys.make_guides((12, 20)), guide_jitter=(0.25, -0.25),
+                           guide_source="guides.exr")
         result = pipeline(frame)
         wanted = frame[Role.COLOUR].repeat(2, 0).repeat(2, 1) + frame.guides[Role.DIFFUSE_ALBEDO]
         np.testing.assert_array_equal(result[Role.COLOUR], wanted)
-        assert result.guides == {}
+        assert result.guides == {} and result.guide_size is None
+        assert result.guide_jitter == (0, 0) and result.guide_source is None
     bare = make_frame(1, (6, 10))
     np.testing.assert_array_equal(pipeline(bare)[Role.COLOUR], bare[Role.COLOUR].repeat(2, 0).repeat(2, 1))
 
