@@ -237,3 +237,44 @@ def parser(doc: str | None, tag: str) -> argparse.ArgumentParser:
     made.add_argument("--models", type=Path, default=MODELS, help="folder to write to")
     made.add_argument("--network-only", action="store_true", help="leave the kernels as they are")
     return made
+
+
+# Steps that rewrite a graph -----------------------------------------------------------------------------------------
+
+def append_node(made: list[onnx.NodeProto], kind: str, inputs: list[str], output: str, **attributes: object) -> str:
+    """Append a node with one output, whose name is returned."""
+    made.append(onnx.helper.make_node(kind, inputs, [output], name=f"node_{output}", **attributes))
+    return output
+
+
+def add_constant(graph: onnx.GraphProto, name: str, array: np.ndarray) -> None:
+    """Give a graph a constant, unless it has one of that name."""
+    if all(weight.name != name for weight in graph.initializer):
+        graph.initializer.append(onnx.numpy_helper.from_array(np.array(array, order="C"), name))
+
+
+def constant_value(graph: onnx.GraphProto, name: str) -> np.ndarray:
+    """Values of a constant, which may be stored in half precision with a cast."""
+    cast = next((node for node in graph.node if node.op_type == "Cast" and node.output[0] == name), None)
+    stored = cast.input[0] if cast else name
+    return onnx.numpy_helper.to_array(next(weight for weight in graph.initializer if weight.name == stored))
+
+
+def drop_unused(graph: onnx.GraphProto) -> None:
+    """Keep only nodes and weights that outputs need."""
+    needed, nodes = {value.name for value in graph.output}, []
+    for one in reversed(graph.node):
+        if needed & set(one.output):
+            nodes.append(one)
+            needed |= set(one.input)
+    replace_nodes(graph, nodes[::-1])
+    weights = [weight for weight in graph.initializer if weight.name in needed]
+    del graph.initializer[:]
+    graph.initializer.extend(weights)
+
+
+def replace_nodes(graph: onnx.GraphProto, nodes: list[onnx.NodeProto]) -> None:
+    """Replace all nodes of a graph; some of the new ones may be its own."""
+    nodes = [onnx.NodeProto.FromString(one.SerializeToString()) for one in nodes]
+    del graph.node[:]
+    graph.node.extend(nodes)

@@ -3,12 +3,15 @@
 They define the compute kernels in ``postfx/kernels``: the portable ONNX kernels are exported from here, and parity
 tests hold the compiled ones to them. Pixel centres lie at integer coordinates.
 """
+
+from typing import NamedTuple
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from postfx.kernels.denoise import layout
-from postfx.kernels.denoise.layout import MAX_COLOUR
+from postfx.kernels.denoise.layout import DOUBT, FAINT, MAX_COLOUR, TRUST_CELL
 
 TAPS = 5
 TINY = float(layout.TINY)
@@ -208,3 +211,166 @@ def log_encode(exposed: Tensor) -> Tensor:
     """log(1 + x) of a colour in [0, 1e4]."""
     return torch.log1p(exposed.clamp(0.0, MAX_COLOUR))
 
+
+# From render size to output size ------------------------------------------------------------------------------------
+# The network predicts kernels and controls at the four quarter-pixel corners of a render pixel. At scale 2 the centres
+# of output pixels lie there; at other scales the predictions are interpolated.
+
+PHASE_TAPS = 3
+SAMPLE_SIGMA = 0.5  # render pixels: a sample says little about what lies farther away
+BLUR_SIGMA = 1.0  # what sharpening is measured against
+
+
+class Centres(NamedTuple):
+    """Render pixels that hold the centres of output rows and columns, and the centres' offsets from theirs."""
+
+    rows: Tensor
+    y: Tensor
+    columns: Tensor
+    x: Tensor
+
+
+def centres(h: int, w: int, height: int, width: int, device: torch.device) -> Centres:
+    """Of a whole picture."""
+    return Centres(*nearest_index(h, height, device), *nearest_index(w, width, device))
+
+
+def corner_index(size: int, out_size: int, device: torch.device) -> Tensor:
+    """For each of ``size`` pixels the output pixels that hold its points at 1/4 and 3/4: (2, size)."""
+    quarters = 4 * torch.arange(size, device=device) + torch.tensor([[1], [3]], device=device)
+    return quarters * out_size // (4 * size)
+
+
+def tap_offsets(device: torch.device) -> Tensor:
+    """(9, 2) offsets x, y of the 3x3 neighbourhood, rows first."""
+    line = torch.arange(-1.0, 2.0, device=device)
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    return torch.stack((x, y), -1).reshape(-1, 2)
+
+
+def sample_prior(jitter: Tensor, x: Tensor, y: Tensor, sigma: float = SAMPLE_SIGMA) -> Tensor:
+    """Gaussian weight of each 3x3 tap by the distance from its sample to the output pixel.
+
+    ``jitter`` (N, 2) in render pixels; ``x`` and ``y`` are offsets of output centres from their render pixel's
+    centre. Returns (N, 9, len(y), len(x)).
+    """
+    sample = tap_offsets(jitter.device)[None] + jitter[:, None]
+    gx = torch.exp(-((sample[..., 0:1] - x) ** 2) / (2 * sigma**2))
+    gy = torch.exp(-((sample[..., 1:2] - y) ** 2) / (2 * sigma**2))
+    return gy[..., :, None] * gx[..., None, :]
+
+
+def interpolate_phases(phases: Tensor, height: int, width: int) -> Tensor:
+    """(N, C, 4, h, w), one value at each quarter-pixel corner (rows first), to output size (N, C, H, W).
+
+    Between the corners values are linear, beyond them constant. At scale 2 output centres are the corners.
+    """
+    n, c, _, h, w = phases.shape
+    if (height, width) == (2 * h, 2 * w):
+        return F.pixel_shuffle(phases.reshape(n, c * 4, h, w), 2)
+    return interpolate_any(phases, height, width)
+
+
+def interpolate_any(phases: Tensor, height: int, width: int) -> Tensor:
+    """The same without the short cut of scale 2."""
+    return interpolate_at(phases, centres(*phases.shape[-2:], height, width, phases.device))
+
+
+def interpolate_at(phases: Tensor, at: Centres) -> Tensor:
+    """The same at some rows and columns."""
+    ty, tx = (2 * at.y + 0.5).clamp(0, 1)[:, None], (2 * at.x + 0.5).clamp(0, 1)
+    at = pick(phases, at.rows, at.columns)
+    top = at[:, :, 0] * (1 - tx) + at[:, :, 1] * tx
+    bottom = at[:, :, 2] * (1 - tx) + at[:, :, 3] * tx
+    return top * (1 - ty) + bottom * ty
+
+
+def upsample(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Radiance at output size, twice: by predicted 3x3 weights (N, 9, 4, h, w) times the prior of ``sample_prior``,
+    and softened by a wide Gaussian, against which the first can be sharpened."""
+    h, w = radiance.shape[-2:]
+    if (height, width) == (2 * h, 2 * w):
+        return upsample_double(radiance, weights, jitter)
+    return upsample_any(radiance, weights, jitter, height, width)
+
+
+def upsample_double(radiance: Tensor, weights: Tensor, jitter: Tensor) -> tuple[Tensor, Tensor]:
+    """Scale 2, where the four output pixels of a render pixel lie at its corners: all work at render size."""
+    n, channels, h, w = radiance.shape
+    taps = shifted(radiance, PHASE_TAPS, "replicate")
+    corners = torch.arange(2, device=radiance.device) * 0.5 - 0.25
+    blend = weights * sample_prior(jitter, corners, corners).reshape(-1, 9, 4, 1, 1)
+    wide = sample_prior(jitter, corners, corners, BLUR_SIGMA).reshape(-1, 9, 4, 1, 1)
+    return tuple(F.pixel_shuffle(torch.stack([weighted_mean(taps, x[:, :, p]) for p in range(4)], 2)
+                                 .reshape(n, 4 * channels, h, w), 2) for x in (blend, wide))
+
+
+def upsample_any(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Any scale."""
+    return upsample_at(radiance, weights, jitter, centres(*radiance.shape[-2:], height, width, radiance.device))
+
+
+def upsample_at(radiance: Tensor, weights: Tensor, jitter: Tensor, at: Centres) -> tuple[Tensor, Tensor]:
+    """The same at some rows and columns."""
+    blend = interpolate_at(weights, at) * sample_prior(jitter, at.x, at.y)
+    taps = pick(shifted(radiance, PHASE_TAPS, "replicate"), at.rows, at.columns)
+    return weighted_mean(taps, blend), weighted_mean(taps, sample_prior(jitter, at.x, at.y, BLUR_SIGMA))
+
+
+def weighted_mean(taps: Tensor, weights: Tensor) -> Tensor:
+    """Mean over the taps of (N, C, K, h, w) by weights (N, K, h, w), or (N, K, 1, 1)."""
+    return (taps * weights[:, None]).sum(2) / weights.sum(1)[:, None].clamp(min=TINY)
+
+
+# Trust in guides ----------------------------------------------------------------------------------------------------
+# How far the guides are trusted as reflectance at output size.
+#
+# The mean of the guides over a render pixel should equal the planes of the render size. Where the two differ by as much
+# as the guides vary, the guides are noise: one sample a pixel of a finer texture, or another surface.
+
+def trust(own: Tensor, guides: Tensor, at: Place, h: int | Tensor, w: int | Tensor, valid: Tensor) -> Tensor:
+    """(N, 1, cells, cells): 1 - DOUBT * apart / spread of cells of 8x8 render pixels, 1 where nothing is ``valid``.
+
+    ``own`` (N, 3, h, w) is the reflectance of the render pixels ``at`` rows and columns of a frame of ``h`` by ``w``,
+    ``guides`` (N, 3, H, W) that of the whole frame at output size, ``valid`` (N, 1, h, w) 1 where pixels count, else 0.
+    """
+    mean, spread = _differences(own, guides, *(span(index, size, full) for index, size, full in zip(
+        at, (h, w), guides.shape[-2:], strict=True)))
+    apart = mean.square().sum(1, keepdim=True)
+    cells = F.avg_pool2d(torch.cat((apart, spread, 3 * torch.ones_like(spread)), 1) * valid, TRUST_CELL, ceil_mode=True)
+    apart, spread, count = cells.split(1, 1)
+    return 1 - float(DOUBT) * apart / (spread + float(FAINT) * count).clamp(min=TINY)
+
+
+def trust_at(cells: Tensor, at: Centres, h: int | Tensor, w: int | Tensor) -> Tensor:
+    """Trust at output pixels (N, 1, H, W), linear between the centres of cells; ``h`` by ``w`` render pixels of these
+    count."""
+    return between(between(cells, at.columns + at.x, w, -1), at.rows + at.y, h, -2)
+
+
+def _differences(own: Tensor, guides: Tensor, rows: tuple[Tensor, Tensor],
+                 columns: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    """Mean relative difference (N, 3, h, w) of the guides from their render pixel, and mean square of it over the
+    pixels that this touches, summed over the channels (N, 1, h, w)."""
+    mean = spread = torch.zeros((), device=own.device)
+    height, width = guides.shape[-2:]
+    for k in range(MAX_SPAN):
+        down = (rows[0] + k < rows[1]).to(own.dtype) / (rows[1] - rows[0])
+        for i in range(MAX_SPAN):
+            share = down[:, None] * ((columns[0] + i < columns[1]).to(own.dtype) / (columns[1] - columns[0]))
+            found = pick(guides, (rows[0] + k).clamp(max=height - 1), (columns[0] + i).clamp(max=width - 1))
+            apart = found / own - 1
+            mean, spread = mean + share * apart, spread + share * apart.square().sum(1, keepdim=True)
+    return mean, spread
+
+
+def between(cells: Tensor, at: Tensor, size: int | Tensor, axis: int, first: int | Tensor = 0) -> Tensor:
+    """Values at places in render pixels along an axis, linear between the centres of cells; ``cells`` holds those from
+    the ``first`` on."""
+    last = (size - 1) // TRUST_CELL
+    place = ((at + 0.5) / TRUST_CELL - 0.5).clamp(min=0)
+    place = (place - last).clamp(max=0) + last
+    before = place.floor()
+    share = (place - before).to(cells.dtype).unflatten(0, (-1, *[1] * (-1 - axis)))
+    here, there = ((index - first).long().clamp(max=cells.shape[axis] - 1) for index in (before, before + 1))
+    return torch.lerp(cells.index_select(axis, here), cells.index_select(axis, there), share)

@@ -34,11 +34,10 @@ from training.denoise.int8 import (  # noqa: E402
     convolutions,
     round_compensated,
     unfold_half,
-    value,
 )
 from training.denoise.int8 import quantise as quantised  # noqa: E402
 from training.denoise.quantise import best_range  # noqa: E402
-from training.export import lower_constants  # noqa: E402
+from training.export import constant_value, lower_constants  # noqa: E402
 
 NAMES = ("denoise_upscale.small", "denoise_upscale.small.guides", "denoise_upscale.low")
 ROOM = Path(__file__).parents[2] / "samples/room/noisy.####.exr"
@@ -168,7 +167,7 @@ def test_a_channel_of_bias_alone_keeps_its_value(small_models: Path) -> None:
     ranges = dict.fromkeys(activations(model.graph, quantise.LAYERS), Range.of(-1, 1))
     kept = {}
     for one in convolutions(model.graph, quantise.LAYERS):
-        moments, held = Moments.of(one), value(model.graph, one.input[1])
+        moments, held = Moments.of(one), constant_value(model.graph, one.input[1])
         moments.add(np.random.default_rng(0).random((1, held.shape[1], 16, 16), np.float32))
         kept[one.input[1]] = moments.round_weights(held)
     graph = quantised(model, quantise.LAYERS, ranges, kept).graph

@@ -21,8 +21,7 @@ from onnx import TensorProto, numpy_helper  # noqa: E402
 from onnx.reference import ReferenceEvaluator  # noqa: E402
 
 from training.denoise.fp16 import pack  # noqa: E402
-from training.denoise.int8 import value as constant_value  # noqa: E402
-from training.export import lower_constants  # noqa: E402
+from training.export import constant_value, lower_constants  # noqa: E402
 
 BOUNDS = {"fp32": (2e-5, 5e-6), "fp16": (1e-3, 5e-4), "int8": (0.05, 5e-3), "tone": (1e-6, 1e-6)}
 """Precision -> largest and root mean square error of an output, by those of its values. In int8 a value between two

@@ -29,6 +29,7 @@ from training.denoise.quantise import variant_name
 from training.export import (
     MODELS,
     ParityError,
+    drop_unused,
     known_recipe,
     lower_constants,
     relative_error,
@@ -60,7 +61,7 @@ def halve(model: onnx.ModelProto) -> onnx.ModelProto:
     del graph.output[:], graph.input[:]
     graph.output.extend(heads)
     graph.input.extend(inputs)
-    _drop_unused(graph)
+    drop_unused(graph)
     onnx.checker.check_model(model)
     return model
 
@@ -143,19 +144,6 @@ def _take_packed(graph: GraphProto, name: str, channels: int) -> onnx.ValueInfoP
         node.input[:2] = [f"{packed}_first", f"{node.input[1]}_filled"]
     graph.node.insert(0, helper.make_node("Transpose", [packed], [f"{packed}_first"], perm=CHANNELS_FIRST))
     return helper.make_tensor_value_info(packed, TensorProto.FLOAT16, [1, "height", "width", wide])
-
-
-def _drop_unused(graph: GraphProto) -> None:
-    """Remove nodes and weights that no output needs."""
-    needed, kept = {value.name for value in graph.output}, []
-    for node in reversed(graph.node):
-        if needed.intersection(node.output):
-            kept.append(node)
-            needed.update(node.input)
-    weights = [weight for weight in graph.initializer if weight.name in needed]
-    del graph.node[:], graph.initializer[:]
-    graph.node.extend(reversed(kept))
-    graph.initializer.extend(weights)
 
 
 def _add_weight(graph: GraphProto, name: str, value: np.ndarray) -> None:

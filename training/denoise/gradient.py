@@ -19,8 +19,7 @@ from training.denoise.dataset import Batch
 
 # Small operations that a step spends its time in. Each is bound by memory when run as written; compiled on its own it
 # is one or two GPU kernels forward and as many backward. Compiling the whole step would take minutes for every shape.
-FUSED = ((ops, ("filter_kernels", "pool", "demodulation", "dilate_motion", "box_mean")),
-         (network, ("upsample",)),
+FUSED = ((ops, ("filter_kernels", "pool", "demodulation", "dilate_motion", "box_mean", "upsample")),
          (network, ("features", "guide_features", "accumulate", "demodulate")),
          (losses, ("display", "frame_loss", "flicker_loss", "explained_by_motion", "even_scale")))
 

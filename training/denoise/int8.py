@@ -15,52 +15,10 @@ import onnx
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 from postfx.passes.denoise.network import CODING, FEATURE_PARTS, PHASED_FINE, PRODUCTS, SCALING, STORED, stored_channels
-
-# Small steps of a graph ---------------------------------------------------------------------------------------------
-# Small steps for rewriting ONNX graphs.
+from training.export import add_constant, append_node, constant_value, drop_unused, replace_nodes
 
 FIRST_TO_LAST, LAST_TO_FIRST = (0, 2, 3, 1), (0, 3, 1, 2)
 """Axes of channels brought to the end, and back."""
-
-
-def node(made: list[NodeProto], kind: str, inputs: list[str], output: str, **attributes: object) -> str:
-    """Append a node with one output, whose name is returned."""
-    made.append(helper.make_node(kind, inputs, [output], name=f"node_{output}", **attributes))
-    return output
-
-
-def constant(graph: onnx.GraphProto, name: str, array: np.ndarray) -> None:
-    """Give a graph a constant, unless it has one of that name."""
-    if all(weight.name != name for weight in graph.initializer):
-        graph.initializer.append(numpy_helper.from_array(np.array(array, order="C"), name))
-
-
-def value(graph: onnx.GraphProto, name: str) -> np.ndarray:
-    """Values of a constant, which may be stored in half precision with a cast."""
-    cast = next((node for node in graph.node if node.op_type == "Cast" and node.output[0] == name), None)
-    stored = cast.input[0] if cast else name
-    return numpy_helper.to_array(next(weight for weight in graph.initializer if weight.name == stored))
-
-
-def prune(graph: onnx.GraphProto) -> None:
-    """Keep only nodes and weights that outputs need."""
-    needed, nodes = {value.name for value in graph.output}, []
-    for one in reversed(graph.node):
-        if needed & set(one.output):
-            nodes.append(one)
-            needed |= set(one.input)
-    replace(graph, nodes[::-1])
-    weights = [weight for weight in graph.initializer if weight.name in needed]
-    del graph.initializer[:]
-    graph.initializer.extend(weights)
-
-
-def replace(graph: onnx.GraphProto, nodes: list[NodeProto]) -> None:
-    """Replace all nodes of a graph; some of the new ones may be its own."""
-    nodes = [NodeProto.FromString(one.SerializeToString()) for one in nodes]
-    del graph.node[:]
-    graph.node.extend(nodes)
-
 
 # Rounding -----------------------------------------------------------------------------------------------------------
 # Round a convolution's weights to integers, each compensating the errors of those before it.
@@ -332,46 +290,46 @@ def in_integers(model: onnx.ModelProto, weights: Mapping[str, Rounded], stem: St
         _multiply(model.graph, name, head, weights[head.input[1]])
     if stem:
         stem.write(model.graph)
-    prune(model.graph)
+    drop_unused(model.graph)
     onnx.checker.check_model(model)
     return model
 
 
 def facts(model: onnx.ModelProto) -> dict[str, Any]:
     """Inputs and outputs of such a model, for its card."""
-    found = {"outputs": _listed(model.graph.output, "denoise_products")}
+    found = {"outputs": _listed(model.graph.output)}
     for weight in model.graph.initializer:
         if weight.name in found["outputs"]:
             found["outputs"][weight.name]["constant"] = True
     if model.graph.input[0].name.startswith(STORED):
-        found["inputs"] = _listed(model.graph.input, "denoise_store")
+        found["inputs"] = _listed(model.graph.input)
     return found
 
 
-def _listed(values: Iterable[onnx.ValueInfoProto], kernels: str) -> dict[str, Any]:
+def _listed(values: Iterable[onnx.ValueInfoProto]) -> dict[str, Any]:
     return {value.name: {"shape": [dim.dim_value or dim.dim_param for dim in value.type.tensor_type.shape.dim],
-                         "meaning": f"see postfx/kernels/{kernels}.py"} for value in values}
+                         "meaning": "see postfx/kernels/denoise/network_io.py"} for value in values}
 
 
 def _repeat(graph: onnx.GraphProto, resize: NodeProto) -> None:
     """Replace a node that enlarges by repeating 8-bit pixels twice along both axes."""
     name, source = resize.output[0], resize.input[0].removesuffix(KEPT) + QUANTISED
     made: list[NodeProto] = []
-    shape = node(made, "Shape", [source], f"{name}_shape")
-    last = node(made, "Transpose", [source], f"{name}_last", perm=FIRST_TO_LAST)
+    shape = append_node(made, "Shape", [source], f"{name}_shape")
+    last = append_node(made, "Transpose", [source], f"{name}_last", perm=FIRST_TO_LAST)
     for side, axis in (("columns", 2), ("rows", 1)):
-        count = node(made, "Gather", [shape, f"{side}_axis"], f"{name}_{side}")
-        twice = node(made, "Range", ["zero", node(made, "Mul", [count, "two"], f"{name}_{side}_end"), "one"],
-                      f"{name}_{side}_range")
-        places = node(made, "Div", [twice, "two"], f"{name}_{side}_places")
-        last = node(made, "Gather", [last, places], f"{name}_{side}_repeated", axis=axis)
-    node(made, "Transpose", [last], f"{name}{QUANTISED}", perm=LAST_TO_FIRST)
+        count = append_node(made, "Gather", [shape, f"{side}_axis"], f"{name}_{side}")
+        end = append_node(made, "Mul", [count, "two"], f"{name}_{side}_end")
+        twice = append_node(made, "Range", ["zero", end, "one"], f"{name}_{side}_range")
+        places = append_node(made, "Div", [twice, "two"], f"{name}_{side}_places")
+        last = append_node(made, "Gather", [last, places], f"{name}_{side}_repeated", axis=axis)
+    append_node(made, "Transpose", [last], f"{name}{QUANTISED}", perm=LAST_TO_FIRST)
     for key, number in {"zero": 0, "one": 1, "two": 2, "rows_axis": 2, "columns_axis": 3}.items():
-        constant(graph, key, np.array(number, np.int64))
+        add_constant(graph, key, np.array(number, np.int64))
     quantiser = next(one for one in graph.node if one.input[:1] == [name])
     at = list(graph.node).index(quantiser)
     nodes = [one for one in graph.node if one is not resize and one is not quantiser]
-    replace(graph, [*nodes[:at - 1], *made, *nodes[at - 1:]])
+    replace_nodes(graph, [*nodes[:at - 1], *made, *nodes[at - 1:]])
 
 
 def heads(graph: onnx.GraphProto) -> dict[str, NodeProto]:
@@ -389,12 +347,13 @@ def heads(graph: onnx.GraphProto) -> dict[str, NodeProto]:
 def _multiply(graph: onnx.GraphProto, output: str, convolution: NodeProto, weights: Rounded) -> None:
     """Replace a 1x1 convolution and everything after it by a product of 8-bit values."""
     name, source = "fine" if output == PHASED_FINE else output, convolution.input[0].removesuffix(KEPT)
-    constant(graph, f"{name}_factors", (weights.factors[:, :, 0, 0] + MIDDLE).astype(np.uint8))
-    scaling = np.stack([weights.steps * value(graph, f"{source}_scale"), value(graph, convolution.input[2])])
-    constant(graph, f"{SCALING}{name}", scaling.astype(np.float32))
+    add_constant(graph, f"{name}_factors", (weights.factors[:, :, 0, 0] + MIDDLE).astype(np.uint8))
+    bias = constant_value(graph, convolution.input[2])
+    scaling = np.stack([weights.steps * constant_value(graph, f"{source}_scale"), bias])
+    add_constant(graph, f"{SCALING}{name}", scaling.astype(np.float32))
     made = _signed(graph, source, weights.factors.shape[1])
     signed = [f"{name}_factors", f"{source}_signed", "middle", f"{source}_signed_zero"]
-    node(made, "MatMulInteger", signed, f"{PRODUCTS}{name}")
+    append_node(made, "MatMulInteger", signed, f"{PRODUCTS}{name}")
     graph.node.extend(made)
     graph.output.remove(next(one for one in graph.output if one.name == output))
     places = f"height*width/{4 ** (1 if name == 'fine' else int(name[-1]))}"
@@ -410,12 +369,13 @@ def _signed(graph: onnx.GraphProto, source: str, channels: int) -> list[NodeProt
     name, codes = f"{source}_signed", f"{source}{QUANTISED}"
     if any(name in one.output for one in graph.node):
         return made
-    flat = node(made, "Reshape", [codes, f"{source}_flat"], f"{source}_codes")
-    node(made, "Cast", [node(made, "BitwiseXor", [flat, "sign"], f"{source}_turned")], name, to=TensorProto.INT8)
-    zero = np.int8(int(value(graph, f"{source}_zero")) - SIGN)
+    flat = append_node(made, "Reshape", [codes, f"{source}_flat"], f"{source}_codes")
+    flipped = append_node(made, "BitwiseXor", [flat, "sign"], f"{source}_turned")
+    append_node(made, "Cast", [flipped], name, to=TensorProto.INT8)
+    zero = np.int8(int(constant_value(graph, f"{source}_zero")) - SIGN)
     for key, held in {f"{source}_flat": np.array([channels, -1]), "sign": np.uint8(SIGN), "middle": np.uint8(MIDDLE),
                       f"{name}_zero": zero}.items():
-        constant(graph, key, held)
+        add_constant(graph, key, held)
     return made
 
 
@@ -470,8 +430,9 @@ class Stem:
     def __init__(self, graph: onnx.GraphProto) -> None:
         found = {one.input[0]: one for one in graph.node if one.op_type == "Conv" and one.input[0] in
                  (*FEATURE_PARTS, "guides")}
-        weights = {name: value(graph, one.input[1]).astype(np.float32) for name, one in found.items()}
-        self._bias = sum(value(graph, one.input[2]).astype(np.float32) for one in found.values() if len(one.input) > 2)
+        weights = {name: constant_value(graph, one.input[1]).astype(np.float32) for name, one in found.items()}
+        self._bias = sum(constant_value(graph, one.input[2]).astype(np.float32)
+                         for one in found.values() if len(one.input) > 2)
         self.ring = next(list(a.ints) for a in found[next(iter(FEATURE_PARTS))].attribute if a.name == "pads")[0]
         parts = {"features": np.concatenate([weights[part] for part in FEATURE_PARTS], 1)}
         if "guides" in weights:
@@ -505,7 +466,7 @@ class Stem:
         sides = [f"ringed_{side}" if self.ring else side for side in ("height", "width")]
         for name in self.names:
             count = stored_channels(name)
-            constant(graph, f"{CODING}{name}", np.stack(self._coding[name]))
+            add_constant(graph, f"{CODING}{name}", np.stack(self._coding[name]))
             graph.input.append(helper.make_tensor_value_info(f"{STORED}{name}", TensorProto.UINT8, [1, *sides, count]))
             graph.output.append(helper.make_tensor_value_info(f"{CODING}{name}", TensorProto.FLOAT, [2, count]))
 
@@ -516,16 +477,16 @@ class Stem:
         offset = np.rint(self._bias / steps) - (factors * zero[:, None, None]).sum((1, 2, 3))
         made: list[NodeProto] = []
         stored = [f"{STORED}{name}" for name in self.names]
-        last = node(made, "Concat", stored, "stored", axis=3) if len(stored) > 1 else stored[0]
-        first = node(made, "Transpose", [last], "stem_codes", perm=LAST_TO_FIRST)
-        reads = [node(made, "DequantizeLinear", [first, "stem_one", "stem_zero"], "stem_read")]
+        last = append_node(made, "Concat", stored, "stored", axis=3) if len(stored) > 1 else stored[0]
+        first = append_node(made, "Transpose", [last], "stem_codes", perm=LAST_TO_FIRST)
+        reads = [append_node(made, "DequantizeLinear", [first, "stem_one", "stem_zero"], "stem_read")]
         for name, kept in (("weight", factors.astype(np.int8)), ("bias", offset.astype(np.int32))):
-            constant(graph, f"stem_{name}", kept)
-            constant(graph, f"stem_{name}_zero", np.zeros(len(steps), kept.dtype))
+            add_constant(graph, f"stem_{name}", kept)
+            add_constant(graph, f"stem_{name}_zero", np.zeros(len(steps), kept.dtype))
             coded = [f"stem_{name}", "stem_steps", f"stem_{name}_zero"]
-            reads.append(node(made, "DequantizeLinear", coded, f"stem_{name}_kept", axis=0))
-        constant(graph, "stem_steps", steps)
-        constant(graph, "stem_one", np.float32(1))
-        constant(graph, "stem_zero", np.uint8(0))
-        node(made, "Conv", reads, "stem", strides=[2, 2], pads=[0] * 4, kernel_shape=list(factors.shape[2:]))
+            reads.append(append_node(made, "DequantizeLinear", coded, f"stem_{name}_kept", axis=0))
+        add_constant(graph, "stem_steps", steps)
+        add_constant(graph, "stem_one", np.float32(1))
+        add_constant(graph, "stem_zero", np.uint8(0))
+        append_node(made, "Conv", reads, "stem", strides=[2, 2], pads=[0] * 4, kernel_shape=list(factors.shape[2:]))
         return made

@@ -6,7 +6,6 @@ back, upsample with 3x3 kernels that know where the samples lie, and blend with 
 """
 
 from dataclasses import asdict, dataclass, fields, replace
-from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -15,8 +14,6 @@ from torch import Tensor, nn
 from postfx.kernels.denoise.layout import (
     BLEND,
     DISTRUST,
-    DOUBT,
-    FAINT,
     FEATURES,
     FINE,
     GUIDES,
@@ -32,7 +29,6 @@ from postfx.kernels.denoise.layout import (
     TRUST_CELL,
 )
 from training import ops
-from training.ops import TINY, nearest_index, pick, shifted
 
 # The network --------------------------------------------------------------------------------------------------------
 # U-Net that looks at a frame's features and says how to filter it: the machine-learning part of the upscaler.
@@ -174,171 +170,6 @@ class Trunk(nn.Module):
         return activated(F.pixel_shuffle(self.fine(x), 2))
 
 
-# From render size to output size ------------------------------------------------------------------------------------
-# From render size to output size: kernels and controls at the four quarter-pixel corners of a render pixel, NCHW.
-#
-# The corners are where output centres lie at scale 2; at other scales what was predicted there is interpolated.
-
-PHASE_TAPS = 3
-SAMPLE_SIGMA = 0.5  # render pixels: a sample says little about what lies farther away
-BLUR_SIGMA = 1.0  # what sharpening is measured against
-
-
-class Centres(NamedTuple):
-    """Render pixels that hold the centres of output rows and columns, and the centres' offsets from theirs."""
-
-    rows: Tensor
-    y: Tensor
-    columns: Tensor
-    x: Tensor
-
-
-def centres(h: int, w: int, height: int, width: int, device: torch.device) -> Centres:
-    """Of a whole picture."""
-    return Centres(*nearest_index(h, height, device), *nearest_index(w, width, device))
-
-
-def corner_index(size: int, out_size: int, device: torch.device) -> Tensor:
-    """For each of ``size`` pixels the output pixels that hold its points at 1/4 and 3/4: (2, size)."""
-    quarters = 4 * torch.arange(size, device=device) + torch.tensor([[1], [3]], device=device)
-    return quarters * out_size // (4 * size)
-
-
-def tap_offsets(device: torch.device) -> Tensor:
-    """(9, 2) offsets x, y of the 3x3 neighbourhood, rows first."""
-    line = torch.arange(-1.0, 2.0, device=device)
-    y, x = torch.meshgrid(line, line, indexing="ij")
-    return torch.stack((x, y), -1).reshape(-1, 2)
-
-
-def sample_prior(jitter: Tensor, x: Tensor, y: Tensor, sigma: float = SAMPLE_SIGMA) -> Tensor:
-    """Gaussian weight of each 3x3 tap by the distance from its sample to the output pixel.
-
-    ``jitter`` (N, 2) in render pixels; ``x`` and ``y`` are offsets of output centres from their render pixel's
-    centre. Returns (N, 9, len(y), len(x)).
-    """
-    sample = tap_offsets(jitter.device)[None] + jitter[:, None]
-    gx = torch.exp(-((sample[..., 0:1] - x) ** 2) / (2 * sigma**2))
-    gy = torch.exp(-((sample[..., 1:2] - y) ** 2) / (2 * sigma**2))
-    return gy[..., :, None] * gx[..., None, :]
-
-
-def interpolate_phases(phases: Tensor, height: int, width: int) -> Tensor:
-    """(N, C, 4, h, w), one value at each quarter-pixel corner (rows first), to output size (N, C, H, W).
-
-    Between the corners values are linear, beyond them constant. At scale 2 output centres are the corners.
-    """
-    n, c, _, h, w = phases.shape
-    if (height, width) == (2 * h, 2 * w):
-        return F.pixel_shuffle(phases.reshape(n, c * 4, h, w), 2)
-    return interpolate_any(phases, height, width)
-
-
-def interpolate_any(phases: Tensor, height: int, width: int) -> Tensor:
-    """The same without the short cut of scale 2."""
-    return interpolate_at(phases, centres(*phases.shape[-2:], height, width, phases.device))
-
-
-def interpolate_at(phases: Tensor, at: Centres) -> Tensor:
-    """The same at some rows and columns."""
-    ty, tx = (2 * at.y + 0.5).clamp(0, 1)[:, None], (2 * at.x + 0.5).clamp(0, 1)
-    at = pick(phases, at.rows, at.columns)
-    top = at[:, :, 0] * (1 - tx) + at[:, :, 1] * tx
-    bottom = at[:, :, 2] * (1 - tx) + at[:, :, 3] * tx
-    return top * (1 - ty) + bottom * ty
-
-
-def upsample(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """Radiance at output size, twice: by predicted 3x3 weights (N, 9, 4, h, w) times the prior of ``sample_prior``,
-    and softened by a wide Gaussian, against which the first can be sharpened."""
-    h, w = radiance.shape[-2:]
-    if (height, width) == (2 * h, 2 * w):
-        return upsample_double(radiance, weights, jitter)
-    return upsample_any(radiance, weights, jitter, height, width)
-
-
-def upsample_double(radiance: Tensor, weights: Tensor, jitter: Tensor) -> tuple[Tensor, Tensor]:
-    """Scale 2, where the four output pixels of a render pixel lie at its corners: all work at render size."""
-    n, channels, h, w = radiance.shape
-    taps = shifted(radiance, PHASE_TAPS, "replicate")
-    corners = torch.arange(2, device=radiance.device) * 0.5 - 0.25
-    blend = weights * sample_prior(jitter, corners, corners).reshape(-1, 9, 4, 1, 1)
-    wide = sample_prior(jitter, corners, corners, BLUR_SIGMA).reshape(-1, 9, 4, 1, 1)
-    return tuple(F.pixel_shuffle(torch.stack([weighted_mean(taps, x[:, :, p]) for p in range(4)], 2)
-                                 .reshape(n, 4 * channels, h, w), 2) for x in (blend, wide))
-
-
-def upsample_any(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """Any scale."""
-    return upsample_at(radiance, weights, jitter, centres(*radiance.shape[-2:], height, width, radiance.device))
-
-
-def upsample_at(radiance: Tensor, weights: Tensor, jitter: Tensor, at: Centres) -> tuple[Tensor, Tensor]:
-    """The same at some rows and columns."""
-    blend = interpolate_at(weights, at) * sample_prior(jitter, at.x, at.y)
-    taps = pick(shifted(radiance, PHASE_TAPS, "replicate"), at.rows, at.columns)
-    return weighted_mean(taps, blend), weighted_mean(taps, sample_prior(jitter, at.x, at.y, BLUR_SIGMA))
-
-
-def weighted_mean(taps: Tensor, weights: Tensor) -> Tensor:
-    """Mean over the taps of (N, C, K, h, w) by weights (N, K, h, w), or (N, K, 1, 1)."""
-    return (taps * weights[:, None]).sum(2) / weights.sum(1)[:, None].clamp(min=TINY)
-
-
-# Trust in guides ----------------------------------------------------------------------------------------------------
-# How far guides are trusted to say the reflectance at output size.
-#
-# Their mean over a render pixel should be what the planes of the render size hold. Where it is not, by as much as the
-# guides vary, they are noise: one sample a pixel of a texture finer than that, or another surface than the planes show.
-
-def trust(own: Tensor, guides: Tensor, at: ops.Place, h: int | Tensor, w: int | Tensor, valid: Tensor) -> Tensor:
-    """(N, 1, cells, cells): 1 - DOUBT * apart / spread of cells of 8x8 render pixels, 1 where nothing is ``valid``.
-
-    ``own`` (N, 3, h, w) is the reflectance of the render pixels ``at`` rows and columns of a frame of ``h`` by ``w``,
-    ``guides`` (N, 3, H, W) that of the whole frame at output size, ``valid`` (N, 1, h, w) 1 where pixels count, else 0.
-    """
-    mean, spread = _differences(own, guides, *(ops.span(index, size, full) for index, size, full in zip(
-        at, (h, w), guides.shape[-2:], strict=True)))
-    apart = mean.square().sum(1, keepdim=True)
-    cells = F.avg_pool2d(torch.cat((apart, spread, 3 * torch.ones_like(spread)), 1) * valid, TRUST_CELL, ceil_mode=True)
-    apart, spread, count = cells.split(1, 1)
-    return 1 - float(DOUBT) * apart / (spread + float(FAINT) * count).clamp(min=ops.TINY)
-
-
-def trust_at(cells: Tensor, at: Centres, h: int | Tensor, w: int | Tensor) -> Tensor:
-    """Trust at output pixels (N, 1, H, W), linear between the centres of cells; ``h`` by ``w`` render pixels of these
-    count."""
-    return between(between(cells, at.columns + at.x, w, -1), at.rows + at.y, h, -2)
-
-
-def _differences(own: Tensor, guides: Tensor, rows: tuple[Tensor, Tensor],
-                 columns: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    """Mean relative difference (N, 3, h, w) of the guides from their render pixel, and mean square of it over the
-    pixels that this touches, summed over the channels (N, 1, h, w)."""
-    mean = spread = torch.zeros((), device=own.device)
-    height, width = guides.shape[-2:]
-    for k in range(ops.MAX_SPAN):
-        down = (rows[0] + k < rows[1]).to(own.dtype) / (rows[1] - rows[0])
-        for i in range(ops.MAX_SPAN):
-            share = down[:, None] * ((columns[0] + i < columns[1]).to(own.dtype) / (columns[1] - columns[0]))
-            found = ops.pick(guides, (rows[0] + k).clamp(max=height - 1), (columns[0] + i).clamp(max=width - 1))
-            apart = found / own - 1
-            mean, spread = mean + share * apart, spread + share * apart.square().sum(1, keepdim=True)
-    return mean, spread
-
-
-def between(cells: Tensor, at: Tensor, size: int | Tensor, axis: int, first: int | Tensor = 0) -> Tensor:
-    """Values at places in render pixels along an axis, linear between the centres of cells; ``cells`` holds those from
-    the ``first`` on."""
-    last = (size - 1) // TRUST_CELL
-    place = ((at + 0.5) / TRUST_CELL - 0.5).clamp(min=0)
-    place = (place - last).clamp(max=0) + last
-    before = place.floor()
-    share = (place - before).to(cells.dtype).unflatten(0, (-1, *[1] * (-1 - axis)))
-    here, there = ((index - first).long().clamp(max=cells.shape[axis] - 1) for index in (before, before + 1))
-    return torch.lerp(cells.index_select(axis, here), cells.index_select(axis, there), share)
-
-
 # The output ---------------------------------------------------------------------------------------------------------
 # From filtered radiance at render size to the output: enlarged, given the guides' reflectance, sharpened, and blended
 # with the history.
@@ -355,7 +186,7 @@ class Reflectance:
 
 
 def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, inside: Tensor,
-            guided: Reflectance | None, at: Centres | None = None) -> Tensor:
+            guided: Reflectance | None, at: ops.Centres | None = None) -> Tensor:
     """Upsample radiance, sharpen it, and blend it with the reprojected history ``warped``, which is log-encoded, as is
     the result. ``guided`` radiance (N, 6, h, w) is without reflectance and with that of the render size: the first is
     multiplied by the guides' and counts as far as these are trusted. ``at`` says where the output's pixels lie; None:
@@ -365,11 +196,11 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
     weights = fine[:, KERNEL:BLEND].reshape(n, 9, 4, h, w)
     controls = fine[:, BLEND:MIX].reshape(n, 2, 4, h, w)
     if at is None:
-        controls = interpolate_phases(controls, height, width)
-        pictures = upsample(radiance, weights, jitter, height, width)
+        controls = ops.interpolate_phases(controls, height, width)
+        pictures = ops.upsample(radiance, weights, jitter, height, width)
     else:
-        controls = interpolate_at(controls, at)
-        pictures = upsample_at(radiance, weights, jitter, at)
+        controls = ops.interpolate_at(controls, at)
+        pictures = ops.upsample_at(radiance, weights, jitter, at)
     blend, sharpen = controls[:, :, None].unbind(1)
     if guided is not None:
         pictures = (torch.lerp(plain, exact * guided.factor, guided.trust)
@@ -385,8 +216,8 @@ def reflectance(factor: Tensor, own: Tensor) -> Reflectance:
     """The guides' ``factor`` (N, 3, H, W), trusted as far as the planes' ``own`` (N, 3, h, w) bears it out."""
     h, w = own.shape[-2:]
     whole = torch.arange(h, device=own.device), torch.arange(w, device=own.device)
-    cells = trust(own, factor, whole, h, w, torch.ones_like(own[:, :1]))
-    return Reflectance(factor, trust_at(cells, centres(h, w, *factor.shape[-2:], own.device), h, w))
+    cells = ops.trust(own, factor, whole, h, w, torch.ones_like(own[:, :1]))
+    return Reflectance(factor, ops.trust_at(cells, ops.centres(h, w, *factor.shape[-2:], own.device), h, w))
 
 
 # The recurrent step -------------------------------------------------------------------------------------------------
@@ -526,7 +357,7 @@ def features_of(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor
 def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:
     """The guides at the four quarter-pixel corners of each render pixel, nearest sample: (N, 44, h, w)."""
     at = seen_guides(guides, scale)
-    rows, columns = corner_index(h, at.shape[-2], at.device), corner_index(w, at.shape[-1], at.device)
+    rows, columns = ops.corner_index(h, at.shape[-2], at.device), ops.corner_index(w, at.shape[-1], at.device)
     return torch.cat([ops.pick(at, rows[i], columns[j]) for i in range(2) for j in range(2)], 1)
 
 
@@ -595,7 +426,7 @@ def trusted(factor: Tensor, share: Tensor) -> Tensor:
     """Reflectance of a frame as far as planes are trusted, (N, 1, h, w) in [-1, 1]; for the rest its mean."""
     h, w = factor.shape[-2:]
     rows, columns = (torch.arange(size, device=factor.device) for size in (h, w))
-    mean = between(between(mean_reflectance(factor), columns, w, -1), rows, h, -2)
+    mean = ops.between(ops.between(mean_reflectance(factor), columns, w, -1), rows, h, -2)
     return doubted(factor, mean, 0.5 - 0.5 * share)
 
 

@@ -41,9 +41,8 @@ from training.denoise.int8 import (
     quantise,
     show,
     unfold_half,
-    value,
 )
-from training.export import MODELS, known_recipe, lower_constants, store_half, write_card, write_model
+from training.export import MODELS, constant_value, known_recipe, lower_constants, store_half, write_card, write_model
 
 # Calibration --------------------------------------------------------------------------------------------------------
 # Statistics of a float network over frames: ranges of its tensors, and moments to round its weights by.
@@ -95,7 +94,8 @@ class Calibration:
 
     def weights(self) -> dict[str, Rounded]:
         """Weights of the convolutions in integers, by name."""
-        return {name: moments.round_weights(value(self._graph, name)) for name, moments in self._moments.items()}
+        return {name: moments.round_weights(constant_value(self._graph, name))
+                for name, moments in self._moments.items()}
 
 
 def best_range(values: np.ndarray) -> Range:

@@ -82,14 +82,14 @@ class Window(NamedTuple):
         rows, columns = counted(part)
         return (rows + self.out_top).clamp(max=self.height - 1), (columns + self.out_left).clamp(max=self.width - 1)
 
-    def centres(self, at: ops.Place, moved: Tensor) -> network.Centres:
+    def centres(self, at: ops.Place, moved: Tensor) -> ops.Centres:
         """Where, in a part ``moved`` (h, w, C), the frame's pixels ``at`` output size lie."""
         sizes = (self.h, self.height), (self.w, self.width)
         (rows, y), (columns, x) = (ops.nearest_of(index, *size) for index, size in zip(at, sizes, strict=True))
-        return network.Centres((rows - self.top).clamp(0, moved.shape[0] - 1), y,
+        return ops.Centres((rows - self.top).clamp(0, moved.shape[0] - 1), y,
                               (columns - self.left).clamp(0, moved.shape[1] - 1), x)
 
-    def enlarged_motion(self, moved: Tensor, at: network.Centres) -> Tensor:
+    def enlarged_motion(self, moved: Tensor, at: ops.Centres) -> Tensor:
         """Motion (h, w, 2) of a part at output size (1, 2, H, W), in output pixels."""
         scale = torch.stack((self.width / self.w, self.height / self.h)).to(moved.dtype)
         return ops.pick(to_image(moved * scale), at.rows, at.columns)
@@ -240,7 +240,7 @@ class Accumulate(nn.Module):
         """Mean reflectance around pixels of the frame; with one cell, that of all of them."""
         cells = to_image(means)
         for axis, index, size, first in ((-1, at[1], place.w, place.left), (-2, at[0], place.h, place.top)):
-            cells = network.between(cells, index, size, axis, first // TRUST_CELL - 1)
+            cells = ops.between(cells, index, size, axis, first // TRUST_CELL - 1)
         return cells
 
     @staticmethod
@@ -334,7 +334,7 @@ class Trust(nn.Module):
         own = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
         guides = ops.demodulation(to_image(guide_diffuse_albedo), to_image(guide_specular_albedo))
         valid = to_image(frame.valid(own[0, 0, :, :, None]))
-        return to_picture(network.trust(own, guides, at, frame.h, frame.w, valid))
+        return to_picture(ops.trust(own, guides, at, frame.h, frame.w, valid))
 
 
 class Pack(nn.Module):
@@ -430,7 +430,7 @@ class UpsampleGuided(nn.Module):
         factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
         sizes = [torch.clamp(whole - first, max=size) for whole, first, size in zip(
             (frame.h, frame.w), (frame.top, frame.left), moved.shape[:2], strict=True)]
-        trusted = network.trust_at(to_image(trust), frame.centres(at, moved), *sizes)
+        trusted = ops.trust_at(to_image(trust), frame.centres(at, moved), *sizes)
         return resolve(radiance, fine, moved, past, warped, Reflectance(factor, trusted), params, frame, keep)
 
 

@@ -60,10 +60,10 @@ class UpsampleLight(nn.Module):
         held = ops.inside(frame.enlarged_motion(moved, at), place, (frame.height, frame.width))
         known = ops.pick((to_image(past)[:, 3:] >= 0).to(moved.dtype), at.rows, at.columns)
         weights = fine[:, KERNEL:network.BLEND, :h, :w].reshape(1, 9, 4, h, w)
-        now, _ = network.upsample_at(radiance[None, :, 1:1 + h, 1:1 + w], weights, params[None, 1:3], at)
+        now, _ = ops.upsample_at(radiance[None, :, 1:1 + h, 1:1 + w], weights, params[None, 1:3], at)
         now = torch.where(now <= MAX_FLOAT, now / params[0], 0)
         phases = fine[:, network.BLEND:network.SHARPEN, :h, :w].reshape(1, 1, 4, h, w)
-        blend = network.interpolate_at(phases, at)
+        blend = ops.interpolate_at(phases, at)
         trust = held * known * shares(keep, at.rows, at.columns) * (1 - blend)
         mixed = now + (to_image(warped) - now) * trust
         return to_picture(torch.where(mixed <= MAX_FLOAT, mixed.clamp(min=0), now))

@@ -10,7 +10,6 @@ torch = pytest.importorskip("torch")
 
 from tests.training.small_denoiser import SMALL, small_model  # noqa: E402
 from training import ops  # noqa: E402
-from training.denoise import model as network  # noqa: E402
 from training.denoise.model import FEATURES, FINE, HIDDEN, Inputs, State, Trunk, aligned, empty_state  # noqa: E402
 
 SIZES = {1: (18, 30), 1.5: (27, 45), 2: (36, 60), 2.7: (49, 81), 3: (54, 90)}
@@ -105,10 +104,10 @@ def test_general_upsampling_equals_the_short_cut_at_scale_2(size: tuple[int, int
     torch.manual_seed(0)
     h, w = size
     radiance, weights, jitter = torch.rand(2, 3, h, w), torch.rand(2, 9, 4, h, w) + 0.1, torch.rand(2, 2) - 0.5
-    general = network.upsample_any(radiance, weights, jitter, 2 * h, 2 * w)
-    torch.testing.assert_close(general, network.upsample_double(radiance, weights, jitter))
-    controls = network.interpolate_any(weights, 2 * h, 2 * w)
-    torch.testing.assert_close(controls, network.interpolate_phases(weights, 2 * h, 2 * w))
+    general = ops.upsample_any(radiance, weights, jitter, 2 * h, 2 * w)
+    torch.testing.assert_close(general, ops.upsample_double(radiance, weights, jitter))
+    controls = ops.interpolate_any(weights, 2 * h, 2 * w)
+    torch.testing.assert_close(controls, ops.interpolate_phases(weights, 2 * h, 2 * w))
 
 
 @pytest.mark.parametrize("scale", SIZES)
