@@ -3,7 +3,7 @@ VENV ?= .venv
 OUT ?= out/demo
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint blender clean
 
 # Denoise, upscale and tone-map the sample sequence. Installs postfx without torch.
 demo: $(VENV)/installed
@@ -17,6 +17,12 @@ test: export PYTHONDONTWRITEBYTECODE =
 test: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
+
+# The extension for Blender 4.2 and later, to install by Preferences > Get Extensions > Install from Disk.
+blender:
+	@mkdir -p dist
+	cd hosts/blender_postfx && $(PYTHON) -m zipfile -c ../../dist/postfx-blender.zip blender_manifest.toml __init__.py
+	@echo dist/postfx-blender.zip
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
