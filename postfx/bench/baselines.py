@@ -44,7 +44,6 @@ class Oidn:
         self._oidn: Any = import_module("pyoidn")
         self._quality = getattr(self._oidn, f"OIDN_QUALITY_{quality.upper()}")
         self._device = self._new_device(device, threads)
-        self._host = device == "cpu"
         self._images: dict[str, Any] = {}
         self._filter: Any = None
         self.milliseconds = 0.0
@@ -79,9 +78,8 @@ class Oidn:
         """Filter and images, which later frames of the same size use again."""
         height, width = planes["color"].shape[:2]
         self._filter = self._oidn.Filter(self._device, self._oidn.OIDN_FILTER_TYPE_RT)
-        storage = self._oidn.OIDN_STORAGE_HOST if self._host else self._oidn.OIDN_STORAGE_DEVICE
         for name in (*planes, "output"):
-            image = self._oidn.Buffer(self._device, planes["color"].nbytes, storage)
+            image = self._oidn.Buffer(self._device, planes["color"].nbytes, self._oidn.OIDN_STORAGE_DEVICE)
             self._filter.set_image(name, image, self._oidn.OIDN_FORMAT_FLOAT3, width, height)
             self._images[name] = image
         self._filter.set_bool("hdr", True)

@@ -34,6 +34,8 @@ def test_curves_stand_at_their_stops_and_the_strip_shows_what_was_seen(tmp_path:
     assert used - needed == pytest.approx((400 - 74) / 2, abs=3)  # one stop of the two that the axis spans
     assert pixels[STRIP[0] + 5, round(x)] == pytest.approx(255 * 0.24, abs=1)
     assert pixels[STRIP[1] - 5, round(x)] == pytest.approx(255 * 0.45, abs=1)
+    word = np.flatnonzero(np.ptp(pixels[STRIP[1] + 36:STRIP[1] + 54], axis=0).max(-1) > 40)
+    assert word.size > 10 and (word[0] + word[-1]) / 2 == pytest.approx((LEFT + RIGHT_EDGE) / 2, abs=2)
     assert (tmp_path / "a/curve.png").stat().st_size < 300_000
 
 
