@@ -126,7 +126,8 @@ ROOMS = (
     _room("repair.py", 1, *_in("stress", "bad_pixels")),
     _room("report/", 2, "report"),
     _room("bench/", 1, "bench"),
-    _room("cli/", 3, *_in("cli", "options", "run", "inspect", "report", "exposure"), *_in("files", "on_error")),
+    _room("cli/", 3, *_in("cli", "options", "run", "inspect", "report", "exposure"), *_in("files", "on_error"),
+          *_in("io", "views")),
 )
 """The first one that holds a source is its room."""
 CHOSEN = (
@@ -171,6 +172,7 @@ CHOSEN = (
 )
 """Python or CUDA, what stands once in all of postfx's sources of that kind, and the fault that is put in its place."""
 EQUIVALENT = {
+    "number: 0 -> -1 in for before, frame in zip([frames[0]": "the motion of the first frame leads to none before it",
     "number: 1 -> 2 in head = json.dumps(": "JSON means the same with other spaces",
     "number: 0.0 -> -1.0 in signal = np.clip(": "what is below 0 becomes 0, too",
     "number: 0 -> -1 in mix_row(": "the output of a network holds one frame, the first and the last",

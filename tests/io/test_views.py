@@ -186,9 +186,11 @@ def test_what_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> N
         write_frame(tmp_path / "out.exr", dataclasses.replace(frame, source=None))
     assert main(["run", str(path), "-o", str(tmp_path / "out.png"), "--view", "all"]) == 2
     assert main(["inspect", str(path), "--view", "all"]) == 2
+    assert main(["exposure", str(path), "--view", "left,right"]) == 2
     told = capfd.readouterr().err
     assert "only EXR holds several views: write EXR, or a file for each: put {view} into the name" in told
     assert "'postfx inspect' looks at one view: give --view with one name" in told
+    assert "'postfx exposure' looks at one view: give --view with one name" in told
 
 
 def write_apart(folder: Path, numbers: range = range(1, 4), views: tuple[str, ...] = ("left", "right")) -> None:
