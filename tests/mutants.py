@@ -96,7 +96,7 @@ ROOMS = (
                                      "denoise_restore", "denoise_reflections", "denoise_tiles", "denoise_parts"),
           "test_trouble.py"),
     _room("passes/", 3, *_in("passes", "registry", "contract", "display", "composite_overlay", "exposure_tool",
-                             "composite_both_ways", "tonemap")),
+                             "composite_both_ways", "tonemap"), "test_on_device.py"),
     _room("io/exr/", 4, *_in("files", "kept", "broken"), *_in("io", "writer")),
     _room("io/encode.py", 2, *_in("io", "encode_dither", "encode_png", "encode_tags", "encode_light", "writer")),
     _room("io/windows.py", 1, *_in("files", "windows"), *_in("io", "frame_reader")),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, PostfxError, Role
+from postfx.passes.base import Downloads
 from postfx.runtime import BindingError, HazardError, memory
 from postfx.runtime import device as device_module
 from postfx.runtime.device import ProviderMemory, cuda_fault
@@ -237,3 +238,17 @@ def test_on_a_gpu_nothing_is_copied_to_the_host():
         torch.from_dlpack(shared[Role.COLOUR])
         times.append(time.perf_counter() - begin)
     assert statistics.median(times) < 1e-4
+
+
+def test_a_plane_that_was_deleted_is_gone_though_it_was_looked_at():
+    device = Device("cpu", threads=1)
+    held = Downloads({role: device.wrap(str(role), plane) for role, plane in PLANES.items()})
+    assert set(held) == set(PLANES) and len(held) == len(PLANES)
+    for role, plane in PLANES.items():
+        np.testing.assert_array_equal(held[role], plane)
+    del held[Role.DEPTH]
+    assert Role.DEPTH not in held and Role.DEPTH not in list(held)
+    held[Role.NORMAL] = other = -PLANES[Role.NORMAL]
+    assert held[Role.NORMAL] is other
+    held.pop(Role.NORMAL)
+    assert Role.NORMAL not in held and set(held) == set(PLANES) - {Role.DEPTH, Role.NORMAL}

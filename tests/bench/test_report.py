@@ -5,12 +5,20 @@ import csv
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from matplotlib.text import Text
 
-from postfx.bench import report
+from postfx.bench import pictures, report
 from postfx.frame import Frame, Role
 
 FIGURES = {"ssim_late": 0.9, "flip_late": 0.1, "relmse_late": 0.01, "worst_frame": 1, "worst_psnr": 1.0,
            "not_finite": 0}
+
+
+@pytest.mark.parametrize(("dx", "side"), [(7, "left"), (-7, "right"), (0, "center")])
+def test_a_label_stands_beside_its_dot(dx, side):
+    label = Text()
+    pictures._stand(label, dx, 5)
+    assert (label.get_position(), label.get_horizontalalignment()) == ((dx, 5), side)
 
 
 def row(name, time, psnr, flicker=10.0, family="plain", **facts):

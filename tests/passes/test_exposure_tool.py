@@ -54,6 +54,14 @@ def test_it_covers_what_is_transparent(device: Device) -> None:
     assert (Pipeline([ExposureTool()], device, 0.0)(Frame(planes))[Role.ALPHA] == 1).all()
 
 
+@pytest.mark.parametrize("part", [False, True])
+def test_an_overlay_is_removed(part: bool, device: Device) -> None:
+    covered = frame()
+    covered.planes[Role.OVERLAY] = np.ones((*SIZE, 4), np.float32)
+    pipeline = Pipeline([ExposureTool(part=part)], device, 0.0)
+    assert set(pipeline(covered).planes) == set(pipeline.explain().output.roles) == {Role.COLOUR}
+
+
 def test_it_is_divided_by_a_reference_where_one_is_given(device: Device) -> None:
     pipeline = Pipeline([ExposureTool(reference={7: 4.0})], device, 0.0)
     assert pipeline(frame(number=7))[Role.COLOUR].mean() == pytest.approx(0.18 / 4, rel=0.03)
