@@ -4,6 +4,7 @@ behind nothing and is broken at cuts."""
 from __future__ import annotations
 
 import time
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -120,9 +121,11 @@ def test_a_sequence_gives_the_same_numbers_from_the_same_past() -> None:
 def test_fixed_stops() -> None:
     assert ExposureMeter(-2)(frame(picture())) == 0.25
     assert ExposureMeter("1.5")(frame(picture())) == pytest.approx(2**1.5)
+    assert ExposureMeter(-64)(frame(picture())) == 2.0**-64
+    assert [ExposureMeter(mode).remembers for mode in ("auto", "lit", "metadata", 0)] == [True, False, False, False]
 
 
-@pytest.mark.parametrize("mode", ("automatic", "nan", 1e9))
+@pytest.mark.parametrize("mode", ("automatic", "nan", 64.5, -1e9))
 def test_other_modes_are_refused(mode: str | float) -> None:
     with pytest.raises(ExposureError, match="use auto, lit, metadata or a number of stops"):
         ExposureMeter(mode)
@@ -187,6 +190,7 @@ def test_a_step_is_met_half_way_on_its_frame_and_alike_on_both_sides() -> None:
     found = curve(step)
     np.testing.assert_allclose(found + found[::-1], 1.0, atol=1e-9)  # no phase: backwards it is the same curve
     assert abs(found[:40]).max() < 1e-6 and 0.4 < found[99] < 0.5 < found[100] < 0.6
+    assert found[111] == pytest.approx(NormalDist(sigma=WIDTH).cdf(11.5), abs=0.002)  # as wide as it is said to be
     meter = ExposureMeter()
     late = [np.log2(meter(frame)) for frame in scene(step)]
     assert np.argmax(np.array(late) > 0.5) > 110  # what looks back only is late
