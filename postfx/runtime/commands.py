@@ -288,7 +288,8 @@ class Execution:
         """Run the dispatches up to the first that fails, and wait until they are done."""
         spans = self._replay()
         if spans is None:
-            beside = self._footprint.narrow and self._recorder is None and self._device.scratch is None
+            beside = self._footprint.narrow and self._recorder is None and self._device.scratch is None \
+                and self._memory.host_visible
             spans = self._side_by_side() if beside else self._one_by_one()
         try:
             self._memory.synchronise()

@@ -6,6 +6,7 @@ Prints one JSON object on the last line.
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 
@@ -54,13 +55,24 @@ found["frame"] = attempt(bpy.ops.postfx.denoise, whole=False)
 Path(FOLDER, "shot", "box_0002.exr").write_bytes(b"no picture")
 found["broken"] = attempt(bpy.ops.postfx.denoise, whole=False)
 
-# Esc in the modal form stops the job; without a window there are no events.
+# Without a window there are no events: these are handed to the operator's function.
 module = sys.modules[name]
 job = module.Job([COMMAND], str(Path(FOLDER) / "shot" / "box_####.exr"), str(Path(FOLDER) / "stopped_####.exr"), "1",
                  ["--model", "s"])
 job.stop()
 job.wait()
 found["stopped"] = [job.stopped, job.running, job.done()]
+said, ended = [], []
+window = SimpleNamespace(
+    window_manager=SimpleNamespace(progress_update=lambda part: said.append(round(part, 2))),
+    workspace=SimpleNamespace(status_text_set=said.append))
+job = module.Job([COMMAND], str(Path(FOLDER) / "shot" / "box_####.exr"), str(Path(FOLDER) / "seen_####.exr"), "1",
+                 ["--model", "s"])
+operator = SimpleNamespace(_job=job, cancel=lambda context: ended.append("cancel"), _end=lambda context: {"FINISHED"})
+answers = [module.Denoise.modal(operator, window, SimpleNamespace(type=kind)) for kind in ("MOUSEMOVE", "TIMER")]
+job.wait()
+answers.append(module.Denoise.modal(operator, window, SimpleNamespace(type="TIMER")))
+found["modal"] = [[next(iter(answer)) for answer in answers], said, ended]
 bpy.ops.preferences.addon_disable(module=name)
 found["disabled"] = not hasattr(bpy.types.Scene, "postfx")
 print("\n" + json.dumps(found))

@@ -53,6 +53,8 @@ def test_two_frames_in_blender(tmp_path):
     assert found["image"] == ["box_denoised_0001.exr", "SEQUENCE"]
     names = [f"box_{mark}000{number}.exr" for mark in ("", "denoised_") for number in (1, 2)]
     assert [name for name in found["files"] if name.endswith(".exr")] == sorted(names)
+    assert found["modal"] == [["PASS_THROUGH", "RUNNING_MODAL", "FINISHED"],
+                              [0.0, "postfx: 0 of ? frames. Esc to stop", 1.0], ["cancel"]]
     assert found["stopped"] == [True, False, 0] and found["disabled"]
     noisy, clean = (picture(tmp_path / "shot" / f"box_{mark}0001.exr") for mark in ("", "denoised_"))
     assert clean.shape == (64, 96, 3)

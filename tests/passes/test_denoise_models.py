@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.errors import ModelError, PostfxError
+from postfx.errors import ModelError, PassOptionError, PostfxError
 from postfx.frame import FrameSpec, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.models import GUIDED, exact, family, model_of, parted, validate_tag
@@ -98,6 +98,8 @@ def test_networks_of_a_library(nets: Path) -> None:
         np.testing.assert_array_equal(colour_of(model="s.fp32", library=library), colour_of(model="s.fp32"))
     np.testing.assert_array_equal(colour_of(model="s", library=nets), colour_of(model="s"))  # int8, as ours
     assert family(validate_tag("m", Library(nets))) == (f"{nets}/s", f"{nets}/m")
+    with pytest.raises(PassOptionError, match="takes no networks on trust"):
+        DenoiseUpscale(model="m", library=Library(nets, trust=True))
 
 
 @pytest.mark.parametrize("options", [{"model": "mine.onnx"}, {"model": "~/mine.onnx"}, {"library": Path()}])

@@ -54,6 +54,8 @@ def validate_tag(model: str, library: Library | None = None) -> str:
         return str(path.absolute())
     if library is None:
         return model
+    if library.trust:
+        raise PassOptionError(f"the denoised upscaler takes no networks on trust: give it {library.folders[0]} alone")
     found = library.path(f"{PASS}.{model.removesuffix(EXACT)}")
     return f"{found.absolute().parent}/{model}"
 
