@@ -189,13 +189,13 @@ class Parser(argparse.ArgumentParser):
         return found
 
     def error(self, message: str) -> NoReturn:
-        """Print a message, below it what a mistyped verb may have meant, and end the process with 2."""
+        """Print a line, with what a mistyped verb may have meant, and end the process with 2."""
         choice = re.search(r"argument VERB: invalid choice: '([^']*)'", message)
         verbs = [name for action in self._actions if isinstance(action, argparse._SubParsersAction)
                  for name in action.choices] if choice else []
         meant = suggest(choice[1], verbs) if choice else ""
-        super().error(message + (f": did you mean postfx run {choice[1]}?" if choice and re.search(r"[./]", choice[1])
-                                 else meant))
+        meant = f": did you mean postfx run {choice[1]}?" if choice and re.search(r"[./]", choice[1]) else meant
+        self.exit(2, f"error: {message}{meant} ('{self.prog} --help' shows all)\n")
 
 
 def parse_path(text: str) -> str:

@@ -171,6 +171,16 @@ def _roles_unread(overlay: str) -> tuple[Role, ...]:
     return (Role.OVERLAY,) if overlay == "ignore" else ()
 
 
+def _find_network(tag: str) -> str:
+    """A denoiser's file, or its tag; ModelError that lists all for any other word."""
+    from postfx.passes.denoise.models import FILE, find_model, model_of
+
+    if not tag.endswith(FILE):
+        library, name = find_model(model_of(tag))
+        library.path(name)
+    return tag
+
+
 def _list_passes() -> str:
     from postfx.passes.registry import describe_passes
 
@@ -193,7 +203,7 @@ PASSES = Section("passes", (
     Option(flag="--denoise-only", either="size", sets="denoiser.scale", convert=lambda _: 1.0, excludes=_FOR_DENOISER,
            help="denoise at the render's own size, do not enlarge; the same as --scale 1"),
     Option(flag="--no-denoise", help="leave denoising and upscaling out"),
-    Option(flag="--model", metavar="TAG|FILE", sets="denoiser.model", excludes=_FOR_DENOISER,
+    Option(flag="--model", metavar="TAG|FILE", sets="denoiser.model", convert=_find_network, excludes=_FOR_DENOISER,
            help="denoiser: s, m (default) or l in the device's fast precision, or with one, e.g. m.fp32 ('postfx "
            "models' lists them); or a network of your own, FILE.onnx, with its card beside it"),
     Option(flag="--budget", metavar="MS", type=float, sets="denoiser.budget", excludes=_FOR_DENOISER,
@@ -318,9 +328,23 @@ def display_passes(
         mapper: Pass = view
         made_for = view.output
     else:
-        mapper = create("tonemap", **({"tag": tonemap} if tonemap else {}))
+        mapper = create("tonemap", **({"tag": _network_look(tonemap)} if tonemap else {}))
         made_for = "srgb"
     return [mapper] + ([create("display", display=shown_on)] if made_for != shown_on else []), []
+
+
+def _network_look(tag: str) -> str:
+    """The tag or file of a network; ColourError that lists all looks for any other word."""
+    from postfx.colour.views import VIEWS
+    from postfx.errors import ColourError, suggest
+    from postfx.runtime import Library
+
+    tags = [name.removeprefix("tonemap.") for name in Library().names() if name.startswith("tonemap.")]
+    if tag not in tags and not tag.endswith(".onnx"):
+        looks = [*tags, *VIEWS]
+        raise ColourError(f"no look '{tag}'{suggest(tag, looks) or ':'} there are {', '.join(looks)}, ocio:VIEW, "
+                          "FILE.cube,input=SPACE and FILE.onnx")
+    return tag
 
 
 def refuse_views(sequence: Sequence, outputs: OutputFiles | None) -> None:

@@ -90,9 +90,13 @@ def find_view(text: str, display: Display) -> View:
     return View(transform.apply, ACESCG, transform.display, transform.title)
 
 
+VIEWS = ("reinhard", "neutral")
+"""Views that have a plain name."""
+
+
 def is_view(text: str) -> bool:
     """Whether a look's name means a view, not a network."""
-    return text in ("reinhard", "neutral") or text.startswith(ocio.PREFIX) or ocio.is_lut(text)
+    return text in VIEWS or text.startswith(ocio.PREFIX) or ocio.is_lut(text)
 
 
 def axis(size: int = SIZE) -> np.ndarray:

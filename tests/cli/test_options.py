@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import json
+from pathlib import Path
 
 import pytest
 
@@ -21,6 +22,7 @@ from postfx.report.page import FrameCapture
 from postfx.runs.run import Options
 from postfx.runtime import Device, Library
 
+ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
 PARTS = {"device": Device, "sequence": Sequence, "look": display_passes, "writer": write_frame, "run": Options,
          "page": RunReport, "capture": FrameCapture}
 
@@ -101,12 +103,14 @@ def test_options_name_what_there_is(option):
     (["run", "in/", "--no-denoize"], "did you mean --no-denoise?"),
     (["exposure", "in/", "--refrence=0"], "did you mean --reference?"),
     (["rnu", "in/"], "did you mean run?"), (["shot/a.exr"], "did you mean postfx run shot/a.exr?"),
-    (["run", "in/", "--qqq"], "unrecognized arguments: --qqq\n"),
+    (["run", "in/", "--qqq"], "error: unrecognized arguments: --qqq ('postfx run --help' shows all)\n"),
+    (["run", "in/", "--on-error", "skp"], "invalid choice: 'skp' (choose from 'stop', 'skip', 'copy')"),
 ])
 def test_mistyped_options_and_verbs(words, told, capsys):
     with pytest.raises(SystemExit) as ended:
         main(words)
-    assert ended.value.code == 2 and told in capsys.readouterr().err
+    shown = capsys.readouterr().err
+    assert ended.value.code == 2 and told in shown and shown.count("\n") == 1
 
 
 @pytest.mark.parametrize(("name", "meant"), [("denoise_upscale.smal", "s"), ("denoise_upscale.m.fp3", "m.fp16"),
@@ -114,6 +118,13 @@ def test_mistyped_options_and_verbs(words, told, capsys):
 def test_mistyped_models(name, meant):
     with pytest.raises(ModelError, match=f"did you mean {meant}? there are".replace("?", r"\?")):
         Library().path(name)
+
+
+def test_a_mistyped_model_is_told_before_anything_is_done(tmp_path, capsys):
+    for words, told in (["--model", "mm"], "did you mean m?"), (["--tonemap", "acess"], "did you mean aces2?"):
+        assert main(["run", str(ROOM / "noisy.####.exr"), "-o", str(tmp_path / "out" / "a.####.png"), *words]) == 2
+        shown = capsys.readouterr().err
+        assert told in shown and shown.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
 def test_denoising_only_is_one_flag():
