@@ -27,7 +27,7 @@ z back; x right, y up, z forward; x right, y down, z forward."""
 STEP = 2
 NEIGHBOURS, BEND = 0.05, 0.01
 """Largest relative difference in depth between neighbours on one surface, and largest second difference."""
-POINTS, LEAST_POINTS = 12000, 500
+POINTS, LEAST_POINTS = 5000, 500
 LIKELY_FOV = tuple(range(20, 121, 10))
 AGREEING = 0.75
 """Share of the points that a fit must explain."""
@@ -83,13 +83,14 @@ def is_hit(depth: np.ndarray) -> np.ndarray:
 
 def rays(frame: Frame, fov_x: float, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """(..., 3) directions through the samples of pixels, with z = 1; fov_x in degrees."""
-    size = frame.spec.width, frame.spec.height
+    spec = frame.spec
+    size = spec.width, spec.height
     x, y = ray_slopes(columns, rows, size, fov_x, frame.jitter, pixel_aspect(frame.metadata))
     return np.stack([x, y, np.ones_like(x)], -1)
 
 
 def smooth_points(depth: np.ndarray) -> Points:
-    """Up to 12000 pixels whose neighbours two pixels away lie on the same surface."""
+    """Up to 5000 pixels whose neighbours two pixels away lie on the same surface."""
     z = np.where(is_hit(depth), depth[..., 0], np.nan).astype(np.float64)
     if min(z.shape) < 2 * STEP + 1:
         return Points(np.zeros(0, int), np.zeros(0, int))
@@ -197,7 +198,7 @@ def angle_by(frame: Frame, fov_x: float, matrix: np.ndarray) -> float:
 
 
 def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
-    """Motion (count, 2) in pixels that the cameras alone cause at up to 12000 surface points; None without cameras.
+    """Motion (count, 2) in pixels that the cameras alone cause at up to 5000 surface points; None without cameras.
 
     Points behind the earlier camera have `postfx.integrate.motion.OUT_OF_SIGHT`.
     """

@@ -8,8 +8,9 @@ outside the picture.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -223,6 +224,12 @@ class Warped:
         jitter: np.ndarray = np.array(self.now.jitter, np.float32) - np.array(self.before.jitter, np.float32)
         return jitter
 
+    def errors(self, variants: Sequence[Variant]) -> dict[Role, np.ndarray]:
+        """Role -> errors (count,) of that plane, of variants."""
+        spec, (x, y) = self.now.spec, self.jitter
+        size, jitter = (spec.width, spec.height), (float(x), float(y))
+        return {feature.role: _errors_of_variants(feature, variants, size, jitter) for feature in self.features}
+
     @property
     def as_it_is(self) -> float:
         """Score of the stored motion."""
@@ -239,12 +246,11 @@ def warp_pair(before: Frame, now: Frame) -> Warped | None:
     features = features_of(before, now) if Role.MOTION in now else []
     if not features:
         return None
-    result, size = Warped(before, now, features), (now.spec.width, now.spec.height)
+    result = Warped(before, now, features)
     result.moved = float(np.linalg.norm(finite(now[Role.MOTION]), axis=-1).mean())
     colour_like = is_like_colour(now)
     tried = [variant for variant in VARIANTS if colour_like or not variant.is_colour]
-    errors = {f.role: _errors(f, np.stack([v.correct(f.motion, size, result.jitter) + result.jitter for v in tried]))
-              for f in features}
+    errors = result.errors(tried)
     for number, variant in enumerate(tried):
         result.by_role[variant] = {role: float(values[number]) for role, values in errors.items()}
         result.scores[variant] = _mean(result.by_role[variant], features)
@@ -258,27 +264,28 @@ def is_like_colour(frame: Frame) -> bool:
     return bool(motion.min() >= 0 and motion.max() <= 1.001 and 0.2 < float(np.median(motion)) < 0.8)
 
 
-def score_variant(warped: Warped, variant: Variant) -> float:
-    """Score of a variant, which need not be one of `VARIANTS`."""
-    size, jitter = (warped.now.spec.width, warped.now.spec.height), warped.jitter
-    errors = {f.role: _error(f, variant.correct(f.motion, size, jitter) + jitter) for f in warped.features}
-    return _mean(errors, warped.features)
+def score_variants(warped: Warped, variants: Sequence[Variant]) -> dict[Variant, float]:
+    """Scores of variants, which need not be of `VARIANTS`."""
+    by_role = warped.errors(variants)
+    return {variant: _mean({role: float(errors[number]) for role, errors in by_role.items()}, warped.features)
+            for number, variant in enumerate(variants)}
 
 
-def scaled_variants() -> list[Variant]:
+@cache
+def scaled_variants() -> tuple[Variant, ...]:
     """Variants for motion in an unknown unit of 1/128 to 128 pixels, in steps of the root of 2."""
     units = [_Unit(f"about {factor:.3g} times as long", "motion was written in a unit that is not pixels of the frame, "
                    "for example for each second or for a picture of another size", factor)
              for factor in (2 ** (step / 2) for step in range(-14, 15)) if factor != 1]
-    return [_scaled(unit, signs) for unit in units for signs in _SIGN_PAIRS]
+    return tuple(_scaled(unit, signs) for unit in units for signs in _SIGN_PAIRS)
 
 
 def features_of(before: Frame, now: Frame) -> list[Feature]:
     """Planes with contrast that both frames hold; the later frame has motion."""
-    rng, motion, found = np.random.default_rng(1), finite(now[Role.MOTION]), []
+    motion, found = now[Role.MOTION], []
     for role, weight in (*GUIDES, (Role.DEPTH, DEPTH_WEIGHT), (Role.COLOUR, COLOUR_WEIGHT)):
         if role in before and role in now:
-            feature = _feature(role, weight, prepare_plane(before, role), prepare_plane(now, role), motion, rng)
+            feature = _feature(role, weight, prepare_plane(before, role), prepare_plane(now, role), motion)
             found += [feature] if feature else []
     return found
 
@@ -310,8 +317,7 @@ def score_offset(features: list[Feature], offset: np.ndarray) -> float:
     return _mean(errors, features)
 
 
-def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, motion: np.ndarray,
-             rng: np.random.Generator) -> Feature | None:
+def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, motion: np.ndarray) -> Feature | None:
     if min(now.shape[:2]) < 8:
         return None
     across = largest(np.abs(np.diff(now, axis=1, append=now[:, -1:])))
@@ -320,12 +326,13 @@ def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, mot
     rows, columns = np.nonzero(slope > max(float(np.quantile(slope, CONTRASTY)), 1e-4))
     if rows.size < 100:
         return None
-    chosen = rng.permutation(rows.size)[:POINTS]
+    chosen = np.random.default_rng(1).permutation(rows.size)[:POINTS]
     rows, columns = rows[chosen], columns[chosen]
     steepness, at = slope[rows, columns], (rows.astype(np.float32), columns.astype(np.float32))
     contrast = float(np.minimum(steepness, np.quantile(steepness, 0.9)).mean())
     before = np.ascontiguousarray(before, np.float32)
-    return Feature(role, weight, before, now[rows, columns].astype(np.float32), *at, motion[rows, columns], contrast)
+    return Feature(role, weight, before, now[rows, columns].astype(np.float32), *at, finite(motion[rows, columns]),
+                   contrast)
 
 
 def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
@@ -342,6 +349,14 @@ def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
     sums = np.where(np.arange(apart.shape[1]) < kept[:, None], apart, 0).sum(1)
     result: np.ndarray = np.where(inside.mean(1) < LEAST_INSIDE, np.inf, sums / kept / feature.contrast)
     return result
+
+
+def _errors_of_variants(
+    feature: Feature, variants: Sequence[Variant], size: Size, jitter: tuple[float, float]
+) -> np.ndarray:
+    """Scores (count,) of variants of the stored motion."""
+    offset = np.array(jitter, np.float32)
+    return _errors(feature, np.stack([one.correct(feature.motion, size, offset) + offset for one in variants]))
 
 
 def _error(feature: Feature, shift: np.ndarray) -> float:

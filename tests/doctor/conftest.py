@@ -34,15 +34,19 @@ def middle_of(frame: Frame, width: int, height: int) -> Frame:
     return replace(frame, planes=planes, fov_x=fov_x)
 
 
+COLOUR, DEPTH, MOTION, NORMAL = Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL
+ALBEDO, SPECULAR = Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO
 USED = {
-    "fit_rotation": (Role.DEPTH, Role.NORMAL),
-    "fit_depth_kinds": (Role.DEPTH, Role.NORMAL),
-    "find_movers": (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.MOTION),
-    "surface_normals": (Role.DEPTH, Role.NORMAL),
-    "fit_roughness": (Role.SPECULAR_ALBEDO, Role.DEPTH, Role.ROUGHNESS, Role.NORMAL),
-    "smooth_points": (), "noise_level": (), "_edges": (),
+    "fit_rotation": (DEPTH, NORMAL), "fit_depth_kinds": (DEPTH, NORMAL), "explain_by_camera": (DEPTH, NORMAL),
+    "surface_normals": (DEPTH, NORMAL), "_is_averaged": (DEPTH, NORMAL), "unit_normals": (NORMAL,),
+    "normals_of_depth": (DEPTH,), "fit_depth_scale": (DEPTH, MOTION),
+    "find_movers": (ALBEDO, SPECULAR, NORMAL, MOTION),
+    "fit_roughness": (SPECULAR, DEPTH, Role.ROUGHNESS, NORMAL),
+    "measure_slopes": (COLOUR, ALBEDO, NORMAL, DEPTH), "_repeated": (COLOUR, ALBEDO, MOTION), "_identical": (COLOUR,),
+    "prepare_plane": (), "_feature": (), "_errors_of_variants": (), "smooth_points": (), "noise_level": (),
+    "_edges": (), "_enlarged_how": (), "_extremes": (), "_reflectance": (),
 }
-"""What the doctor computes of planes and the header alone, and of which planes."""
+"""What the doctor computes of planes and the header alone, and of which planes; else of those that are given."""
 
 
 def _key(value: object, roles: tuple[Role, ...]) -> object:
@@ -52,7 +56,9 @@ def _key(value: object, roles: tuple[Role, ...]) -> object:
         return planes, value.jitter, value.fov_x, matrix, value.reset, str(value.metadata.get("pixelAspectRatio"))
     if isinstance(value, np.ndarray):  # a window of a plane is another array over the same memory
         return value.__array_interface__["data"][0], value.shape, value.strides
-    return value
+    if isinstance(value, tuple | list):
+        return tuple(_key(one, roles) for one in value)
+    return value if isinstance(value, str | float | int | None) else id(value)
 
 
 @pytest.fixture
@@ -62,7 +68,8 @@ def same_once(monkeypatch: pytest.MonkeyPatch) -> None:
         seen: dict[object, tuple[object, object]] = {}  # arguments are kept, so that no other plane gets their place
 
         def once(*arguments, function=None, roles=roles, seen=seen):
-            key = tuple(_key(argument, roles) for argument in arguments)
+            roles = roles or tuple(argument for argument in arguments if isinstance(argument, Role))
+            key = _key(arguments, roles)
             if key not in seen:
                 seen[key] = function(*arguments), arguments
             return seen[key][0]

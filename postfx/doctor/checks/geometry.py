@@ -280,7 +280,7 @@ def check_albedo_noisy(material: Material) -> Iterator[Finding]:
     for role in ALBEDOS:
         if role not in material.middle:
             continue
-        plane = np.clip(finite(material.middle[role]), 0, 4)
+        plane = _reflectance(material.middle[role])
         level = noise_level(plane)
         used = plane.max(2) > 0
         if level is None or level < NOISY_ALBEDO or level < 0.02 * float(plane[used].mean()):
@@ -292,6 +292,11 @@ def check_albedo_noisy(material: Material) -> Iterator[Finding]:
         cause = "the plane holds lit colour" if lit else "depth of field, motion blur or rough layers in the plane"
         fix = "write reflectance without light" if lit else "write it at the first hit, or with more samples"
         yield warning(role, "albedo-is-lit" if lit else "albedo-noisy", evidence, cause, fix)
+
+
+def _reflectance(plane: np.ndarray) -> np.ndarray:
+    result: np.ndarray = np.clip(finite(plane), 0, 4)
+    return result
 
 
 def _is_averaged(frame: Frame) -> bool:

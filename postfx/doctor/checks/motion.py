@@ -20,7 +20,7 @@ from postfx.doctor.motion_variants import (
     Warped,
     scaled_variants,
     score_offset,
-    score_variant,
+    score_variants,
 )
 from postfx.doctor.statistics import correlation, finite, noise_level
 from postfx.frame import Frame, Role
@@ -134,7 +134,7 @@ def _unit_by_cameras(fits: list[DepthScale], shots: list[Warped]) -> Finding | N
     scale = np.float32(1 / factor)
     unit = Variant("motion-scale", f"{scale:.3g} times as long", "motion in a unit that is not pixels of the frame",
                    f"in a profile scale = [{scale:.4g}, {scale:.4g}]", lambda motion, size, jitter: motion * scale)
-    if sum(score_variant(w, unit) for w in shots) > RIGHT_UNIT * sum(w.as_it_is for w in shots):
+    if sum(score_variants(w, [unit])[unit] for w in shots) > RIGHT_UNIT * sum(w.as_it_is for w in shots):
         return None
     evidence += f"; {rest:.2g} pixels if motion is {unit.name}"
     return error(Role.MOTION, unit.code, evidence, unit.cause, unit.fix)
@@ -212,13 +212,13 @@ def best_scale(shots: list[Warped]) -> Variant | None:
     stored = float(np.mean([warped.as_it_is for warped in some]))
     if stored < USEFUL * float(np.mean([warped.scores[still] for warped in some])):
         return None
-    scores = {variant: float(np.mean([score_variant(warped, variant) for warped in some]))
-              for variant in scaled_variants()}
+    found = [score_variants(warped, scaled_variants()) for warped in some]
+    scores = {variant: float(np.mean([one[variant] for one in found])) for variant in scaled_variants()}
     best = min(scores, key=lambda variant: scores[variant])
     if scores[best] >= BETTER * min(stored, float(np.mean([warped.scores[still] for warped in some]))):
         return None
     for warped in shots:
-        warped.scores[best] = score_variant(warped, best)
+        warped.scores |= score_variants(warped, [best])
         warped.by_role[best] = warped.by_role[VARIANTS[0]]
     return best
 
