@@ -120,8 +120,8 @@ def test_model_that_is_none(folder, tmp_path):
 def test_model_that_would_run_elsewhere(monkeypatch):
     """Where a provider cannot be had, ONNX Runtime warns and takes the CPU."""
     real = ort.InferenceSession
-    monkeypatch.setattr(ort, "InferenceSession", lambda model, options, providers: real(
-        model, options, ["CPUExecutionProvider"]))
+    monkeypatch.setattr(ort, "InferenceSession", lambda model, options, **_: real(
+        model, options, providers=["CPUExecutionProvider"]))
     with pytest.raises(ModelError, match="model 'net' cannot run on CUDAExecutionProvider: see ONNX Runtime's warning"):
         session.Session(content(), "net", session.Placement("CUDAExecutionProvider", "cuda", 0, 1), WINDOW)
 
