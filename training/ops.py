@@ -1,7 +1,7 @@
 """Differentiable image operations of the denoised upscaler, NCHW, float32.
 
 They define the compute kernels in ``postfx/kernels``: the portable ONNX kernels are exported from here, and parity
-tests hold the compiled ones to them. Pixel centres lie at integer coordinates.
+tests compare the compiled kernels with them. Pixel centres lie at integer coordinates.
 """
 
 from typing import NamedTuple
@@ -34,7 +34,7 @@ def demodulation(diffuse_albedo: Tensor, specular_albedo: Tensor) -> Tensor:
     return torch.where(peak < 0.005, torch.ones_like(total), torch.maximum(total, 0.15 * peak) + 0.01)
 
 
-def shifted(image: Tensor, size: int, mode: str = "constant") -> Tensor:
+def neighbourhoods(image: Tensor, size: int, mode: str = "constant") -> Tensor:
     """The ``size`` x ``size`` neighbourhood of every pixel, (N, C, size^2, h, w), rows first."""
     h, w = image.shape[-2:]
     padded = F.pad(image, (size // 2,) * 4, mode=mode)
@@ -44,11 +44,11 @@ def shifted(image: Tensor, size: int, mode: str = "constant") -> Tensor:
 def dilate_motion(motion: Tensor, depth: Tensor) -> Tensor:
     """Motion of a clearly nearer neighbour in 3x3, else the pixel's own: edges move with the surface in front.
 
-    Motion that no picture can have (NaN, infinity) is none; a NaN is never nearer.
+    Impossible motion (NaN, infinity) becomes 0; a NaN is never nearer.
     """
     near, moved = 0.9 * depth, motion
-    around = zip(shifted(depth, 3, "replicate").unbind(2), shifted(motion, 3, "replicate").unbind(2), strict=True)
-    for neighbour, its_motion in around:
+    depths, motions = (neighbourhoods(plane, 3, "replicate").unbind(2) for plane in (depth, motion))
+    for neighbour, its_motion in zip(depths, motions, strict=True):
         closer = neighbour < near
         near, moved = torch.where(closer, neighbour, near), torch.where(closer, its_motion, moved)
     return torch.where(moved.abs() < 1e5, moved, torch.zeros_like(moved))
@@ -113,9 +113,9 @@ def pick(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
     return image.index_select(-2, rows).index_select(-1, columns)
 
 
-def mirrored(size: int, padded: int, device: torch.device) -> Tensor:
-    """Index (padded,) of a row that goes on beyond its end as in a mirror, and stops at its start: noise stays noise,
-    where a repeated edge would be a streak."""
+def mirror_index(size: int, padded: int, device: torch.device) -> Tensor:
+    """Index (padded,) that continues a row beyond its end as in a mirror, at most back to its start. Noise stays noise;
+    a repeated edge would be a streak."""
     last = size - 1
     return (last - (torch.arange(padded, device=device) - last).abs()).clamp(min=0)
 
@@ -129,7 +129,7 @@ def enlarge(image: Tensor, height: int, width: int) -> Tensor:
 
 
 def box_mean(image: Tensor, h: int, w: int) -> Tensor:
-    """Mean of the pixels that each pixel of a picture (h, w), up to 3 times as small, touches."""
+    """Mean of the pixels that each pixel of a picture (h, w) touches, which may be 1 to 3 times as small."""
     if image.shape[-2:] == (2 * h, 2 * w):
         return F.avg_pool2d(image, 2)
     return span_mean(span_mean(image, h, -2), w, -1)
@@ -180,14 +180,15 @@ def pool(colour: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
 
 def filter_kernels(image: Tensor, kernels: Tensor, valid: Tensor) -> Tensor:
     """Apply a normalised 5x5 kernel of its own to every pixel; taps outside ``valid`` do not count."""
-    weights = kernels * shifted(valid, TAPS)[:, 0]
-    return (shifted(image, TAPS) * weights[:, None]).sum(2) / weights.sum(1, keepdim=True).clamp(min=TINY)
+    weights = kernels * neighbourhoods(valid, TAPS)[:, 0]
+    return (neighbourhoods(image, TAPS) * weights[:, None]).sum(2) / weights.sum(1, keepdim=True).clamp(min=TINY)
 
 
 def resample(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
     """Cubic interpolation (Keys 1981, a = -0.5) of (N, C, h, w) at positions rows (H,) and columns (W,).
 
-    Values stay within those of the four nearest samples, so that edges do not ring. What is not finite counts as 0.
+    Values stay within those of the four nearest samples, so that edges do not ring. Values that are not finite count as
+    0.
     """
     image = torch.where(image.abs() < torch.inf, image, torch.zeros_like(image))
     value = low = high = image
@@ -231,7 +232,7 @@ class Centres(NamedTuple):
 
 
 def centres(h: int, w: int, height: int, width: int, device: torch.device) -> Centres:
-    """Of a whole picture."""
+    """Centres of all output pixels of a picture."""
     return Centres(*nearest_index(h, height, device), *nearest_index(w, width, device))
 
 
@@ -272,12 +273,12 @@ def interpolate_phases(phases: Tensor, height: int, width: int) -> Tensor:
 
 
 def interpolate_any(phases: Tensor, height: int, width: int) -> Tensor:
-    """The same without the short cut of scale 2."""
+    """`interpolate_phases` without the short cut for scale 2."""
     return interpolate_at(phases, centres(*phases.shape[-2:], height, width, phases.device))
 
 
 def interpolate_at(phases: Tensor, at: Centres) -> Tensor:
-    """The same at some rows and columns."""
+    """`interpolate_phases` at some rows and columns."""
     ty, tx = (2 * at.y + 0.5).clamp(0, 1)[:, None], (2 * at.x + 0.5).clamp(0, 1)
     at = pick(phases, at.rows, at.columns)
     top = at[:, :, 0] * (1 - tx) + at[:, :, 1] * tx
@@ -297,7 +298,7 @@ def upsample(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, wid
 def upsample_double(radiance: Tensor, weights: Tensor, jitter: Tensor) -> tuple[Tensor, Tensor]:
     """Scale 2, where the four output pixels of a render pixel lie at its corners: all work at render size."""
     n, channels, h, w = radiance.shape
-    taps = shifted(radiance, PHASE_TAPS, "replicate")
+    taps = neighbourhoods(radiance, PHASE_TAPS, "replicate")
     corners = torch.arange(2, device=radiance.device) * 0.5 - 0.25
     blend = weights * sample_prior(jitter, corners, corners).reshape(-1, 9, 4, 1, 1)
     wide = sample_prior(jitter, corners, corners, BLUR_SIGMA).reshape(-1, 9, 4, 1, 1)
@@ -306,14 +307,14 @@ def upsample_double(radiance: Tensor, weights: Tensor, jitter: Tensor) -> tuple[
 
 
 def upsample_any(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """Any scale."""
+    """`upsample` at any scale."""
     return upsample_at(radiance, weights, jitter, centres(*radiance.shape[-2:], height, width, radiance.device))
 
 
 def upsample_at(radiance: Tensor, weights: Tensor, jitter: Tensor, at: Centres) -> tuple[Tensor, Tensor]:
-    """The same at some rows and columns."""
+    """`upsample` at some rows and columns."""
     blend = interpolate_at(weights, at) * sample_prior(jitter, at.x, at.y)
-    taps = pick(shifted(radiance, PHASE_TAPS, "replicate"), at.rows, at.columns)
+    taps = pick(neighbourhoods(radiance, PHASE_TAPS, "replicate"), at.rows, at.columns)
     return weighted_mean(taps, blend), weighted_mean(taps, sample_prior(jitter, at.x, at.y, BLUR_SIGMA))
 
 
@@ -332,7 +333,8 @@ def trust(own: Tensor, guides: Tensor, at: Place, h: int | Tensor, w: int | Tens
     """(N, 1, cells, cells): 1 - DOUBT * apart / spread of cells of 8x8 render pixels, 1 where nothing is ``valid``.
 
     ``own`` (N, 3, h, w) is the reflectance of the render pixels ``at`` rows and columns of a frame of ``h`` by ``w``,
-    ``guides`` (N, 3, H, W) that of the whole frame at output size, ``valid`` (N, 1, h, w) 1 where pixels count, else 0.
+    ``guides`` (N, 3, H, W) the reflectance of the whole frame at output size, ``valid`` (N, 1, h, w) 1 for pixels that
+    count, else 0.
     """
     mean, spread = _differences(own, guides, *(span(index, size, full) for index, size, full in zip(
         at, (h, w), guides.shape[-2:], strict=True)))
@@ -350,8 +352,8 @@ def trust_at(cells: Tensor, at: Centres, h: int | Tensor, w: int | Tensor) -> Te
 
 def _differences(own: Tensor, guides: Tensor, rows: tuple[Tensor, Tensor],
                  columns: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    """Mean relative difference (N, 3, h, w) of the guides from their render pixel, and mean square of it over the
-    pixels that this touches, summed over the channels (N, 1, h, w)."""
+    """Mean relative difference (N, 3, h, w) of the guides from their render pixel, and its mean square over the guide
+    pixels that the render pixel touches, summed over the channels (N, 1, h, w)."""
     mean = spread = torch.zeros((), device=own.device)
     height, width = guides.shape[-2:]
     for k in range(MAX_SPAN):

@@ -1,10 +1,10 @@
-"""Checkpoints of the denoised upscaler: what they hold, weights from them or from exported networks, and mixtures.
+"""Checkpoints of the denoised upscaler: their content, weights from them or from exported networks, and mixtures.
 
     python -m training.denoise.checkpoint mix a/checkpoint.pt:0.6 b/checkpoint.pt:0.4 -o mixed.pt
 
-A checkpoint of a run holds all that training needs to go on. What is made for export or --start holds `config`,
-`weights` and `notes` only. `mix` averages the weights of networks of the same layout: often the mean of two trainings
-is better on scenes of other renderers than either.
+A checkpoint of a run holds everything that training needs to continue. One for export or --start holds only `config`,
+`weights` and `notes`. `mix` averages the weights of networks with the same layout: on scenes of other renderers the
+mean of two trainings is often better than either.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PREFIX, HALF = "trunk.", "_half"
 
 
 def save(checkpoint: dict[str, Any], path: Path) -> None:
-    """Write a checkpoint; a file that is there is replaced at the end, in one step."""
+    """Write a checkpoint; an existing file is replaced at the end, in one step."""
     partial = path.with_suffix(".tmp")
     torch.save(checkpoint, partial)
     os.replace(partial, path)
@@ -45,7 +45,7 @@ def weights_of(path: Path) -> dict[str, Tensor]:
 
     They are rounded to half precision, as the file stores them. Raises ValueError for variants of other precision.
     """
-    import onnx  # only those who start from an exported network need it
+    import onnx  # needed only to start from an exported network
     from onnx import numpy_helper
 
     from training.denoise.model import logits_of
@@ -63,10 +63,10 @@ def weights_of(path: Path) -> dict[str, Tensor]:
     return {PREFIX + name: values.contiguous() for name, values in stored.items()}
 
 
-# What a run goes on with --------------------------------------------------------------------------------------------
+# State that a run continues with ------------------------------------------------------------------------------------
 
 def git_commit() -> str:
-    """The commit of this code, marked where files differ from it; 'unknown' outside a checkout."""
+    """The commit of this code, marked if files differ from it; 'unknown' outside a checkout."""
     command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
         done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
@@ -92,9 +92,9 @@ def set_random_state(state: dict[str, Any], device: torch.device) -> None:
 # Mixtures -----------------------------------------------------------------------------------------------------------
 
 def mix(parts: Sequence[tuple[Path, float]]) -> dict[str, Any]:
-    """A checkpoint with the weighted mean of the weights of several; its notes are those of the first, and what it is.
+    """A checkpoint with the weighted mean of several weights; its notes are the first one's, and name the mixture.
 
-    Raises ValueError where shares do not add up to 1 or networks have different layouts.
+    Raises ValueError if shares do not add up to 1 or networks have different layouts.
     """
     if abs(sum(share for _, share in parts) - 1) > 1e-6:
         raise ValueError(f"shares add up to {sum(share for _, share in parts):g}, not to 1")

@@ -34,10 +34,10 @@ class Clip:
     """``planes`` (V, T, C, h, w) float16, ``jitter`` (V, T, 2), ``reference`` (T, 3, H, W) float16.
 
     ``planes`` has the 16 channels of ``PLANES``, then two channels for each of ``pairs``, further kinds of motion (see
-    ``PAIRS``). ``spread`` (V,) tells which renders spread their samples over the pixel, ``samples`` (V,) how many
-    there are; ``keep`` (T,) is 0 at cuts and at the first frame; ``guides`` (T, 11, H, W) float16 are the planes at
-    output size, if asked for. Renders made from half of the reference's samples are compared with the other ``half``
-    (T, 3, H, W): ``halved`` (V,).
+    ``PAIRS``). ``spread`` (V,) says which renders spread their samples over the pixel, ``samples`` (V,) gives the
+    samples a pixel; ``keep`` (T,) is 0 at cuts and at the first frame; ``guides`` (T, 11, H, W) float16 are the planes
+    at output size, if asked for. ``halved`` (V,) marks renders from half of the reference's samples, which are compared
+    with the other ``half`` (T, 3, H, W).
     """
 
     name: str
@@ -58,8 +58,8 @@ class Clip:
 class Batch:
     """``frames`` are T inputs of one draw, ``references`` (T, N, 3, H, W) exposed linear colour.
 
-    ``keep`` (T, N, 1, 1, 1) is 0 where history does not continue. Lists of T motions (N, 2, h, w): ``inverse``, to the
-    next frame, for clips that also run backwards; ``static``, as if nothing but the camera moved; ``true_motion``,
+    ``keep`` (T, N, 1, 1, 1) is 0 where the history ends. Lists of T motions (N, 2, h, w): ``inverse`` leads to the next
+    frame, for clips that also run backwards; ``static`` is the motion if only the camera moved; ``true_motion`` is set
     if the motion of the frames may be false.
     """
 
@@ -73,7 +73,7 @@ class Batch:
 
 @dataclass
 class Stack:
-    """Windows of some clips on top of each other: the fields of ``Clip`` with N in front, exposure (N, 1, 1, 1)."""
+    """Stacked windows of several clips: the fields of ``Clip`` with N in front, exposure (N, 1, 1, 1)."""
 
     planes: Tensor
     jitter: Tensor
@@ -127,7 +127,7 @@ def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[st
 
 
 def inverse_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
-    """Motion (T, h, w, 2) from each pixel to where it is in the next frame; 0 in the last frame."""
+    """Motion (T, h, w, 2) from each pixel to its position in the next frame; 0 in the last frame."""
     from postfx.temporal.reverse_motion import invert_motion
 
     motion, depth = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"][..., None].astype(np.float32)
@@ -136,10 +136,10 @@ def inverse_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
 
 
 def static_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
-    """Motion (T, h, w, 2) as if nothing but the camera moved: moving things get the vectors of a world at rest.
+    """Motion (T, h, w, 2) as if only the camera moved: moving objects get the vectors of a world at rest.
 
-    It follows from depth and the camera's poses (x left, y up, z forward), which only the Mitsuba clips hold. At the
-    first frame, at cuts and in clips without poses it is the motion of the file.
+    It follows from depth and the camera's poses (x left, y up, z forward), which only the Mitsuba clips hold. The first
+    frame, cuts and clips without poses keep the motion of the file.
     """
     motion, depth = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"].astype(np.float64)
     meta = json.loads(str(data["meta"])) if "meta" in data else {}
@@ -177,7 +177,7 @@ class ClipPool:
         self.validation: list[Clip] = []
 
     def refresh(self) -> int:
-        """Load new files; one clip in ``held_out`` is for validation. Returns how many clips there are to train on."""
+        """Load new files; one clip in ``held_out`` is for validation. Returns the number of clips for training."""
         fresh = [p for p in sorted(self.folder.glob("[!.]*.npz")) if p not in self.seen]
         mine = [p for p in fresh if self._number(p) % self.shares == self.share]
         self.seen.update(mine)
@@ -200,7 +200,7 @@ class ClipPool:
     def draw(self, size: int, crop: int, seed: int, sparse: float = 0.0) -> Stack:
         """Windows of clips of one output size; ``seed`` picks the size, so that all GPUs work on the same one.
 
-        ``sparse`` is the share of clips whose albedo, normal and roughness are those of a render with fewer samples.
+        ``sparse`` is the share of clips whose albedo, normal and roughness come from a render with fewer samples.
         """
         shapes = sorted(self.training)
         shape = random.Random(seed).choices(shapes, [len(self.training[s]) for s in shapes])[0]
@@ -212,16 +212,16 @@ class ClipPool:
 
 
 def sparser(clip: Clip, variant: int) -> int:
-    """Another render of the same frames with fewer samples, spread over the pixel; the same one if there is none."""
+    """Another render of the same frames with fewer samples, spread over the pixel; else the render itself."""
     fewer = [v for v in range(len(clip.planes)) if clip.samples[v] < clip.samples[variant] and clip.spread[v]]
     return random.choice(fewer) if fewer and clip.spread[variant] else variant
 
 
 def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
             surfaces: list[int] | None = None) -> Stack:
-    """Stack one noisy render of each clip, whole or in windows of ``crop`` render pixels.
+    """Stack one noisy render of each clip, complete or in windows of ``crop`` render pixels.
 
-    ``surfaces`` are the renders that albedo, normal and roughness come from; by default the same ones.
+    ``surfaces`` are the renders that provide albedo, normal and roughness; by default the same ones.
     """
     windows = [_window(clip, crop) for clip in clips]
     chosen = list(zip(clips, variants, windows, strict=True))
@@ -244,7 +244,7 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
 
 
 def target(clip: Clip, variant: int) -> Tensor:
-    """The reference of a noisy render: samples that are not in the render itself."""
+    """The reference of a noisy render, made of other samples than the render."""
     return clip.half if clip.halved[variant] else clip.reference
 
 
@@ -305,11 +305,11 @@ LOSSES = (
 
 @dataclass
 class Augment:
-    """Every choice is drawn once a batch entry; mirroring and transposing once a batch.
+    """Random changes of a batch. Every choice is drawn for each entry; mirroring and transposing once a batch.
 
-    stops: exposure varies by as much either way. drop: factor on the chances that planes are missing. clean: chance of
-    colour of far more samples, up to all, which teaches the network to leave good pixels alone. false_motion: chance
-    that motion vectors are wrong, so that history must be doubted by depth, albedo and normal.
+    stops: exposure varies by this much either way. drop: factor on the chances that planes are missing. clean: chance
+    of colour of many more samples, up to all, which teaches the network to keep good pixels. false_motion: chance of
+    wrong motion vectors, which teach the network to doubt the history by depth, albedo and normal.
     """
 
     stops: float = 1.5
@@ -333,7 +333,7 @@ class Augment:
         return replace(stack, planes=torch.cat((torch.lerp(planes[:, :, :3], mean, share), planes[:, :, 3:]), 2))
 
     def _drop_planes(self, batch: Batch) -> Batch:
-        """Leave out some planes for a whole clip, filled in as the reader does: files may lack planes."""
+        """Replace some planes for a whole clip by the reader's stand-ins: files may lack planes."""
         entries, device = batch.keep.shape[1], batch.keep.device
         lost = {name: torch.zeros(entries, 1, 1, 1, dtype=torch.bool, device=device) for name in ABSENT}
         for names, chance in LOSSES:
@@ -347,8 +347,8 @@ class Augment:
 def falsify_motion(batch: Batch, chance: float) -> Batch:
     """Give some entries of a batch wrong motion for the whole clip; ``true_motion`` keeps the right one for the loss.
 
-    Drawn for each entry: moving things have the motion of a world at rest (where the batch has ``static``), an ellipse
-    of the picture has the mean motion around it, it has none, or the whole picture has none.
+    Each entry draws one mistake: moving objects have the motion of a world at rest (if the batch has ``static``), an
+    ellipse of the picture has the mean motion around it, the ellipse has no motion, or the whole picture has none.
     """
     true = [frame.motion for frame in batch.frames]
     device, (n, _, h, w) = true[0].device, true[0].shape

@@ -41,7 +41,7 @@ from training.export import export, export_kernel, parity, parser, read_quality,
 from training.kernels import denoise as kernels
 from training.kernels import extras, parts
 
-CHECKED = (48, 80)  # size at which the export is held to torch: other than the one it is traced at
+CHECKED = (48, 80)  # size at which the export is compared with torch: not the size that is traced
 SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, for 1x",
              GUIDED: "recurrent denoised upscaler, 1x to 3x, guides at output size"}
 OUTPUTS = (PHASED_FINE, "level1", "level2", "level3", "level4")
@@ -137,8 +137,8 @@ def inputs(config: TrunkConfig) -> dict[str, int]:
 
 
 class ExportedTrunk(Trunk):
-    """The same network, which reads the features in two parts, and whose fine head ends with its convolution:
-    `postfx.kernels.denoise.network_io` has the rest."""
+    """The same network, except that it reads the features in two parts, and its fine head ends with the convolution:
+    `postfx.kernels.denoise.network_io` does the rest."""
 
     def __init__(self, trunk: Trunk):
         super().__init__(trunk.config)
@@ -158,7 +158,7 @@ class ExportedTrunk(Trunk):
 
 
 def export_trunk(trunk: Trunk, path: Path) -> float:
-    """Write the network and hold it to torch; returns the largest relative error. Raises ParityError."""
+    """Write the network and compare it with torch; returns the largest relative error. Raises ParityError."""
     # torch checks that the sizes of skip connections match, so it must know what the input is a multiple of.
     free = {2: trunk.align * torch.export.Dim("rows", min=1), 3: trunk.align * torch.export.Dim("columns", min=1)}
     reads = inputs(trunk.config)

@@ -6,7 +6,7 @@
 
 The exported network stores its weights in half precision and casts them. Here the arithmetic is in half precision, too,
 and the weights are references into that file (ONNX external data), which must lie beside this one. Inputs are packed
-and heads raw (see below); everything that touches colour stays float32. A CPU gains nothing by it.
+and heads raw (see below); all work on colour stays float32. It is not faster on a CPU.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from training.export import (
 # The graph ----------------------------------------------------------------------------------------------------------
 # The graph of a denoised upscaler in half precision.
 #
-# Tensor cores want the channels of a pixel together and their number a multiple of 8. So the network begins with packed
-# inputs and ends with raw heads (`postfx.kernels.denoise.network_io` has the kernels); ONNX Runtime then finds nothing
-# between its convolutions to transpose, pad or cast.
+# Tensor cores need the channels of a pixel together and their number a multiple of 8. So the network begins with packed
+# inputs and ends with raw heads (`postfx.kernels.denoise.network_io` has the kernels); ONNX Runtime then has nothing to
+# transpose, pad or cast between its convolutions.
 
 CHANNELS_FIRST, CHANNELS_LAST = (0, 3, 1, 2), (0, 2, 3, 1)
 
@@ -162,7 +162,7 @@ def _array(weight: TensorProto) -> np.ndarray:
 
 PRECISION = "fp16"
 SHARED = 1024
-"""Bytes from which on weights are worth a reference."""
+"""Weights of at least so many bytes become references."""
 TOLERANCE = 0.01
 """Largest difference to the float32 network, relative to the largest value of an output."""
 

@@ -1,6 +1,6 @@
-"""Gradients of a training step, made fast: fused operations, CUDA graphs, all gradients in one buffer.
+"""Fast gradients of a training step: fused operations, CUDA graphs, all gradients in one buffer.
 
-Nothing here changes what a step computes; on a CPU only the buffer is used.
+None of this changes a step's results; a CPU uses only the buffer.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from training.denoise import loss as losses
 from training.denoise import model as network
 from training.denoise.dataset import Batch
 
-# Small operations that a step spends its time in. Each is bound by memory when run as written; compiled on its own it
-# is one or two GPU kernels forward and as many backward. Compiling the whole step would take minutes for every shape.
+# Small operations in which a step spends its time. Each is bound by memory as written; compiled by itself it becomes
+# one or two GPU kernels forward and as many backward. Compiling the whole step would take minutes for every shape.
 FUSED = ((ops, ("filter_kernels", "pool", "demodulation", "dilate_motion", "box_mean", "upsample")),
          (network, ("features", "guide_features", "accumulate", "demodulate")),
          (losses, ("display", "frame_loss", "flicker_loss", "explained_by_motion", "even_scale")))
@@ -58,7 +58,7 @@ class FlatGradient:
 
 
 class GradientStep:
-    """Call it with a batch: it leaves the gradients in ``flat`` and returns the detached results of ``loss``.
+    """Call it with a batch: it puts the gradients into ``flat`` and returns the detached results of ``loss``.
 
     On a GPU forward and backward are a CUDA graph, one for each shape of batch: a recurrent step over eight frames
     launches some ten thousand small kernels, and replayed as a graph they take a third of the time. The learning rate
@@ -96,7 +96,7 @@ class GradientStep:
                 self._run(held)
         torch.cuda.current_stream().wait_stream(aside)
         graph = torch.cuda.CUDAGraph()
-        # "thread_local": other threads, such as those that watch the exchange between GPUs, may go on meanwhile.
+        # "thread_local": other threads, such as those that watch the exchange between GPUs, may continue meanwhile.
         with torch.cuda.graph(graph, pool=self.pool, capture_error_mode="thread_local"):
             results = self._run(held)
         self.pool = self.pool or graph.pool()

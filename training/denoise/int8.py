@@ -21,19 +21,19 @@ FIRST_TO_LAST, LAST_TO_FIRST = (0, 2, 3, 1), (0, 3, 1, 2)
 """Axes of channels brought to the end, and back."""
 
 # Rounding -----------------------------------------------------------------------------------------------------------
-# Round a convolution's weights to integers, each compensating the errors of those before it.
+# Round a convolution's weights to integers, one after the other; each compensates the errors of those before it.
 #
-# Frantar et al., "GPTQ" (2022): the change of the sums by rounding one weight is subtracted from the weights not yet
-# rounded, using the second moments of the convolution's input.
+# Frantar et al., "GPTQ" (2022): the weights that are not yet rounded take up the change that rounding one weight makes
+# in the sums, by the second moments of the convolution's input.
 
 LIMIT = 63
 """Greatest integer: 7 bits, because x86 processors without VNNI add two products in 16 bits and saturate."""
 PATCHES = 256
-"""Places of a frame whose moments are noted."""
+"""Positions of a frame that moments are taken from."""
 DAMPING = 0.01
-"""Part of the mean moment that is added to all, so that what hardly varies is not relied upon."""
+"""This part of the mean moment is added to all moments, so that rounding does not rely on inputs that hardly vary."""
 SHARES = (1.0, 0.9, 0.8, 0.7, 0.6)
-"""Parts of the largest weight that are tried as the largest kept."""
+"""Limits for weights that are tried, as parts of the largest weight."""
 
 
 class Rounded(NamedTuple):
@@ -57,7 +57,7 @@ class Moments:
         return cls(*(facts[name][0] for name in ("kernel_shape", "pads", "strides")))
 
     def add(self, planes: np.ndarray) -> None:
-        """Add some places of its input (1, C, h, w)."""
+        """Add some positions of its input (1, C, h, w)."""
         padded = np.pad(planes[0], ((0, 0), *2 * [(self._pad, self._pad)]))
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * (self._side,), (1, 2))
         windows = windows[:, ::self._stride, ::self._stride]
@@ -166,8 +166,8 @@ def quantise(model: onnx.ModelProto, layers: Collection[str], ranges: Mapping[st
     """A float32 model with the convolutions of `layers` in int8.
 
     Args:
-        ranges: for each of `activations`, how it is kept.
-        weights: for the weights of each of these convolutions, the same.
+        ranges: the coding of each of `activations`.
+        weights: the integers of the weights of each of these convolutions.
     """
     model = onnx.ModelProto.FromString(model.SerializeToString())
     graph, rewriter = model.graph, _Rewriter(model.graph, ranges, weights)
@@ -262,14 +262,14 @@ def show(model: onnx.ModelProto, names: Iterable[str]) -> onnx.ModelProto:
 # Integer forms ------------------------------------------------------------------------------------------------------
 # Forms of a quantised network that ONNX Runtime computes faster than plain quantise nodes.
 #
-# Enlarging by repeated pixels copies 8-bit values, channels last, as the convolutions around it keep them. Heads are
-# products of 8-bit values, summed in 32 bits: a kernel scales and activates them (`postfx.kernels.denoise.network_io`),
-# which no node can do without another pass over 160 MB. Weights come first in these products, so that each channel is a
-# plane: brought there afterwards, 32 bits each, they take twice as long to open.
+# Enlarging by repeated pixels copies 8-bit values, channels last, like the convolutions around it. Heads are products
+# of 8-bit values, summed in 32 bits: a kernel scales and activates them (`postfx.kernels.denoise.network_io`), which
+# nodes could do only in another pass over 160 MB. Weights are the first factor of these products, so that each channel
+# is a plane: reordering 32-bit results afterwards takes twice as long.
 
 KEPT, QUANTISED = "_kept", "_quantised"
 SIGN, MIDDLE = 128, 64
-"""What is taken from codes of values, and what is added to weights: as the processor's products have them."""
+"""Offsets of the processor's 8-bit products: subtracted from codes of values, added to weights."""
 
 
 def in_integers(model: onnx.ModelProto, weights: Mapping[str, Rounded], stem: Stem | None = None) -> onnx.ModelProto:
@@ -363,8 +363,8 @@ def _multiply(graph: onnx.GraphProto, output: str, convolution: NodeProto, weigh
 
 
 def _signed(graph: onnx.GraphProto, source: str, channels: int) -> list[NodeProto]:
-    """Nodes that give a tensor's 8-bit values a sign, as the second factor of a product has to have: codes less 128,
-    (C, h * w). None where they are there."""
+    """Nodes that make a tensor's 8-bit values signed, as the second factor of a product requires: codes minus 128,
+    (C, h * w). Empty if the graph already has them."""
     made: list[NodeProto] = []
     name, codes = f"{source}_signed", f"{source}{QUANTISED}"
     if any(name in one.output for one in graph.node):
@@ -382,7 +382,7 @@ def _signed(graph: onnx.GraphProto, source: str, channels: int) -> list[NodeProt
 # The stem -----------------------------------------------------------------------------------------------------------
 # The first convolution of a quantised network: it reads features as 8-bit codes (`postfx.kernels.denoise.network_io`).
 #
-# Channels have their own ranges, so the weights of one output channel differ by more than 7 bits hold well: only
+# Channels have their own ranges, so the weights of one output channel differ too much for plain 7-bit rounding: only
 # compensated rounding (`round_compensated`) is as good as float32.
 
 MOST = 255
@@ -393,7 +393,7 @@ LIMITS = {
     "features": np.array([*9 * [LIGHT], *SEEN, (-1.0, 1.0), *2 * [(0.0, 1.0)], *2 * [(-0.5, 0.5)], (0.0, 1.25),
                           (0.0, 1.0), *8 * [(-1.0, 1.0)]]),
     "guides": np.array(4 * SEEN)}
-"""Least and greatest of each channel that codes tell apart: light of 240 times white, motion of 150 pixels."""
+"""Least and greatest value of each channel that codes can hold: light of 240 times white, motion of 150 pixels."""
 
 
 class Coding(NamedTuple):
@@ -455,7 +455,7 @@ class Stem:
         self._moments.add(codes)
 
     def write(self, graph: onnx.GraphProto) -> None:
-        """Put it into a quantised graph, in place of the float convolutions and their inputs."""
+        """Replace the float convolutions and their inputs in a quantised graph."""
         target = next(one for one in graph.node if one.op_type == "Relu").input[0]
         behind = [NodeProto.FromString(one.SerializeToString()) for one in graph.node]
         for one in behind:
@@ -471,7 +471,7 @@ class Stem:
             graph.output.append(helper.make_tensor_value_info(f"{CODING}{name}", TensorProto.FLOAT, [2, count]))
 
     def _convolution(self, graph: onnx.GraphProto) -> list[NodeProto]:
-        """Nodes that give 'stem' of the stored planes; codes of zero are taken off by the bias."""
+        """Nodes that compute 'stem' from the stored planes; the bias subtracts the codes of zero."""
         factors, steps = self._moments.round_weights(self._weights)
         zero = np.concatenate([self._coding[name].zero for name in self.names])
         offset = np.rint(self._bias / steps) - (factors * zero[:, None, None]).sum((1, 2, 3))

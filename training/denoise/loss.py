@@ -1,4 +1,4 @@
-"""The loss of the upscaler, in the display curve that quality is scored on."""
+"""The loss of the upscaler, in the display curve in which quality is scored."""
 
 import math
 from dataclasses import replace
@@ -16,8 +16,8 @@ from training.denoise.model import DenoiseUpscale, Inputs, empty_state
 # Perceived difference -----------------------------------------------------------------------------------------------
 # Differentiable perceived difference: the colour part of FLIP (Andersson et al. 2020).
 #
-# Both pictures are filtered as by the eye at a distance, converted to Lab with less chroma where it is dark (Hunt), and
-# compared by HyAB; an exponent of 0.7 lets small differences count.
+# Both pictures are filtered like the eye does at a distance, converted to Lab with less chroma in the dark (Hunt), and
+# compared by HyAB; an exponent of 0.7 gives weight to small differences.
 
 DENSITY = 67.0  # pixels a degree
 # Bands of the contrast sensitivity of lightness, red-green and blue-yellow, in degrees^2; the last one is the mean by
@@ -38,8 +38,8 @@ def apply_matrix(matrix: list[list[float]], image: Tensor) -> Tensor:
 
 
 def filters(size: int, device: torch.device) -> Tensor:
-    """(3, size, size): matrices that filter a line of pixels by each band of the contrast sensitivity, a Gaussian; edge
-    pixels repeat."""
+    """(3, size, size): matrices that filter a line of pixels by the Gaussian of each band of the contrast sensitivity;
+    edge pixels repeat."""
     lines = []
     for band in BANDS:
         sigma = math.sqrt(band / 2) / math.pi * DENSITY
@@ -98,13 +98,13 @@ def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
 
 def huber(error: Tensor, knee: float) -> Tensor:
     """Mean of an error that is squared below ``knee`` and absolute above (pseudo-Huber). References keep some noise,
-    which is skewed: small errors squared find its mean, where absolute ones would find its median, which is darker."""
+    which is skewed: squared small errors find its mean, absolute ones would find its median, which is darker."""
     return ((error.square() + knee**2).sqrt() - knee).mean()
 
 
 def frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
-    """Error of two display-encoded pictures, times ``scale`` (N, 1, 1, 1): by value, squared (what PSNR counts), of
-    gradients, of coarser pictures, where blotches remain, and, unscaled, as the eye sees it (what FLIP counts)."""
+    """Error of two display-encoded pictures, times ``scale`` (N, 1, 1, 1): of values, squared (as in PSNR), of
+    gradients, of coarser pictures, which show blotches, and, without the scale, as the eye sees it (as in FLIP)."""
     error = (output - reference) * scale
     edges = sum(change.abs().mean() for change in gradient(error))
     blotches = sum(huber(F.avg_pool2d(error, size), COARSE_KNEE) for size in COARSE)
@@ -121,8 +121,8 @@ def light_loss(output: Tensor, reference: Tensor, knee: float = LIGHT[1]) -> Ten
 
 def flicker_loss(output: Tensor, previous: Tensor, reference: Tensor, reference_previous: Tensor,
                  explained: Tensor, scale: Tensor) -> Tensor:
-    """Error of the motion-compensated temporal difference, times ``scale`` (N, 1, 1, 1), where motion explains the
-    reference's change."""
+    """Error of the motion-compensated temporal difference, times ``scale`` (N, 1, 1, 1), in pixels whose change in the
+    reference is explained by motion."""
     change = ((output - previous) - (reference - reference_previous)) * scale
     return (change.abs() * explained).sum() / (3 * explained.sum() + 1)
 
@@ -138,8 +138,8 @@ def reproject_reference(reference: Tensor, motion: Tensor) -> Tensor:
 
 
 def even_scale(colour: Tensor, reference: Tensor, most: float) -> Tensor:
-    """(N, 1, 1, 1): factor on errors of display-encoded pictures that lets frames of many samples count like frames of
-    few: ``NOISY`` by the error of the input ``colour`` (N, 3, h, w), 1 to ``most``."""
+    """(N, 1, 1, 1): factor on errors of display-encoded pictures that gives frames of many samples the weight of frames
+    of few: ``NOISY`` over the error of the input ``colour`` (N, 3, h, w), 1 to ``most``."""
     error = colour - F.adaptive_avg_pool2d(reference, colour.shape[-2:])
     return (NOISY / error.square().mean((1, 2, 3), keepdim=True).sqrt().clamp(min=1e-6)).clamp(1, most)
 
@@ -158,8 +158,8 @@ Scores = tuple[Tensor, Tensor, Tensor]  # loss, and without gradient PSNR and fl
 
 
 class Truth:
-    """References of a clip, their motion, and the factors on errors: 1 or, if clips count ``even``, the larger the less
-    noise the input has."""
+    """References of a clip, their motion, and the factors on errors: 1 or, with ``even``, larger for inputs with less
+    noise."""
 
     def __init__(self, batch: Batch, even: float = 0.0, light: tuple[float, float] = LIGHT):
         self.light, self.knee = light
@@ -196,9 +196,9 @@ class ClipLoss(nn.Module):
     """Run a clip through the recurrent step and sum the losses of its frames.
 
     ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history; ``even``
-    lets clips of little noise count as much as noisy ones, at most so many times (0: all clips count once);
-    ``light`` are weight and knee of the error of light. A batch with inverse motion is run backwards, too: each
-    direction has its own loss, and their blend has one.
+    is the largest factor that gives clips of little noise more weight (0: all have the same); ``light`` are weight and
+    knee of the error of light. A batch with inverse motion also runs backwards: each direction has a loss, and so has
+    their blend.
     """
 
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,

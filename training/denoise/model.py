@@ -1,8 +1,8 @@
-"""Recurrent denoised upscaler: one step takes a noisy frame and the state, and gives the output and the next state.
+"""Recurrent denoised upscaler: one step turns a noisy frame and the state into the output and the next state.
 
-A network (``Trunk``) predicts filters; everything that touches colour is a small fixed operation:
-accumulate demodulated colour over time, filter it in a pyramid of 5x5 kernels from coarse to fine, put the albedo
-back, upsample with 3x3 kernels that know where the samples lie, and blend with the reprojected last output.
+A network (``Trunk``) predicts filters; all work on colour is small fixed operations: accumulate demodulated colour over
+time, filter it in a pyramid of 5x5 kernels from coarse to fine, multiply by the albedo, upsample with 3x3 kernels that
+know the samples' positions, and blend with the reprojected last output.
 """
 
 from dataclasses import asdict, dataclass, fields, replace
@@ -31,7 +31,7 @@ from postfx.kernels.denoise.layout import (
 from training import ops
 
 # The network --------------------------------------------------------------------------------------------------------
-# U-Net that looks at a frame's features and says how to filter it: the machine-learning part of the upscaler.
+# U-Net that predicts filters from a frame's features: the machine-learning part of the upscaler.
 
 NO_SHARPENING = -3.0  # where the head's biases start
 LEVELS = 4  # of the filter pyramid, below the render size
@@ -39,11 +39,12 @@ LEVELS = 4  # of the filter pyramid, below the render size
 
 @dataclass(frozen=True)
 class TrunkConfig:
-    """Channels of the levels at 1/2, 1/4, 1/8 and 1/16 of the render size, convolutions a level, guides read or not;
-    channels of the stem, the first level's if None, and its side: 4 pixels, or the 2 that each of its places holds.
+    """Layout of the network.
 
-    The network may have fewer levels than the filter pyramid: the coarser ones then have one filter each. With
-    ``trust`` the last hidden channel says how far the planes of a pixel are trusted (`trusted`).
+    ``widths`` are the channels of the levels at 1/2, 1/4, 1/8 and 1/16 of the render size, ``depth`` the convolutions a
+    level; ``stem`` the channels of the stem (None: those of the first level) and ``reach`` its side, 4 or 2 pixels.
+    There may be fewer levels than in the filter pyramid, whose coarser levels then have one filter each. With ``trust``
+    the last hidden channel says how far the planes of a pixel are trusted (`trust_reflectance`).
     """
 
     widths: tuple[int, ...] = (64, 128, 192, 256)
@@ -60,12 +61,12 @@ class TrunkConfig:
 
     @property
     def align(self) -> int:
-        """What height and width of the network's input are multiples of."""
+        """Height and width of the network's input are multiples of this."""
         return 2 ** len(self.widths)
 
     @property
     def heads(self) -> tuple[int, ...]:
-        """Channels of the heads of all levels of the pyramid: 5x5 kernel and, but for the coarsest, mix."""
+        """Channels of the heads of all levels of the pyramid: 5x5 kernel and, except for the coarsest, mix."""
         return (*[KERNEL + 1] * (LEVELS - 1), KERNEL)
 
     def as_dict(self) -> dict:
@@ -73,7 +74,7 @@ class TrunkConfig:
 
     @classmethod
     def from_dict(cls, config: dict) -> "TrunkConfig":
-        """From what a checkpoint holds; older ones do not name all."""
+        """From the dictionary of a checkpoint; older ones do not have all entries."""
         known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
         return cls(**{**known, "widths": tuple(config["widths"])})
 
@@ -83,8 +84,8 @@ def weights_from(logits: Tensor) -> Tensor:
     return torch.exp(logits.clamp(-8, 8))
 
 
-def activated(fine: Tensor) -> Tensor:
-    """The fine head (N, 80, h, w) from its logits."""
+def activate_fine(fine: Tensor) -> Tensor:
+    """The activated fine head (N, 80, h, w) from its logits."""
     return torch.cat((weights_from(fine[:, :BLEND]), torch.sigmoid(fine[:, BLEND:MEMORY]),
                       torch.tanh(fine[:, MEMORY:])), 1)
 
@@ -110,7 +111,7 @@ class Block(nn.Sequential):
 
 
 def stem(config: TrunkConfig, inputs: int, bias: bool = True) -> nn.Conv2d:
-    """What reads some planes of render size and writes half as many rows and columns."""
+    """The convolution that reads planes of render size and writes half as many rows and columns."""
     return nn.Conv2d(inputs, config.first, config.reach, stride=2, padding=config.reach // 2 - 1, bias=bias)
 
 
@@ -147,7 +148,7 @@ class Trunk(nn.Module):
         return self.behind(self.stem(features), guides)
 
     def behind(self, x: Tensor, guides: Tensor | None) -> tuple[Tensor, ...]:
-        """The heads from what the stem makes of the features."""
+        """The heads from the stem's output for the features."""
         x = F.relu(x if self.guide_stem is None else x + self.guide_stem(guides))
         skips = []
         for i, block in enumerate(self.down):
@@ -160,26 +161,26 @@ class Trunk(nn.Module):
         return (self._fine(x), *levels)
 
     def _up(self, level: int, skip: Tensor, coarser: Tensor) -> Tensor:
-        """What a level makes of its own and of what comes from the coarser one; of the coarsest that is a constant,
-        where the pyramid goes on, or nothing."""
+        """A level's output from its own features and the coarser level's. The coarsest one gets a constant if the
+        pyramid has more levels, else nothing."""
         if level + 1 < len(self.down):
             return self.up[level](skip + F.interpolate(self.lift[level](coarser), scale_factor=2.0, mode="nearest"))
         return skip if self.rest is None else self.up[level](skip + self.rest)
 
     def _fine(self, x: Tensor) -> Tensor:
-        return activated(F.pixel_shuffle(self.fine(x), 2))
+        return activate_fine(F.pixel_shuffle(self.fine(x), 2))
 
 
 # The output ---------------------------------------------------------------------------------------------------------
 # From filtered radiance at render size to the output: enlarged, given the guides' reflectance, sharpened, and blended
 # with the history.
 
-MOST_LOG = 20.0  # beyond what is ever kept, as is NaN
+MOST_LOG = 20.0  # no valid history is beyond this
 
 
 @dataclass(frozen=True)
 class Reflectance:
-    """What guides say of it at output size, (N, 3, H, W), and how far they are trusted, (N, 1, H, W)."""
+    """Reflectance of the guides at output size, (N, 3, H, W), and how far it is trusted, (N, 1, H, W)."""
 
     factor: Tensor
     trust: Tensor
@@ -187,10 +188,10 @@ class Reflectance:
 
 def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, inside: Tensor,
             guided: Reflectance | None, at: ops.Centres | None = None) -> Tensor:
-    """Upsample radiance, sharpen it, and blend it with the reprojected history ``warped``, which is log-encoded, as is
-    the result. ``guided`` radiance (N, 6, h, w) is without reflectance and with that of the render size: the first is
-    multiplied by the guides' and counts as far as these are trusted. ``at`` says where the output's pixels lie; None:
-    they fill the same area. What is broken, NaN or beyond what is ever kept, counts as nothing."""
+    """Upsample radiance, sharpen it, and blend it with the reprojected history ``warped``; history and result are
+    log-encoded. With ``guided`` the radiance is (N, 6, h, w): without reflectance, and with that of the render size.
+    The first is multiplied by the guides' reflectance and counts as far as this is trusted. ``at`` gives the output's
+    positions; None: the same area. Broken values, NaN or above `MOST_LOG`, count as 0."""
     n, _, h, w = radiance.shape
     height, width = warped.shape[-2:]
     weights = fine[:, KERNEL:BLEND].reshape(n, 9, 4, h, w)
@@ -208,12 +209,12 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
     detail, soft = (ops.log_encode(x) for x in pictures)
     current = (detail + sharpen * (detail - soft)).clamp(min=0)
     current = torch.where(current <= MOST_LOG, current, 0)
-    mixed = current + inside * (1 - blend) * (warped - current)  # what is infinite stays so, whatever the share
-    return torch.where(mixed <= MOST_LOG, mixed.clamp(min=0), current)  # rounding makes no light negative
+    mixed = current + inside * (1 - blend) * (warped - current)  # an infinite history stays infinite at any share
+    return torch.where(mixed <= MOST_LOG, mixed.clamp(min=0), current)  # rounding could make light negative
 
 
 def reflectance(factor: Tensor, own: Tensor) -> Reflectance:
-    """The guides' ``factor`` (N, 3, H, W), trusted as far as the planes' ``own`` (N, 3, h, w) bears it out."""
+    """The guides' ``factor`` (N, 3, H, W), trusted as far as the planes' ``own`` (N, 3, h, w) confirms it."""
     h, w = own.shape[-2:]
     whole = torch.arange(h, device=own.device), torch.arange(w, device=own.device)
     cells = ops.trust(own, factor, whole, h, w, torch.ones_like(own[:, :1]))
@@ -243,7 +244,7 @@ class Inputs:
     """A frame at render size (h, w), in the conventions of ``postfx.frame``; all NCHW float32.
 
     ``colour`` is already multiplied by the exposure; ``jitter`` is (N, 2); ``gain`` (N, 1, 1, 1) is the exposure over
-    that of the frame before, None where it did not change. Planes may hold NaN and infinity.
+    the previous frame's, None if it did not change. Planes may hold NaN and infinity.
     """
 
     colour: Tensor
@@ -260,7 +261,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class State:
-    """What a frame leaves to the next. ``output`` is log(1 + exposed colour) at output size, the rest render size."""
+    """The history. ``output`` is log(1 + exposed colour) at output size; all else has the render size."""
 
     output: Tensor
     accumulated: Tensor
@@ -296,24 +297,24 @@ def empty_state(inputs: Inputs, height: int, width: int) -> State:
 
 
 def reproject(inputs: Inputs, state: State) -> Reprojected:
-    """Move the state along the motion; what comes from beyond the border or before a reset is marked invalid."""
+    """Move the state along the motion; pixels from beyond the border or from before a reset are marked invalid."""
     motion = ops.dilate_motion(inputs.motion, inputs.depth)
     return recall(inputs, state, motion, reproject_output(state.output, motion, inputs.gain))
 
 
 def reproject_output(output: Tensor, motion: Tensor, gain: Tensor | None) -> Tensor:
-    """The last output where its pixels are now, rescaled where the exposure changed."""
+    """The last output moved to this frame, rescaled if the exposure changed."""
     moved = ops.warp(output, ops.enlarge_motion(motion, *output.shape[-2:]), "bicubic").clamp(min=0)
     return moved if gain is None else torch.log1p(torch.expm1(moved) * gain)
 
 
 def recall(inputs: Inputs, state: State, motion: Tensor, output: Tensor, place: ops.Place | None = None) -> Reprojected:
-    """The rest of the state moved along the dilated ``motion``, beside the reprojected ``output``; all of the frame, or
-    what lies at a ``place`` in it."""
+    """The rest of the state moved along the dilated ``motion``, together with the reprojected ``output``; for the whole
+    frame, or for a ``place`` in it."""
     valid = ops.inside(motion, place, state.depth.shape[-2:]) * state.fresh
     inside = ops.inside(ops.enlarge_motion(motion, *output.shape[-2:])) * state.fresh
     rest = ops.warp(torch.cat((state.accumulated, state.count, state.hidden), 1), motion, place=place)
-    accumulated, rest = rest[:, :3] * (valid > 0), rest[:, 3:] * valid  # a mean that counts less is still that mean
+    accumulated, rest = rest[:, :3] * (valid > 0), rest[:, 3:] * valid  # a mean with less weight keeps its value
     accumulated = accumulated if inputs.gain is None else accumulated * inputs.gain
     depth = ops.warp_nearest(state.depth, motion, place)
     before, now = (ops.sanitise(z, 1e-6, MAX_DEPTH) for z in (depth, inputs.depth))
@@ -339,7 +340,7 @@ def features(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor) -
 
 def features_of(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor, mean: Tensor,
                 shrink: float | Tensor) -> Tensor:
-    """The same from the ``mean`` of the last output at each render pixel, and render over output size."""
+    """`features` from the ``mean`` of the last output at each render pixel; ``shrink`` is render over output size."""
     plane = torch.ones_like(inputs.depth)
     history = torch.expm1(mean) * past.valid
     return torch.cat((
@@ -362,29 +363,29 @@ def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:
 
 
 def seen_guides(guides: Guides, scale: Tensor) -> Tensor:
-    """What the trunk sees of each pixel of the guides: (N, 11, H, W)."""
+    """The trunk's channels for each pixel of the guides: (N, 11, H, W)."""
     return torch.cat((
         ops.sanitise(guides.diffuse_albedo, 0, 2), ops.sanitise(guides.specular_albedo, 0, 2),
         ops.sanitise(guides.normal, -1, 1), ops.sanitise(guides.roughness, 0, 1),
         scale / (scale + ops.sanitise(guides.depth, 0, MAX_DEPTH))), 1)
 
 
-def aligned(image: Tensor, multiple: int = ALIGN) -> Tensor:
+def mirror_to_multiple(image: Tensor, multiple: int = ALIGN) -> Tensor:
     """``image`` (N, C, h, w) mirrored at its right and lower edge up to the next multiple."""
     h, w = image.shape[-2:]
-    rows, columns = (ops.mirrored(size, size + -size % multiple, image.device) for size in (h, w))
+    rows, columns = (ops.mirror_index(size, size + -size % multiple, image.device) for size in (h, w))
     return ops.pick(image, rows, columns)
 
 
 def accumulate(colour: Tensor, mean: Tensor, count: Tensor, distrust: Tensor) -> tuple[Tensor, Tensor]:
-    """Running ``mean`` of demodulated colour and its effective sample count; ``distrust`` 1 starts anew."""
+    """Running ``mean`` of demodulated colour and its effective sample count; ``distrust`` 1 starts again."""
     share = 1 / (count + 1)
     alpha = share + (1 - share) * distrust
     return torch.lerp(mean, colour, alpha), (1 / alpha).clamp(max=MAX_COUNT)
 
 
-def filled(head: Tensor, level: Tensor) -> Tensor:
-    """A head with as many rows and columns as its level, or the one that it has."""
+def pad_head(head: Tensor, level: Tensor) -> Tensor:
+    """A head padded to the rows and columns of its level; a head of 1x1 stays as it is."""
     (h, w), (rows, columns) = level.shape[-2:], head.shape[-2:]
     return head if (rows, columns) in ((1, 1), (h, w)) else F.pad(head, (0, w - columns, 0, h - rows))
 
@@ -393,7 +394,8 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
                    width: int) -> Tensor:
     """Coarse to fine: mix a level's own colour with the coarser result, then smooth both by the level's kernels.
 
-    The heads may be smaller than their levels: what they lack lies beyond the picture; one of 1x1 holds for all of it.
+    Heads may be smaller than their levels, as missing rows and columns lie outside the picture; a head of 1x1 holds for
+    the whole picture.
     """
     valid = [ops.valid_area(colour, height, width)]
     colours, weight = [colour], importance * valid[0]
@@ -401,7 +403,7 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
         pooled, weight = ops.pool(colours[-1], weight)
         colours.append(pooled)
         valid.append(F.max_pool2d(valid[-1], 2))
-    fine, *levels = (filled(head, of) for head, of in zip((fine, *levels), colours, strict=True))
+    fine, *levels = (pad_head(head, of) for head, of in zip((fine, *levels), colours, strict=True))
     result = ops.filter_kernels(colours[-1], levels[-1], valid[-1])
     heads = [(fine[:, :KERNEL], fine[:, MIX:MIX + 1]), *((x[:, :KERNEL], x[:, KERNEL:]) for x in levels[:-1])]
     for i in reversed(range(len(heads))):
@@ -416,24 +418,24 @@ def mean_reflectance(factor: Tensor) -> Tensor:
     return F.avg_pool2d(factor, TRUST_CELL, ceil_mode=True, count_include_pad=False)
 
 
-def doubted(factor: Tensor, mean: Tensor, doubt: Tensor) -> Tensor:
-    """Reflectance of planes that may be noisy, with a share of its mean around each pixel. Colour is divided and
-    multiplied by the same, so noise that is left out is not printed into it."""
+def mix_in_mean(factor: Tensor, mean: Tensor, doubt: Tensor) -> Tensor:
+    """Reflectance of planes that may be noisy, mixed with a share ``doubt`` of its mean around each pixel. Colour is
+    divided and multiplied by the result, so it does not get the planes' noise."""
     return factor - (factor - mean) * doubt
 
 
-def trusted(factor: Tensor, share: Tensor) -> Tensor:
-    """Reflectance of a frame as far as planes are trusted, (N, 1, h, w) in [-1, 1]; for the rest its mean."""
+def trust_reflectance(factor: Tensor, share: Tensor) -> Tensor:
+    """Reflectance of a frame, trusted by ``share`` (N, 1, h, w) in [-1, 1]; its mean replaces the rest."""
     h, w = factor.shape[-2:]
     rows, columns = (torch.arange(size, device=factor.device) for size in (h, w))
     mean = ops.between(ops.between(mean_reflectance(factor), columns, w, -1), rows, h, -2)
-    return doubted(factor, mean, 0.5 - 0.5 * share)
+    return mix_in_mean(factor, mean, 0.5 - 0.5 * share)
 
 
 class DenoiseUpscale(nn.Module):
     """One recurrent step. Output size is free: any width and height of 1 to 3 times the render size.
 
-    ``trunk`` is a ready network that gives what ``Trunk`` gives; None makes one of ``config``.
+    ``trunk`` is a network with the interface of ``Trunk``; None makes one by ``config``.
     """
 
     def __init__(self, config: TrunkConfig | None = None, trunk: nn.Module | None = None):
@@ -451,14 +453,14 @@ class DenoiseUpscale(nn.Module):
         seen = [features(inputs, past, factor, scale)]
         if self.config.guides:
             seen.append(guide_features(guides, h, w, scale))
-        heads = self.trunk(*(aligned(x, align) if h % align or w % align else x for x in seen))
+        heads = self.trunk(*(mirror_to_multiple(x, align) if h % align or w % align else x for x in seen))
         fine, *levels = (head.float() for head in heads)
         coarsest = 2 ** len(levels)
         pad = (0, -w % coarsest, 0, -h % coarsest)
         here = fine[..., :h, :w]
         planes = factor
         if self.config.trust:
-            factor = trusted(factor, here[:, PLANE_TRUST:])
+            factor = trust_reflectance(factor, here[:, PLANE_TRUST:])
         noisy, distrust = hold(demodulate(inputs.colour, factor)), here[:, DISTRUST:IMPORTANCE]
         accumulated, count = accumulate(noisy, past.accumulated, past.count, distrust)
         importance = F.pad(here[:, IMPORTANCE:MEMORY], pad)
@@ -467,7 +469,7 @@ class DenoiseUpscale(nn.Module):
         guided = None
         if self.config.guides:
             guided = reflectance(ops.demodulation(guides.diffuse_albedo, guides.specular_albedo), planes)
-        elif self.config.trust and state.output.shape[-2:] == (h, w):  # texture is not resampled where nothing is
+        elif self.config.trust and state.output.shape[-2:] == (h, w):  # at the same size texture is not resampled
             guided = Reflectance(factor, (inputs.jitter == 0).all(1).to(factor.dtype)[:, None, None, None])
         shaded = radiance * factor if guided is None else torch.cat((radiance, radiance * factor), 1)
         output = resolve(shaded, here, inputs.jitter, past.output, past.inside, guided)

@@ -1,4 +1,4 @@
-"""Make the int8 variant of a denoised upscaler, for CPUs, from noisy frames like those that it was trained on.
+"""Make the int8 variant of a denoised upscaler, for CPUs, by noisy frames like its training frames.
 
     python -m training.denoise.quantise denoise_upscale.m --clips FOLDER_OF_CLIPS
     python -m training.denoise.quantise denoise_upscale.m.guides --clips 'shot/noisy.####.exr'
@@ -48,12 +48,13 @@ from training.export import MODELS, constant_value, known_recipe, lower_constant
 # Statistics of a float network over frames: ranges of its tensors, and moments to round its weights by.
 
 SAMPLED = 4096
-"""Values of a tensor that are noted of each frame."""
+"""Values of a tensor that are sampled in each frame."""
 SHARES = np.geomspace(0.01, 1, 120)
-"""Parts of a tensor's full range that are tried."""
+"""Ranges that are tried, as parts of a tensor's full range."""
 POWER = 1.5
-"""Of the error that is least in sum. With 2, few extremes of few frames make ranges too wide for all others: pictures
-are then 1.4 dB further from float32 (`m` and `s`, held-out frames); with 1, extremes fall out and one frame suffers."""
+"""The range with the least sum of errors to this power is chosen. With 2, a few extremes of a few frames make ranges
+too wide for all others: pictures are then 1.4 dB further from float32 (`m` and `s`, held-out frames); with 1, extremes
+are cut off and one frame suffers."""
 
 
 class Calibration:
@@ -110,12 +111,13 @@ def best_range(values: np.ndarray) -> Range:
 
 PRECISION = "int8"
 LAYERS = ("down", "lift", "up")
-"""Modules of the trunk whose ranges are measured. Heads and, but for 1x, the stem are in integers as well: heads read
-what these write, and the stem has ranges of its own (`training.denoise.int8`). At 1x it stays in float: in 8 bits it
-costs 0.9 dB of frames of many samples."""
+"""Modules of the trunk whose ranges are measured. Heads and, except at 1x, the stem are in integers as well: heads read
+the outputs of these modules, and the stem has its own ranges (`training.denoise.int8`). At 1x the stem stays in float:
+in 8 bits it costs frames of many samples 0.9 dB."""
 FINE = {"m": ("down.0",), "s": ("down.0", "down.1")}
-"""Size of a network -> its first layers, which stay in float at 1x: frames of many samples would lose up to a decibel
-by them. The second costs `m` 60 ms of 430 at 960x540 and gains 0.01 dB, `s` 8 ms of 166 and gains 0.04 dB."""
+"""Size of a network -> its first layers, which stay in float at 1x: in integers they would cost frames of many samples
+up to a decibel. The second one costs `m` 60 ms of 430 at 960x540 and gains 0.01 dB, `s` 8 ms of 166 and gains 0.04
+dB."""
 
 Look = Callable[[Mapping[str, np.ndarray]], None]
 
@@ -128,7 +130,7 @@ class Shot(NamedTuple):
 
 
 class WatchedDevice(Device):
-    """A CPU device that runs one given network, whatever a pass asks for, and shows its inputs to `look`."""
+    """A CPU device that always runs one given network, whatever a pass asks for, and passes its inputs to `look`."""
 
     def __init__(self, library: Library, name: str, look: Look) -> None:
         super().__init__("cpu")
@@ -151,10 +153,11 @@ class WatchedDevice(Device):
 
 
 def shots(source: str, ending: str) -> Iterator[Shot]:
-    """Frames of a folder of clips or of a sequence, for a network whose name has this ending: with guides only those
-    that have some, else all without them; at scale 1 whatever their references have.
+    """Frames of a folder of clips or of a sequence, for a network whose name has this ending: a network for guides gets
+    only frames with guides, others get all frames without them; a network for 1x runs at scale 1, whatever the size of
+    the references.
 
-    Raises ValueError when there are none.
+    Raises ValueError if there are none.
     """
     found, guided, unscaled = 0, ending == GUIDED, ending == UNSCALED
     clips = sorted(Path(source).glob("[!.]*.npz")) if Path(source).is_dir() else []
@@ -187,7 +190,7 @@ def _plane(values: np.ndarray) -> np.ndarray:
 
 
 def pictures(found: Iterable[Shot], library: Library, name: str, look: Look = lambda reads: None) -> list[np.ndarray]:
-    """Results of a network for all shots as they are seen: exposed, x/(1+x), sRGB."""
+    """Results of a network for all shots as people see them: exposed, x/(1+x), sRGB."""
     device, tag = WatchedDevice(library, name, look), name.split(".")[1]
     results = []
     for shot in found:

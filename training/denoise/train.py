@@ -5,14 +5,14 @@ Several GPUs: torchrun --nproc-per-node 4 -m training.denoise.train --clips CLIP
 To try it:    python -m training.denoise.train --clips CLIPS --out RUN --steps 20 --batch 1 --crop 32 --widths 16 16
 
 The learning rate rises over 500 steps and then follows the clock: a cosine down to zero at the end of --minutes. The
-folder of clips may still be filling. RUN/log.csv and validation.csv hold the curves (`training.measure.runs curves`
+folder of clips may still be growing. RUN/log.csv and validation.csv hold the curves (`training.measure.runs curves`
 draws them). RUN/checkpoint.pt holds the weights, their average, the optimiser, step, time, random states, arguments and
-the git commit; --resume goes on with all of it, --start begins a new run from weights alone. --log FILE adds the run to
-a table of runs (`training.measure.runs`). The defaults are those of the last training of m.
+the git commit; --resume continues with all of it, --start begins a new run from weights alone. --log FILE adds the run
+to a table of runs (`training.measure.runs`). The defaults are those of the last training of m.
 
 This file reads from top to bottom: settings, the few functions that a step needs, then `train`, one plain loop. The
-network is in model.py, the loss in loss.py, clips and their augmentation in dataset.py, what makes steps fast on GPUs
-in gradient.py, and what a checkpoint holds in checkpoint.py.
+network is in model.py, the loss in loss.py, clips and their augmentation in dataset.py, CUDA graphs and gradients in
+gradient.py, and checkpoints in checkpoint.py.
 """
 
 import argparse
@@ -64,25 +64,25 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--stem", type=int, help="channels of the stem (default: those of the first level)")
     parser.add_argument("--reach", type=int, default=TrunkConfig.reach, choices=(2, 4), help="side of the stem, pixels")
     parser.add_argument("--guides", action="store_true", help="read planes at output size")
-    parser.add_argument("--trust", action="store_true", help="planes count as far as the network trusts them")
+    parser.add_argument("--trust", action="store_true", help="let the network predict how far it trusts the planes")
     parser.add_argument("--flicker", type=float, default=6.0, help="weight of the temporal difference")
     parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
     parser.add_argument("--even", type=float, nargs="?", default=0.0, const=8.0, metavar="MOST",
-                        help="clips of little noise count as much as noisy ones, at most this many times as much (8)")
+                        help="give clips of little noise more weight, at most this many times as much (8)")
     parser.add_argument("--light", type=float, nargs=2, default=LIGHT, metavar=("WEIGHT", "KNEE"),
-                        help="weight of the relative error of light in cells of 16x16 pixels, and below which error it "
-                             "is squared (default: %(default)s)")
+                        help="weight of the relative error of light in cells of 16x16 pixels, and the error below "
+                             "which it is squared (default: %(default)s)")
     parser.add_argument("--clean", type=float, default=Augment.clean, metavar="SHARE",
-                        help="part of the offline renders whose colour is moved towards the reference (%(default)s)")
+                        help="share of the offline renders whose colour is moved towards the reference (%(default)s)")
     parser.add_argument("--false-motion", type=float, default=0.0, metavar="SHARE",
-                        help="part of the clips whose motion vectors are wrong (%(default)s)")
+                        help="share of the clips with wrong motion vectors (%(default)s)")
     parser.add_argument("--sparse-planes", type=float, default=0.0, metavar="SHARE",
-                        help="part of the clips with albedo, normal and roughness of a render with fewer samples")
+                        help="share of the clips with albedo, normal and roughness of a render with fewer samples")
     parser.add_argument("--both-ways", type=float, default=0.0, metavar="SHARE",
-                        help="part of the steps that also run clips backwards, and rate the blend of both directions")
+                        help="share of the steps that also run clips backwards and score the blend of both directions")
     begin = parser.add_mutually_exclusive_group()
     begin.add_argument("--start", type=Path, help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx")
-    begin.add_argument("--resume", type=Path, help="checkpoint.pt of a run to go on with, with its arguments")
+    begin.add_argument("--resume", type=Path, help="checkpoint.pt of a run to continue, with its arguments")
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--log", type=Path, metavar="FILE", help="table of runs (.jsonl) that gets a row at the end")
@@ -90,7 +90,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def parse(words: list[str] | None = None) -> argparse.Namespace:
-    """The arguments; those of a run that is resumed take the place of the defaults."""
+    """The arguments; a resumed run's arguments replace the defaults."""
     parser = options()
     args = parser.parse_args(words)
     if args.resume:
@@ -136,7 +136,7 @@ class Average:
 
 @torch.no_grad()
 def begin_trust(trunk: network.Trunk) -> None:
-    """Make the last hidden channel, which the network used otherwise, its trust in the planes: nearly 1 everywhere."""
+    """Turn the last hidden channel, which had another use, into the trust in the planes: nearly 1 everywhere."""
     head = slice(4 * (network.FINE - 1), 4 * network.FINE)
     trunk.fine.weight[head] = 0
     trunk.fine.bias[head] = 2
@@ -146,9 +146,10 @@ def begin_trust(trunk: network.Trunk) -> None:
 @torch.no_grad()
 @torch.compiler.set_stance("force_eager")  # nothing is compiled for the sizes of validation
 def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, both: bool = False) -> tuple[float, float]:
-    """PSNR in dB and flicker of the averaged weights on the first noisy render of each held-out clip, not augmented.
+    """PSNR in dB and flicker of the averaged weights on the first noisy render of each held-out clip, without
+    augmentation.
 
-    ``both``: of the blend of both directions. Both figures are NaN where no clip is held out.
+    ``both`` scores the blend of both directions. Both figures are NaN if no clip is held out.
     """
     mine = {k: v.clone() for k, v in loss.model.state_dict().items()}
     loss.model.load_state_dict(weights)
@@ -210,7 +211,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
                                   fused=device.type == "cuda")
     print(f"{len(pool)} clips to train on, {len(pool.validation)} held out", flush=True)
 
-    # Where to begin: at the first step, or where a checkpoint was written.
+    # Start at the first step, or at the step of a checkpoint.
     step, start = 0, time.monotonic()
     if args.resume:
         saved = read(args.resume)
@@ -289,7 +290,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
 
 
 def run_row(args: argparse.Namespace, notes: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table of runs: what was done, and how it came out."""
+    """A row of the table of runs: the arguments and the results."""
     defaults = vars(options().parse_args(["--clips", "", "--out", ""]))
     changed = {k: v for k, v in vars(args).items() if k not in PLACES and v != defaults[k]}
     return {"run": args.out.name, "date": date.today().isoformat(), "commit": git_commit(),

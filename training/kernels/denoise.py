@@ -27,7 +27,7 @@ from training.denoise.model import (
     Inputs,
     Reflectance,
     State,
-    activated,
+    activate_fine,
     weights_from,
 )
 
@@ -62,24 +62,24 @@ class Window(NamedTuple):
 
     def held(self, part: Tensor) -> ops.Place:
         """Rows and columns of the frame that a part (h, w, C) holds; its last ones are repeated."""
-        rows, columns = counted(part)
+        rows, columns = list_places(part)
         return (rows + self.top).clamp(max=self.h - 1), (columns + self.left).clamp(max=self.w - 1)
 
     def valid(self, part: Tensor) -> Tensor:
         """(h, w, 1): 1 where a part (h, w, C) lies in the frame, else 0."""
-        rows, columns = counted(part)
+        rows, columns = list_places(part)
         return ((rows + self.top < self.h)[:, None] & (columns + self.left < self.w))[..., None].to(part.dtype)
 
     def edge(self, part: Tensor) -> Tensor:
         """(h, w, 1): 1 at the edge of a part (h, w, C) where the frame goes on, else 0."""
-        (rows, columns), (h, w) = counted(part), part.shape[:2]
+        (rows, columns), (h, w) = list_places(part), part.shape[:2]
         down = ((rows == 0) & (self.top > 0)) | ((rows == h - 1) & (self.top + h < self.h))
         across = ((columns == 0) & (self.left > 0)) | ((columns == w - 1) & (self.left + w < self.w))
         return (down[:, None] | across)[..., None].to(part.dtype)
 
     def outputs(self, part: Tensor) -> ops.Place:
         """Rows and columns of the frame at output size that a part (H, W, C) holds; its last ones are repeated."""
-        rows, columns = counted(part)
+        rows, columns = list_places(part)
         return (rows + self.out_top).clamp(max=self.height - 1), (columns + self.out_left).clamp(max=self.width - 1)
 
     def centres(self, at: ops.Place, moved: Tensor) -> ops.Centres:
@@ -95,7 +95,7 @@ class Window(NamedTuple):
         return ops.pick(to_image(moved * scale), at.rows, at.columns)
 
 
-def counted(picture: Tensor) -> ops.Place:
+def list_places(picture: Tensor) -> ops.Place:
     """Numbers of the rows and columns of a picture (h, w, C)."""
     return tuple(torch.arange(size, device=picture.device) for size in picture.shape[:2])
 
@@ -221,7 +221,7 @@ class Accumulate(nn.Module):
         (h, w), at, valid = past.shape[:2], place.held(past), place.valid(past)
         here, old = fine[:, :, :h, :w], to_image(past)
         factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
-        factor = network.doubted(factor, self._mean_around(at, means, place), self._doubt(here, means))
+        factor = network.mix_in_mean(factor, self._mean_around(at, means, place), self._doubt(here, means))
         noisy = network.hold(network.demodulate(ops.pick(expose(colour, params), *at), factor))
         accumulated, count = network.accumulate(noisy, old[:, :3], old[:, 3:].clamp(min=0),
                                                 here[:, DISTRUST:IMPORTANCE])
@@ -358,14 +358,14 @@ class OpenFine(nn.Module):
     def forward(self, raw_fine: Tensor) -> Tensor:
         _, rows, columns, _ = raw_fine.shape
         phases = raw_fine.float().reshape(1, rows, columns, 2, 2, FINE)
-        return activated(phases.permute(0, 5, 1, 3, 2, 4).reshape(1, FINE, 2 * rows, 2 * columns))
+        return activate_fine(phases.permute(0, 5, 1, 3, 2, 4).reshape(1, FINE, 2 * rows, 2 * columns))
 
 
 class OpenPhased(nn.Module):
     """phased_fine (1, 80 * 4, hp/2, wp/2) -> fine (1, 80, hp, wp), activated."""
 
     def forward(self, phased_fine: Tensor) -> Tensor:
-        return activated(F.pixel_shuffle(phased_fine, 2))
+        return activate_fine(F.pixel_shuffle(phased_fine, 2))
 
 
 class OpenProducts(nn.Module):
@@ -380,7 +380,7 @@ class OpenFineProducts(nn.Module):
     """products (1, 80 * 4, hp/2, wp/2) of int32, scaling (2, 80 * 4) -> fine (1, 80, hp, wp), activated."""
 
     def forward(self, products: Tensor, scaling: Tensor) -> Tensor:
-        return activated(F.pixel_shuffle(logits(products, scaling), 2))
+        return activate_fine(F.pixel_shuffle(logits(products, scaling), 2))
 
 
 def logits(products: Tensor, scaling: Tensor) -> Tensor:

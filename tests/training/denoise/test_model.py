@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch")
 
 from tests.training.small_denoiser import SMALL, small_model  # noqa: E402
 from training import ops  # noqa: E402
-from training.denoise.model import FEATURES, FINE, HIDDEN, Inputs, State, Trunk, aligned, empty_state  # noqa: E402
+from training.denoise.model import FEATURES, FINE, HIDDEN, Inputs, State, Trunk, empty_state, mirror_to_multiple  # noqa: E402
 
 SIZES = {1: (18, 30), 1.5: (27, 45), 2: (36, 60), 2.7: (49, 81), 3: (54, 90)}
 
@@ -39,12 +39,12 @@ def test_trunk_gives_kernels_of_all_levels() -> None:
 
 def test_what_lies_beyond_the_edge_is_the_mirrored_picture() -> None:
     image = torch.rand(1, 2, 27, 35)
-    padded = aligned(image)
+    padded = mirror_to_multiple(image)
     assert padded.shape[-2:] == (32, 48)
     torch.testing.assert_close(padded[..., :27, :35], image, rtol=0, atol=0)
     torch.testing.assert_close(padded[..., 27:, :35], image[..., 21:26, :].flip(-2), rtol=0, atol=0)
     torch.testing.assert_close(padded[..., :27, 35:], image[..., 21:34].flip(-1), rtol=0, atol=0)
-    assert aligned(image[..., :1, :3]).shape[-2:] == (16, 16)
+    assert mirror_to_multiple(image[..., :1, :3]).shape[-2:] == (16, 16)
 
 
 @pytest.mark.parametrize("scale", SIZES)

@@ -3,7 +3,7 @@
 import torch
 
 from training.denoise.loss import light_loss
-from training.denoise.model import FINE, DenoiseUpscale, Inputs, TrunkConfig, empty_state, trusted
+from training.denoise.model import FINE, DenoiseUpscale, Inputs, TrunkConfig, empty_state, trust_reflectance
 from training.denoise.train import begin_trust
 
 
@@ -21,8 +21,8 @@ def inputs(size: int, albedo: torch.Tensor, jitter: float = 0.0) -> Inputs:
 
 def test_trusted_planes_stay_and_doubted_ones_become_smooth():
     factor = torch.rand(1, 3, 32, 32) + 0.1
-    assert torch.equal(trusted(factor, torch.ones(1, 1, 32, 32)), factor)
-    doubted = trusted(factor, -torch.ones(1, 1, 32, 32))
+    assert torch.equal(trust_reflectance(factor, torch.ones(1, 1, 32, 32)), factor)
+    doubted = trust_reflectance(factor, -torch.ones(1, 1, 32, 32))
     assert doubted.std() < 0.3 * factor.std()
     torch.testing.assert_close(doubted.mean(), factor.mean(), rtol=0.02, atol=0)
 
