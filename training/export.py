@@ -47,8 +47,8 @@ def export(
 
     Args:
         free: for each example its axes of free size, as in `torch.export`'s `dynamic_shapes`.
-        names: input or output -> shape to declare, where the exporter's own names of free sizes do not suit; a size
-            of '?' is left to shape inference.
+        names: input or output -> shape to declare, if the exporter's own names of free sizes do not suit; shape
+            inference finds a size of '?'.
     """
     program = torch.onnx.export(
         module.eval(),
@@ -118,8 +118,8 @@ def store_half(graph: onnx.GraphProto) -> None:
 
 
 def lift_constants(model: onnx.ModelProto) -> None:
-    """Put outputs that no node makes into the metadata, where `postfx.runtime.session` reads them: some execution
-    providers cannot have such outputs."""
+    """Move outputs that no node makes into the metadata, from which `postfx.runtime.session` reads them: some execution
+    providers do not support such outputs."""
     graph = model.graph
     weights, used = {one.name: one for one in graph.initializer}, {name for node in graph.node for name in node.input}
     lifted = {one.name: onnx.numpy_helper.to_array(weights[one.name]) for one in graph.output if one.name in weights}
@@ -204,12 +204,12 @@ RECIPE = {"base": str, "steps": list, "differs": list, "not recorded": list, "sc
 
 
 def check_recipe(recipe: object) -> str | None:
-    """What is wrong with a card's recipe, or None; `training.remake` explains its keys."""
+    """The mistake in a card's recipe, or None; `training.remake` explains its keys."""
     if not isinstance(recipe, dict):
         return "no recipe: an object with 'steps' is expected"
     for key, value in recipe.items():
         if not isinstance(value, RECIPE.get(key, ())):
-            return f"recipe: '{key}' is not one of {', '.join(RECIPE)}, or not of its kind"
+            return f"recipe: '{key}' is not one of {', '.join(RECIPE)}, or has a wrong type"
     steps = recipe.get("steps") or []
     if not steps or not all(isinstance(s, dict) and isinstance(s.get("run"), str) and s["run"].strip() and
                             set(s) <= {"run", "processes"} and isinstance(s.get("processes", 1), int) for s in steps):
@@ -218,7 +218,7 @@ def check_recipe(recipe: object) -> str | None:
 
 
 def known_recipe(card: Path) -> dict[str, Any]:
-    """{"recipe": ...} of a card that is about to be replaced, or {} if it has none."""
+    """{"recipe": ...} of a card that will be replaced, or {} if it has none."""
     recipe = json.loads(card.read_text()).get("recipe") if card.exists() else None
     return {"recipe": recipe} if recipe else {}
 

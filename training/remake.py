@@ -1,23 +1,23 @@
-"""Make a shipped model anew from the recipe in its card.
+"""Make a shipped model again from the recipe in its card.
 
     python -m training.remake models/denoise_upscale.m.json --dry-run                     show the steps
     python -m training.remake models/denoise_upscale.m.json --scenes real --gpus 0,1      render, train, export
     python -m training.remake models/tonemap.auto.json --photos 'hdr/*.exr' --panoramas 'env/*.hdr'
-    python -m training.remake models/denoise_upscale.s.json --scale 0.01 --clips CLIPS    a small one, of clips of yours
+    python -m training.remake models/denoise_upscale.s.json --scale 0.01 --clips CLIPS    a trial on your own clips
 
-Results go to WORK/models and are compared with nothing: copy over what you want to ship. A command that was ended goes
-on at the step where it was. A recipe may also be a file of its own, of a model that is not there yet.
+Results go to WORK/models and are not compared with anything: copy the ones that you want to ship. An interrupted
+command continues at its step. A recipe may also be a file of its own, for a model that does not exist yet.
 
 The recipe is the object `recipe` of a card:
 
-    base          name of the model that this one is made from; its recipe runs first. May be missing.
-    steps         a list of objects: `run`, a module of `training` and its arguments; `processes`, where torchrun shares
+    base          name of the model that this one is made from; its recipe runs first. Optional.
+    steps         a list of objects: `run`, a module of `training` and its arguments; `processes`, if torchrun shares
                   the step between GPUs.
-    differs       how the shipped weights came about otherwise than the steps say. May be missing.
-    not recorded  facts of the shipped weights that nobody wrote down; the steps have a choice in their place.
+    differs       how the shipped weights were made differently. Optional.
+    not recorded  facts of the shipped weights that nobody wrote down; the steps make a choice instead.
 
 Arguments may hold {models}, the folder of results; {work} and {base}, folders of this model's and the base's runs;
-{clips.NAME}, folders of clips; and what the command line gives: {scenes}, {photos}, {panoramas}, {gpus}, {variant}.
+{clips.NAME}, folders of clips; and arguments of the command line: {scenes}, {photos}, {panoramas}, {gpus}, {variant}.
 """
 
 from __future__ import annotations
@@ -88,21 +88,21 @@ def read_recipe(path: Path) -> dict[str, Any]:
 
 
 def chain(path: Path, library: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Names and recipes of a model and all those it is made from, the first one first.
+    """Names and recipes of a model and of its bases, the first base first.
 
-    Cards of bases lie beside the model's own, or else in the library.
+    Cards of bases lie beside the model's own, or in the library.
     """
     found = [(path.stem, read_recipe(path))]
     while base := found[0][1].get("base"):
         if base in [name for name, _ in found]:
-            raise RecipeError(f"{path}: is made from itself, by way of {base}")
+            raise RecipeError(f"{path}: is made from itself, through {base}")
         card = path.with_name(f"{base}.json")
         found.insert(0, (base, read_recipe(card if card.exists() else library / card.name)))
     return found
 
 
 def steps_of(name: str, recipe: Mapping[str, Any], places: Mapping[str, str], clips: Path | None = None) -> list[Step]:
-    """The steps of a recipe with all places filled in; with ``clips`` of one's own nothing is rendered."""
+    """The steps of a recipe with all folders filled in; with your own ``clips`` nothing is rendered."""
     own = dict(places) | {"work": f"{places['work']}/{name}", "base": f"{places['work']}/{recipe.get('base')}"}
 
     def fill(match: re.Match[str]) -> str:
@@ -124,7 +124,7 @@ def steps_of(name: str, recipe: Mapping[str, Any], places: Mapping[str, str], cl
 
 
 def shrink(step: Step, scale: float) -> Step:
-    """The step with less of everything that takes time; options that have a default scale it, too."""
+    """The step with smaller amounts of everything that takes time; defaults are scaled, too."""
     if scale >= 1 or step.module not in AMOUNTS:
         return step
     words, defaults = list(step.words), vars(options_of(step.module).parse_args(list(step.words)))
@@ -144,7 +144,7 @@ def options_of(module: str) -> argparse.ArgumentParser:
 
 
 def check(step: Step) -> None:
-    """Hold a step to its module's present parser. Raises RecipeError where it takes no such arguments."""
+    """Check a step against its module's current parser. Raises RecipeError if it does not take these arguments."""
     try:
         made = options_of(step.module)
     except (ImportError, AttributeError) as fault:
@@ -167,14 +167,14 @@ def parsers(made: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
 # Running them -------------------------------------------------------------------------------------------------------
 
 def run_step(step: Step) -> None:
-    """Run a step in a process of its own; ends the program with its status where it fails."""
+    """Run a step in its own process; ends the program with its status if it fails."""
     done = subprocess.run([sys.executable, "-m", *step.command], cwd=ROOT, check=False)
     if done.returncode:
-        raise SystemExit(f"training.remake: {step} ended with status {done.returncode}: the same command goes on here")
+        raise SystemExit(f"training.remake: {step} ended with status {done.returncode}: start the same command again")
 
 
 def follow(steps: Sequence[Step], record: Path, run: Callable[[Step], None] = run_step) -> None:
-    """Run steps that the record does not have yet, and note each that is done."""
+    """Run steps that the record does not have yet, and record each finished one."""
     done = record.read_text(encoding="utf-8").splitlines() if record.exists() else []
     for number, step in enumerate(steps, 1):
         already = str(step) in done
@@ -186,7 +186,7 @@ def follow(steps: Sequence[Step], record: Path, run: Callable[[Step], None] = ru
 
 
 def add_recipe(card: Path, recipe: Mapping[str, Any], scale: float) -> None:
-    """Write a recipe into a new model's card; one that was made smaller says so."""
+    """Write a recipe into a new model's card, with the scale if it is not 1."""
     facts = json.loads(card.read_text(encoding="utf-8"))
     facts["recipe"] = dict(recipe) | ({"scale": scale} if scale < 1 else {})
     card.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
@@ -197,12 +197,12 @@ def options() -> argparse.ArgumentParser:
     made.add_argument("card", type=Path, help="card of a model, or a JSON file of a recipe alone")
     made.add_argument("--dry-run", action="store_true", help="only show the steps, and what is not recorded")
     made.add_argument("--work", type=Path, default=Path("runs/remake"), help="folder of all results (%(default)s)")
-    made.add_argument("--scale", type=float, default=1.0, help="part of clips, samples, minutes: 0.01 for a try")
+    made.add_argument("--scale", type=float, default=1.0, help="factor on clips, samples, minutes: 0.01 for a trial")
     made.add_argument("--clips", type=Path, help="train on these clips; nothing is rendered")
     made.add_argument("--scenes", help="folder of real scenes and environments, from training/datagen/pack_scenes.sh")
     made.add_argument("--photos", help="HDR photographs (a pattern)")
     made.add_argument("--panoramas", help="equirectangular HDR environments (a pattern)")
-    made.add_argument("--gpus", default="0", help="numbers of the GPUs that render, with commas between")
+    made.add_argument("--gpus", default="0", help="numbers of the GPUs that render, separated by commas")
     made.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant; llvm_ad_rgb renders on the CPU")
     made.add_argument("--with", nargs=2, action="append", default=[], dest="more", metavar=("MODULE", "OPTIONS"),
                       help="further options of all steps of a module, as --with training.denoise.train '--seed 2'")
@@ -242,7 +242,7 @@ def main(argv: Sequence[str] | None = None, run: Callable[[Step], None] = run_st
 
 
 def complete(step: Step, args: argparse.Namespace) -> Step:
-    """A step with the options that --with adds, made smaller by --scale."""
+    """A step with the options of --with, scaled by --scale."""
     more = [word for module, words in args.more if module == step.module for word in shlex.split(words)]
     return shrink(Step(step.module, (*step.words, *more), step.processes), args.scale)
 

@@ -7,8 +7,8 @@
 channels: a ReLU that is 0 for every input passes no gradient back, so its weights never learn again. Such channels get
 random incoming weights and outgoing weights of zero: the network computes the same as before, and both sides can learn.
 
-levels: a coarse level whose convolutions on the way up are never active passes nothing on to finer levels, and its own
-filters are the same everywhere; those of coarser levels hardly weigh. Such levels are removed and their filters
+levels: if a coarse level's convolutions on the way up are never active, it passes nothing to finer levels, its own
+filters are the same everywhere, and those of coarser levels hardly matter. Such levels are removed and their filters
 replaced by their means; the pictures stay the same. Run `training.denoise.fp16` and `training.denoise.quantise`
 afterwards.
 """
@@ -34,12 +34,12 @@ from training.export import MODELS, known_recipe, write_card
 # Channels -------------------------------------------------------------------------------------------------------------
 
 SHY = 0.01
-"""Part of the usual spread for channels that skip connections add to others: what they reach cannot be set to zero."""
+"""Factor on the usual spread for channels with skip connections: their outgoing weights cannot be set to zero."""
 
 
 @torch.no_grad()
 def active_channels(model: DenoiseUpscale, batches: Iterable[Batch]) -> dict[str, Tensor]:
-    """Which channels (C,) of every ReLU of the trunk are above 0 anywhere in the batches, by the module's name."""
+    """Module's name -> channels (C,) of each ReLU of the trunk that are above 0 anywhere in the batches."""
     active: dict[str, Tensor] = {}
 
     def watch(name: str):
@@ -65,7 +65,7 @@ def active_channels(model: DenoiseUpscale, batches: Iterable[Batch]) -> dict[str
 @torch.no_grad()
 def revive(config: TrunkConfig, weights: Mapping[str, Tensor], active: Mapping[str, Tensor],
            seed: int = 0) -> dict[str, Tensor]:
-    """Weights of a `DenoiseUpscale` with another start for the channels that are not active."""
+    """Weights of a `DenoiseUpscale` with restarted channels in place of those that are never active."""
     made, random = {name: weight.clone() for name, weight in weights.items()}, torch.Generator().manual_seed(seed)
     for name, channels in active.items():
         dead = ~channels.cpu()
@@ -82,7 +82,7 @@ def revive(config: TrunkConfig, weights: Mapping[str, Tensor], active: Mapping[s
 
 
 def _readers(config: TrunkConfig, block: str, number: int) -> tuple[list[str], bool]:
-    """Convolutions of the trunk that alone read a ReLU of a block, and whether a skip connection reads it, too."""
+    """The only convolutions of the trunk that read a ReLU of a block, and whether a skip connection reads it, too."""
     way, level = block.split(".")[0], int(block.split(".")[1])
     last, top = 2 * (1 if block == "down.0" else config.depth) - 1, len(config.widths) - 1
     if number < last:
@@ -101,7 +101,7 @@ def table(active: Mapping[str, Tensor]) -> str:
 
 
 def prune_channels(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
-    """Print how many channels are active and, where asked for, write a checkpoint that revives the others."""
+    """Print how many channels are active and, on request, write a checkpoint that restarts the others."""
     checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
     config = TrunkConfig.from_dict(checkpoint["config"])
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -138,7 +138,7 @@ class Means:
 
 
 def first_unused(config: TrunkConfig, active: Mapping[str, Tensor]) -> int | None:
-    """The finest level that passes nothing on, counted from 0."""
+    """The finest level that passes nothing to finer ones, counted from 0."""
     last, rising = 2 * config.depth - 1, min(len(config.widths), LEVELS - 1)
     silent = [level for level in range(1, rising) if not active[f"up.{level}.{last}"].any()]
     return min(silent, default=None)
@@ -203,13 +203,13 @@ def options() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True)
     channels = commands.add_parser("channels", help="find channels that are never active")
     channels.add_argument("checkpoint", type=Path, help="checkpoint.pt of training.denoise.train")
-    channels.add_argument("--most", type=int, default=40, help="clips to look at (default: 40)")
-    channels.add_argument("-o", "--output", type=Path, help="where to write the checkpoint with another start")
-    levels = commands.add_parser("levels", help="cut levels that pass nothing on")
+    channels.add_argument("--most", type=int, default=40, help="number of clips to examine (default: 40)")
+    channels.add_argument("-o", "--output", type=Path, help="where to write the checkpoint with restarted channels")
+    levels = commands.add_parser("levels", help="cut levels that pass nothing to finer ones")
     levels.add_argument("name", help="float32 model of the library, as denoise_upscale.m or denoise_upscale.m.1x")
     levels.add_argument("-o", "--models", type=Path, default=MODELS, help="where the model is read and written")
     for command in (channels, levels):
-        command.add_argument("--clips", type=Path, required=True, help="folder of clips to look at")
+        command.add_argument("--clips", type=Path, required=True, help="folder of clips to examine")
     channels.set_defaults(act=prune_channels, parser=channels)
     levels.set_defaults(act=prune_levels, parser=levels)
     return parser

@@ -1,9 +1,9 @@
-"""The upscaler's compute kernels at render size as torch modules with the kernels' own bindings, which are exported to
-ONNX. Those at output size are in ``output_kernels.py``.
+"""The upscaler's compute kernels as torch modules with the kernels' own bindings, for export to ONNX.
 
 Pictures are (H, W, C) as in ``postfx.kernels``, pyramid levels (C, H, W); ``params`` is (4,): exposure, jitter x,
-jitter y, gain; ``window`` is (8,): the part of the frame to work on; ``keep`` is how much of the history is used, (th,
-tw, 1) or (1, 1, 1): see ``postfx.kernels.denoise.layout``. Every size is read off a binding: one file serves all sizes.
+jitter y, gain; ``window`` is (8,): the part of the frame to work on; ``keep`` is the share of the history that is used,
+(th, tw, 1) or (1, 1, 1): see ``postfx.kernels.denoise.layout``. All sizes come from bindings: one file serves all
+sizes.
 """
 
 from typing import NamedTuple
@@ -71,7 +71,7 @@ class Window(NamedTuple):
         return ((rows + self.top < self.h)[:, None] & (columns + self.left < self.w))[..., None].to(part.dtype)
 
     def edge(self, part: Tensor) -> Tensor:
-        """(h, w, 1): 1 at the edge of a part (h, w, C) where the frame goes on, else 0."""
+        """(h, w, 1): 1 at the edge of a part (h, w, C) beyond which the frame continues, else 0."""
         (rows, columns), (h, w) = list_places(part), part.shape[:2]
         down = ((rows == 0) & (self.top > 0)) | ((rows == h - 1) & (self.top + h < self.h))
         across = ((columns == 0) & (self.left > 0)) | ((columns == w - 1) & (self.left + w < self.w))
@@ -83,7 +83,7 @@ class Window(NamedTuple):
         return (rows + self.out_top).clamp(max=self.height - 1), (columns + self.out_left).clamp(max=self.width - 1)
 
     def centres(self, at: ops.Place, moved: Tensor) -> ops.Centres:
-        """Where, in a part ``moved`` (h, w, C), the frame's pixels ``at`` output size lie."""
+        """Positions in a part ``moved`` (h, w, C) of the frame's pixels ``at`` output size."""
         sizes = (self.h, self.height), (self.w, self.width)
         (rows, y), (columns, x) = (ops.nearest_of(index, *size) for index, size in zip(at, sizes, strict=True))
         return ops.Centres((rows - self.top).clamp(0, moved.shape[0] - 1), y,
@@ -113,7 +113,7 @@ def shares(keep: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
 # Kernels at render size ---------------------------------------------------------------------------------------------
 
 def expose(colour: Tensor, params: Tensor) -> Tensor:
-    """Exposed colour (1, 3, h, w) from a file's; sanitised first, for infinity times 0 is NaN."""
+    """Exposed colour (1, 3, h, w) from a file's colour, which is sanitised first: infinity times 0 is NaN."""
     return ops.sanitise(to_image(colour), 0, network.MAX_FLOAT) * params[0]
 
 
@@ -145,7 +145,7 @@ class History(nn.Module):
 
 
 class Features(nn.Module):
-    """The frame and what it remembers, seen_rows (hp,) and seen_columns (wp,) -> past (th, tw, 4), features (1, 35, hp,
+    """The frame and its history, seen_rows (hp,) and seen_columns (wp,) -> past (th, tw, 4), features (1, 35, hp,
     wp)."""
 
     def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, normal: Tensor,
@@ -194,8 +194,8 @@ class GuideFeatures(nn.Module):
 
 
 class Means(nn.Module):
-    """albedos (h, w, 3), part_rows (th,), part_columns (tw,) -> means (cells, cells, 3) of the frame from the cell
-    before the part on; the frame's first and last ones repeat beyond it."""
+    """albedos (h, w, 3), part_rows (th,), part_columns (tw,) -> means (cells, cells, 3) of the frame, beginning one
+    cell before the part; the frame's first and last cells repeat beyond it."""
 
     def forward(self, diffuse_albedo: Tensor, specular_albedo: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
         cells = network.mean_reflectance(ops.demodulation(to_image(diffuse_albedo), to_image(specular_albedo)))
@@ -212,8 +212,8 @@ class Accumulate(nn.Module):
     """Frame, means (cells, cells, 3) or (1, 1, 3), past (th, tw, 4), fine -> next_state (th, tw, 12), next_depth
     (th, tw, 1), level (4, hp, wp), factor (th, tw, 3).
 
-    What is broken is this frame's colour alone, and nothing that the next one knows: a state of zeros, as at a part's
-    edge where the frame goes on."""
+    A broken value becomes this frame's colour alone, and leaves no history: a state of zeros, as at a part's edge
+    inside the frame."""
 
     def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, means: Tensor, depth: Tensor,
                 past: Tensor, fine: Tensor, params: Tensor, window: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -237,7 +237,7 @@ class Accumulate(nn.Module):
 
     @staticmethod
     def _mean_around(at: ops.Place, means: Tensor, place: Window) -> Tensor:
-        """Mean reflectance around pixels of the frame; with one cell, that of all of them."""
+        """Mean reflectance around pixels of the frame; a single cell holds for all of them."""
         cells = to_image(means)
         for axis, index, size, first in ((-1, at[1], place.w, place.left), (-2, at[0], place.h, place.top)):
             cells = ops.between(cells, index, size, axis, first // TRUST_CELL - 1)
@@ -245,7 +245,7 @@ class Accumulate(nn.Module):
 
     @staticmethod
     def _doubt(here: Tensor, means: Tensor) -> Tensor:
-        """Share of the mean in the reflectance: nothing where there is but one cell."""
+        """Share of the mean in the reflectance: 0 with a single cell."""
         share = 0.5 - 0.5 * here[:, PLANE_TRUST:PLANE_TRUST + 1]
         share = torch.where((share >= 0) & (share <= 1), share, 0)  # a broken answer doubts nothing
         return share * torch.sym_min(means.shape[0] - 1, 1)
@@ -271,8 +271,8 @@ class Resize(nn.Module):
 
 
 class Pool(nn.Module):
-    """finer (4, 2 hp, 2 wp), or a row or column more or less; finer_rows (hp,) and finer_columns (wp,) that cells begin
-    at, -1 where they begin before it -> level (4, hp, wp)."""
+    """finer (4, 2 hp, 2 wp), or a row or column more or less; finer_rows (hp,) and finer_columns (wp,), the first ones
+    of cells, -1 for cells that begin before it -> level (4, hp, wp)."""
 
     def forward(self, finer: Tensor, finer_rows: Tensor, finer_columns: Tensor) -> Tensor:
         at, held = zip(*(pairs(first.long(), size) for first, size in zip((finer_rows, finer_columns), finer.shape[1:],
@@ -282,14 +282,14 @@ class Pool(nn.Module):
 
 
 def pairs(first: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """Each number and the one after it, within 0 and ``size``, and whether they were."""
+    """Each number and the next one, limited to 0 .. ``size``, and whether they were within it."""
     both = (first[:, None] + torch.arange(2, device=first.device)).flatten()
     return both.clamp(0, size - 1), (both >= 0) & (both < size)
 
 
 class Mix(nn.Module):
     """coarse (3, rows, columns), level (4, hp, wp), heads (1, 26 or 80, hp, wp), coarse_rows (hp,) and coarse_columns
-    (wp,) in which pixels lie -> mixed (3, hp, wp)."""
+    (wp,) that hold the pixels -> mixed (3, hp, wp)."""
 
     def forward(self, coarse: Tensor, level: Tensor, heads: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
         # The mix is the last of a level's 26 channels, but not of the fine head's: by arithmetic, without a branch.
@@ -325,7 +325,7 @@ class RemodulateBoth(Remodulate):
 
 
 class Trust(nn.Module):
-    """albedos (h, w, 3), those of the guides (H, W, 3), window, part_rows (th,), part_columns (tw,) -> trust
+    """albedos (h, w, 3), the guides' albedos (H, W, 3), window, part_rows (th,), part_columns (tw,) -> trust
     (cells, cells, 1)."""
 
     def forward(self, diffuse_albedo: Tensor, specular_albedo: Tensor, guide_diffuse_albedo: Tensor,
@@ -384,7 +384,7 @@ class OpenFineProducts(nn.Module):
 
 
 def logits(products: Tensor, scaling: Tensor) -> Tensor:
-    """What sums of 8-bit products stand for."""
+    """Logits from sums of 8-bit products."""
     scale, bias = scaling[:, :, None, None]
     return products.float() * scale + bias
 
@@ -419,8 +419,8 @@ class Upsample(nn.Module):
 
 
 class UpsampleGuided(nn.Module):
-    """The same with radiance (6, th + 2, tw + 2), without and with reflectance, albedos (H, W, 3) by which the first is
-    multiplied, and trust (cells, cells, 1) in these."""
+    """The same with radiance (6, th + 2, tw + 2), without and with reflectance, the guides' albedos (H, W, 3), by which
+    the first is multiplied, and the trust in them (cells, cells, 1)."""
 
     def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor,
                 diffuse_albedo: Tensor, specular_albedo: Tensor, trust: Tensor, params: Tensor,
@@ -435,8 +435,8 @@ class UpsampleGuided(nn.Module):
 
 
 class UpsampleUnscaled(nn.Module):
-    """At the render size: radiance (6, th + 2, tw + 2) and the render pixels' factor (th, tw, 3), which is multiplied
-    after samples are weighed if these are not jittered."""
+    """The same at the render size: radiance (6, th + 2, tw + 2) and the render pixels' factor (th, tw, 3), which is
+    multiplied after weighting the samples if these are not jittered."""
 
     def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor, factor: Tensor,
                 params: Tensor, window: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
@@ -474,7 +474,7 @@ class Assemble(nn.Module):
         return torch.where((score.amax(0) > 0)[..., None], found, torch.zeros_like(found))
 
     def _within(self, boxes: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
-        """Which boxes (n, 4) hold which pixels: (n, H, W)."""
+        """Whether boxes (n, 4) hold pixels: (n, H, W)."""
         top, left, bottom, right = boxes[:, :, None].unbind(1)
         return ((rows >= top) & (rows < bottom))[:, :, None] & ((columns >= left) & (columns < right))[:, None]
 

@@ -1,6 +1,5 @@
-"""The compute kernels of transparency overlays as torch modules with the kernels' own bindings: exported to ONNX.
-
-Overlays are premultiplied RGBA, (h, w, 4).
+"""The compute kernels of overlays, reactive masks, reflections and restored detail as torch modules with the kernels'
+own bindings, for export to ONNX. Overlays are premultiplied RGBA, (h, w, 4).
 """
 
 import math
@@ -35,7 +34,7 @@ from training.kernels.denoise import part, to_image, to_picture
 # Overlays -----------------------------------------------------------------------------------------------------------
 
 def known(values: Tensor) -> Tensor:
-    """0 for what is not finite."""
+    """The values with 0 in place of those that are not finite."""
     return torch.where(values.abs() < torch.inf, values, torch.zeros_like(values))
 
 
@@ -56,8 +55,8 @@ class Enlarge(nn.Module):
 
 
 def straight(image: Tensor) -> tuple[Tensor, Tensor]:
-    """Colour of what covers a pixel, as least and as largest one: infinite where light comes from what covers nothing,
-    an empty range where there is nothing at all."""
+    """Straight colour of a pixel, as least and as largest value: infinite for light without coverage, an empty range
+    for a pixel without light and coverage."""
     light, alpha = image[..., :3], image[..., 3:]
     infinite = torch.full_like(light, torch.inf)
     own = torch.where(light > 0, infinite, -infinite)
@@ -175,7 +174,7 @@ class Reflections(nn.Module):
         return at * camera[layout.FOCAL_THEN:layout.JITTER] - rays * camera[layout.FOCAL:layout.FOCAL_THEN], ahead
 
     def _inverse_distance(self, hit_distance: Tensor, depth: Tensor) -> Pair:
-        """Mean of one over the hit distance, and whether there is any. An edge that is repeated does not count."""
+        """Mean of one over the hit distance, and whether there is any. Repeated edges do not count."""
         distance, z = around(hit_distance), around(depth)
         counts = (distance > 0) & ((z - depth[..., None]).abs() <= layout.STEP * depth[..., None])
         counts &= self._in_picture(depth) > 0
@@ -207,7 +206,7 @@ class Reflections(nn.Module):
 
 
 # Restored detail ----------------------------------------------------------------------------------------------------
-# The kernels of ``postfx.kernels.denoise.output`` as torch modules: what is exported to ONNX. Pictures (H, W, C).
+# The kernels of ``postfx.kernels.denoise.output`` as torch modules. Pictures (H, W, C).
 
 TINY = 1e-12
 
@@ -233,10 +232,7 @@ class Judge(nn.Module):
 
 
 class Detail(nn.Module):
-    """sums (tiles_high, tiles_wide, 11), evidence (1,) -> detail (tiles_high, tiles_wide, 1).
-
-    It is the share to give back.
-    """
+    """sums (tiles_high, tiles_wide, 11), evidence (1,) -> detail (tiles_high, tiles_wide, 1), the share to restore."""
 
     def forward(self, sums: Tensor, evidence: Tensor) -> Tensor:
         spread = binomial(binomial(sums, 0), 1)
@@ -265,7 +261,7 @@ class Restore(nn.Module):
 
 
 def light(colour: Tensor, params: Tensor) -> Tensor:
-    """Exposed luminance (h, w), within what the network sees."""
+    """Exposed luminance (h, w), within the network's range."""
     exposed = (ops.sanitise(colour, 0, MAX_FLOAT) * params[0]).clamp(max=ops.MAX_COLOUR)
     return 0.2126 * exposed[..., 0] + 0.7152 * exposed[..., 1] + 0.0722 * exposed[..., 2]
 
@@ -278,7 +274,7 @@ def tiles(image: Tensor) -> Tensor:
 
 
 def binomial(sums: Tensor, axis: int) -> Tensor:
-    """Weighted by 1 2 1 along an axis; nothing lies beyond the border."""
+    """Sums weighted by 1 2 1 along an axis; 0 beyond the border."""
     nothing = torch.zeros_like(sums.narrow(axis, 0, 1))
     size = sums.shape[axis]
     padded = torch.cat((nothing, sums, nothing), axis)

@@ -1,6 +1,6 @@
-"""The compute kernels of the picture's parts as torch modules with the kernels' own bindings: exported to ONNX.
+"""The compute kernels of the picture's parts as torch modules with the kernels' own bindings, for export to ONNX.
 
-See ``postfx.kernels.denoise.parts`` for what they are for.
+``postfx.kernels.denoise.parts`` explains them.
 """
 
 import torch

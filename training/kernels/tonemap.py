@@ -1,4 +1,4 @@
-"""The tone mapper's compute kernels as torch modules with the kernels' own bindings: what is exported to ONNX."""
+"""The tone mapper's compute kernels as torch modules with the kernels' own bindings, for export to ONNX."""
 
 from __future__ import annotations
 

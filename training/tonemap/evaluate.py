@@ -1,4 +1,4 @@
-"""Measure looks, as the run-time computes them, against the colour pipelines that they stand for.
+"""Measure looks, as the run-time computes them, against the colour pipelines that they reproduce.
 
     python -m training.tonemap.evaluate aces2 local -o looks.json --photos 'hdr/*.exr' 'shot/reference.0001.exr'
         [--panoramas 'env/*.hdr'] [--sequences DIR...] [--report]
@@ -6,11 +6,11 @@
 
 A look is a tag, or the file of a model. Each picture is exposed by the run-time's meter and shrunk to at most --side
 pixels. Per picture: PSNR, SSIM and FLIP of sRGB code values, mean Delta E ITP (ITU-R BT.2124, white at 100 cd/m2).
-Then the charts of `training.tonemap.checks`, and how steady sequences are. --report writes all of it into
-docs/tonemap.md and makes its pictures, of the looks measured now and of those that -o held before.
+Then the charts of `training.tonemap.checks`, and the steadiness of sequences. --report writes the results into
+docs/tonemap.md and makes its pictures, for the looks measured now and those already in -o.
 
 --following measures how fast looks with a network follow light that changes, at once (steps) or evenly (ramps of a
-stop); printed are the least and the most over the pictures.
+stop); it prints the least and the greatest value over the pictures.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def pictures_table(found: Found, look: str) -> str:
 
 
 def looks_table(found: Found) -> str:
-    """Means over the pictures that a look was not trained on, and its worst."""
+    """Means over the pictures that a look was not trained on, and the lowest PSNR."""
     heads = ["look", "PSNR (dB)", "lowest", "SSIM", "FLIP", "Delta E ITP"]
     return table(heads, ([f"`{look}`", *_means(one["pictures"])] for look, one in found.items()))
 
@@ -82,7 +82,7 @@ def checks_table(found: Found) -> str:
 
 
 def flicker_table(found: Found) -> str:
-    """Flicker of each look and of its yardsticks on sequences, and contrast of the first two."""
+    """Flicker of each look and of its references on sequences, and contrast of the first two."""
     heads = ["look", "sequence", "look", "nearest static curve", "its mean held still", "its view alone",
              "pipeline, frame by frame", "nearest cube", "contrast", "of the static curve"]
     keys = ("look", "static", "still", "view", "pipeline", "cube")
@@ -114,7 +114,7 @@ def write_report(doc: Path, found: Found) -> None:
 
 
 def strip(pairs: list[tuple[np.ndarray, np.ndarray]], path: Path) -> None:
-    """A picture of looks (H,W,3) over what was wanted over the difference, made louder; one column a pair."""
+    """Write a picture with one column a pair: the look (H,W,3), its reference, and their amplified difference."""
     columns = [_column(*(shrink(x, round(TILE * max(x.shape) / len(x))) for x in pair)) for pair in pairs[:MOST]]
     height = min(len(column) for column in columns)
     padded = [np.pad(column[:height], ((0, 0), (0, GAP), (0, 0)), constant_values=1.0) for column in columns]
@@ -138,7 +138,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 class Mapper:
     """A look as the run-time computes it, for pictures of any size.
 
-    keep: part of the last grid that is kept while the light stays as it is; None as the look's card says.
+    keep: share of the last grid that is kept in steady light; None takes it from the look's card.
     """
 
     def __init__(self, tag: str, keep: float | None = None) -> None:
@@ -151,7 +151,7 @@ class Mapper:
         return self.follow(Frame({Role.COLOUR: np.ascontiguousarray(rgb, np.float32)}, reset=True))
 
     def follow(self, frame: Frame) -> np.ndarray:
-        """The next frame of a sequence, exposed already."""
+        """The look of the next frame of a sequence, which is already exposed."""
         size = frame[Role.COLOUR].shape
         if size not in self._pipelines:
             passes = [ToneMap(tag=self._tag, keep=self._keep)]
@@ -159,13 +159,13 @@ class Mapper:
         return self._pipelines[size](frame)[Role.COLOUR].copy()
 
     def smooth_state(self, frame: Frame) -> np.ndarray:
-        """The smoothed grid (1,16,16,8,12), or exposure (3,) as `postfx.kernels.tonemap` has it, of the next frame of a
-        sequence, exposed already."""
+        """The smoothed grid (1,16,16,8,12), or exposure (3,) as in `postfx.kernels.tonemap`, of the next frame of a
+        sequence, which is already exposed."""
         self.follow(frame)
         return self._pipelines[frame[Role.COLOUR].shape].passes[0].history()["held"].copy()
 
     def hold(self, kept: np.ndarray) -> Render:
-        """The look with a grid or an exposure that does not change."""
+        """The look with a constant grid or exposure."""
         library, model = find_model(self._tag)
         constants, numbers = self._device.pipeline_state(library, model).constants, shaper(library, model)
         params = np.array([1.0, numbers.toe, numbers.scale], np.float32)
@@ -192,12 +192,14 @@ def compare(out: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
 
 
 def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, float]]:
-    """Flicker and contrast of a look with its history, and of what it is measured by; the look's PSNR, in dB, of the
-    last frame to the pipeline.
+    """Flicker and contrast of a look with its history, and of its references; also the PSNR of the look's last frame
+    against the pipeline, in dB.
 
-    static: the nearest static curve, the look's view behind one exposure for the whole sequence; view: the same behind
-    the look's own gain; pipeline: the look's definition, frame by frame. Of what a network made, too: still: its mean,
-    held; cube: the colour cube that is nearest to what the look made of the sequence.
+    References: `static`, the nearest static curve, is the look's view after one exposure for the whole sequence; `view`
+    is the view after the look's own gain; `pipeline` is the look's definition, frame by frame. For looks with a
+    network,
+    too: `still`, the look with its constant mean grid or exposure; `cube`, the colour cube nearest to the look's
+    frames.
     """
     frames = list(exposed_frames(folder))
     light, shown = [frame[Role.COLOUR] for frame in frames], [mapper.follow(frame) for frame in frames]
@@ -217,14 +219,14 @@ def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, 
 
 
 def nearest_cube(view: View, light: list[np.ndarray], shown: list[np.ndarray]) -> Render:
-    """The static colour cube that is nearest, by least squares, to what a look made of frames."""
+    """The static colour cube that is nearest, by least squares, to a look's frames."""
     colours = np.concatenate([shape_picture(x)[0].flatten(1).T.numpy() for x in light])
     cube = torch.from_numpy(fit_cube(colours, np.concatenate(shown).reshape(-1, 3), bake(view)))
     return lambda rgb: look_up(shape_picture(rgb), cube)[0].permute(1, 2, 0).numpy()
 
 
 def shape_picture(rgb: np.ndarray) -> torch.Tensor:
-    """Exposed scene-linear (H,W,3) as the cube takes it: (1,3,H,W)."""
+    """Shaped colour (1,3,H,W), the cube's input, from exposed scene-linear (H,W,3)."""
     return shape(torch.from_numpy(rgb).permute(2, 0, 1)[None], *default_shaper())
 
 
@@ -250,13 +252,13 @@ def examine(mapper: Mapper, look: Look, pictures: dict[str, np.ndarray], args: a
 
 STEPPED = (0.5, 1.0, 3.0)  # stops, up and down
 RAMPS = (24, 96)  # frames that a stop takes
-LONGEST = 200  # frames that a step is waited for
+LONGEST = 200  # frames after which a step is given up
 LEFT = 0.1  # of the way
 
 
 def frames_of_step(mapper: Mapper, picture: np.ndarray, stops: float) -> int:
-    """Frames until a tenth of the way is left, in code values, from what the look would make of the changed light with
-    its last grid or exposure to what it makes of it without a past. At most LONGEST."""
+    """Frames until a tenth of the way is left, in code values, from the changed light under the last grid or exposure
+    to the look without a past. At most LONGEST."""
     stepped = picture * np.float32(2.0**stops)
     wanted, last = mapper(stepped), mapper.smooth_state(_frame(picture, 0))
     way = np.abs(mapper.hold(last)(stepped) - wanted).mean()
@@ -266,8 +268,8 @@ def frames_of_step(mapper: Mapper, picture: np.ndarray, stops: float) -> int:
     return LONGEST
 
 
-def behind(mapper: Mapper, alone: Mapper, picture: np.ndarray, frames: int) -> float:
-    """Most that a look is behind itself without a past (`alone`) in a ramp of a stop: mean steps of 8 bits."""
+def measure_lag(mapper: Mapper, alone: Mapper, picture: np.ndarray, frames: int) -> float:
+    """Greatest lag of a look behind itself without a past (`alone`) in a ramp of a stop: mean steps of 8 bits."""
     return STEPS * max(float(np.abs(mapper.follow(_frame(light, k)) - alone(light)).mean())
                        for k, light in enumerate(_ramp(picture, frames)))
 
@@ -293,8 +295,8 @@ def print_following(tag: str, pictures: dict[str, np.ndarray]) -> None:
         frames = span(frames_of_step(mapper, rgb, way * stops) for rgb in lights for way in (-1, 1))
         print(f"{tag}: a step of {stops:g} stops is followed in {frames} frames", flush=True)
     for frames in RAMPS:
-        print(f"{tag}: {span(behind(mapper, alone, rgb, frames) for rgb in lights)} code values behind in a ramp of a "
-              f"stop in {frames} frames", flush=True)
+        print(f"{tag}: lags by {span(measure_lag(mapper, alone, rgb, frames) for rgb in lights)} code values in a ramp "
+              f"of a stop in {frames} frames", flush=True)
 
 
 # The command --------------------------------------------------------------------------------------------------------
@@ -302,7 +304,7 @@ def print_following(tag: str, pictures: dict[str, np.ndarray]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("looks", nargs="*", help="tags, or files of models; none: only write the report")
-    parser.add_argument("-o", "--output", type=Path, help="JSON file; looks that it holds stay in it")
+    parser.add_argument("-o", "--output", type=Path, help="JSON file; keeps the other looks that it holds")
     parser.add_argument("--photos", nargs="*", default=[], help="HDR pictures (patterns)")
     parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
     parser.add_argument("--sequences", nargs="*", default=[], help="folders of reference.####.exr and noisy.####.exr")

@@ -1,9 +1,9 @@
 """Examples for the tone mapper: random views of pictures, made on the device that trains.
 
-All colour is scene-linear Rec.709. Few pictures become many by what light does to them: crops, views of panoramas, a
-smooth light field with hard edges (windows, shadows), lamps, another white balance and saturation, sometimes a wide
-gamut or noise. The result is exposed again as the run-time's meter would, plus a random error of some stops. Charts
-made from nothing are always among them, so pictures may be missing.
+All colour is scene-linear Rec.709. A few pictures become many by crops, views of panoramas, a smooth light field with
+hard edges (windows, shadows), lamps, another white balance and saturation, sometimes a wide gamut or noise. The result
+is exposed again as by the run-time's meter, plus a random error of some stops. Some views are always synthetic charts,
+so pictures are optional.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from training.tonemap.model import default_shaper, look_up, shape
 from training.tonemap.pictures import LARGEST, WIDE, Pictures, perspective
 
 SHAPES = ((320, 512), (384, 384), (512, 320), (288, 512))
-SHIFT = 8  # largest shift, in pixels, between the two views of a consistency pair: views are larger by it
-CHARTS = 0.12  # share of views that are made from nothing
+SHIFT = 8  # largest shift in pixels between the two views of a consistency pair; views are larger by it
+CHARTS = 0.12  # share of synthetic views
 
 
 class Source(Protocol):
@@ -30,7 +30,7 @@ class Source(Protocol):
     random: np.random.Generator
 
     def batch(self, size: int, scale: float = 1.0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """Exposed colour (N,3,H+8,W+8), the look of it, and its shaped colour before the look's cube where known."""
+        """Exposed colour (N,3,H+8,W+8), its look, and its shaped colour before the look's cube if known."""
 
 
 class Views:
@@ -53,7 +53,7 @@ class Views:
         return bool(self.random.random() < p)
 
     def batch(self, size: int, scale: float = 1.0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Exposed views (size,3,H+8,W+8) of one random shape, the look of them, and their shaped colour before it.
+        """Exposed views (size,3,H+8,W+8) of one random shape, their look, and their shaped colour before the cube.
 
         `scale` shrinks the shape for toy runs.
         """
@@ -90,7 +90,7 @@ class Views:
         return x.flip(-2) if self.chance(0.1) else x
 
     def _crop(self, picture: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:
-        """A window of random size and place with the wanted aspect, resampled to `shape`."""
+        """A window of random size and position with the aspect of `shape`, resampled to it."""
         h, w = picture.shape[-2:]
         largest = min(h / shape[0], w / shape[1])
         size = largest * self.uniform(0.4, 1.0)
@@ -100,7 +100,7 @@ class Views:
         return F.interpolate(window, size=shape, mode="bilinear", align_corners=False, antialias=True)[0].clamp_min(0)
 
     def _noise(self, shape: tuple[int, int], cells: int, channels: int = 1) -> torch.Tensor:
-        """Smooth random field (channels,H,W), about normal, `cells` bumps across."""
+        """Smooth random field (channels,H,W), roughly normal, with `cells` bumps across."""
         seeds = torch.from_numpy(self.random.standard_normal((1, channels, cells, cells), np.float32)).to(self.device)
         return F.interpolate(seeds, size=shape, mode="bicubic", align_corners=False)[0]
 
@@ -144,7 +144,7 @@ class Views:
         return lamps
 
     def _synthetic(self, shape: tuple[int, int]) -> torch.Tensor:
-        """Gradients over up to 16 stops with coloured regions, which photographs seldom hold."""
+        """Gradients over up to 16 stops with coloured regions, which are rare in photographs."""
         ramp = self._noise(shape, int(self.random.integers(2, 8))) * self.uniform(0.5, 4)
         colour = self._noise(shape, int(self.random.integers(2, 8)), 3) * self.uniform(0.1, 2.5)
         stops = ramp + colour
@@ -167,7 +167,7 @@ class Views:
         return x
 
     def _expose(self, x: torch.Tensor) -> torch.Tensor:
-        """Geometric mean to mid grey, then an error: mostly within 1.5 stops, sometimes up to 3 either way."""
+        """Bring the geometric mean to mid grey, then add an error: mostly within 1.5 stops, sometimes up to 3."""
         log = log_luminance(x[None])
         error = self.uniform(-3, 3) if self.chance(0.25) else float(self.random.normal(0.0, 0.8))
         return (x * torch.exp2(math.log2(0.18) - log.mean() + error)).clamp(-LARGEST, LARGEST)

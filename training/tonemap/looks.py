@@ -3,8 +3,8 @@
     out = view(2 ** gain * local(key(rgb)))
 
 `key` is an automatic exposure that keeps dark scenes dark and bright ones bright, `local` an operator on local
-contrast, `view` a colour pipeline; all but the last are optional. A look with only a view is global: its cube is all of
-it, and there is nothing for a network to learn. With `key` alone there is one number to learn.
+contrast, `view` a colour pipeline; all but the last are optional. A look with only a view is global: it is a cube, and
+a network has nothing to learn. With `key` alone there is one number to learn.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FLOOR = 2.0**-8  # added to luminance before the logarithm, so that noise in bla
 
 
 def _down(x: torch.Tensor) -> torch.Tensor:
-    """Half size, sampled where `_up` puts it back: any shift between the two would smear to one side at every level."""
+    """Half size, sampled in line with `_up`: any shift between the two would smear to one side at every level."""
     size = [-(-side // 2) for side in x.shape[-2:]]  # kornia's pyrdown rounds odd sizes down
     line = torch.tensor([[1.0, 4.0, 6.0, 4.0, 1.0]], dtype=x.dtype, device=x.device) / 16
     blurred = filter2d_separable(x, line, line, "replicate")
@@ -99,7 +99,7 @@ ENDS = (0.01, 0.99)  # quantiles that count as a scene's darkest and brightest
 
 @dataclass(frozen=True)
 class Local:
-    """Local Laplacian: sigma in stops (what counts as detail); alpha < 1 lifts detail; beta < 1 compresses edges."""
+    """Local Laplacian: differences below sigma stops are detail; alpha < 1 lifts detail; beta < 1 compresses edges."""
 
     sigma: float = 1.0
     alpha: float = 1.0
@@ -185,7 +185,7 @@ def log_luminance(rgb: torch.Tensor) -> torch.Tensor:
 
 
 def before_view(rgb: torch.Tensor, look: Look) -> torch.Tensor:
-    """Exposed scene-linear (N,3,H,W) as it meets the view."""
+    """Scene-linear colour (N,3,H,W) before the view, from exposed scene-linear colour."""
     x = key(rgb) if look.key else rgb
     if look.local:
         x = compress(x, look.local.sigma, look.local.alpha, look.local.beta)

@@ -1,10 +1,10 @@
 """The tone mapper's networks: HDRNet (Gharbi et al. 2017, "Deep Bilateral Learning for Real-Time Image Enhancement")
 between a shaper and a cube, and a learnt exposure before a cube.
 
-The grid of colour matrices does what depends on place and picture, the cube what depends on the colour alone. The
-network also sees the picture's histogram: exposure is a function of it, and convolutions are slow to learn that. Colour
-comes in scene-linear Rec.709 and leaves sRGB-encoded in [0, 1]. Layout of all tensors here: (N, C, H, W).
-`slice_apply` and `lowres` are the definitions of the compute kernels of the same names in `postfx.kernels`.
+The grid of colour matrices handles what depends on position and picture, the cube what depends on colour alone. The
+network also sees the picture's histogram: exposure is a function of it, and convolutions are slow to learn that. Input
+is scene-linear Rec.709, output sRGB-encoded in [0, 1]. Layout of all tensors here: (N, C, H, W). `slice_apply` and
+`lowres` are the definitions of the compute kernels of the same names in `postfx.kernels`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ TO_WORKING = matrix_between(REC709, REC2020)
 
 
 class Shaper(NamedTuple):
-    """params (3,): exposure, toe, scale; matrix (9,) row-major, from Rec.709: as the kernels take them."""
+    """The kernels' arguments: params (3,): exposure, toe, scale; matrix (9,), row-major, from Rec.709."""
 
     params: torch.Tensor
     matrix: torch.Tensor
@@ -84,7 +84,7 @@ def look_up(shaped: torch.Tensor, cube: torch.Tensor) -> torch.Tensor:
 
 
 def lattice(size: int = CUBE) -> np.ndarray:
-    """Exposed linear Rec.709 (size,size,size,3) that the shaper takes to the cube's corners; float32.
+    """Exposed linear Rec.709 (size,size,size,3) that the shaper maps to the cube's corners; float32.
 
     Corners outside Rec.709 are negative in one or two channels.
     """
@@ -101,8 +101,8 @@ CELLS, DEPTH = 16, 8  # grid: 16 x 16 cells, 8 guide levels
 COEFFICIENTS = 12  # 3x4 affine colour matrix, row-major
 KNOTS = 16
 BINS = 32  # of the histogram
-FOURTH = 4  # the copy's pixels by rows and columns of so many, where it is counted which guide levels a cell has
-TRUST, NONE = 0.2, 1e-4  # shares of a cell's pixels: as good as the neighbours together; of levels that are not there
+FOURTH = 4  # the copy is reduced by this factor to count the guide levels of a cell
+TRUST, NONE = 0.2, 1e-4  # share of a cell's pixels that weighs as much as all neighbours; share for missing levels
 GUIDE_PARTS = {"matrix": 9, "bias": 3, "shifts": 3 * KNOTS, "slopes": 3 * KNOTS, "mix": 3, "mix_bias": 1}
 
 
@@ -135,18 +135,18 @@ def guide_map(shaped: torch.Tensor, guide: torch.Tensor) -> torch.Tensor:
 
 
 def level_weights(level: torch.Tensor) -> torch.Tensor:
-    """How much (N,8,H,W) each guide level counts for pixels with a guide (N,1,H,W): 1 in all, of two neighbours."""
+    """Weights (N,8,H,W) of the guide levels for pixels with a guide (N,1,H,W): two neighbouring levels share 1."""
     z = (level * DEPTH - 0.5).clamp(0.0, DEPTH - 1.0)
     levels = torch.arange(DEPTH, device=z.device).view(1, DEPTH, 1, 1)
     return (1 - (z - levels).abs()).clamp_min(0.0)
 
 
 def borrow(grid: torch.Tensor, low: torch.Tensor, guide: torch.Tensor) -> torch.Tensor:
-    """The grid (N,96,16,16), level by level, whose matrices come the more from the cells around, the fewer pixels of
-    (N,3,256,256) a cell has at a level.
+    """The grid (N,96,16,16) in which cells with few pixels of (N,3,256,256) at a level take that level's matrix from
+    neighbouring cells.
 
-    Beside an edge the matrices of the darker side reach into cells that have nothing dark, and those of the brighter
-    side the other way: without pixels to fit they are arbitrary, and looking up between them makes a halo.
+    Beside an edge, a dark pixel's matrix is interpolated from cells without dark pixels, and a bright one's from cells
+    without bright pixels: such matrices would be arbitrary, and interpolation would make a halo.
     Formula: normalised convolution, Knutsson and Westin 1993, over 3x3 cells.
     """
     share = F.avg_pool2d(level_weights(guide_of_copy(F.avg_pool2d(low, FOURTH), guide)), SIDE // FOURTH // CELLS)
@@ -193,9 +193,9 @@ def slice_grid(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) ->
 
 
 def keep_greys(grid: torch.Tensor) -> torch.Tensor:
-    """The nearest matrices (..., 12) that take greys to greys: all rows with the same sum and the same offset.
+    """The nearest matrices (..., 12) that keep greys grey: all rows have the same sum and the same offset.
 
-    Tints belong to the cube, which sees nothing but colour.
+    Tints belong to the cube, which sees only colour.
     """
     matrices = grid.unflatten(-1, (3, 4))
     sums = matrices[..., :3].sum(-1, keepdim=True)
@@ -212,9 +212,9 @@ def linear_weights(out_size: int, cells: int, device: torch.device) -> torch.Ten
 
 
 def slice_grid_dense(shaped: torch.Tensor, guide: torch.Tensor, grid: torch.Tensor) -> torch.Tensor:
-    """The same by matrix products.
+    """`slice_grid` by matrix products.
 
-    The gradients of a gather and of `F.interpolate` are storms of atomic adds on a GPU: all pixels add to few cells.
+    On a GPU the gradients of a gather and of `F.interpolate` are many atomic adds, as all pixels add to few cells.
     """
     n, _, h, w = shaped.shape
     weights = level_weights(guide_map(shaped, guide))
@@ -231,10 +231,10 @@ def _conv(cin: int, cout: int, stride: int = 1, bias: bool = True) -> nn.Conv2d:
 
 
 def histogram(low: torch.Tensor) -> torch.Tensor:
-    """BINS times the shares (N,BINS) of the pixels of (N,3,H,W) by their mean channel in [0,1], of every second row and
-    column: 1 on average.
+    """Histogram (N,BINS) of the mean channel of (N,3,H,W) in [0,1], over every second row and column, times BINS: 1 on
+    average.
 
-    A pixel between two bins' centres counts for both, so that the shares change smoothly.
+    A pixel between the centres of two bins counts for both, so that the histogram changes smoothly.
     """
     level = low.mean(1, keepdim=True)[..., ::2, ::2] * (BINS - 1.0)
     bins = torch.arange(BINS, device=low.device, dtype=low.dtype).view(1, BINS, 1, 1)
@@ -299,7 +299,7 @@ class Guide(nn.Module):
 
 
 class HDRNet(nn.Module):
-    """488,352 parameters and a cube (size,size,size,3), which is trained only where asked for.
+    """488,352 parameters and a cube (size,size,size,3), which is not trained by default.
 
     `forward` is what is exported: lowres -> (grid, guide, cube); the kernels do the rest.
     """
@@ -344,7 +344,7 @@ def follow(light: torch.Tensor, params: torch.Tensor, before: torch.Tensor) -> t
 
 
 def smooth(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor) -> torch.Tensor:
-    """Exponential smoothing of the grid over time: keep[0,0] of the previous grid, none of it where it is broken."""
+    """Exponential smoothing of the grid over time: keep[0,0] of the previous grid, except broken values."""
     change = previous - current
     return current + keep[0, 0] * torch.where(change.abs() <= float(BROKEN), change, 0)
 
@@ -359,21 +359,21 @@ def expose(previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor, pa
 
 
 # A learnt exposure --------------------------------------------------------------------------------------------------
-# How many stops to add before a cube, from how a picture's light is spread.
+# The stops to add before a cube, from the distribution of a picture's light.
 #
-# The network learns how far from mid grey a scene belongs: a function of the levels that shares of the pixels are
-# below, counted from the geometric mean, which goes to mid grey first. So an exposure that is off is put right by
-# construction, and one number exposes the whole picture.
+# The network learns how far from mid grey a scene belongs, as a function of percentiles relative to the geometric mean,
+# which is moved to mid grey first. So a wrong exposure is corrected by construction, and one number exposes the whole
+# picture.
 
-SHARES = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)  # of the pixels, which are below a level
+SHARES = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)  # of the pixels that are below a level
 WIDTH = 64
-TYPICAL = 4.0  # stops: levels are given to the network in units of it
-FARTHEST = 8.0  # stops that are added or taken; what is black stays black
+TYPICAL = 4.0  # stops: unit of the network's input
+FARTHEST = 8.0  # most stops that are added or subtracted; black stays black
 
 
 def levels(low: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Of shaped colour (N,3,256,256), its every second row and column: the mean of the log2 of the luminance (N,1), and
-    the levels of SHARES (N,7) in stops from it."""
+    """Mean of log2 luminance (N,1) over every second row and column of shaped colour (N,3,256,256), and the levels of
+    SHARES (N,7) in stops from that mean."""
     toe, scale = SHAPER
     light = (torch.exp2(low[..., ::2, ::2] / scale) - 1) * toe
     luminance = (light * low.new_tensor(LUMA_REC2020).view(1, 3, 1, 1)).sum(1)
@@ -393,14 +393,14 @@ class Exposure(nn.Module):
         self.cube = nn.Parameter(cube, requires_grad=False)
 
     def key(self, levels: torch.Tensor) -> torch.Tensor:
-        """Stops (...,1) from mid grey at which the mean of (...,7) levels belongs."""
+        """Stops (...,1) from mid grey at which the mean belongs, by its levels (...,7)."""
         x = levels / TYPICAL
         for layer in self.dense[:-1]:
             x = F.relu(layer(x))
         return self.dense[-1](x)
 
     def stops(self, mean: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
-        """Stops (...,1) to add where the luminance has this mean (...,1) and these levels (...,7)."""
+        """Stops (...,1) to add to luminance with this mean (...,1) and these levels (...,7)."""
         return math.log2(MID_GREY) - mean + self.key(levels)
 
     def forward(self, low: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -432,7 +432,7 @@ def shipped_cubes() -> dict[str, torch.Tensor]:
 
 
 def weights_of(path: Path, like: STATE) -> STATE:
-    """Weights of an exported network; what the exporter left out because it is zero stays as in `like`."""
+    """Weights of an exported network; weights that the exporter left out as zero stay as in `like`."""
     found = _initializers(path)
     if "guide" not in found:
         raise SystemExit(f"{path}: not a look with a grid: start from another, or from 'none'")

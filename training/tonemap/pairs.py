@@ -26,9 +26,9 @@ TOLERANCE, ITERATIONS = 1e-7, 6000  # corners without data converge last: stoppi
 
 
 def fit_cube(shaped: np.ndarray, wanted: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Cube (size,size,size,3) float32 in [0, 1], held by half precision.
+    """Cube (size,size,size,3) float32 in [0, 1], whose values half precision holds exactly.
 
-    shaped: (n, 3) in [0, 1]; wanted: (n, 3) display colour; start: cube that the fit departs from. One linear system a
+    shaped: (n, 3) in [0, 1]; wanted: (n, 3) display colour; start: cube that the fit starts from. One linear system a
     channel, solved by conjugate gradients.
     """
     size = start.shape[0]
@@ -71,7 +71,7 @@ SAMPLES = 200_000  # colours that a cube is fitted to
 
 @dataclass(frozen=True)
 class Pairs:
-    """Linear Rec.709 and sRGB-encoded pictures (H,W,3) float32 by name: to train on, and held out."""
+    """Linear Rec.709 and sRGB-encoded pictures (H,W,3) float32 by name: for training, and held out."""
 
     train: dict[str, tuple[np.ndarray, np.ndarray]]
     held: dict[str, tuple[np.ndarray, np.ndarray]]
@@ -103,7 +103,7 @@ def _pair(hdr: Path, sdr: Path, space: str | None, side: int) -> tuple[np.ndarra
 
 
 def fit(net: HDRNet | None, pairs: Pairs, start: torch.Tensor) -> tuple[torch.Tensor, float]:
-    """The cube that fits the pairs best behind a network's grid (behind none: of colour alone), and its PSNR in dB."""
+    """The cube that fits the pairs best after a network's grid (None: for colour alone), and its PSNR in dB."""
     shaped = [before_cube(net, hdr) for hdr, _ in pairs.train.values()]
     flat = [x[0].permute(1, 2, 0).reshape(-1, 3).numpy() for x in shaped]
     wanted = [sdr.reshape(-1, 3) for _, sdr in pairs.train.values()]
@@ -117,7 +117,7 @@ def fit(net: HDRNet | None, pairs: Pairs, start: torch.Tensor) -> tuple[torch.Te
 
 @torch.no_grad()
 def before_cube(net: HDRNet | None, hdr: np.ndarray) -> torch.Tensor:
-    """Shaped colour (1,3,H,W) as it meets the cube, in [0, 1]."""
+    """Shaped colour (1,3,H,W) before the cube, in [0, 1]."""
     colour, shaper = torch.from_numpy(hdr).permute(2, 0, 1)[None], default_shaper()
     shaped = shape(colour, *shaper)
     if net is None:
@@ -127,7 +127,7 @@ def before_cube(net: HDRNet | None, hdr: np.ndarray) -> torch.Tensor:
 
 
 class PairViews:
-    """Endless batches of windows of pairs; what was graded cannot be lit or exposed anew."""
+    """Endless batches of windows of pairs; graded pictures cannot be lit or exposed again."""
 
     def __init__(self, pairs: Pairs, device: torch.device, seed: int = 1) -> None:
         self.random = np.random.default_rng(seed)

@@ -2,9 +2,9 @@
 
     python -m training.tonemap.pictures -o set.npz --looks local auto --photos 'hdr/*.exr' --panoramas 'env/*.hdr'
 
-packs what `training.tonemap.train --set` takes, for a machine without OpenColorIO. Pictures named by --hold-out are
-never trained on: they are measured with, against the colour pipeline itself and not its baked cube. --clips takes a
-folder of .npz files with a `reference` (T, H, W, 3).
+makes a pack for `training.tonemap.train --set`, on a machine without OpenColorIO. Pictures named by --hold-out are
+never trained on, only measured, against the colour pipeline itself and not its baked cube. --clips takes a folder of
+.npz files with a `reference` (T, H, W, 3).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from training.tonemap.model import MID_GREY
 from training.tonemap.views import bake
 
 # Charts -------------------------------------------------------------------------------------------------------------
-# Charts of light that photographs seldom hold, exposed scene-linear Rec.709 (H,W,3) float32.
+# Charts of light that is rare in photographs, exposed scene-linear Rec.709 (H,W,3) float32.
 
 RAMP_EV = (-8.0, 6.0)
 
@@ -80,7 +80,7 @@ WIDE = [torch.from_numpy(matrix_between(LINEAR_SPACES[name], REC709).astype(np.f
 
 @dataclass
 class Pictures:
-    """Exposed linear Rec.709 (H,W,3) by name: to train on, and held out; which of the first are whole spheres."""
+    """Exposed linear Rec.709 (H,W,3) by name: for training, and held out; and the names that are full panoramas."""
 
     train: dict[str, np.ndarray] = field(default_factory=dict)
     panoramas: set[str] = field(default_factory=set)
@@ -99,8 +99,8 @@ class Lesson:
 def read(path: str, space: str | None = None) -> np.ndarray:
     """First three channels of an HDR picture as linear Rec.709, float32; non-finite values and negative light are 0.
 
-    `space` is what the file holds, a name in `postfx.colour.primaries.LINEAR_SPACES`; None: what its header says, as
-    when it is run. Alpha is not in the colours of formats that keep it beside them.
+    `space` is the file's space, a name in `postfx.colour.primaries.LINEAR_SPACES`; None reads it from the header, like
+    a run. Colours of formats with straight alpha are not multiplied by it.
     """
     import OpenImageIO as oiio
 
@@ -168,7 +168,7 @@ def files(patterns: Iterable[str]) -> list[str]:
 
 
 def held_among(stems: Sequence[str], names: Iterable[str]) -> set[str]:
-    """Names of pictures to hold out; ends the program where one is no picture's, or none would be left."""
+    """Names of pictures to hold out; ends the program if one is unknown, or if no picture would be left."""
     held = set(names)
     for name in sorted(held - set(stems)):
         raise SystemExit(f"--hold-out {name}: no such picture: there are {', '.join(stems) or 'none'}")
@@ -178,7 +178,7 @@ def held_among(stems: Sequence[str], names: Iterable[str]) -> set[str]:
 
 
 def charts() -> dict[str, np.ndarray]:
-    """Charts that stand in for held-out pictures if there are none."""
+    """Charts that replace held-out pictures if there are none."""
     return {"chart": hue_chart(), "ramp": ramp(512)}
 
 
@@ -193,7 +193,7 @@ def find_pictures(photos: Iterable[str], panoramas: Iterable[str], side: int) ->
 
 
 def _name(path: str) -> str:
-    """A file's stem; with its folder where it is a frame of a sequence, whose stem says little."""
+    """A file's stem; for a frame of a sequence, whose stem says little, with its folder."""
     stem = Path(path).stem
     return f"{Path(path).parent.name}" if stem.startswith("reference") else stem
 

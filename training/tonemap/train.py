@@ -6,13 +6,13 @@
     python -m training.tonemap.train local --target local --pictures 'hdr/*.exr' --panoramas 'env/*.hdr'
 
 The first word is the tag: `postfx run shot.####.exr -o out.####.png --tonemap OUT/tonemap.TAG.onnx` uses the result.
-Pairs are files of the same name, linear HDR and sRGB-encoded SDR, exposed as they are. A look that depends on colour
-alone becomes a cube. Of a look that only exposes before its view (key) the exposure is learnt, in minutes, from
-nothing; others are learnt by fine-tuning the network of --start. Held-out pictures are never trained on.
+Pairs are files of the same name, linear HDR and sRGB-encoded SDR, at the exposure of the grading. A look that depends
+only on colour becomes a cube. If a look only exposes before its view (key), the exposure is learnt in minutes, from
+scratch; other looks fine-tune the network of --start. Training never uses held-out pictures.
 
-This file reads from top to bottom: settings, where training starts, the losses, the two loops (`train_grid`,
-`train_exposure`), then which of them a look needs. The networks are in model.py, looks in looks.py, pictures in
-pictures.py, and the views that are trained on in examples.py.
+This file reads from top to bottom: settings, the start of training, the losses, the two loops (`train_grid`,
+`train_exposure`), then the choice between them. The networks are in model.py, looks in looks.py, pictures in
+pictures.py, and training views in examples.py.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ if TYPE_CHECKING:
 # Settings -----------------------------------------------------------------------------------------------------------
 
 GPU_MINUTES, CPU_MINUTES = 8.0, 45.0
-RATE, FINE_RATE = 1.5e-3, 2e-4  # the second where a CPU has few steps for a network that is near already
+RATE, FINE_RATE = 1.5e-3, 2e-4  # the second for fine-tuning on a CPU: few steps, and a good start
 SIDE = 768  # longest side of a picture
 WARM_UP = 100  # steps over which the learning rate rises
 CONSISTENCY, GRADIENT, CHROMA, SQUARED, SHAPED = 0.5, 0.5, 0.5, 4.0, 1.0  # weights in the loss
-ENOUGH = 40.0  # dB on the pairs that were trained on: colour alone explains them
-VIEWS = 8000  # that an exposure is learnt from, in as many steps
+ENOUGH = 40.0  # dB on the training pairs from which on colour alone explains them
+VIEWS = 8000  # views that an exposure is learnt from, and steps
 EXPOSURE_BATCH, EXPOSURE_RATE, DECAY = 256, 3e-3, 1e-3
 ROUND = 0.05  # stops: smaller errors of an exposure count squared
 
@@ -72,7 +72,7 @@ ROUND = 0.05  # stops: smaller errors of an exposure count squared
 @dataclass(frozen=True)
 class Recipe:
     """How to train: seconds of wall clock, which the learning rate follows; `scale` shrinks the pictures; `only` names
-    the parts of the network that change, none means all; `views` are those that an exposure is learnt from."""
+    the parts of the network to train, or is empty for all; `views` counts the views that an exposure is learnt from."""
 
     seconds: float
     batch: int = 16
@@ -86,7 +86,7 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Report:
-    """Where a training stands: mean losses since the last report, and the PSNR of each held-out picture in dB."""
+    """Progress of a training: mean losses since the last report, and the PSNR of each held-out picture in dB."""
 
     step: int
     seconds: float
@@ -103,10 +103,10 @@ def options() -> argparse.ArgumentParser:
     source.add_argument("--ocio", metavar="CONFIG", help="OpenColorIO config: a file, or the name of a built-in one")
     source.add_argument("--lut", metavar="FILE", help="look-up table, as --tonemap takes it: FILE,input=SPACE")
     source.add_argument("--target", metavar="LOOK", help="a built-in look, or a .toml file that describes one")
-    source.add_argument("--set", metavar="NPZ", help="packed by training.tonemap.pictures; its look of this tag")
+    source.add_argument("--set", metavar="NPZ", help="pack of training.tonemap.pictures that holds the look TAG")
     parser.add_argument("--display", help="display or view of --ocio")
     parser.add_argument("--view", help="display or view of --ocio")
-    parser.add_argument("--look", default="", help="of --ocio, instead of the view's own looks")
+    parser.add_argument("--look", default="", help="look of --ocio, instead of the view's own looks")
     parser.add_argument("--source", default="", help="the config's name of linear Rec.709")
     parser.add_argument("--pictures", nargs="*", default=[], help="HDR photographs (patterns) to learn on")
     parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
@@ -119,7 +119,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, help=f"default: {RATE:g}, or {FINE_RATE:g} to fine-tune on a CPU")
     parser.add_argument("--scale", type=float, help="factor on the size of views; default: 1 on a GPU, 0.5 on a CPU")
     parser.add_argument("--views", type=int, default=VIEWS,
-                        help="views that an exposure is learnt from, in as many steps (default: %(default)s)")
+                        help="views that an exposure is learnt from, and steps (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--every", type=float, default=30.0, help="seconds between measurements")
     parser.add_argument("-o", "--out", type=Path, help="folder for all results; default: runs/TAG")
@@ -161,7 +161,7 @@ def start_network(start: str, cube: torch.Tensor) -> HDRNet:
 
 
 def freeze(net: HDRNet, only: tuple[str, ...]) -> None:
-    """Train only parts with a name of `only` in their own; all where there are no names."""
+    """Train only parts whose name contains one of `only`; all parts if it is empty."""
     names = [name for name, p in net.named_parameters() if p.requires_grad]
     for part in only:
         if not any(part in name.split(".") for name in names):
@@ -186,7 +186,7 @@ def picture_loss(out: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
 def render(
     net: HDRNet, colour: torch.Tensor, shaper: Shaper, noise: float = 0.0
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Display colour, and shaped colour before the cube; `noise` disturbs what the coefficient network sees."""
+    """Display colour, and shaped colour before the cube; `noise` disturbs the input of the coefficient network."""
     low = lowres(colour, shaper)
     grid, guide, cube = net(low + noise * torch.randn_like(low))
     shaped = slice_grid_dense(shape(colour, *shaper), guide, grid)
@@ -204,10 +204,10 @@ def losses(
     shaper: Shaper,
     shift: tuple[int, int],
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Loss of two shifted views, and how much more they differ where they overlap than their targets do.
+    """Loss of two shifted views, and by how much they differ more in their overlap than their targets do.
 
-    Where the colour that meets the view is known, the difference from it counts too: the view is flat in highlights, so
-    an error there would have no gradient.
+    If the colour before the view is known, the difference from it counts too: the view is flat in highlights, so an
+    error there would have no gradient.
     """
     colour, wanted, before = batch
     h, w = colour.shape[-2] - SHIFT, colour.shape[-1] - SHIFT
@@ -233,7 +233,7 @@ def validate(net: HDRNet | Exposure, held: HeldOut, wanted: HeldOut) -> dict[str
 
 
 def cube_psnr(cube: torch.Tensor, held: HeldOut, wanted: HeldOut) -> dict[str, float]:
-    """The same of a cube alone."""
+    """PSNR in sRGB values of each held-out picture, for a cube alone."""
     scores = {}
     for name, rgb in held.items():
         x = torch.from_numpy(rgb.astype(np.float32)).permute(2, 0, 1)[None]
@@ -250,7 +250,7 @@ def score(out: torch.Tensor, wanted: np.ndarray) -> float:
 
 Watch = Callable[[Report], None]
 Checkpoint = dict[str, Any]
-"""cube; weights, None where the cube is all; look; pictures trained on; psnr of those held out; history of runs."""
+"""cube; weights (None for a cube alone); look; training pictures; psnr of held-out pictures; history of runs."""
 
 
 def train_grid(net: HDRNet, source: Source, recipe: Recipe, held: HeldOut, wanted: HeldOut, watch: Watch,
@@ -296,7 +296,7 @@ def train_grid(net: HDRNet, source: Source, recipe: Recipe, held: HeldOut, wante
 
 
 def history_of(recipe: Recipe, report: Report, device: torch.device) -> dict[str, object]:
-    """What a card says about one training."""
+    """A card's entry about one training."""
     name = torch.cuda.get_device_name() if device.type == "cuda" else "CPU"
     told = {"steps": report.step, "device": name, "torch": str(torch.__version__), **asdict(recipe)}
     return {key: value for key, value in told.items() if key != "views"} | {"seconds": report.seconds}
@@ -307,8 +307,8 @@ def history_of(recipe: Recipe, report: Report, device: torch.device) -> dict[str
 
 @dataclass(frozen=True)
 class Levels:
-    """Of N views, each seen twice, shifted as two frames are: the means (N,2,1) and levels (N,2,7) of their luminance,
-    and the stops (N,2,1) that the look adds."""
+    """N views, each twice, shifted like two frames: the means (N,2,1) and levels (N,2,7) of their luminance, and the
+    stops (N,2,1) that the look adds."""
 
     means: torch.Tensor
     levels: torch.Tensor
@@ -316,7 +316,7 @@ class Levels:
 
 
 def train_exposure(source: Views, recipe: Recipe, held: HeldOut, wanted: HeldOut, watch: Watch) -> Checkpoint:
-    """The training's part of a checkpoint. Of the recipe only views and seed count."""
+    """The training's part of a checkpoint. Uses only views and seed of the recipe."""
     start = time.monotonic()
     found = levels_of_views(source, recipe.views)
     net = Exposure(source.cube)
@@ -331,7 +331,7 @@ def train_exposure(source: Views, recipe: Recipe, held: HeldOut, wanted: HeldOut
 
 @torch.no_grad()
 def levels_of_views(source: Views, count: int) -> Levels:
-    """Of `count` views, as a source makes them."""
+    """Levels of `count` views of a source."""
     found, shaper = [], default_shaper(source.device)
     for _ in range(count):
         view = source.views(1)
@@ -341,7 +341,7 @@ def levels_of_views(source: Views, count: int) -> Levels:
 
 
 def fit_exposure(net: Exposure, found: Levels, seed: int, steps: int) -> tuple[float, float]:
-    """Fit the dense layers; what is left, in stops: the mean error, and by how much two views' differ."""
+    """Fit the dense layers; returns, in stops, the mean error and the mean difference between a view's two errors."""
     net.to(found.stops.device)
     random = torch.Generator().manual_seed(seed)
     optimizer = torch.optim.AdamW(net.dense.parameters(), lr=EXPOSURE_RATE, weight_decay=DECAY)
@@ -360,7 +360,7 @@ def fit_exposure(net: Exposure, found: Levels, seed: int, steps: int) -> tuple[f
 
 
 def difference_of_views(error: torch.Tensor) -> torch.Tensor:
-    """The mean difference of the errors (N,2,1) of both views: flicker that the light of two frames does not have."""
+    """Mean difference between the two errors (N,2,1) of each view: flicker without a change of light."""
     return (error[:, 0] - error[:, 1]).abs().mean()
 
 
@@ -381,9 +381,9 @@ def teach_look(
 
 
 def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device, watch: Watch) -> Checkpoint:
-    """Learn a look from examples: a cube where that explains them, else a network before one, if it does better.
+    """Learn a look from examples: a cube if that explains them, else a network before a cube, if it is better.
 
-    The network that training starts from has a cube fitted to the pairs, too: few pictures may teach it no more.
+    The start network also gets a cube fitted to the pairs: with few pictures this may be the best result.
     """
     from training.tonemap.pairs import PairViews, fit
 
@@ -409,7 +409,7 @@ def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device, 
 
 
 def nearest_cube(pairs: Pairs) -> torch.Tensor:
-    """The shipped look that is nearest to the pairs: it stands in for colours that they do not show."""
+    """The shipped look that is nearest to the pairs: it defines colours that they do not show."""
     light, graded = ({name: pair[i] for name, pair in pairs.train.items()} for i in (0, 1))
     return max(shipped_cubes().values(), key=lambda cube: sum(cube_psnr(cube, light, graded).values()))
 
@@ -424,7 +424,7 @@ def look_of(args: argparse.Namespace) -> Look:
 
 
 def teach(args: argparse.Namespace, device: torch.device, log: Path) -> Checkpoint:
-    """Learn what the options ask for, with a progress bar and a report a line in `log`."""
+    """Learn the look of the options, with a progress bar and one line a report in `log`."""
     recipe = recipe_of(args, device.type == "cuda")
     columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
     with Progress(*columns) as progress, open(log, "w", encoding="utf-8") as lines:

@@ -16,7 +16,7 @@ from training.tonemap.checks import contrast, exposed_frames, flicker, nearest_e
 from training.tonemap.evaluate import (  # noqa: E402
     LONGEST,
     Mapper,
-    behind,
+    measure_lag,
     flicker_table,
     frames_of_step,
     steadiness,
@@ -59,8 +59,8 @@ def test_how_fast_light_is_followed_is_measured() -> None:
     picture, at_once, slow = patches(), Mapper("local", keep=0.0), Mapper("auto")
     assert frames_of_step(Mapper("local"), picture, 1.0) <= 4
     assert 8 < frames_of_step(slow, picture, 1.0) <= 20 < LONGEST
-    assert behind(at_once, Mapper("local"), picture, 24) == 0
-    assert 4 < behind(slow, Mapper("auto"), picture, 24) < 20
+    assert measure_lag(at_once, Mapper("local"), picture, 24) == 0
+    assert 4 < measure_lag(slow, Mapper("auto"), picture, 24) < 20
 
 
 @pytest.mark.slow
