@@ -16,9 +16,9 @@ from training.tonemap.checks import contrast, exposed_frames, flicker, nearest_e
 from training.tonemap.evaluate import (  # noqa: E402
     LONGEST,
     Mapper,
-    measure_lag,
     flicker_table,
     frames_of_step,
+    measure_lag,
     steadiness,
 )
 from training.tonemap.looks import LOOKS  # noqa: E402
