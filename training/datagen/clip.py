@@ -19,7 +19,7 @@ from training.datagen.scenes.views import Probe, choose_path
 from training.datagen.tracing import Film, Tracer
 
 # Samples within a pixel ---------------------------------------------------------------------------------------------
-# Where samples lie in a pixel: jitter sequences, pixel filters, and the drawn styles of a clip's noisy variants.
+# Sample positions in a pixel: jitter sequences, pixel filters, and the random styles of a clip's noisy variants.
 
 TABLE = 1024
 FILTERS = ("box", "blackman-harris")
@@ -53,7 +53,8 @@ def filter_table(name: str) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Style:
-    """How a noisy variant is sampled: `kind` realtime, box or blackman-harris, `spp`, and its jitter a frame (T, 2)."""
+    """Sampling of a noisy variant: `kind` realtime, box or blackman-harris, `spp`, and the jitter of each frame (T,
+    2)."""
 
     kind: str
     spp: int
@@ -81,7 +82,7 @@ def draw_jitter(frames: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def draw_guide_style(frames: int, pixel_filter: str, rng: np.random.Generator) -> Style:
-    """How a clip's guides are sampled: spread like an offline frame, or at one position, jittered or at the centre."""
+    """Sampling of a clip's guides: spread like an offline frame, or at one position, jittered or at the centre."""
     still = np.zeros((frames, 2), np.float32)
     if rng.random() < 0.4:
         return Style(pixel_filter, 4, still)
@@ -121,8 +122,8 @@ AVERAGED = ("diffuse_albedo", "specular_albedo", "normal", "roughness")
 class ClipOptions:
     """Sizes and counts; `scales` and `scale_chances` say how often each upscaling factor is drawn.
 
-    References take the samples that bring their error after x/(1+x) to about `reference_error`, between half and four
-    times `reference_spp`. With `even_spp`, noisy renders have 1 to that many samples a pixel, evenly in stops.
+    References take the samples that are needed for an error of about `reference_error` after x/(1+x), between half and
+    four times `reference_spp`. With `even_spp`, noisy renders have 1 to that many samples a pixel, evenly in stops.
     """
 
     width: int = 128
@@ -180,8 +181,8 @@ def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera
                 frame: int, gain: float, rng: np.random.Generator, steps: int = 0) -> dict[str, np.ndarray]:
     """Colour and planes (H, W, C) of one noisy frame; `cameras` are this frame's and the previous one's.
 
-    Offline styles average the planes over the samples as renderers do. Depth, and motion with the box filter, are the
-    first sample's: an average across an edge would belong to neither side.
+    Offline styles average the planes over the samples like renderers. Depth, and motion with the box filter, come from
+    the first sample: an average across an edge would belong to neither side.
     """
     film = film_of(size, style.offsets(frame, size[0] * size[1], rng))
     colour = tracer.noisy(built.scene, cameras[0], size[0] / size[1], film, style.spp, _seed(rng))
@@ -199,7 +200,7 @@ def guide_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera
 
 def plane_images(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int],
                  style: Style, film: Film, steps: int = 0) -> dict[str, np.ndarray]:
-    """Planes (H, W, C) of samples placed as `style` says. Real-time samples share one place: one of them is enough."""
+    """Planes (H, W, C) of samples in this `style`. Real-time samples share one position: one of them is enough."""
     spp = style.spp
     if style.kind == "realtime" and spp > 1:
         film, spp = film.first(spp), 1

@@ -1,10 +1,10 @@
-"""Look at clips: many of them in one picture, or one of them as an EXR sequence.
+"""Inspect clips: many of them in one picture, or one of them as an EXR sequence.
 
     python -m training.datagen.clip_export sheet FOLDER OUT.png [--rows 12] [--frame 4] [--skip 0]
     python -m training.datagen.clip_export exr CLIP.npz OUT_FOLDER [--variant 0]
 
 sheet: one row a clip: noisy | diffuse albedo | specular albedo | normal | motion | reference.
-exr: noisy.0001.exr ..., reference.0001.exr ... and, of clips that have them, guides.0001.exr ... at output size; with
+exr: noisy.0001.exr ..., reference.0001.exr ... and, if the clip has guides, guides.0001.exr ... at output size; with
 the generic plane names, half float, ZIP.
 """
 

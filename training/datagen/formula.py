@@ -1,11 +1,11 @@
-"""Clips made by formula on a GPU, without a renderer: what renders seldom show, in any amount.
+"""Clips made by formula on a GPU, without a renderer: any amount of content that is rare in renders.
 
     python -m training.datagen.formula --out CLIPS --clips 400 [--seed 0] [--device cuda]
 
-Surfaces with textures from one pixel to many, text, smooth light, lamps out of focus and thin signs; things that move,
-with right vectors or the world's; planes that are exact, of few samples, or cover a pixel in part, as in fog and hair;
-1 to 1024 samples a pixel, evenly in stops, and none of the noise at all. Such clips stand beside rendered ones and do
-not replace them: their noise is drawn from distributions, and light does not bounce.
+Surfaces with textures from one pixel to many, text, smooth light, lamps out of focus and thin signs; moving objects
+with right vectors or the world's; planes that are exact, of few samples, or cover a pixel partly, as in fog and hair; 1
+to 1024 samples a pixel, evenly in stops, and some without noise. Such clips complement rendered ones and do not replace
+them: their noise is drawn from distributions, and light does not bounce.
 
 Lengths are render pixels. Textures are lattices of 64x64 cells that repeat.
 """
@@ -31,8 +31,8 @@ SCALES, CHANCES = (1.0, 1.5, 2.0, 3.0), (0.3, 0.1, 0.45, 0.15)
 VARIANTS = 3  # noisy renders of a clip
 GLOSS = 0.2  # share of the reflectance that is specular, by roughness
 NO_NOISE, SPARSE, COVERED, LAMPS, SIGNS, JITTERED, FALSE_MOTION = 0.12, 0.25, 0.2, 0.15, 0.15, 0.3, 0.15
-"""Shares of the clips: without noise; with planes of few samples; with surfaces that cover pixels in part; with lamps;
-with signs; with one sample place a pixel and frame; with the ground's vectors for what moves."""
+"""Shares of the clips: without noise; with planes of few samples; with surfaces that cover pixels partly; with lamps;
+with signs; with one sample position for each frame; with the ground's vectors for moving objects."""
 
 
 @dataclass
@@ -40,9 +40,9 @@ class Scene:
     """A batch of N scenes of L layers; the first layer is everywhere.
 
     ``albedo`` (N, L, 3, 64, 64), ``cell`` (N, L) and ``smooth`` (N, L) are the textures; ``light`` (N, L, 3, 64, 64)
-    and ``span`` (N, L) the light and the size of its cells; ``centre``, ``speed`` (N, L, 2) and ``size`` (N, L) say
-    where things are and move; ``glow`` (N, L, 3) what they emit; ``cover`` (N, 64, 64) how much of a pixel surfaces
-    cover, and ``air`` (N, 3, 1, 1) the light of the rest.
+    and ``span`` (N, L) the light and the size of its cells; ``centre``, ``speed`` (N, L, 2) and ``size`` (N, L) the
+    objects' positions, motion and size; ``glow`` (N, L, 3) their emission; ``cover`` (N, 64, 64) the share of a pixel
+    that surfaces cover, and ``air`` (N, 3, 1, 1) the light of the rest.
     """
 
     albedo: Tensor
@@ -62,7 +62,7 @@ class Scene:
 
 @dataclass
 class Seen:
-    """What is seen at some places of a frame, (N, C, P), without noise; ``layer`` and ``cover`` tell of what."""
+    """Noise-free values at positions of a frame, (N, C, P); ``layer`` and ``cover`` name the visible surface."""
 
     albedo: Tensor
     shaded: Tensor
@@ -74,9 +74,9 @@ class Seen:
 
 @dataclass
 class Sampling:
-    """How N clips are sampled, all (N, 1, 1, 1): ``samples`` a pixel of the colour and ``few`` of the planes; ``quiet``
-    without noise; ``sparse`` planes that each saw another point of a texture; ``flies``, the share of light that comes
-    in few samples; ``spots``, the share of samples that hit a lamp."""
+    """Sampling of N clips, all (N, 1, 1, 1): ``samples`` a pixel of the colour and ``few`` of the planes; ``quiet``
+    without noise; ``sparse`` planes whose samples each saw another point of a texture; ``flies``, the share of light
+    that comes in few samples; ``spots``, the share of samples that hit a lamp."""
 
     samples: Tensor
     few: Tensor
@@ -131,7 +131,7 @@ def draw_scenes(count: int, side: int, device: torch.device) -> Scene:
 
 
 def text_lattice() -> Tensor:
-    """(64, 64): strokes of one cell in lines, 1 where there is ink."""
+    """(64, 64): strokes of one cell in lines, 1 for ink."""
     ink = torch.zeros(LATTICE, LATTICE)
     for top in range(1, LATTICE - 8, 9):
         for left in range(1, LATTICE - 5, 6):
@@ -146,8 +146,8 @@ def text_lattice() -> Tensor:
 # What is seen of them -----------------------------------------------------------------------------------------------
 
 def lattice_at(lattice: Tensor, u: Tensor, v: Tensor, smooth: Tensor) -> Tensor:
-    """Values (N, C, P) of lattices (N, C, 64, 64) at cells' coordinates (N, P): linear between their centres where it
-    is ``smooth`` (N, 1), else of the cell."""
+    """Values (N, C, P) of lattices (N, C, 64, 64) at cells' coordinates (N, P): linear between the centres if
+    ``smooth`` (N, 1), else the cell's."""
     n, c = lattice.shape[:2]
     flat = lattice.reshape(n, c, -1)
     x, y = (torch.where(smooth, at - 0.5, at) for at in (u, v))
@@ -163,7 +163,7 @@ def lattice_at(lattice: Tensor, u: Tensor, v: Tensor, smooth: Tensor) -> Tensor:
 
 
 def look(scene: Scene, places: Tensor, time: float) -> Seen:
-    """What lies at ``places`` (P, 2) or (N, P, 2), x and y in render pixels, at a frame's number."""
+    """The scene at ``places`` (P, 2) or (N, P, 2), x and y in render pixels, at a frame's number."""
     n = scene.cell.shape[0]
     places = places.expand(n, -1, -1)
     layer = torch.zeros(places.shape[:2], dtype=torch.long, device=places.device)
@@ -184,7 +184,7 @@ def look(scene: Scene, places: Tensor, time: float) -> Seen:
 
 
 def within(scene: Scene, i: int, local: Tensor) -> Tensor:
-    """Where a layer is, (N, P): all of the ground, a disc, a box, a bar that is thin and long."""
+    """Positions that a layer covers, (N, P): the whole ground, a disc, a box, a long thin bar."""
     x, y = (local - scene.centre[:, i, None]).unbind(2)
     size = scene.size[:, i, None]
     if i == 1:
@@ -195,7 +195,7 @@ def within(scene: Scene, i: int, local: Tensor) -> Tensor:
 
 
 def grid(height: int, width: int, scale: float, taps: int, device: torch.device) -> Tensor:
-    """Places of ``taps`` x ``taps`` samples in a picture's pixels, (H * W * taps^2, 2), those of a pixel together."""
+    """Positions of ``taps`` x ``taps`` samples in a picture's pixels, (H * W * taps^2, 2), pixel by pixel."""
     lines = [((torch.arange(side * taps, device=device) + 0.5) / (taps * scale)).reshape(side, taps)
              for side in (height, width)]
     y = lines[0][:, None, :, None].expand(height, width, taps, taps)
@@ -211,12 +211,13 @@ def mean_of(values: Tensor, height: int, width: int) -> Tensor:
 # Noise --------------------------------------------------------------------------------------------------------------
 
 def hits(share: Tensor, samples: Tensor) -> Tensor:
-    """The share of ``samples`` (N, 1, 1, 1) that hit what has a ``share`` of them, at random."""
+    """The share of ``samples`` (N, 1, 1, 1) that hit a target of this ``share``, at random."""
     return torch.binomial(samples.expand_as(share).contiguous(), share.clamp(0, 1).contiguous()) / samples
 
 
 def noise_of(shape: torch.Size, samples: Tensor, flies: Tensor) -> Tensor:
-    """Factors of mean 1 on light of so many samples: their deviation is the light, and ``flies`` of it comes in few."""
+    """Random factors of mean 1 on light of the given samples: a sample's deviation is the light, and a share ``flies``
+    of the light comes in few samples."""
     even = torch._standard_gamma(samples.expand(shape).contiguous()) / samples
     rare = hits(torch.full(shape, 0.02, device=samples.device), samples) / 0.02
     return torch.lerp(even, rare, flies)
@@ -236,7 +237,7 @@ def draw_sampling(count: int, device: torch.device) -> Sampling:
 
 def draw_clips(count: int, frames: int, side: int, scale: float,
                device: torch.device) -> list[tuple[np.ndarray, list[dict], dict]]:
-    """Clips of ``frames`` frames at ``side`` x ``side`` render pixels, as `save_clip` takes them: the reference at
+    """Clips of ``frames`` frames at ``side`` x ``side`` render pixels, for `save_clip`: the reference at
     ``scale`` times that, the noisy renders, and guides of one sample a pixel."""
     scene, full = draw_scenes(count, side, device), round(side * scale)
     jittered = chosen(JITTERED * (scale > 1), count, device)

@@ -42,7 +42,7 @@ class Hairs(NamedTuple):
         return cls(root, way, random.uniform(0.25, 0.9, HAIRS), random.uniform(0.15, 0.8, (HAIRS, 3)))
 
     def hit(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Which hair is in front at places, -1 for none."""
+        """Index of the front hair at each position, -1 for none."""
         found = np.full(x.shape, -1)
         for i, (root, way, width) in enumerate(zip(self.root, self.way, self.width, strict=True)):
             along = np.clip(((x - root[0]) * way[0] + (y - root[1]) * way[1]) / (way @ way), 0, 1)
@@ -52,7 +52,7 @@ class Hairs(NamedTuple):
 
 
 def draw(hairs: Hairs, seed: int, samples: int, scale: int, noisy: bool) -> dict[Role, np.ndarray]:
-    """Premultiplied colour, alpha and albedo, means of so many samples a pixel."""
+    """Premultiplied colour, alpha and albedo, means over the given samples a pixel."""
     random, side = np.random.default_rng(seed), SIDE * scale
     rows, columns = np.mgrid[:side, :side]
     sums = {role: np.zeros((side, side, count)) for role, count in

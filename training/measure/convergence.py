@@ -2,12 +2,12 @@
 
 python -m training.measure.convergence VIEW.npz -o RESULTS [--model s,m] [--scales 1,2]
 
-VIEW.npz is of training.measure.equivalent_samples. The input of n samples a pixel is the mean of its first n images;
-so are its planes, as far as the view holds them (from there on its `mean_` planes). At scale 1 the reference is the
-view's. At scale 2 the input is every 2x2 pixels' mean, which has 4 n samples a pixel, and the reference stays as it is.
-Each input is the first frame of a sequence. PSNR is of displayed pictures, without the reference's own noise (see
-equivalent_samples). Writes RESULTS/convergence.csv, .json and .png, and prints how far each method falls below its own
-input, at worst.
+VIEW.npz comes from training.measure.equivalent_samples. The input of n samples a pixel is the mean of its first n
+images, and so are its planes, as long as the view holds enough (beyond, its `mean_` planes). At scale 1 the reference
+is the view's. At scale 2 the input is the mean of every 2x2 pixels, with 4 n samples a pixel, and the reference is the
+same. Each input is the first frame of a sequence. PSNR compares displayed pictures, without the reference's own noise
+(see equivalent_samples). Writes RESULTS/convergence.csv, .json and .png, and prints the least gain of each method over
+its own input.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def steps(view: dict[str, np.ndarray], scale: int) -> Iterator[Step]:
 
 
 def _averaged(view: dict[str, np.ndarray], name: str, count: int) -> np.ndarray:
-    """A plane averaged over so many samples a pixel, or the mean of all if the view holds fewer single ones."""
+    """A plane averaged over the given samples a pixel, or the mean of all if the view holds fewer."""
     known = f"mean_{name}" in view and count > len(view[name])
     return view[f"mean_{name}"] if known else view[name][:count].mean(0, dtype=np.float64)
 

@@ -1,19 +1,19 @@
-"""Equivalent sample count: how many samples a pixel reach the error that a network reaches with one. Two commands.
+"""Equivalent sample count: the samples a pixel that reach the error of a network with one sample. Two commands.
 
 python -m training.measure.equivalent_samples render VIEW.npz [--variant cuda_ad_rgb]    needs Mitsuba
 python -m training.measure.equivalent_samples measure VIEW.npz -o RESULTS [--model m]    needs postfx[bench]
 
 `render` makes independent images of one sample a pixel of a held-out view, the means of the first 1, 2, 3, ... of them,
-and a reference of two independent halves. `measure` traces the error of those means, which is how this view really
-converges (nothing is assumed of its form), runs the network at its own size, on the first frame, without history, on
-several of the single images, and finds where the curve crosses the network's error. The reference's own noise, known
-from its halves, is taken out of every error. Errors are mean squares of displayed pictures (exposed, x/(1+x), sRGB),
-and relMSE of linear light without the worst 0.1 % of the pixels. Writes RESULTS/equivalent_samples.json and .png.
+and a reference of two independent halves. `measure` measures the error of those means, the true convergence of this
+view (no form is assumed), runs the network at its own size, as a first frame without history, on several of the single
+images, and finds where the curve crosses the network's error. The reference's own noise, known from its halves, is
+taken out of every error. Errors are mean squares of displayed pictures (exposed, x/(1+x), sRGB), and relMSE of linear
+light without the worst 0.1 % of the pixels. Writes RESULTS/equivalent_samples.json and .png.
 
-VIEW.npz: `reference_a`, `reference_b` (H, W, 3), the halves; `counts` (P,) and `means` (P, H, W, 3); of the K single
-images that the network sees, `colour`, `diffuse_albedo`, `specular_albedo`, `normal`, `roughness`, `depth`, `motion`
-(K, H, W, C), float32; `mean_diffuse_albedo` and so on (H, W, C), what frames of many samples average, of `--samples`
-samples a pixel; `facts`, JSON.
+VIEW.npz: `reference_a`, `reference_b` (H, W, 3), the halves; `counts` (P,) and `means` (P, H, W, 3); `colour`,
+`diffuse_albedo`, `specular_albedo`, `normal`, `roughness`, `depth`, `motion` (K, H, W, C), float32, of the K single
+images that the network sees; `mean_diffuse_albedo` and so on (H, W, C), averages over `--samples` samples a pixel;
+`facts`, JSON.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     render.add_argument("--samples", type=int, default=2048, help="images of one sample a pixel")
     render.add_argument("--inputs", type=int, default=8, help="how many of them the network will see")
     render.add_argument("--half-spp", type=int, default=8192, help="samples a pixel of each half of the reference")
-    render.add_argument("--reference-error", type=float, default=0.006, help="of the reference; others are skipped")
+    render.add_argument("--reference-error", type=float, default=0.006, help="largest error of the reference")
     measure = commands.add_parser("measure", help="find the equivalent sample count")
     measure.add_argument("view", type=Path, help="file that 'render' wrote")
     measure.add_argument("-o", "--results", type=Path, required=True)
@@ -97,7 +97,7 @@ def render(args: argparse.Namespace) -> None:
 
 
 def many_planes(tracer: Any, view: Any, camera: Any, size: tuple[int, int], samples: int) -> dict[str, np.ndarray]:
-    """Planes (H, W, C) that renderers average over samples, here over at least so many."""
+    """Planes (H, W, C) that renderers average over samples, here over at least the given number."""
     from training.datagen.clip import AVERAGED, Style, film_of, plane_images
 
     style, passes = Style("box", min(samples, AT_ONCE), np.zeros((1, 2), np.float32)), -(-samples // AT_ONCE)
@@ -110,7 +110,7 @@ def many_planes(tracer: Any, view: Any, camera: Any, size: tuple[int, int], samp
 
 
 def prefix_counts(most: int) -> list[int]:
-    """1 to `most`, every whole number to 4 and then about four to the octave."""
+    """1 to `most`: every whole number up to 4, then about four in an octave."""
     steps = 2.0 ** (np.arange(0, 4 * np.log2(most) + 1) / 4)
     return sorted({min(most, round(step)) for step in steps} | {min(most, n) for n in (1, 2, 3, 4)} | {most})
 
@@ -129,7 +129,7 @@ class Errors:
         self.noise = {name: self._square(name, half_a, half_b) / 4 for name in MEASURES}
 
     def __call__(self, image: np.ndarray) -> dict[str, float]:
-        """Mean square errors by measure: at the reference's mean, less the noise of that mean."""
+        """Mean square errors by measure: against the reference's mean, minus the noise of that mean."""
         found = {name: self._square(name, image, self._mean) - self.noise[name] for name in MEASURES}
         return {name: max(value, 1e-12) for name, value in found.items()}
 
@@ -144,7 +144,7 @@ class Errors:
 
 
 def find_crossing(counts: np.ndarray, curve: np.ndarray, error: float) -> float | None:
-    """Count at which a curve of errors first comes down to `error`, interpolated in log-log; None when it never does.
+    """Count at which a curve of errors first falls to `error`, interpolated in log-log; None if it never does.
 
     An error above the whole curve gives the first count.
     """
@@ -207,7 +207,7 @@ def _pictures(view: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str
 
 
 def plot(facts: dict[str, Any], path: Path) -> None:
-    """Convergence curves with the errors of the methods and where they meet; a PNG."""
+    """Convergence curves, the errors of the methods, and their intersections; a PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""Networks and Open Image Denoise on kinds of content, by Cycles clips that nobody trained on.
+"""Networks and Open Image Denoise by kind of content, on Cycles clips that no network was trained on.
 
     python -m training.measure.kinds score CLIPS [--models m,s] [--json FILE]     a table by kind
     python -m training.measure.kinds score CLIPS --log training/runs.jsonl --run NAME [--models m]
@@ -7,7 +7,7 @@
 CLIPS holds .npz files of `training.datagen.render --blender ...`, drawn with seeds from 9000 on. Pictures are compared
 after exposure, x/(1+x) and the sRGB curve, in the second half of the frames. The squared error is the mean of the
 product of the differences from two independent halves of the reference, so the reference's own noise does not count.
---log notes the mean gains by kind with a training run (`training.measure.runs`).
+--log adds the mean gains by kind to a training run (`training.measure.runs`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Method = Callable[[Frame], np.ndarray]
 
 
 def frames_of(clip: dict, variant: int, exposure: float) -> Iterator[Frame]:
-    """The frames of one noisy render. Where a clip has no motion, each frame begins anew."""
+    """The frames of one noisy render. In a clip without motion, each frame drops the history."""
     for t in range(len(clip["reference"])):
         planes = {Role(name): clip[f"v{variant}_{name}"][t].astype(np.float32) for name in PLANES}
         planes[Role.DEPTH] = planes[Role.DEPTH][..., None]
@@ -43,7 +43,7 @@ def frames_of(clip: dict, variant: int, exposure: float) -> Iterator[Frame]:
 
 
 def halves(clip: dict, variant: int) -> tuple[np.ndarray, np.ndarray]:
-    """Two independent references (T, H, W, 3); for a render made of the first one there is only the second."""
+    """Two independent references (T, H, W, 3); only the second for a render that was made from the first."""
     second = clip["half"].astype(np.float32)
     first = second if clip[f"v{variant}_half"] else 2 * clip["reference"].astype(np.float32) - second
     return first, second
@@ -102,7 +102,7 @@ def mean_gains(rows: list[dict], models: list[str]) -> dict[str, dict[str, float
 
 
 def table(rows: list[dict], models: list[str]) -> str:
-    """Markdown: a row for each kind with the mean PSNR of OIDN, each network's mean gain over it and its least one."""
+    """Markdown: a row for each kind with the mean PSNR of OIDN, and each network's mean and least gain over it."""
     lines = ["| kind | renders | OIDN high, dB | " + " | ".join(f"{m}, dB more | least" for m in models) + " |",
              "| --- | --- | --- |" + " --- | --- |" * len(models)]
     for kind, found in sorted(group(rows).items()):
@@ -144,10 +144,10 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=("score", "pack"))
     parser.add_argument("clips", type=Path)
-    parser.add_argument("folder", type=Path, nargs="?", help="pack: where the small set goes")
+    parser.add_argument("folder", type=Path, nargs="?", help="folder for the small set of pack")
     parser.add_argument("--models", default="m", help="tags of networks, comma-separated")
     parser.add_argument("--json", type=Path, help="write all rows there")
-    parser.add_argument("--log", type=Path, metavar="FILE", help="table of training runs to note the mean gains in")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="table of training runs that gets the mean gains")
     parser.add_argument("--run", metavar="NAME", help="the run of --log that made these networks")
     args = parser.parse_args(argv)
     if bool(args.log) != bool(args.run):

@@ -3,10 +3,10 @@
 python -m training.measure.parts SEQUENCE.npz [--model m] [--scales 1,2]
 python -m training.measure.parts --cost [--model m]
 
-SEQUENCE.npz holds, for frame i, `albedo{i}`, `normal{i}`, `depth{i}`, `motion{i}`, of each light group `NAME{i}`, and
-of the last frame references `ref{size}_NAME{i}`, where size is the width. Group lights add up to the picture. PSNR and
-sums are of the last frame; PSNR is of what is seen, every picture exposed as its reference. `--cost` tells what a part
-takes of a frame's time: frames of 960x540 to 1920x1080 with three parts and with none in turn.
+SEQUENCE.npz holds, for frame i, `albedo{i}`, `normal{i}`, `depth{i}`, `motion{i}`, a light group's `NAME{i}`, and for
+the last frame references `ref{size}_NAME{i}`, where size is the width. The light groups add up to the picture. PSNR and
+sums are those of the last frame; PSNR compares displayed pictures, each exposed like its reference. `--cost` measures a
+part's share of a frame's time: frames of 960x540 to 1920x1080 with three parts and without parts, in turn.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
 FRAMES, WARM_UP = 12, 3
-"""Frames whose time is taken, and how many of them do not count."""
+"""Frames that run, and how many of them are not timed."""
 GRADE = {"key": 2.0, "fill": 0.5}
 
 
 def load(path: Path) -> tuple[list[Frame], dict[str, dict[int, np.ndarray]]]:
-    """The frames, and of each group the references of the last one by their width."""
+    """The frames, and each group's references of the last frame by their width."""
     arrays = {name: array.astype(np.float32) for name, array in np.load(path).items()}
     count = sum(name.startswith("albedo") for name in arrays)
     names = sorted({name.split("_")[1].rstrip("0123456789") for name in arrays if name.startswith("ref")})
@@ -49,13 +49,13 @@ def load(path: Path) -> tuple[list[Frame], dict[str, dict[int, np.ndarray]]]:
 
 
 def graded(frame: Frame) -> Frame:
-    """The frame with its lights graded before."""
+    """The frame with graded lights."""
     planes = {**frame.planes, Role.COLOUR: sum(GRADE.get(name, 1.0) * part for name, part in frame.parts.items())}
     return Frame(planes, number=frame.number, samples=frame.samples)
 
 
 def seen(result: np.ndarray, reference: np.ndarray) -> float:
-    """PSNR of what is seen of a picture, exposed as its reference."""
+    """PSNR of a displayed picture, exposed like its reference."""
     exposure = grey_exposure(reference)
     exposed = [exposure * np.maximum(light, 0) for light in (result, reference)]
     return psnr(*(srgb_encode(light / (1 + light)) for light in exposed))
@@ -69,7 +69,7 @@ def by_oidn(frame: Frame, light: np.ndarray, size: int, kernels: HostKernels) ->
 
 
 def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], model: str, scale: int) -> None:
-    """Print a row for each group, and how far sums and grades agree."""
+    """Print a row for each group, and the errors of sums and of graded sums."""
     names, device = list(references), Device("cpu")
     size, kernels = scale * frames[0][Role.COLOUR].shape[1], HostKernels(device)
     together, own_filters = (Pipeline([DenoiseUpscale(scale=scale, model=model, parts=names, part_filters=filters)],
@@ -99,7 +99,7 @@ def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], m
 
 
 def cost(model: str) -> None:
-    """Print what a part takes of a frame's time."""
+    """Print a part's share of a frame's time."""
     random, device = np.random.default_rng(0), Device("cpu")
     colour = random.random((540, 960, 3), np.float32)
     planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: colour, Role.NORMAL: colour,

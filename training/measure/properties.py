@@ -1,11 +1,11 @@
-"""What a denoiser must keep to on content made by formula, where the truth is known without noise.
+"""Properties that a denoiser must have, tested on content made by formula, whose truth is known without noise.
 
     python -m training.measure.properties [--models m,s] [--cases wall,text] [--json FILE] [--sheet FILE.png]
 
-Cases: `wall` and `floor`, noise left as samples double; `planes`, albedo of few samples; `text` and `speckle`, texture
-of one pixel at 1x; `lamps` and `sign`, light that is kept; `ghost`, a thing whose motion vectors are the world's. Open
-Image Denoise (high quality, albedo and normal, enlarged by cubic interpolation) gets the same frames. Decibels are of
-what is shown: exposure 1, x/(1+x) and the sRGB curve. --sheet draws the cases beside their truth.
+Cases: `wall` and `floor`, remaining noise as samples double; `planes`, albedo of few samples; `text` and `speckle`,
+texture of one pixel at 1x; `lamps` and `sign`, light that must be kept; `ghost`, an object with the world's motion
+vectors. Open Image Denoise (high quality, albedo and normal, enlarged by cubic interpolation) gets the same frames.
+Decibels compare displayed pictures: exposure 1, x/(1+x) and the sRGB curve. --sheet draws the cases beside their truth.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ Picture = np.ndarray
 
 @dataclass
 class Case:
-    """Frames of a shot with what the last one should show: `truth` (H, W, 3) at `scale` times the render size.
+    """Frames of a shot and the `truth` (H, W, 3) of the last one at `scale` times the render size.
 
-    `facts` tell what varies within a series, `where` (H, W) what is judged, all of it if None.
+    `facts` name what varies within a series; `where` (H, W) masks the pixels to judge, None for all.
     """
 
     name: str
@@ -60,13 +60,13 @@ def grey(plane: Picture) -> Picture:
 
 
 def few_samples(random: np.random.Generator, light: Picture, samples: int) -> Picture:
-    """The mean of `samples` samples of a pixel whose deviation is the light itself."""
+    """The mean of `samples` samples of a pixel, whose standard deviation is the light itself."""
     return light * random.gamma(samples, 1 / samples, light.shape[:2])[..., None].astype(np.float32)
 
 
 def fireflies(random: np.random.Generator, light: Picture, samples: int, chance: float = 0.02,
               share: float = 0.3) -> Picture:
-    """The mean of samples of which few carry a share of the light."""
+    """The mean of samples, a few of which carry a share of the light."""
     hits = random.binomial(samples, chance, light.shape[:2]) / (samples * chance)
     return few_samples(random, light, samples) * (1 - share) + light * share * hits[..., None].astype(np.float32)
 
@@ -82,7 +82,7 @@ def frame(colour: Picture, albedo: Picture, depth: Picture | None = None, number
 
 
 def letters(size: int, random: np.random.Generator) -> Picture:
-    """Strokes of one and two pixels in rows, as small text has: 1 where there is ink."""
+    """Strokes of one and two pixels in rows, like small text: 1 for ink."""
     ink = np.zeros((size, size), np.float32)
     for top in range(4, size - 10, 12):
         for left in range(4, size - 8, 7):
@@ -98,7 +98,7 @@ def letters(size: int, random: np.random.Generator) -> Picture:
 # Cases --------------------------------------------------------------------------------------------------------------
 
 def smooth_wall(size: int) -> tuple[Picture, Picture]:
-    """Light and albedo of a wall that is lit from one side."""
+    """Light and albedo of a wall lit from one side."""
     x, y = grid(size)
     return grey(0.25 + 0.75 * x * (1 - 0.3 * y)), grey(0 * x + 0.6)
 
@@ -129,14 +129,14 @@ def _series(name: str, surface: Callable[[int], tuple[Picture, Picture]],
 
 
 def inner(size: tuple[int, int], scale: float) -> Picture:
-    """All but the border."""
+    """Everything except the border."""
     edge, mask = round(FLAT * scale), np.zeros(size, bool)
     mask[edge:-edge, edge:-edge] = True
     return mask
 
 
 def planes(scale: float) -> Iterator[Case]:
-    """Texture out of focus: light of 64 samples, and albedo of few, each of which saw another point of the texture."""
+    """Texture out of focus: light of 64 samples, and albedo of a few, each at another point of the texture."""
     x, y = grid(SIDE)
     mean = 0.35 + 0.2 * np.sin(5 * x) * np.cos(4 * y)
     light, truth_x, truth_y = grey(0.5 + 0.4 * x), *grid(round(SIDE * scale))
@@ -169,7 +169,7 @@ def _exact(name: str, albedo: Picture) -> Iterator[Case]:
 
 
 def lamps(scale: float) -> Iterator[Case]:
-    """Discs of lamps out of focus, which few samples hit, over a dark street: eight frames that stand still."""
+    """Discs of lamps out of focus, hit by few samples, over a dark street: eight identical views."""
     def light(size: int) -> Picture:
         x, y = grid(size)
         discs = sum(np.clip((radius - np.hypot(x - u, y - v)) * size + 0.5, 0, 1) * value for u, v, radius, value in (
@@ -187,7 +187,7 @@ def lamps(scale: float) -> Iterator[Case]:
 
 
 def sign(scale: float) -> Iterator[Case]:
-    """Thin bright strokes over a dark scene, without noise; their light at output size is the render's, enlarged."""
+    """Thin bright strokes over a dark scene, without noise; the output must keep the render's light."""
     ink = letters(SIDE, np.random.default_rng(4))
     colour = grey(0.02 + 5 * ink)
     rows = (np.arange(round(SIDE * scale)) * SIDE // round(SIDE * scale))
@@ -215,7 +215,7 @@ CASES: dict[str, tuple[Callable[[float], Iterator[Case]], tuple[float, ...]]] = 
     "wall": (wall, (1, 1.5, 2, 3)), "floor": (floor, (1, 1.5, 2, 3)), "planes": (planes, (1, 2)), "text": (text, (1,)),
     "speckle": (speckle, (1,)), "lamps": (lamps, (1, 2)), "sign": (sign, (1, 2)), "ghost": (ghost, (1, 2)),
 }
-"""Name -> what makes its cases at a scale, and at which scales."""
+"""Name -> the function that makes its cases at a scale, and the scales."""
 
 
 # Methods and measures -----------------------------------------------------------------------------------------------
@@ -257,7 +257,7 @@ def _bare(one: Frame) -> Frame:
 
 
 def measure(case: Case, picture: Picture) -> dict[str, float]:
-    """PSNR in dB where the case is judged; deviation from the truth there, and the light that is kept."""
+    """PSNR in dB over the judged pixels, deviation from the truth, and the share of light that is kept."""
     where = np.ones(picture.shape[:2], bool) if case.where is None else case.where
     error = (to_codes(picture, 1.0) - to_codes(case.truth, 1.0))[where]
     return {"psnr": float(-10 * np.log10(np.mean(error**2) + 1e-12)), "noise": float(np.std(error)),
@@ -265,7 +265,7 @@ def measure(case: Case, picture: Picture) -> dict[str, float]:
 
 
 def methods_of(name: str, models: list[str]) -> dict[str, Method]:
-    """What is compared in a case: OIDN, each network, and networks without what should help them."""
+    """The methods of a case: OIDN, each network, and networks without planes that should help them."""
     found: dict[str, Method] = {"oidn": oidn} | {model: network(model) for model in models}
     if name == "planes":
         found |= {f"{model} without planes": network(model, planes=False) for model in models}
@@ -303,7 +303,7 @@ def table(rows: list[dict[str, float | str]]) -> str:
 
 
 def rises(rows: list[dict[str, float | str]], method: str) -> list[str]:
-    """Where noise rises by more than 5 % or PSNR falls by more than 0.05 dB as samples double."""
+    """Steps at which noise rises by more than 5 % or PSNR falls by more than 0.05 dB as samples double."""
     found = []
     for case in ("wall", "floor"):
         for scale in CASES[case][1]:
@@ -337,8 +337,8 @@ def draw(names: list[str], model: str, path: Path) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--models", default="m", help="tags of networks, with commas between")
-    parser.add_argument("--cases", default=",".join(CASES), help="names of cases, with commas between")
+    parser.add_argument("--models", default="m", help="tags of networks, comma-separated")
+    parser.add_argument("--cases", default=",".join(CASES), help="names of cases, comma-separated")
     parser.add_argument("--json", type=Path, help="write all rows there")
     parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw the cases by the first network")
     args = parser.parse_args(argv)

@@ -4,9 +4,9 @@
     python -m training.measure.runs curves RUN [RUN ...] -o curves.png
 
 The log has one JSON object a line, one line a run: `run` (a name), `date`, `commit`, `start` (weights it began from),
-`options` (those of training.denoise.train that are not its defaults), `data` (what clips), `clips`, `gpus`, `batch`,
-`steps`, `minutes`, `validation_psnr` (dB, of that run's own held-out clips), `validation_flicker`, `kinds` (mean gain
-over Open Image Denoise in dB, by kind of content and network), `outcome`. A fact that was never written down is null.
+`options` (those of training.denoise.train that are not its defaults), `data` (the kind of clips), `clips`, `gpus`,
+`batch`, `steps`, `minutes`, `validation_psnr` (dB, on that run's own held-out clips), `validation_flicker`, `kinds`
+(mean gain over Open Image Denoise in dB, by kind of content and network), `outcome`. An unknown fact is null.
 `training.denoise.train --log FILE` appends a run, `training.measure.kinds score CLIPS --log FILE --run NAME` adds
 `kinds`.
 
@@ -31,7 +31,7 @@ LOG = Path(__file__).resolve().parents[1] / "runs.jsonl"
 
 
 def read_runs(log: Path) -> list[dict[str, Any]]:
-    """All runs, oldest first. Raises ValueError with the number of a line that is no JSON object with a `run`."""
+    """All runs, oldest first. Raises ValueError with the number of a line that is not a JSON object with a `run`."""
     runs = []
     for number, line in enumerate(log.read_text(encoding="utf-8").splitlines(), 1):
         try:
@@ -45,7 +45,7 @@ def read_runs(log: Path) -> list[dict[str, Any]]:
 
 
 def append_run(log: Path, run: Mapping[str, Any]) -> None:
-    """Add a run to the log, which is made if it is not there."""
+    """Add a run to the log, which is created if it does not exist."""
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a", encoding="utf-8") as file:
         file.write(dump(run) + "\n")
@@ -68,7 +68,7 @@ def record_kinds(log: Path, name: str, gains: Mapping[str, Mapping[str, float]])
 
 
 def dump(run: Mapping[str, Any]) -> str:
-    """One line of JSON; what is not a number is null."""
+    """One line of JSON; NaN and infinity become null."""
     plain = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in run.items()}
     return json.dumps(plain, ensure_ascii=False)
 
@@ -81,7 +81,7 @@ COLUMNS = ("run", "date", "began from", "options", "clips", "GPUs x batch", "ste
 
 
 def table(runs: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown: a row a run; `?` is a fact that was not written down."""
+    """Markdown: a row a run; `?` is an unknown fact."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|" + " --- |" * len(COLUMNS)]
     return "\n".join(lines + ["| " + " | ".join(cells(run)) + " |" for run in runs])
 
@@ -127,7 +127,7 @@ PANELS = (("PSNR (dB)", 4, 2), ("flicker", 5, 3), ("learning rate", 2, None))
 
 
 def rows(path: Path) -> list[list[float]]:
-    """The numbers of a table; none where it is not there yet."""
+    """The numbers of a table; empty if it does not exist yet."""
     if not path.exists():
         return []
     with path.open() as file:

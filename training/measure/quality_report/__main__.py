@@ -14,22 +14,22 @@ RESULTS holds the output of these commands:
 Lines between `<!-- table: NAME ARGUMENTS -->` and `<!-- end -->` are replaced; everything else is written by hand.
 Arguments are folders of RESULTS, so the document itself chooses its sequences and their order:
 
-    conditions SEQUENCE...         how they were measured
+    conditions SEQUENCE...         conditions of the measurement
     gains SEQUENCE...              ours against the best of the others, figure by figure
     methods SEQUENCE               all figures of all methods
     frames SEQUENCE...             single frames against OIDN's
     history SEQUENCE...            with history against without
     front psnr|flicker SEQUENCE... run time against error
     times SEQUENCE                 run time and memory
-    ablations MODEL SEQUENCE...    networks that lack planes
+    ablations MODEL SEQUENCE...    networks without some planes
     scales                         the validation set, scale by scale
-    equal_rays                     the validation set, light paths spent both ways
+    equal_rays                     the validation set, as many light paths spent in two ways
     equivalent FOLDER...           equivalent sample counts
-    convergence FOLDER...          least gain over the input, whatever its sample count
+    convergence FOLDER...          least gain over the input at any sample count
     networks                       cards of models/*.json
-    picture FILE WORDS...          RESULTS/FILE, made smaller, with WORDS for those who cannot see it
+    picture FILE WORDS...          RESULTS/FILE, reduced, with WORDS as alternative text
 
-A block whose data is missing stays as it is and is named on standard error. --check writes nothing and ends with 1 if a
+A block with missing data stays unchanged and is named on standard error. --check writes nothing and ends with 1 if a
 block or a picture is out of date.
 """
 
@@ -52,7 +52,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/quality.md")
     parser.add_argument("--images", type=Path, default=REPOSITORY / "docs/images/quality")
     parser.add_argument("--models", type=Path, default=REPOSITORY / "models", help="folder of the networks' cards")
-    parser.add_argument("--check", action="store_true", help="write nothing; tell whether all is up to date")
+    parser.add_argument("--check", action="store_true", help="write nothing; only check that everything is up to date")
     return parser.parse_args(argv)
 
 
@@ -82,7 +82,7 @@ def report(args: argparse.Namespace) -> int:
         try:
             made[block.line] = make(block, results, album)
         except Missing as missing:
-            print(f"left as it is: {args.doc}:{block.line} '{block.title}': {missing}", file=sys.stderr)
+            print(f"unchanged: {args.doc}:{block.line} '{block.title}': {missing}", file=sys.stderr)
         except ReportError as error:
             raise ReportError(f"{args.doc}:{block.line}: {error}") from error
     album.check_size()

@@ -1,5 +1,5 @@
-"""The document: text written by hand, blocks between markers, the form of tables, numbers and names, and the
-results that it shows: figures from files, and small copies of pictures."""
+"""The document: hand-written text and blocks between markers; the format of tables, numbers and names; and its results:
+figures from files, and small copies of pictures."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Block:
 
     @property
     def title(self) -> str:
-        """As the marker has it."""
+        """The text of the first marker."""
         return " ".join((self.name, *self.arguments))
 
 
@@ -76,7 +76,7 @@ def parse(text: str, path: Path, known: Collection[str]) -> list[str | Block]:
 
 
 def compose(parts: list[str | Block], made: dict[int, str]) -> str:
-    """The whole text with new blocks put in, by the line of their markers."""
+    """The complete text with new blocks, by the line of their markers."""
     return "".join(_text(part, made) if isinstance(part, Block) else part for part in parts)
 
 
@@ -127,8 +127,8 @@ def method_title(name: str) -> str:
 
 
 def is_network(row: dict[str, Any], name: str = "name") -> bool:
-    """Whether a row tells of one of our networks as it is meant to run: full precision, history, all planes; of frames
-    in order or with a run-up."""
+    """Whether a row is one of our networks in normal use: full precision, history, all planes; frames in order, or with
+    a run-up."""
     return row["family"] == "ours" and set(row[name].split("-")[1:]) <= {"guides", "run", "up"}
 
 
@@ -146,11 +146,11 @@ class Results:
         self._folder, self._models = folder, models
 
     def bench(self, sequence: str) -> Facts:
-        """What `postfx bench` wrote of a sequence."""
+        """Results of `postfx bench` for a sequence."""
         return self._load(f"{sequence}/bench.json")
 
     def ablations(self, sequence: str) -> list[Facts]:
-        """Comparisons of networks that lack planes, of the sequence's folder or else of the one beside it."""
+        """Comparisons of networks without some planes, from the sequence's folder or the one beside it."""
         try:
             found = self.bench(sequence)["ablations"]
         except Missing:
@@ -158,19 +158,19 @@ class Results:
         return found or self.bench(f"{sequence}-ablations")["ablations"]
 
     def validation(self) -> Facts:
-        """What `training.measure.validation compare` wrote."""
+        """Results of `training.measure.validation compare`."""
         return self._load("validation/comparison.json")
 
     def equivalent(self, name: str) -> Facts:
-        """What `training.measure.equivalent_samples` wrote."""
+        """Results of `training.measure.equivalent_samples`."""
         return self._load(f"{name}/equivalent_samples.json")
 
     def convergence(self, name: str) -> Facts:
-        """What `training.measure.convergence` wrote."""
+        """Results of `training.measure.convergence`."""
         return self._load(f"{name}/convergence.json")
 
     def cards(self) -> list[Facts]:
-        """Of the denoisers in full precision, by parameters."""
+        """Cards of the denoisers in full precision, by number of parameters."""
         cards = [_read(path) for path in sorted(self._models.glob("denoise_upscale.*.json"))]
         found = [card for card in cards if "precision" not in card]
         if not found:

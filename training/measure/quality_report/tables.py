@@ -30,7 +30,7 @@ PARTS = {"oidn": 0, "plain": 1, "ours": 2}
 
 
 def conditions(results: Results, *names: str) -> str:
-    """How the sequences were measured."""
+    """The conditions under which the sequences were measured."""
     rows = []
     for name, facts in _benches(results, names).items():
         sizes = " to ".join("x".join(map(str, facts[key])) for key in ("render_size", "output_size"))
@@ -42,7 +42,7 @@ def conditions(results: Results, *names: str) -> str:
 
 
 def methods(results: Results, name: str) -> str:
-    """All figures of all methods, the best of each bold."""
+    """All figures of all methods, with the best of each in bold."""
     rows = sorted(choices(results.bench(name)["methods"]), key=lambda row: PARTS[row["family"]])
     best = {figure: _best(rows, figure) for figure in FORMS}
     cells = [[method_title(row["name"]), *(_figure(row, figure, best[figure]) for figure in FORMS)] for row in rows]
@@ -69,7 +69,7 @@ def gains(results: Results, *names: str) -> str:
 
 
 def frames(results: Results, *names: str) -> str:
-    """How many frames of each network have less PSNR than OIDN high's, and the frame with the smallest lead."""
+    """The number of each network's frames whose PSNR is below OIDN high's, and the frame with the smallest lead."""
 
     def cell(facts: Facts, network: str) -> str:
         own, other = _row(facts, network), _row(facts, "oidn-high")
@@ -84,7 +84,7 @@ def frames(results: Results, *names: str) -> str:
 
 
 def history(results: Results, *names: str) -> str:
-    """Each network with its history against itself without."""
+    """Each network with history, against itself without history."""
 
     def cell(facts: Facts, network: str) -> str:
         own, alone = _row(facts, network), _row(facts, f"{network}-alone")
@@ -193,7 +193,7 @@ def _gain(facts: Facts, network: str, figure: str) -> float | None:
 
 
 def _mean(values: list[float | None], form: str, unit: str) -> str:
-    """Over the sequences that are known, which are counted where some are not."""
+    """Mean over the known values; the text gives their number if some are unknown."""
     known = [value for value in values if value is not None]
     if not known:
         return "-"
@@ -206,7 +206,7 @@ def _mean(values: list[float | None], form: str, unit: str) -> str:
 COMPARED = {"psnr_late": FORMS["psnr"], "gain": "+.2f", "ssim_late": FORMS["ssim"], "flip_ratio": ".2f",
             "flicker_ratio": ".2f"}
 PLAIN = ("cubic", "accumulation")
-"""Methods of studies that are no networks and have names of one word."""
+"""Methods of studies that are not networks but have names of one word."""
 HEADS = ["PSNR", "gain, dB", "SSIM", "FLIP x", "flicker x"]
 
 
@@ -227,7 +227,7 @@ def scales(results: Results) -> str:
 
 
 def equal_rays(results: Results) -> str:
-    """As many light paths spent both ways, against the best of OIDN at full size."""
+    """As many light paths spent at half and at full size, against the best of OIDN at full size."""
     facts = results.validation()
     if not facts["equal_rays"]:
         raise Missing("the validation set was not measured both ways with OIDN")
@@ -245,7 +245,7 @@ def equal_rays(results: Results) -> str:
 
 
 def equivalent(results: Results, *names: str) -> str:
-    """How many samples a pixel reach the error that a method reaches with one."""
+    """The samples a pixel that reach the error of a method with one sample."""
     rows = []
     for name in names:
         facts = results.equivalent(name)
@@ -260,7 +260,7 @@ def equivalent(results: Results, *names: str) -> str:
 
 
 def convergence(results: Results, *names: str) -> str:
-    """Where a method gains least over its own input, of all sample counts, and what it gains at the most samples."""
+    """A method's least gain over its own input, of all sample counts, and its gain at the most samples."""
     rows = []
     for name in names:
         facts = results.convergence(name)
@@ -293,7 +293,7 @@ def networks(results: Results) -> str:
 
 
 def _told(method: str) -> str:
-    """A method of a study for readers: networks go by tag, as 'm' or 'm, alone'; what others are called has spaces."""
+    """A method of a study for readers: networks have tags, as 'm' or 'm, alone'; names of others have spaces."""
     tag = method.split(",")[0]
     return method if " " in tag or tag in PLAIN else f"postfx {method}"
 
@@ -303,7 +303,7 @@ def _of(facts: Facts, render: str) -> list[Facts]:
 
 
 def _best_of_oidn(rows: list[Facts]) -> list[Facts]:
-    """The OIDN method of the greatest PSNR, alone; none where it was not measured."""
+    """The OIDN method with the greatest PSNR, as a list; empty if none was measured."""
     return sorted((row for row in rows if row["family"] == "oidn"), key=lambda row: -row["psnr_late"])[:1]
 
 
@@ -312,7 +312,7 @@ def _cells(row: Facts) -> list[str]:
 
 
 def _frames_below(rows: list[Facts], method: str) -> str:
-    """How many frames of all clips have less PSNR than OIDN high's."""
+    """The number of frames of all clips whose PSNR is below OIDN high's."""
     theirs: dict[str, Any] = {row["scene"]: row["psnr_frames"] for row in rows if row["method"] == FRAMEWISE}
     pairs = [pair for row in rows if row["method"] == method and row["scene"] in theirs
              for pair in zip(row["psnr_frames"], theirs[row["scene"]], strict=True)]
@@ -336,4 +336,4 @@ MAKERS: dict[str, Callable[..., str]] = {
     "convergence": convergence,
     "networks": networks,
 }
-"""Name -> what makes a block's lines of the results and the marker's arguments; raises Missing."""
+"""Name -> the function that makes a block's lines from the results and the marker's arguments; raises Missing."""

@@ -23,7 +23,7 @@ from training.measure.validation.clips import save
 
 
 def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
-    """The arguments, and the names of those that workers are handed."""
+    """The arguments, and the names of those that are passed to workers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     render = commands.add_parser("render", help="render clips on all GPUs of a machine")
@@ -45,12 +45,12 @@ def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[s
     compare.add_argument("--renders", default="x1,x1.5,x2,x3", help="which renders of the clips")
     compare.add_argument("--runs", type=int, default=1)
     compare.add_argument("--device", default="auto")
-    compare.add_argument("--keep", action="store_true", help="take what an earlier run measured")
+    compare.add_argument("--keep", action="store_true", help="reuse the results of an earlier run")
     return parser.parse_args(argv), handed
 
 
 def add_options(parser: argparse.ArgumentParser) -> list[str]:
-    """Add the options for rendering clips; returns their names, for those who hand them on."""
+    """Add the options for rendering clips; returns their names, to pass them on."""
     before = {action.dest for action in parser._actions}
     parser.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
     parser.add_argument("--width", type=_side, default=384, help="of the output, a multiple of 6")
@@ -69,7 +69,7 @@ def _side(text: str) -> int:
 
 
 def maker(args: argparse.Namespace) -> Callable[[int], tuple[str, int]]:
-    """A function that renders and writes a clip, as `training.datagen.render_worker.work` takes it."""
+    """A function that renders and writes a clip, for `training.datagen.render_worker.work`."""
     import mitsuba as mi
 
     mi.set_variant(args.variant)
@@ -90,7 +90,7 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple[str, int]]:
 
 
 def clips(folder: Path) -> list[Path]:
-    """Clips of a folder; ends the program where there are none."""
+    """Clips of a folder; ends the program if there are none."""
     found = sorted(folder.glob("clip.*.npz"))
     if not found:
         raise SystemExit(f"error: {folder} holds no clip: run 'render --out {folder} --clips 6' first")

@@ -21,11 +21,11 @@ SCENES = (
     ("interior", "moving"), ("product", "metal"), ("outdoor", "bending"), ("interior", "cut"),
     ("product", "glass"), ("room", "flicker"), ("outdoor", "moving"), ("interior", None),
 )
-"""Family and trait (see held_out) of the clips, in turn; 'cut' goes on from another view halfway."""
+"""Family and trait (see held_out) of the clips, in turn; 'cut' changes to another view halfway."""
 STYLES = ("realtime", "box")
 """In turn: all samples of a frame at one jittered position, or spread over the pixel."""
 GUIDE_SPP = 4
-"""Samples a pixel of guides where samples are spread; else they are the planes of the full-size frame."""
+"""Samples a pixel of guides if samples are spread; otherwise the guides are the planes of the full-size frame."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class Render:
 
 
 FULL, HALF = Render("x1", 1.0, 1), Render("x2", 2.0, 4)
-"""Two ways to spend as many light paths."""
+"""Two ways to spend the same number of light paths."""
 
 
 def renders(index: int) -> tuple[Render, ...]:
-    """Renders of a clip. Sample counts at 1.5x and 3x change every other clip, so that both styles meet all counts."""
+    """Renders of a clip. Sample counts at 1.5x and 3x change every other clip, so that both styles have all counts."""
     turn = index // len(STYLES) % 4
     return FULL, Render("x1.5", 1.5, (2, 4, 1, 8)[turn]), HALF, Render("x3", 3.0, (4, 2, 8, 1)[turn])
 
@@ -54,9 +54,9 @@ def renders(index: int) -> tuple[Render, ...]:
 # Compact files --------------------------------------------------------------------------------------------------------
 # Planes as small whole numbers, packed by LZMA in an .npz that `numpy.load` reads.
 #
-# Colours keep as many bits of half float's fraction as PACKING says (5: at most 1.6 % off, 7: 0.4 %), all others are
-# steps of its sizes. Keys are RENDER/PLANE, 'reference/colour', and, as JSON, 'facts' and 'packing', so that files stay
-# readable.
+# PACKING says how many bits of a half float's fraction colours keep (5: error at most 1.6 %, 7: 0.4 %), and the step
+# size of all other planes. Keys are RENDER/PLANE, 'reference/colour', and, as JSON, 'facts' and 'packing', so that
+# files stay readable.
 
 HALF_BITS = 10
 PACKING = {"reference": 7, "colour": 5, "diffuse_albedo": 1 / 255, "specular_albedo": 1 / 255, "roughness": 1 / 255,
@@ -68,7 +68,7 @@ Planes = dict[str, np.ndarray]
 
 
 def pack_colour(light: np.ndarray, bits: int) -> np.ndarray:
-    """Light (T, H, W, 3), 0..65504 -> bytes (2, 3, T, H, W): rounded half floats, red and blue less green."""
+    """Light (T, H, W, 3), 0..65504 -> bytes (2, 3, T, H, W): rounded half floats, red and blue minus green."""
     half = np.clip(light, 0, HALF_MAX).astype(np.float16).view(np.uint16).astype(np.uint32)
     drop = HALF_BITS - bits
     top = int(np.float16(HALF_MAX).view(np.uint16)) >> drop
@@ -134,7 +134,7 @@ def _bits(render: str, packing: dict[str, Any]) -> int:
 
 
 def _bytes(words: np.ndarray) -> np.ndarray:
-    """uint16 (C, ...) -> uint8 (2, C, ...), the low bytes first: they pack better apart."""
+    """uint16 (C, ...) -> uint8 (2, C, ...), the low bytes first: separated, they pack better."""
     return np.stack([words & 255, words >> 8]).astype(np.uint8)
 
 

@@ -61,13 +61,13 @@ def _row(scene: str, name: str, facts: dict[str, Any], method: dict[str, Any]) -
 
 
 def without_noise(psnr: float, noise: float) -> float:
-    """PSNR against a reference without the noise (mean square) that this one has; raised by 10 dB at most."""
+    """PSNR without the reference's own noise (mean square); raised by 10 dB at most."""
     error = 10 ** (-psnr / 10)
     return float(-10 * np.log10(max(error - noise, error / 10)))
 
 
 # Report ---------------------------------------------------------------------------------------------------------------
-# Means over the clips: a table for each scale, and the same light paths spent both ways.
+# Means over the clips: a table for each scale, and one for the two ways to spend as many light paths.
 
 COMPARED = ("psnr_late", "ssim_late", "flip_late", "flicker_late")
 FRAMEWISE = "oidn-high"
@@ -94,11 +94,11 @@ def report(folder: Path, rows: list[Row]) -> None:
 
 
 def summary(rows: list[Row]) -> list[Row]:
-    """A row for each method of one render: means over the clips, and comparisons with OIDN where it was measured.
+    """A row for each method of one render: means over the clips, and comparisons with OIDN if it was measured.
 
-    `gain`: PSNR above that OIDN method which is best in the mean; `flip_ratio`, `flicker_ratio`: part of the least of
-    the OIDN methods. `least_gain`: PSNR above the best OIDN method of a clip, at the clip where that is least.
-    `worst_frame`: PSNR of a frame above OIDN high's, at the frame where that is least.
+    `gain`: PSNR above the OIDN method with the best mean; `flip_ratio`, `flicker_ratio`: quotients to the least of the
+    OIDN methods. `least_gain`: least lead in PSNR over a clip's best OIDN method, of all clips. `worst_frame`: least
+    lead in PSNR of a single frame over OIDN high, of all frames.
     """
     by_method = {name: [row for row in rows if row["method"] == name]
                  for name in dict.fromkeys(row["method"] for row in rows)}

@@ -34,9 +34,9 @@ class Options:
 
 def render_clip(tracer: Tracer, index: int, options: Options,
                 tell: Callable[[str], None]) -> tuple[np.ndarray, dict[str, Planes], dict[str, Any]]:
-    """References (T, H, W, 3), planes (T, h, w, C) of every render, and facts, as `clips.save` takes them.
+    """References (T, H, W, 3), planes (T, h, w, C) of every render, and facts, for `clips.save`.
 
-    `tell` is called with progress messages.
+    Calls `tell` with progress messages.
     """
     kind, cut = _kind(index, options.frames)
     half_width = HALF.size(options.size)[0]
@@ -98,7 +98,7 @@ def _reference(tracer: Tracer, view: HeldOut, t: int, spp: int, options: Options
 
 def _noisy(tracer: Tracer, view: HeldOut, t: int, styles: dict[Render, Style],
            output: tuple[int, int]) -> dict[str, Planes]:
-    """One frame of every render, and guides where they are not the full-size frame's own planes."""
+    """One frame of every render, and guides unless they are the full-size frame's own planes."""
     cameras, made = (view.path.at(t), view.path.at(t - 1)), {}
     for render, style in styles.items():
         made[render.name] = noisy_frame(tracer, view.built, cameras, render.size(output), style, t, view.gain, view.rng)
@@ -110,6 +110,6 @@ def _noisy(tracer: Tracer, view: HeldOut, t: int, styles: dict[Render, Style],
 
 
 def _noise(a: np.ndarray, b: np.ndarray, exposure: float) -> list[float]:
-    """Mean square error (T) of what is seen of the mean of two independent halves: a quarter of their difference's."""
+    """Mean square error (T) of the displayed mean of two independent halves: a quarter of their difference's square."""
     seen = [srgb_encode(exposure * half / (1 + exposure * half)) for half in (a, b)]
     return [float(value) for value in np.square(seen[0] - seen[1]).mean((1, 2, 3)) / 4]
