@@ -7,7 +7,7 @@ from tests.mutants import CHECKOUT, ROOMS, chosen, sources
 
 
 def test_every_room_has_sources_and_tests() -> None:
-    everything = [source for suffix in ("py", "cu") for source in sources(suffix)]
+    everything = [source for suffix in ("py", "cu", "cuh") for source in sources(suffix)]
     for room in ROOMS:
         assert any(source.startswith(room.sources) for source in everything), room.sources
         words = shlex.split(room.tests)

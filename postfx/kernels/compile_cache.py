@@ -22,6 +22,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from llvmlite import ir
 from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
@@ -202,7 +203,7 @@ def _parts(value: Any) -> Iterator[str | bytes]:
         yield from _all_parts(value)
     elif isinstance(value, ModuleType | np.ufunc):
         yield value.__name__
-    elif isinstance(value, numba.types.Type):
+    elif isinstance(value, numba.types.Type | ir.Type):
         yield str(value)
     elif hasattr(value, "__qualname__"):  # classes, functions written in C
         yield _name(value)

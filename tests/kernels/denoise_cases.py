@@ -21,12 +21,12 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
 )
 from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
-from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT
+from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, RESIZE, SCALE, means_size
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
 from postfx.kernels.denoise.reflections import REFLECTIONS
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_LIGHT, UPSAMPLE_UNSCALED
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
 from postfx.kernels.kernel import Kernel
 from postfx.passes.denoise.tiling import Sizes, Window
@@ -83,7 +83,8 @@ class Case(NamedTuple):
                 "ringed_hp": hp + 2, "ringed_wp": wp + 2, "th": window.rows, "tw": window.columns,
                 "out_th": window.out.rows, "out_tw": window.out.columns,
                 "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
-                "tiles": 3, "parts": 3, **dict.fromkeys(("reached_h", "reached_w"), 1 if self.h % 2 else 9),
+                "tiles": 3, "parts": 1 + self.w % 3,
+                **dict.fromkeys(("reached_h", "reached_w"), 1 if self.h % 2 else 9),
                 "tile_h": window.rows, "tile_w": window.columns,
                 "rows": self.h, "columns": self.w,
                 "cells_h": -(-window.rows // 8), "cells_w": -(-window.columns // 8),
@@ -225,8 +226,8 @@ def in_frame(kernel: Kernel, results: Mapping[str, np.ndarray], case: Case) -> d
     case = case_for(kernel, case)
     out, cut = case.window.out, {}
     for name, value in results.items():
-        ends_beyond = kernel.shapes[name][:2] == ("out_th", "out_tw")
-        cut[name] = value[: case.height - out.top, : case.width - out.left] if ends_beyond else value
+        ends_beyond = kernel.shapes[name][-3:-1] == ("out_th", "out_tw")
+        cut[name] = value[..., : case.height - out.top, : case.width - out.left, :] if ends_beyond else value
     return cut
 
 

@@ -271,14 +271,17 @@ class Resize(nn.Module):
 
 
 class Pool(nn.Module):
-    """finer (4, 2 hp, 2 wp), or a row or column more or less; finer_rows (hp,) and finer_columns (wp,), the first ones
-    of cells, -1 for cells that begin before it -> level (4, hp, wp)."""
+    """finer (3 n, 2 hp, 2 wp) and finer_importance (1, 2 hp, 2 wp), or a row or column more or less; finer_rows (hp,)
+    and finer_columns (wp,), the first ones of cells, -1 for cells that begin before them -> level (3 n, hp, wp),
+    importance (1, hp, wp)."""
 
-    def forward(self, finer: Tensor, finer_rows: Tensor, finer_columns: Tensor) -> Tensor:
+    def forward(self, finer: Tensor, importance: Tensor, finer_rows: Tensor,
+                finer_columns: Tensor) -> tuple[Tensor, Tensor]:
         at, held = zip(*(pairs(first.long(), size) for first, size in zip((finer_rows, finer_columns), finer.shape[1:],
                                                                           strict=True)), strict=True)
-        here = ops.pick(finer[None], *at) * (held[0][:, None] & held[1]).to(finer.dtype)
-        return torch.cat(ops.pool(here[:, :3], here[:, 3:]), 1)[0]
+        weights = ops.pick(importance[None], *at) * (held[0][:, None] & held[1]).to(finer.dtype)
+        level, total = ops.pool(ops.pick(finer[None], *at), weights)
+        return level[0], total[0]
 
 
 def pairs(first: Tensor, size: int) -> tuple[Tensor, Tensor]:
@@ -288,22 +291,22 @@ def pairs(first: Tensor, size: int) -> tuple[Tensor, Tensor]:
 
 
 class Mix(nn.Module):
-    """coarse (3, rows, columns), level (4, hp, wp), heads (1, 26 or 80, hp, wp), coarse_rows (hp,) and coarse_columns
-    (wp,) that hold the pixels -> mixed (3, hp, wp)."""
+    """coarse (3 n, rows, columns), level (3 n, hp, wp), heads (1, 26 or 80, hp, wp), coarse_rows (hp,) and
+    coarse_columns (wp,) that hold the pixels -> mixed (3 n, hp, wp)."""
 
     def forward(self, coarse: Tensor, level: Tensor, heads: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
         # The mix is the last of a level's 26 channels, but not of the fine head's: by arithmetic, without a branch.
         at = KERNEL + (MIX - KERNEL) * torch.sym_min(heads.shape[1] - KERNEL - 1, 1)
         share = heads.narrow(1, at, 1)[0]
-        return torch.lerp(ops.pick(coarse, rows.long(), columns.long()), level[:3], share)
+        return torch.lerp(ops.pick(coarse, rows.long(), columns.long()), level, share)
 
 
 class Filter(nn.Module):
-    """mixed (3 or 4, hp, wp), heads (1, 25 or more, hp, wp), area (2,) rows and columns -> filtered (3, hp, wp)."""
+    """mixed (3 n, hp, wp), heads (1, 25 or more, hp, wp), area (2,) rows and columns -> filtered (3 n, hp, wp)."""
 
     def forward(self, mixed: Tensor, heads: Tensor, area: Tensor) -> Tensor:
         valid = ops.valid_area(mixed, area[0], area[1])
-        return (ops.filter_kernels(mixed[None, :3], heads[:, :KERNEL], valid) * valid)[0]
+        return (ops.filter_kernels(mixed[None], heads[:, :KERNEL], valid) * valid)[0]
 
 
 class Remodulate(nn.Module):

@@ -25,11 +25,11 @@ class Reflect(nn.Module):
 
 class AccumulatePart(nn.Module):
     """part (h, w, 3), coding (3,), factor (th, tw, 3), past (th, tw, 4), moved, last_part (h, w, 3), fine, window,
-    next_state (th, tw, 12), level (4, hp, wp) -> next_part (th, tw, 3), part_level (4, hp, wp)."""
+    next_state (th, tw, 12) -> next_part (th, tw, 3), part_level (3, hp, wp)."""
 
     def forward(self, values: Tensor, coding: Tensor, factor: Tensor, past: Tensor,
-                moved: Tensor, last_part: Tensor, fine: Tensor, window: Tensor, next_state: Tensor,
-                level: Tensor) -> tuple[Tensor, Tensor]:
+                moved: Tensor, last_part: Tensor, fine: Tensor, window: Tensor,
+                next_state: Tensor) -> tuple[Tensor, Tensor]:
         place = Window.of(window)
         (th, tw), at, valid = past.shape[:2], place.held(past), to_image(place.valid(past))
         known = ops.sanitise(ops.pick(to_image(values), *at), -MAX_FLOAT, MAX_FLOAT)
@@ -43,30 +43,29 @@ class AccumulatePart(nn.Module):
         mean = torch.where(mean <= MAX_FLOAT, mean, now) * valid
         kept = torch.where(to_image(next_state)[:, 3:4] > 0, mean, 0)
         padded = F.pad(mean, (0, fine.shape[3] - tw, 0, fine.shape[2] - th))[0]
-        inside = F.pad(valid, (0, fine.shape[3] - tw, 0, fine.shape[2] - th))[0]
-        return to_picture(kept), torch.cat((padded, level[3:] * inside))
+        return to_picture(kept), padded
 
 
 class UpsampleLight(nn.Module):
-    """radiance (3, th + 2, tw + 2), fine, moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3), params,
-    window, keep -> light (out_th, out_tw, 3)."""
+    """radiance (3 n, th + 2, tw + 2), fine, moved (th, tw, 2), past (th, tw, 4), last (n, height, width, 3), params,
+    window, keep, out_rows (out_th,), out_columns (out_tw,) -> light (n, out_th, out_tw, 3)."""
 
-    def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor, params: Tensor,
-                window: Tensor, keep: Tensor) -> Tensor:
-        frame = Window.of(window)
+    def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, last: Tensor, params: Tensor,
+                window: Tensor, keep: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        frame, place = Window.of(window), (rows.long(), columns.long())
         h, w = moved.shape[:2]
-        place = frame.outputs(warped)
         at = frame.centres(place, moved)
-        held = ops.inside(frame.enlarged_motion(moved, at), place, (frame.height, frame.width))
+        motion = frame.enlarged_motion(moved, at)
+        held = ops.inside(motion, place, (frame.height, frame.width))
         known = ops.pick((to_image(past)[:, 3:] >= 0).to(moved.dtype), at.rows, at.columns)
         weights = fine[:, KERNEL:network.BLEND, :h, :w].reshape(1, 9, 4, h, w)
         now, _ = ops.upsample_at(radiance[None, :, 1:1 + h, 1:1 + w], weights, params[None, 1:3], at)
-        now = torch.where(now <= MAX_FLOAT, now / params[0], 0)
+        now = torch.where(now <= MAX_FLOAT, now / params[0], 0)[0].unflatten(0, (-1, 3))
         phases = fine[:, network.BLEND:network.SHARPEN, :h, :w].reshape(1, 1, 4, h, w)
-        blend = ops.interpolate_at(phases, at)
-        trust = held * known * shares(keep, at.rows, at.columns) * (1 - blend)
-        mixed = now + (to_image(warped) - now) * trust
-        return to_picture(torch.where(mixed <= MAX_FLOAT, mixed.clamp(min=0), now))
+        trust = held * known * shares(keep, at.rows, at.columns) * (1 - ops.interpolate_at(phases, at))
+        before = ops.warp(last.permute(0, 3, 1, 2).flatten(0, 1)[None], motion, "bicubic", place).clamp(min=0)
+        mixed = now + (before[0].unflatten(0, (-1, 3)) - now) * trust
+        return torch.where(mixed <= MAX_FLOAT, mixed.clamp(min=0), now).permute(0, 2, 3, 1)
 
 
 class Balance(nn.Module):

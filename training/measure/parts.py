@@ -6,7 +6,7 @@ python -m training.measure.parts --cost [--model m]
 SEQUENCE.npz holds, for frame i, `albedo{i}`, `normal{i}`, `depth{i}`, `motion{i}`, a light group's `NAME{i}`, and for
 the last frame references `ref{size}_NAME{i}`, where size is the width. The light groups add up to the picture. PSNR and
 sums are those of the last frame; PSNR compares displayed pictures, each exposed like its reference. `--cost` measures a
-part's share of a frame's time: frames of 960x540 to 1920x1080 with three parts and without parts, in turn.
+part's share of a frame's time: frames of 960x540 to 1920x1080 without parts, with three and with six, in turn.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from postfx.runtime import Device
 
 FRAMES, WARM_UP = 12, 3
 """Frames that run, and how many of them are not timed."""
+COUNTS = 0, 3, 6
+"""Numbers of parts, in turn."""
 GRADE = {"key": 2.0, "fill": 0.5}
 
 
@@ -104,17 +106,18 @@ def cost(model: str) -> None:
     colour = random.random((540, 960, 3), np.float32)
     planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: colour, Role.NORMAL: colour,
               Role.DEPTH: 1 + colour[..., :1].copy(), Role.MOTION: 0.5 * colour[..., :2].copy()}
-    frame = Frame(planes, parts={name: colour / 3 for name in ("key", "fill", "rim")})
+    frame = Frame(planes, parts={f"light {i}": colour / COUNTS[-1] for i in range(COUNTS[-1])})
     pipelines = {count: Pipeline([DenoiseUpscale(model=model, parts=list(frame.parts)[:count])], device, exposure=0.0)
-                 for count in (0, len(frame.parts))}
+                 for count in COUNTS}
     times: dict[int, list[float]] = {count: [] for count in pipelines}
     for _ in range(FRAMES):
         for count, pipeline in pipelines.items():
             pipeline(frame)
             times[count].append(sum(pipeline.timings.values()))
-    alone, among = (float(np.median(one[WARM_UP:])) for one in times.values())
-    share = (among - alone) / len(frame.parts) / alone
-    print(f"{model}: {alone:.0f} ms a frame, with {len(frame.parts)} parts {among:.0f} ms: {share:.1%} for each")
+    alone, *among = (float(np.median(one[WARM_UP:])) for one in times.values())
+    print(f"{model}: {alone:.0f} ms a frame" + "".join(
+        f", with {count} parts {time:.0f} ms: {(time - alone) / count / alone:.1%} for each"
+        for count, time in zip(COUNTS[1:], among, strict=True)))
 
 
 def main() -> None:

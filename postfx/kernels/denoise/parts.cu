@@ -13,15 +13,16 @@ extern "C" __global__ void denoise_reflectance(View diffuse_albedo, View specula
 
 // Running mean of a part of the picture by the picture's weights: part (h, w, 3), coding (3,), factor (th, tw, 3),
 // past (th, tw, 4), moved (th, tw, 2), last_part (h, w, 3), fine (1, 80, hp, wp), window (8,),
-// next_state (th, tw, 12), level (4, hp, wp) -> next_part (th, tw, 3), part_level (4, hp, wp).
+// next_state (th, tw, 12) -> next_part (th, tw, 3), part_level (3, hp, wp).
 __device__ inline float recalled(const float* last, const size_t (&from)[4], int c, float tx, float ty) {
     const float top = last[from[0] + c] + (last[from[1] + c] - last[from[0] + c]) * tx;
     const float bottom = last[from[2] + c] + (last[from[3] + c] - last[from[2] + c]) * tx;
     return top + (bottom - top) * ty;
 }
 
-extern "C" __global__ void denoise_accumulate_part(View part, View coding, View factor, View past, View moved, View last_part, View fine, View window,
-                                                   View next_state, View level, View next_part, View part_level) {
+extern "C" __global__ void denoise_accumulate_part(View part, View coding, View factor, View past, View moved,
+                                                   View last_part, View fine, View window, View next_state,
+                                                   View next_part, View part_level) {
     const int height = part_level.size[1], width = part_level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -32,7 +33,7 @@ extern "C" __global__ void denoise_accumulate_part(View part, View coding, View 
     const bool kept = y < past.size[0] && x < past.size[1];
     const size_t pixel = size_t(y) * past.size[1] + x;
     if (!kept || v >= h || u >= w) {
-        for (int c = 0; c < 4; c++) to[c * plane] = 0.0f;
+        for (int c = 0; c < 3; c++) to[c * plane] = 0.0f;
         for (int c = 0; c < 3 && kept; c++) next_part.at[3 * pixel + c] = 0.0f;
         return;
     }
@@ -55,7 +56,36 @@ extern "C" __global__ void denoise_accumulate_part(View part, View coding, View 
         to[c * plane] = mean;
         next_part.at[3 * pixel + c] = is_known ? mean : 0.0f;
     }
-    to[3 * plane] = level.at[3 * plane + here];
+}
+
+// Enlarges light of n parts of the picture and blends it with the last outputs, where their pixels are now, all linear:
+// radiance (3 n, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2), past (th, tw, 4), last (n, height, width, 3),
+// params (4,), window (8,), keep, out_rows (out_th,), out_columns (out_tw,) -> light (n, out_th, out_tw, 3).
+__device__ inline float blended_light(float current, float kept, float before, float darken) {
+    const float now = current <= MAX_FLOAT ? current * darken : 0.0f, mixed = now + (fmaxf(before, 0.0f) - now) * kept;
+    return mixed <= MAX_FLOAT ? fmaxf(mixed, 0.0f) : now;
+}
+
+extern "C" __global__ void denoise_upsample_light(View radiance, View fine, View moved, View past, View last,
+                                                  View params, View window, View keep, View out_rows,
+                                                  View out_columns, View light) {
+    const int height = light.size[1], width = light.size[2];
+    PIXEL(width, height);
+    const Window part = window_of(window);
+    const int v = int(out_rows.at[y]), u = int(out_columns.at[x]);
+    const float darken = 1.0f / params.at[EXPOSURE];
+    View samples = radiance;
+    for (int k = 0; k < light.size[0]; k++) {
+        samples.at = radiance.at + size_t(3) * k * radiance.size[1] * radiance.size[2];
+        const Enlarged found = enlarged<BY_NOTHING, true>(u, v, part, samples, fine, moved, past, params, keep);
+        const float* const picture = last.at + size_t(3) * k * part.height * part.width;
+        Colour before = {0.0f, 0.0f, 0.0f};
+        if (found.kept > 0.0f) before = moved_picture(picture, v, u, part, moved);
+        float* const to = light.at + 3 * ((size_t(k) * height + y) * width + x);
+        to[0] = blended_light(found.colour.r, found.kept, before.r, darken);
+        to[1] = blended_light(found.colour.g, found.kept, before.g, darken);
+        to[2] = blended_light(found.colour.b, found.kept, before.b, darken);
+    }
 }
 
 // Parts as parts of the picture: parts (n, H, W, 3), reached (n, h, w) or (n, 1, 1), whole and picture (H, W, 3),

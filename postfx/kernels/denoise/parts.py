@@ -4,20 +4,47 @@ A part is accumulated with the picture's weights, filtered and enlarged with the
 light and without exposure, so what adds up in the input adds up in the output. ``coding`` (3,) is what is taken off a
 part's values before they are filtered, what the rest is multiplied by, 0 and 1 for light, and their limit.
 ``last_part`` (h, w, 3) and ``next_part`` (th, tw, 3) are the accumulated values without reflectance, 0 where ``state``
-knows nothing.
+knows nothing. Several parts are filtered and enlarged at once, so that the weights are read from memory once for them.
 """
 
 import numpy as np
 
 from postfx.kernels.denoise.layout import (
+    BLEND,
     DISTRUST,
+    EXPOSURE,
+    HEIGHT,
+    JITTER_X,
+    JITTER_Y,
     LEFT,
     MAX_FLOAT,
+    OUT_HEIGHT,
+    OUT_LEFT,
+    OUT_WIDTH,
     REFLECTANCE,
+    TAP_WEIGHTS,
+    TINY,
     TOP,
+    WIDTH,
     kernel,
 )
-from postfx.kernels.numeric import Real, add, clamp, compiled, demodulation, inline, vectorised
+from postfx.kernels.denoise.prepare import steps, warp_row
+from postfx.kernels.denoise.reactive import kept_row
+from postfx.kernels.denoise.upsample import (
+    TAPS,
+    between,
+    control_row,
+    gauss,
+    is_doubled,
+    lean,
+    lean_on,
+    pixel_of,
+    place,
+    scaled,
+    trust_picked,
+    trust_side,
+)
+from postfx.kernels.numeric import Real, add, clamp, compiled, demodulation, fused, inline, vectorised
 
 ZERO, HALF, ONE, DARKEST = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1e-30)
 OFFSET, FACTOR, MOST = range(3)
@@ -52,9 +79,8 @@ def recall(last: np.ndarray, px: Real, py: Real, found: np.ndarray) -> None:
 @compiled
 def accumulate_rows(y0: int, y1: int, part: np.ndarray, coding: np.ndarray, factor: np.ndarray, past: np.ndarray,
                     moved: np.ndarray, last_part: np.ndarray, fine: np.ndarray, window: np.ndarray,
-                    next_state: np.ndarray, level: np.ndarray, next_part: np.ndarray, part_level: np.ndarray) -> None:
-    """Running mean of a part by the picture's weights; ``part_level`` (4, hp, wp) is it with the importance of the
-    picture's ``level``."""
+                    next_state: np.ndarray, next_part: np.ndarray, part_level: np.ndarray) -> None:
+    """Running mean of a part by the picture's weights, and the same planar, zero beyond the frame."""
     h, w = part.shape[:2]
     th, tw = next_part.shape[:2]
     top, left = int(window[TOP]), int(window[LEFT])
@@ -73,7 +99,6 @@ def accumulate_rows(y0: int, y1: int, part: np.ndarray, coding: np.ndarray, fact
             if held:
                 recall(last_part, np.float32(u) + moved[y, x, 0], np.float32(v) + moved[y, x, 1], before)
             known = next_state[y, x, 3] > ZERO
-            part_level[3, y, x] = level[3, y, x]
             for c in range(3):
                 now = min(coded(part[v, u, c], coding) / factor[y, x, c], coding[MOST])
                 mean = before[c] + (now - before[c]) * alpha if held else now
@@ -90,6 +115,155 @@ def reflectance_rows(y0: int, y1: int, diffuse_albedo: np.ndarray, specular_albe
         for x in range(factor.shape[1]):
             factor[y, x, 0], factor[y, x, 1], factor[y, x, 2] = demodulation(
                 diffuse_albedo, specular_albedo, int(part_rows[y]), int(part_columns[x]))
+
+
+@fused
+def add_three(taps: np.ndarray, row: np.ndarray, total: np.ndarray) -> None:
+    """total += three taps times three neighbours of a row, from each place on."""
+    a, b, c = taps[0], taps[1], taps[2]
+    for x in range(total.size):
+        total[x] = total[x] + a[x] * row[x] + b[x] * row[x + 1] + c[x] * row[x + 2]
+
+
+@fused
+def add_three_picked(taps: np.ndarray, row: np.ndarray, index: np.ndarray, total: np.ndarray) -> None:
+    """The same, from the places in ``index`` on."""
+    a, b, c = taps[0], taps[1], taps[2]
+    for x in range(total.size):
+        at = index[x]
+        total[x] = total[x] + a[x] * row[at] + b[x] * row[at + 1] + c[x] * row[at + 2]
+
+
+@vectorised
+def divide(row: np.ndarray, total: np.ndarray) -> None:
+    for x in range(row.size):
+        row[x] /= total[x]
+
+
+@vectorised
+def interleave(rows: np.ndarray, flat: np.ndarray) -> None:
+    """Rows of the red, green and blue of even pixels, then of odd ones, as one row of pixels."""
+    a, b, c, d, e, f = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    for x in range(a.size):
+        flat[6 * x], flat[6 * x + 1], flat[6 * x + 2] = a[x], b[x], c[x]
+        flat[6 * x + 3], flat[6 * x + 4], flat[6 * x + 5] = d[x], e[x], f[x]
+
+
+@fused
+def blend_light(current: np.ndarray, warped: np.ndarray, trust: np.ndarray, darken: Real, light: np.ndarray) -> None:
+    """Blend light with the reprojected history, neither of which is encoded: a sum of parts blends as the parts do.
+    Rounding and cubic interpolation never make light negative, and broken values count as 0."""
+    for i in range(light.size):
+        now = current[i] * darken if current[i] <= MAX_FLOAT else ZERO
+        mixed = now + (max(warped[i], ZERO) - now) * trust[i]
+        light[i] = max(mixed, ZERO) if mixed <= MAX_FLOAT else now
+
+
+@compiled
+def double_taps(lower: int, fine: np.ndarray, iy: int, gauss_x: np.ndarray, gauss_y: np.ndarray, taps: np.ndarray,
+                total: np.ndarray) -> None:
+    """Weights of the samples for a row at scale 2: taps (2, 9, w) of its even and odd pixels, and their sums."""
+    for side in range(2):
+        total[side] = TINY
+        for tap in range(TAPS):
+            j, i = tap // 3, tap % 3
+            scaled(fine[0, TAP_WEIGHTS + 4 * tap + 2 * lower + side, iy], gauss_y[j] * gauss_x[i, side],
+                   taps[side, tap])
+            add(taps[side, tap], total[side])
+
+
+@compiled
+def any_taps(ty: Real, fine: np.ndarray, iy: int, gauss_x: np.ndarray, gauss_y: np.ndarray, index: np.ndarray,
+             leans: np.ndarray, corners: np.ndarray, taps: np.ndarray, total: np.ndarray) -> None:
+    """The same for a row at any scale: taps (1, 9, width)."""
+    total[0] = TINY
+    for tap in range(TAPS):
+        j, i = tap // 3, tap % 3
+        for side in range(2):
+            corner = TAP_WEIGHTS + 4 * tap + side
+            between(fine[0, corner, iy], fine[0, corner + 2, iy], ty, gauss_y[j], corners[side])
+        lean_on(corners, index, leans, taps[0, tap])
+        taps[0, tap] *= gauss_x[i]
+        add(taps[0, tap], total[0])
+
+
+@compiled
+def any_of(row: np.ndarray) -> bool:
+    """Whether any number is not 0."""
+    for x in range(row.size):
+        if row[x] != ZERO:
+            return True
+    return False
+
+
+@compiled
+def light_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: np.ndarray, past: np.ndarray,
+               last: np.ndarray, params: np.ndarray, window: np.ndarray, keep: np.ndarray, out_rows: np.ndarray,
+               out_columns: np.ndarray, light: np.ndarray) -> None:
+    """Enlarge parts (3 n, ...), with their reflectance, and blend them with the ``last`` outputs (n, height, width, 3)
+    where their pixels are now: linear means of samples, now and before. The weights of a row are read once for all
+    parts; rows that keep nothing, or where nothing moves, need no reprojection."""
+    (h, w), (count, _, width, _) = moved.shape[:2], light.shape
+    left, size = int(window[OUT_LEFT]), (int(window[OUT_WIDTH]), int(window[OUT_HEIGHT]))
+    scale = np.float32(size[0] / int(window[WIDTH])), np.float32(size[1] / int(window[HEIGHT]))
+    index, leans = np.empty(width, np.int64), np.empty(width, np.float32)
+    gauss_x, gauss_y = np.empty((3, width), np.float32), np.empty(3, np.float32)
+    columns, before = out_columns.astype(np.int64), np.empty(3 * width + 1, np.float32)
+    shift_x, shift_y = np.empty(w, np.int32), np.empty(w, np.int32)
+    cubic_x, cubic_y = np.empty((4, w), np.float32), np.empty((4, w), np.float32)
+    for x in range(width):
+        index[x], offset = pixel_of(x, LEFT, window, w)
+        leans[x] = lean(offset)
+        for i in range(3):
+            gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
+    sides, count_x = (2, w) if is_doubled(window) else (1, width)
+    taps, total = np.empty((sides, TAPS, count_x), np.float32), np.empty((sides, count_x), np.float32)
+    rows, current = np.empty((3 * sides, count_x), np.float32), np.empty(3 * width, np.float32)
+    corners, share = np.empty((2, w), np.float32), np.empty(w, np.float32)
+    blend, trust = np.empty(count_x, np.float32), np.empty(3 * width, np.float32)
+    for row in range(y0, y1):
+        y = int(out_rows[row])
+        iy, offset = pixel_of(row, TOP, window, h)
+        kept_row(keep, iy, share)
+        for j in range(3):
+            gauss_y[j] = gauss(j - 1 + params[JITTER_Y] - offset)
+        if sides == 2:
+            double_taps(y % 2, fine, iy, gauss_x, gauss_y, taps, total)
+            for side in range(2):
+                blend[:] = fine[0, BLEND + 2 * (y % 2) + side, iy, :w]
+                trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, blend)
+                for c in range(3):
+                    place(blend, 3 * side + c, 6, trust)
+        else:
+            any_taps(lean(offset), fine, iy, gauss_x, gauss_y, index, leans, corners, taps, total)
+            control_row(BLEND, iy, lean(offset), fine, index, leans, corners, blend)
+            trust_picked(left, np.float32(y), size, moved[iy], past[iy], scale, share, index, blend, trust)
+        keeps, moves = any_of(trust), left + width > size[0] or any_of(moved[iy].reshape(2 * w))
+        if keeps and moves:
+            steps(moved[iy], 0, scale[0], shift_x, cubic_x)
+            steps(moved[iy], 1, scale[1], shift_y, cubic_y)
+        for k in range(count):
+            for line in range(3 * sides):
+                side, c = line // 3, line % 3
+                rows[line] = ZERO
+                for j in range(3):
+                    samples = radiance[3 * k + c, iy + j]
+                    if sides == 2:
+                        add_three(taps[side, 3 * j:3 * j + 3], samples, rows[line])
+                    else:
+                        add_three_picked(taps[0, 3 * j:3 * j + 3], samples, index, rows[line])
+                divide(rows[line], total[side])
+                if sides == 1:
+                    place(rows[line], c, 3, current)
+            if sides == 2:
+                interleave(rows, current)
+            if keeps and moves:
+                warp_row(y, columns, last[k], index, shift_x, shift_y, cubic_x, cubic_y, before)
+            elif keeps:
+                before[:3 * width] = last[k, y, left:left + width].reshape(3 * width)
+            else:
+                before[:] = ZERO
+            blend_light(current, before, trust, ONE / params[EXPOSURE], light[k, row].reshape(3 * width))
 
 
 @vectorised
@@ -167,10 +341,13 @@ IMAGE = ("rows", "columns", 3)
 REFLECT = kernel("reflectance", (*REFLECTANCE, "part_rows", "part_columns"), ("factor",), reflectance_rows,
                  ("factor", 0))
 ACCUMULATE_PART = kernel(
-    "accumulate_part", ("part", "coding", "factor", "past", "moved", "last_part", "fine", "window",
-                        "next_state", "level"),
+    "accumulate_part", ("part", "coding", "factor", "past", "moved", "last_part", "fine", "window", "next_state"),
     ("next_part", "part_level"), accumulate_rows, ("part_level", 1), part=("h", "w", 3), coding=(3,),
-    last_part=("h", "w", 3), next_part=("th", "tw", 3), part_level=(4, "hp", "wp"))
+    last_part=("h", "w", 3), next_part=("th", "tw", 3), part_level=(3, "hp", "wp"))
+UPSAMPLE_LIGHT = kernel("upsample_light", ("radiance", "fine", "moved", "past", "last", "params", "window", "keep",
+                                           "out_rows", "out_columns"), ("light",), light_rows, ("light", 1),
+                        radiance=("3*parts", "padded_h", "padded_w"), last=("parts", "height", "width", 3),
+                        light=("parts", "out_th", "out_tw", 3))
 BALANCE = kernel("balance", ("parts", "reached", "whole", "picture", "complete"), ("balanced",), balance_rows,
                  ("balanced", 1), parts=STACK, reached=("parts", "reached_h", "reached_w"), whole=IMAGE, picture=IMAGE,
                  complete=(1,), balanced=STACK)

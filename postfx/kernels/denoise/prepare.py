@@ -31,7 +31,9 @@ from postfx.kernels.denoise.layout import (
     kernel,
 )
 from postfx.kernels.numeric import (
+    Four,
     Real,
+    add_four,
     centre,
     clamp,
     compiled,
@@ -40,7 +42,9 @@ from postfx.kernels.numeric import (
     fused,
     fused_inline,
     inline,
+    load_four,
     log1p,
+    store_four,
     summed,
     vectorised,
 )
@@ -299,14 +303,26 @@ def steps(moved: np.ndarray, axis: int, scale: Real, shift: np.ndarray, weights:
 
 
 @fused_inline
-def down(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real, d3: Real) -> tuple[Real, Real, Real]:
-    """Weighted sum of four pixels below one another in a flat picture; unsigned places need no check for below 0."""
-    one, two = np.uint64(1), np.uint64(2)
+def weigh(a: Four, b: Four, c: Four, d: Four, u: Real, v: Real, w: Real, z: Real) -> Four:
+    """u a + v b + w c + z d."""
+    zero = np.float32(0)
+    return add_four(add_four(add_four(add_four((zero, zero, zero, zero), b, v), a, u), c, w), d, z)
+
+
+@fused_inline
+def down(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real, d3: Real) -> Four:
+    """Weighted sum of four pixels below one another in a flat picture, and of the number behind each; unsigned places
+    need no check for below 0."""
     second, third = start + line, start + line + line
-    fourth = third + line
-    return (d0 * flat[start] + d1 * flat[second] + d2 * flat[third] + d3 * flat[fourth],
-            d0 * flat[start + one] + d1 * flat[second + one] + d2 * flat[third + one] + d3 * flat[fourth + one],
-            d0 * flat[start + two] + d1 * flat[second + two] + d2 * flat[third + two] + d3 * flat[fourth + two])
+    return weigh(load_four(flat, start), load_four(flat, second), load_four(flat, third),
+                 load_four(flat, third + line), d0, d1, d2, d3)
+
+
+@fused_inline
+def down_last(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real, d3: Real) -> Four:
+    """The same of pixels behind which there may be nothing."""
+    _, r, g, b = down(flat, start - np.uint64(1), line, d0, d1, d2, d3)
+    return r, g, b, b
 
 
 @fused
@@ -326,7 +342,8 @@ def edge_pixel(left: int, top: int, history: np.ndarray, at: int, wx: np.ndarray
 @fused
 def warp_row(y: int, columns: np.ndarray, history: np.ndarray, index: np.ndarray, shift_x: np.ndarray,
              shift_y: np.ndarray, wx: np.ndarray, wy: np.ndarray, row: np.ndarray) -> None:
-    """Row ``y`` of the history moved, at ``columns``; ``index`` is the render pixel of each output pixel.
+    """Row ``y`` of the history moved, at ``columns``; ``index`` is the render pixel of each output pixel. ``row`` has
+    one more number than pixels have: they are written with the number behind each.
 
     Two neighbours in one render pixel share their motion, and so three of their four columns of taps.
     """
@@ -344,20 +361,16 @@ def warp_row(y: int, columns: np.ndarray, history: np.ndarray, index: np.ndarray
         w0, w1, w2, w3 = wx[0, at], wx[1, at], wx[2, at], wx[3, at]
         d0, d1, d2, d3 = wy[0, at], wy[1, at], wy[2, at], wy[3, at]
         start = np.uint64((top * width + left) * 3)
-        r0, g0, b0 = down(flat, start, line, d0, d1, d2, d3)
-        r1, g1, b1 = down(flat, start + next_pixel, line, d0, d1, d2, d3)
-        r2, g2, b2 = down(flat, start + next_pixel * np.uint64(2), line, d0, d1, d2, d3)
+        a = down(flat, start, line, d0, d1, d2, d3)
+        b = down(flat, start + next_pixel, line, d0, d1, d2, d3)
+        c = down(flat, start + next_pixel * np.uint64(2), line, d0, d1, d2, d3)
         start += next_pixel * np.uint64(3)
-        r3, g3, b3 = down(flat, start, line, d0, d1, d2, d3)
-        row[3 * x] = w0 * r0 + w1 * r1 + w2 * r2 + w3 * r3
-        row[3 * x + 1] = w0 * g0 + w1 * g1 + w2 * g2 + w3 * g3
-        row[3 * x + 2] = w0 * b0 + w1 * b1 + w2 * b2 + w3 * b3
+        d = down_last(flat, start, line, d0, d1, d2, d3)
+        store_four(row, np.uint64(3 * x), weigh(a, b, c, d, w0, w1, w2, w3))
         x += 1
         if x < index.size and index[x] == at and columns[x] == columns[x - 1] + 1 and left < width - 4:
-            r4, g4, b4 = down(flat, start + next_pixel, line, d0, d1, d2, d3)
-            row[3 * x] = w0 * r1 + w1 * r2 + w2 * r3 + w3 * r4
-            row[3 * x + 1] = w0 * g1 + w1 * g2 + w2 * g3 + w3 * g4
-            row[3 * x + 2] = w0 * b1 + w1 * b2 + w2 * b3 + w3 * b4
+            e = down_last(flat, start + next_pixel, line, d0, d1, d2, d3)
+            store_four(row, np.uint64(3 * x), weigh(b, c, d, e, w0, w1, w2, w3))
             x += 1
 
 
@@ -381,7 +394,7 @@ def history_rows(y0: int, y1: int, history: np.ndarray, moved: np.ndarray, param
         index[x] = min(max(at - int(window[LEFT]), 0), count - 1)
     shift_x, shift_y = np.empty(count, np.int32), np.empty(count, np.int32)
     wx, wy = np.empty((4, count), np.float32), np.empty((4, count), np.float32)
-    last = -1
+    line, last = np.empty(3 * index.size + 1, np.float32), -1
     for out in range(y0, y1):
         y = int(out_rows[out])
         iy, _ = centre(y, h, height)
@@ -391,8 +404,8 @@ def history_rows(y0: int, y1: int, history: np.ndarray, moved: np.ndarray, param
             steps(moved[iy], 1, np.float32(height / h), shift_y, wy)
             last = iy
         row = warped[out].reshape(3 * index.size)
-        warp_row(y, columns, history, index, shift_x, shift_y, wx, wy, row)
-        np.maximum(row, ZERO, row)
+        warp_row(y, columns, history, index, shift_x, shift_y, wx, wy, line)
+        np.maximum(line[:row.size], ZERO, row)
         if params[GAIN] != ONE:
             rescale_row(row, params[GAIN])
 

@@ -1,31 +1,37 @@
-// Importance-weighted mean over 2x2 pixels: finer (4, about 2 hp, about 2 wp), rows (hp,) and columns (wp,) of it that
-// cells begin at, -1 before the first -> level (4, hp, wp); channel 3 is the importance, 0 beyond the finer level.
-extern "C" __global__ void denoise_pool(View finer, View rows, View columns, View level) {
+// Levels hold the picture, or n of its parts behind one another.
+
+// Mean over 2x2 pixels, weighted by their importance: finer (3 n, about 2 hp, about 2 wp), finer_importance (1, the same),
+// rows (hp,) and columns (wp,) of them that cells begin at, -1 before the first -> level (3 n, hp, wp), importance
+// (1, hp, wp). What lies beyond the finer level has none.
+extern "C" __global__ void denoise_pool(View finer, View finer_importance, View rows, View columns, View level,
+                                        View importance) {
     const int height = level.size[1], width = level.size[2];
     PIXEL(width, height);
     const int finer_height = finer.size[1], finer_width = finer.size[2];
     const size_t plane = size_t(height) * width, fine = size_t(finer_height) * finer_width;
     const int top = int(rows.at[y]), left = int(columns.at[x]);
-    float sum[4] = {0.0f, 0.0f, 0.0f, 0.0f};
-    for (int j = 0; j < 2; j++) {
-        for (int i = 0; i < 2; i++) {
-            const int v = top + j, u = left + i;
-            if (v < 0 || v >= finer_height || u < 0 || u >= finer_width) continue;
-            const float* from = finer.at + size_t(v) * finer_width + u;
-            const float weight = from[3 * fine];
-            sum[3] += weight;
-            for (int c = 0; c < 3; c++) sum[c] += weight * from[c * fine];
+    for (int k = 0; k < level.size[0]; k += 3) {
+        float sum[3] = {0.0f, 0.0f, 0.0f}, weights = 0.0f;
+        for (int j = 0; j < 2; j++) {
+            for (int i = 0; i < 2; i++) {
+                const int v = top + j, u = left + i;
+                if (v < 0 || v >= finer_height || u < 0 || u >= finer_width) continue;
+                const size_t there = size_t(v) * finer_width + u;
+                const float weight = finer_importance.at[there];
+                weights += weight;
+                for (int c = 0; c < 3; c++) sum[c] += weight * finer.at[(k + c) * fine + there];
+            }
         }
+        const float total = 0.25f * weights, share = 0.25f / (total + TINY);
+        const size_t here = size_t(y) * width + x;
+        for (int c = 0; c < 3; c++) level.at[(k + c) * plane + here] = share * sum[c];
+        importance.at[here] = total;
     }
-    const float total = 0.25f * sum[3], share = 0.25f / (total + TINY);
-    float* to = level.at + size_t(y) * width + x;
-    for (int c = 0; c < 3; c++) to[c * plane] = share * sum[c];
-    to[3 * plane] = total;
 }
 
-// The coarser result where the network trusts it more than the level's own colour: coarse (3, about hp / 2, about wp / 2),
-// level (4, hp, wp), heads (1, 26 or more, hp, wp), rows (hp,) and columns (wp,) of coarse that pixels lie in
-// -> mixed (3, hp, wp).
+// The coarser result where the network trusts it more than the level's own colour: coarse (3 n, about hp / 2, about wp / 2),
+// level (3 n, hp, wp), heads (1, 26 or more, hp, wp), rows (hp,) and columns (wp,) of coarse that pixels lie in
+// -> mixed (3 n, hp, wp).
 extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns, View mixed) {
     const int height = mixed.size[1], width = mixed.size[2];
     PIXEL(width, height);
@@ -35,39 +41,42 @@ extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View
     // The full head has the channel elsewhere than the short ones of the coarser levels.
     const size_t channel = heads.size[1] > KERNEL + 1 ? MIX : KERNEL;
     const float own = heads.at[channel * plane + here];
-    const float r = coarse.at[below], g = coarse.at[below_plane + below], b = coarse.at[2 * below_plane + below];
-    const float r1 = level.at[here], g1 = level.at[plane + here], b1 = level.at[2 * plane + here];
-    mixed.at[here] = r + (r1 - r) * own;
-    mixed.at[plane + here] = g + (g1 - g) * own;
-    mixed.at[2 * plane + here] = b + (b1 - b) * own;
+    for (int k = 0; k < mixed.size[0]; k++) {
+        const float from = coarse.at[k * below_plane + below];
+        mixed.at[k * plane + here] = from + (level.at[k * plane + here] - from) * own;
+    }
 }
 
-// The 5x5 kernel of a level: mixed (3 or 4, hp, wp), heads (1, 25 or more, hp, wp), area (2,) -> filtered (3, hp, wp).
+// The 5x5 kernel of a level: mixed (3 n, hp, wp), heads (1, 25 or more, hp, wp), area (2,) -> filtered (3 n, hp, wp).
 extern "C" __global__ void denoise_filter(View mixed, View heads, View area, View filtered) {
     const int height = filtered.size[1], width = filtered.size[2], plane = height * width;
     PIXEL(width, height);
     const int rows = int(area.at[0]), columns = int(area.at[1]), here = y * width + x;
-    Colour sum = {0.0f, 0.0f, 0.0f};
-    float total = TINY;
-    if (y < rows && x < columns) {
-        for (int j = 0; j < 5; j++) {
-            const int v = y + j - 2;
-            if (v < 0 || v >= rows) continue;
-            for (int i = 0; i < 5; i++) {
-                const int u = x + i - 2;
-                if (u < 0 || u >= columns) continue;
-                const float weight = heads.at[(5 * j + i) * plane + here];
-                const int there = v * width + u;
-                total += weight;
-                sum.r += weight * mixed.at[there];
-                sum.g += weight * mixed.at[plane + there];
-                sum.b += weight * mixed.at[2 * plane + there];
+    for (int k = 0; k < filtered.size[0]; k += 3) {
+        const float* const from = mixed.at + size_t(k) * plane;
+        float* const to = filtered.at + size_t(k) * plane + here;
+        Colour sum = {0.0f, 0.0f, 0.0f};
+        float total = TINY;
+        if (y < rows && x < columns) {
+            for (int j = 0; j < 5; j++) {
+                const int v = y + j - 2;
+                if (v < 0 || v >= rows) continue;
+                for (int i = 0; i < 5; i++) {
+                    const int u = x + i - 2;
+                    if (u < 0 || u >= columns) continue;
+                    const float weight = heads.at[(5 * j + i) * plane + here];
+                    const int there = v * width + u;
+                    total += weight;
+                    sum.r += weight * from[there];
+                    sum.g += weight * from[plane + there];
+                    sum.b += weight * from[2 * plane + there];
+                }
             }
         }
+        to[0] = sum.r / total;
+        to[plane] = sum.g / total;
+        to[2 * plane] = sum.b / total;
     }
-    filtered.at[here] = sum.r / total;
-    filtered.at[plane + here] = sum.g / total;
-    filtered.at[2 * plane + here] = sum.b / total;
 }
 
 // Filtered colour times reflectance, a border of repeated pixels around it: filtered (3, hp, wp), factor (th, tw, 3),

@@ -2,6 +2,9 @@
 
 Pyramid levels are planar so that the inner loops run along rows with vector instructions. Cells of 2x2 pixels are the
 same as in the whole frame, so a window's first row or column may be the second one of its cells.
+
+Levels hold the picture, or several of its parts behind one another: the weights of a row are read from memory once for
+all of them. Parts are pooled by the picture's importance.
 """
 
 import numpy as np
@@ -15,39 +18,44 @@ SIDE, REACH = 5, 2
 
 
 @vectorised
-def pool_row(upper: np.ndarray, lower: np.ndarray, level: np.ndarray) -> None:
-    """Importance-weighted mean over 2x2 pixels of two rows (4, 2 w); the last channel is the mean importance."""
+def pool_row(upper: np.ndarray, lower: np.ndarray, above: np.ndarray, below: np.ndarray, level: np.ndarray,
+             importance: np.ndarray) -> None:
+    """Mean over 2x2 pixels of two rows (3, 2 w), weighted by their importance, and the mean importance."""
     quarter = np.float32(0.25)
     for x in range(level.shape[1]):
-        a, b = upper[3, 2 * x], upper[3, 2 * x + 1]
-        c, d = lower[3, 2 * x], lower[3, 2 * x + 1]
+        a, b = above[2 * x], above[2 * x + 1]
+        c, d = below[2 * x], below[2 * x + 1]
         total = quarter * (a + b + c + d)
         share = quarter / (total + TINY)
         for k in range(3):
             level[k, x] = share * (a * upper[k, 2 * x] + b * upper[k, 2 * x + 1]
                                    + c * lower[k, 2 * x] + d * lower[k, 2 * x + 1])
-        level[3, x] = total
+        importance[x] = total
 
 
 @compiled
-def pool_rows(y0: int, y1: int, finer: np.ndarray, finer_rows: np.ndarray, finer_columns: np.ndarray,
-              level: np.ndarray) -> None:
+def pool_rows(y0: int, y1: int, finer: np.ndarray, finer_importance: np.ndarray, finer_rows: np.ndarray,
+              finer_columns: np.ndarray, level: np.ndarray, importance: np.ndarray) -> None:
     """A level from the finer one, given the first row and column of each cell there; pixels beyond it have no
     weight."""
     h, w, first = finer.shape[1], finer.shape[2], int(finer_columns[0])
     whole = first == 0 and w == 2 * level.shape[2]
-    lines = np.zeros((2, 4, 2 * level.shape[2]), np.float32)
+    lines = np.zeros((2, 3, 2 * level.shape[2]), np.float32)
+    weights = np.zeros((2, 1, 2 * level.shape[2]), np.float32)
     for y in range(y0, y1):
         at = int(finer_rows[y])
-        if whole and at >= 0 and at + 1 < h:
-            pool_row(finer[:, at], finer[:, at + 1], level[:, y])
-            continue
-        for j in range(2):
-            if 0 <= at + j < h:
-                lines[j, :, -first:w - first] = finer[:, at + j]
-            else:
-                lines[j] = ZERO
-        pool_row(lines[0], lines[1], level[:, y])
+        for k in range(0, level.shape[0], 3):
+            if whole and at >= 0 and at + 1 < h:
+                pool_row(finer[k:k + 3, at], finer[k:k + 3, at + 1], finer_importance[0, at],
+                         finer_importance[0, at + 1], level[k:k + 3, y], importance[0, y])
+                continue
+            for j in range(2):
+                if 0 <= at + j < h:
+                    lines[j, :, -first:w - first] = finer[k:k + 3, at + j]
+                    weights[j, :, -first:w - first] = finer_importance[:, at + j]
+                else:
+                    lines[j], weights[j] = ZERO, ZERO
+            pool_row(lines[0], lines[1], weights[0, 0], weights[1, 0], level[k:k + 3, y], importance[0, y])
 
 
 @vectorised
@@ -68,7 +76,8 @@ def mix_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.
     at = MIX if heads.shape[1] > KERNEL + 1 else KERNEL
     second = 1 if coarse_columns.size > 1 and coarse_columns[1] > 0 else 0
     for y in range(y0, y1):
-        mix_row(coarse[:, int(coarse_rows[y])], level[:, y], heads[0, at, y], second, mixed[:, y])
+        for k in range(0, mixed.shape[0], 3):
+            mix_row(coarse[k:k + 3, int(coarse_rows[y])], level[k:k + 3, y], heads[0, at, y], second, mixed[k:k + 3, y])
 
 
 @vectorised
@@ -107,7 +116,7 @@ def border_pixels(y: int, first: int, end: int, size: tuple[int, int], mixed: np
             right = max(left, min(end, w - shift))
             taps = weights[SIDE * j + i, y, left:right]
             add(taps, total[left:right])
-            for k in range(3):
+            for k in range(mixed.shape[0]):
                 add_product(taps, mixed[k, source, left + shift:right + shift], filtered[k, y, left:right])
 
 
@@ -129,9 +138,9 @@ def kernel_row(y: int, mixed: np.ndarray, weights: np.ndarray, area: np.ndarray,
         taps = (weights[first, y, left:right], weights[first + 1, y, left:right], weights[first + 2, y, left:right],
                 weights[first + 3, y, left:right], weights[first + 4, y, left:right])
         add_five(taps, total[left:right])
-        for k in range(3):
+        for k in range(mixed.shape[0]):
             add_products(taps, mixed[k, y + j - REACH, :w], filtered[k, y, left:right])
-    for k in range(3):
+    for k in range(mixed.shape[0]):
         divide(filtered[k, y, :w], total[:w])
 
 
@@ -181,12 +190,13 @@ def remodulate_both_rows(y0: int, y1: int, filtered: np.ndarray, factor: np.ndar
             repeat_edge(both[c, row], w)
 
 
-PLANAR = (3, "hp", "wp")
-POOL = kernel("pool", ("finer", "finer_rows", "finer_columns"), ("level",), pool_rows, ("level", 1))
+PLANAR = ("3*parts", "hp", "wp")
+POOL = kernel("pool", ("finer", "finer_importance", "finer_rows", "finer_columns"), ("level", "importance"), pool_rows,
+              ("level", 1), level=PLANAR)
 MIX_LEVELS = kernel("mix", ("coarse", "level", "heads", "coarse_rows", "coarse_columns"), ("mixed",), mix_rows,
-                    ("mixed", 1), mixed=PLANAR)
-FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1),
-                mixed=("channels", "hp", "wp"))
+                    ("mixed", 1), level=PLANAR, mixed=PLANAR)
+FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1), mixed=PLANAR,
+                filtered=PLANAR)
 REMODULATE = kernel("remodulate", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),
                     remodulate_rows, ("radiance", 1))
 REMODULATE_BOTH = kernel("remodulate_both", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),

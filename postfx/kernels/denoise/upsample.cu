@@ -11,28 +11,6 @@ extern "C" __global__ void denoise_upsample(View radiance, View fine, View moved
     blend_pixel(found, y * width + x, params, warped, output, next_history);
 }
 
-// Enlarges light of a part of the picture and blends it with the past, all linear: the same arguments, with the part's
-// radiance and warped light -> light (out_th, out_tw, 3).
-__device__ inline void blend_light(float current, float kept, size_t at, float darken, const View& warped,
-                                   const View& light) {
-    const float now = current <= MAX_FLOAT ? current * darken : 0.0f, mixed = now + (warped.at[at] - now) * kept;
-    light.at[at] = mixed <= MAX_FLOAT ? fmaxf(mixed, 0.0f) : now;
-}
-
-extern "C" __global__ void denoise_upsample_light(View radiance, View fine, View moved, View past, View warped,
-                                                  View params, View window, View keep, View light) {
-    const int height = light.size[0], width = light.size[1];
-    PIXEL(width, height);
-    const Window part = window_of(window);
-    const int v = min(part.out_top + y, part.height - 1), u = min(part.out_left + x, part.width - 1);
-    const Enlarged found = enlarged<BY_NOTHING, true>(u, v, part, radiance, fine, moved, past, params, keep);
-    const float darken = 1.0f / params.at[EXPOSURE];
-    const size_t at = 3 * (size_t(y) * width + x);
-    blend_light(found.colour.r, found.kept, at, darken, warped, light);
-    blend_light(found.colour.g, found.kept, at + 1, darken, warped, light);
-    blend_light(found.colour.b, found.kept, at + 2, darken, warped, light);
-}
-
 // Enlarges radiance without reflectance times the guides', as far as these are trusted, and for the rest with that of the
 // render size; sharpens it and blends with the past: radiance (6, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2),
 // past (th, tw, 4), warped (out_th, out_tw, 3), guide_diffuse_albedo, guide_specular_albedo (height, width, 3), trust

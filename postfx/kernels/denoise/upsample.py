@@ -49,7 +49,7 @@ from postfx.kernels.numeric import (
 )
 
 SIGMA, WIDE_SIGMA = 0.5, 1.0
-NONE, GUIDED, OWN, LINEAR = range(4)
+NONE, GUIDED, OWN = range(3)
 """Reflectance that radiance is multiplied by while it is enlarged: none, the guides', the render pixels' own."""
 ZERO, HALF = np.float32(0), np.float32(0.5)
 
@@ -74,6 +74,21 @@ def wide_gauss(offset: Real) -> tuple[Real, Real, Real]:
 def lean(offset: Real) -> Real:
     """Share of the right or lower of the two quarter-pixel corners at an offset."""
     return np.float32(min(max(2 * offset + 0.5, 0.0), 1.0))
+
+
+@inline
+def pixel_of(position: int, side: int, window: np.ndarray, size: int) -> tuple[int, Real]:
+    """The render pixel that holds the centre of a row (``side`` TOP) or column (LEFT) of a window's output, of the
+    window's ``size`` rows or columns, and how far off its centre."""
+    full, out = int(window[HEIGHT + side]), int(window[OUT_HEIGHT + side])
+    at, offset = centre(min(int(window[OUT_TOP + side]) + position, out - 1), full, out)
+    return min(max(at - int(window[TOP + side]), 0), size - 1), offset
+
+
+@inline
+def is_doubled(window: np.ndarray) -> bool:
+    """Whether the output has twice the frame's rows and columns."""
+    return bool(window[OUT_WIDTH] == 2 * window[WIDTH] and window[OUT_HEIGHT] == 2 * window[HEIGHT])
 
 
 @inline
@@ -140,13 +155,6 @@ def encode_sharp(row: np.ndarray, total: np.ndarray, soft: np.ndarray, sharpen: 
 
 
 @vectorised
-def normalise(row: np.ndarray, total: np.ndarray) -> None:
-    """A row by its sum of weights."""
-    for x in range(total.size):
-        row[x] /= total[x]
-
-
-@vectorised
 def place(row: np.ndarray, first: int, step: int, flat: np.ndarray) -> None:
     """Spread a row over an interleaved one."""
     for x in range(row.size):
@@ -168,16 +176,6 @@ def blend_rows(current: np.ndarray, warped: np.ndarray, trust: np.ndarray, darke
         history[i] = max(mixed, ZERO) if mixed <= MOST_LOG else now
     for i in range(history.size):
         output[i] = expm1(history[i]) * darken
-
-
-@fused
-def blend_light(current: np.ndarray, warped: np.ndarray, trust: np.ndarray, darken: Real, output: np.ndarray) -> None:
-    """The same for light that is neither encoded nor, in the history, exposed: a sum of parts blends as the parts do.
-    """
-    for i in range(output.size):
-        now = current[i] * darken if current[i] <= MOST_LIGHT else ZERO
-        mixed = now + (warped[i] - now) * trust[i]
-        output[i] = max(mixed, ZERO) if mixed <= MOST_LIGHT else now
 
 
 @fused
@@ -226,6 +224,18 @@ def trust_side(first: int, y: Real, size: tuple[int, int], moved: np.ndarray, pa
         trust[x] = share[x] * (ONE - trust[x]) if kept else ZERO
 
 
+@compiled
+def trust_picked(left: int, y: Real, size: tuple[int, int], moved: np.ndarray, past: np.ndarray,
+                 scale: tuple[Real, Real], share: np.ndarray, index: np.ndarray, blend: np.ndarray,
+                 trust: np.ndarray) -> None:
+    """The same for a row at any scale, three times a pixel."""
+    for x in range(index.size):
+        at = index[x]
+        px, py = np.float32(left + x) + moved[at, 0] * scale[0], y + moved[at, 1] * scale[1]
+        inside = held(px, py, size[0], size[1]) and past[at, 3] >= ZERO
+        trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = share[at] * (ONE - blend[x]) if inside else ZERO
+
+
 @inline
 def softened(line: np.ndarray, wide_x: np.ndarray, side: int, out: np.ndarray) -> None:
     """The wide Gaussian of a row of the softened picture, at one side of the render pixels."""
@@ -236,7 +246,7 @@ def softened(line: np.ndarray, wide_x: np.ndarray, side: int, out: np.ndarray) -
 def double_row(y: int, left: int, iy: int, lower: int, radiance: np.ndarray, column: np.ndarray, fine: np.ndarray,
                moved: np.ndarray, past: np.ndarray, gauss_x: np.ndarray, gauss_y: np.ndarray, wide_x: np.ndarray,
                size: tuple[int, int], scale: tuple[Real, Real], share: np.ndarray, guide: np.ndarray,
-               rows: np.ndarray, soft: np.ndarray, current: np.ndarray, trust: np.ndarray, linear: bool) -> None:
+               rows: np.ndarray, soft: np.ndarray, current: np.ndarray, trust: np.ndarray) -> None:
     """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps."""
     channels, w = radiance.shape[0], rows.shape[1]
     total, line = rows[channels], rows[channels + 1]
@@ -250,15 +260,12 @@ def double_row(y: int, left: int, iy: int, lower: int, radiance: np.ndarray, col
             for c in range(channels):
                 add_product(line, radiance[c, iy + j, i:i + w], rows[c])
         for c in range(3):
-            if linear:
-                normalise(rows[c], total)
-            else:
-                softened(column[c], wide_x, side, soft)
-                if channels > 3:
-                    softened(column[3 + c], wide_x, side, line)
-                    guided_row(line, guide[c], guide[3], side, 2, soft)
-                    guided_row(rows[3 + c], guide[c], guide[3], side, 2, rows[c])
-                encode_sharp(rows[c], total, soft, fine[0, SHARPEN + corner, iy])
+            softened(column[c], wide_x, side, soft)
+            if channels > 3:
+                softened(column[3 + c], wide_x, side, line)
+                guided_row(line, guide[c], guide[3], side, 2, soft)
+                guided_row(rows[3 + c], guide[c], guide[3], side, 2, rows[c])
+            encode_sharp(rows[c], total, soft, fine[0, SHARPEN + corner, iy])
             place(rows[c], 3 * side + c, 6, current)
         line[:] = fine[0, BLEND + corner, iy, :w]
         trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, line)
@@ -280,7 +287,7 @@ def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: 
             moved: np.ndarray, past: np.ndarray, gauss_x: np.ndarray, gauss_y: np.ndarray, wide_x: np.ndarray,
             size: tuple[int, int], scale: tuple[Real, Real], share: np.ndarray, guide: np.ndarray, index: np.ndarray,
             leans: np.ndarray, corners: np.ndarray, rows: np.ndarray, soft: np.ndarray, current: np.ndarray,
-            trust: np.ndarray, linear: bool) -> None:
+            trust: np.ndarray) -> None:
     """A row at any scale; radiance of three channels is multiplied by the factors in `guide` if it has some."""
     channels, w = radiance.shape[0], corners.shape[1]
     total, line, sharpen = rows[channels], rows[channels + 1], rows[channels + 2]
@@ -295,25 +302,18 @@ def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: 
             add_picked(corners, radiance[3:, iy + j, i:i + w], gauss_x[i], index, leans, line, rows[3:6])
     control_row(SHARPEN, iy, ty, fine, index, leans, corners, sharpen)
     for c in range(3):
-        if linear:
-            normalise(rows[c], total)
-        else:
-            weighted_picked(column[c], wide_x, index, soft)
-            if channels > 3:
-                weighted_picked(column[3 + c], wide_x, index, line)
-                guided_row(line, guide[c], guide[3], 0, 1, soft)
-                guided_row(rows[3 + c], guide[c], guide[3], 0, 1, rows[c])
-            elif guide.shape[1] > 0:
-                multiply(guide[c], soft)
-                multiply(guide[c], rows[c])
-            encode_sharp(rows[c], total, soft, sharpen)
+        weighted_picked(column[c], wide_x, index, soft)
+        if channels > 3:
+            weighted_picked(column[3 + c], wide_x, index, line)
+            guided_row(line, guide[c], guide[3], 0, 1, soft)
+            guided_row(rows[3 + c], guide[c], guide[3], 0, 1, rows[c])
+        elif guide.shape[1] > 0:
+            multiply(guide[c], soft)
+            multiply(guide[c], rows[c])
+        encode_sharp(rows[c], total, soft, sharpen)
         place(rows[c], c, 3, current)
     control_row(BLEND, iy, ty, fine, index, leans, corners, line)
-    for x in range(index.size):
-        at = index[x]
-        px, py = np.float32(left + x) + moved[iy, at, 0] * scale[0], np.float32(y) + moved[iy, at, 1] * scale[1]
-        inside = held(px, py, size[0], size[1]) and past[iy, at, 3] >= ZERO
-        trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = share[at] * (ONE - line[x]) if inside else ZERO
+    trust_picked(left, np.float32(y), size, moved[iy], past[iy], scale, share, index, line, trust)
 
 
 @compiled
@@ -324,8 +324,7 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
     """Output pixels from 3x3 samples by predicted weight and distance, blended with the reprojected history.
 
     The albedos have the frame's output size; they and the cells of trust are looked at only ``by`` GUIDED reflectance,
-    and the ``factor`` of the render size only by the OWN one. LINEAR light is neither sharpened nor encoded, in the
-    history neither; the next history is not written.
+    and the ``factor`` of the render size only by the OWN one.
     """
     frame_h, frame_w, frame_height, frame_width = (int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]),
                                                    int(window[OUT_WIDTH]))
@@ -339,14 +338,13 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
     wide_x, places = np.empty((3, width), np.float32), np.empty(width, np.float32)
     held_h, held_w = min(h, frame_h - int(window[TOP])), min(w, frame_w - int(window[LEFT]))
     for x in range(width):
-        at, offset = centre(min(left + x, frame_width - 1), frame_w, frame_width)
-        index[x] = min(max(at - int(window[LEFT]), 0), w - 1)
+        index[x], offset = pixel_of(x, LEFT, window, w)
         places[x] = place_of(index[x], offset, held_w)
         leans[x] = lean(offset)
         wide_x[0, x], wide_x[1, x], wide_x[2, x] = wide_gauss(params[JITTER_X] - offset)
         for i in range(3):
             gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
-    double = frame_width == 2 * frame_w and frame_height == 2 * frame_h
+    double = is_doubled(window)
     corners, rows = np.empty((2, w), np.float32), np.empty((channels + 3, w if double else width), np.float32)
     column, soft = np.empty((channels, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
     current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
@@ -354,13 +352,12 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
     guide = np.empty((4, width if by in (GUIDED, OWN) else 0), np.float32)
     for row in range(y0, y1):
         y = min(int(window[OUT_TOP]) + row, frame_height - 1)
-        iy, offset = centre(y, frame_h, frame_height)
-        iy = min(max(iy - int(window[TOP]), 0), h - 1)
+        iy, offset = pixel_of(row, TOP, window, h)
         kept_row(keep, iy, share)
         upper, middle, lower = wide_gauss(params[JITTER_Y] - offset)
         for j in range(3):
             gauss_y[j] = gauss(j - 1 + params[JITTER_Y] - offset)
-        for c in range(0 if by == LINEAR else channels):
+        for c in range(channels):
             weighted(radiance[c, iy], radiance[c, iy + 1], radiance[c, iy + 2], upper, middle, lower, column[c])
         if by == OWN:
             own_factor_row(factor[iy], index, guide)
@@ -369,16 +366,12 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
             trust_row(cells, place_of(iy, offset, held_h), places, guide[3])
         if double:
             double_row(y, left, iy, y % 2, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale,
-                       share, guide, rows, soft, current, trust, by == LINEAR)
+                       share, guide, rows, soft, current, trust)
         else:
             any_row(y, left, iy, lean(offset), radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size,
-                    scale, share, guide, index, leans, corners, rows, soft, current, trust, by == LINEAR)
-        if by == LINEAR:
-            blend_light(current, warped[row].reshape(3 * width), trust, ONE / params[EXPOSURE],
-                        output[row].reshape(3 * width))
-        else:
-            blend_rows(current, warped[row].reshape(3 * width), trust, ONE / params[EXPOSURE],
-                       history[row].reshape(3 * width), output[row].reshape(3 * width))
+                    scale, share, guide, index, leans, corners, rows, soft, current, trust)
+        blend_rows(current, warped[row].reshape(3 * width), trust, ONE / params[EXPOSURE],
+                   history[row].reshape(3 * width), output[row].reshape(3 * width))
 
 
 @compiled
@@ -415,14 +408,6 @@ def unscaled_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, move
                      window, keep, output, history)
 
 
-@compiled
-def light_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: np.ndarray, past: np.ndarray,
-               warped: np.ndarray, params: np.ndarray, window: np.ndarray, keep: np.ndarray, light: np.ndarray) -> None:
-    """Radiance of a part of the picture, with the reflectance: a linear mean of samples, now and before."""
-    resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, warped, warped, LINEAR, params, window,
-                 keep, light, light)
-
-
 WRITES = ("output", "next_history")
 READS = ("radiance", "fine", "moved", "past", "warped")
 UPSAMPLE = kernel("upsample", (*READS, "params", "window", "keep"), WRITES, upsample_rows, ("output", 0))
@@ -430,5 +415,3 @@ UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "trust"
                          guided_rows, ("output", 0), radiance=BOTH)
 UPSAMPLE_UNSCALED = kernel("upsample_unscaled", (*READS, "factor", "params", "window", "keep"), WRITES, unscaled_rows,
                            ("output", 0), radiance=BOTH)
-UPSAMPLE_LIGHT = kernel("upsample_light", (*READS, "params", "window", "keep"), ("light",), light_rows, ("light", 0),
-                        light=("out_th", "out_tw", 3))

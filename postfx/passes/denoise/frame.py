@@ -17,8 +17,8 @@ from postfx.kernels.denoise.prepare import SCALE
 from postfx.kernels.denoise.reactive import SPREAD_MASK
 from postfx.passes.denoise.history import History, PartHistory, Reflections, can_follow
 from postfx.passes.denoise.inputs import Passthrough, Planes, Reactive
+from postfx.passes.denoise.layers import Layer, LayerGraph
 from postfx.passes.denoise.models import grid_of
-from postfx.passes.denoise.network import Graph, Layer
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.output import Plain, Restore, Strength
 from postfx.passes.denoise.parts import Layers
@@ -177,7 +177,7 @@ class Frames:
         self._device, self._sizes, self._models = device, sizes, tuple(models)
         self._guided, self._reactive = guided, reactive
         self._halo = halo_of(models)
-        self._graphs: LRUCache[Shape, Graph] = LRUCache(MOST_GRAPHS)
+        self._graphs: LRUCache[Shape, LayerGraph] = LRUCache(MOST_GRAPHS)
         self._bands = bands_within(device.scratch, sizes, models)
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
         self._window = Window.whole(sizes)
@@ -250,7 +250,7 @@ class Frames:
         masked = keep and self._reactive
         kept = self._history.cover(band.held if band and not layers else (0, self._sizes.h))
         if band is None and self._whole:
-            self._whole.encode(commands, self._window, self.model, seen | targets, keep and not still, masked, layers)
+            self._encode_window(commands, self._whole, self._window, seen | targets, keep and not still, masked, layers)
         for some in [band] if band else self._bands:
             self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own, layers)
         return targets["output"]
@@ -269,11 +269,17 @@ class Frames:
         window = band.tiles[0].window
         graph, direct = self._graphs[window.rows, window.columns], self._assembly.direct(band, targets, kept)
         if direct:
-            graph.encode(commands, window, self.model, {**seen, **direct}, True, masked, layers)
+            self._encode_window(commands, graph, window, {**seen, **direct}, True, masked, layers)
             return
         for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles, targets), strict=True):
-            graph.encode(commands, tile.window, self.model, {**seen, **slot}, True, masked, layers)
+            self._encode_window(commands, graph, tile.window, {**seen, **slot}, True, masked, layers)
         self._assembly.encode(commands, band, targets, kept)
+
+    def _encode_window(self, commands: CommandBuffer, graph: LayerGraph, window: Window, tensors: Mapping[str, Tensor],
+                       moves: bool, masked: bool, layers: Sequence[Layer]) -> None:
+        graph.encode(commands, window, self.model, tensors, moves, masked)
+        if layers:
+            graph.encode_layers(commands, window, self.model, tensors, masked, layers)
 
     def _make(self, shape: Shape) -> Shape:
         """Make a graph ready for windows of a size, or somewhat larger ones if there were others before."""
@@ -284,8 +290,8 @@ class Frames:
         self._graphs.get_or_make(shape, partial(self._graph_of, shape))
         return shape
 
-    def _graph_of(self, shape: Shape) -> Graph:
-        return Graph(self._device, Window(self._sizes, 0, 0, *shape), self._models, self._guided, self._reactive)
+    def _graph_of(self, shape: Shape) -> LayerGraph:
+        return LayerGraph(self._device, Window(self._sizes, 0, 0, *shape), self._models, self._guided, self._reactive)
 
 
 class Ready:

@@ -156,6 +156,8 @@ def make_zeros(device: Device, name: str, shape: tuple[int, ...]) -> Tensor:
 
 WHOLE = "whole picture"
 """Name of a layer: the picture filtered like its parts, beside parts that are not all of it."""
+FACTOR = "factor"
+"""Kind of a plane that is only brought to the output's size."""
 
 
 class LayerHistory:
@@ -228,12 +230,20 @@ class LayerHistory:
             encoder.dispatch(table.state, table)
 
 
+def places_of(parts: Sequence[Part]) -> dict[str, int]:
+    """Places of layers in a stack: the whole picture if there are lights, these group by group, then other planes."""
+    lights = [part.name for part in parts if part.is_light]
+    planes = [part.name for part in parts if not part.is_light and part.kind != FACTOR]
+    return {name: i for i, name in enumerate([WHOLE, *lights, *planes] if lights else planes)}
+
+
 class PartHistory:
     """The histories of all layers, which go on where frames change their size.
 
-    The outputs of light are in one tensor, behind the picture's own, group by group.
+    The outputs are in one tensor, in the order of `places_of`; alpha's is by itself.
 
     Attributes:
+        stacks: that tensor of this frame, behind that of the last one.
         own: histories of networks that run on parts themselves, by the parts' names, and on alpha.
         ran: names of those that ran in the last frame.
         stops: exposure of these, in stops above the picture's.
@@ -243,11 +253,10 @@ class PartHistory:
                  own: Mapping[str, History] = MappingProxyType({})) -> None:
         self._device, self._output, self.own, self.stops = device, output, own, dict.fromkeys(own, 0.0)
         self.ran: tuple[str, ...] = ()
-        lights = [part.name for part in parts if part.is_light]
-        self.stacks = [make_zeros(device, "parts", (len(lights) + 1, *output, 3)) for _ in range(2)] if lights else []
-        self.layers: dict[str, LayerHistory] = {}
-        for i, name in enumerate([WHOLE, *lights] if lights else []):
-            self.layers[name] = LayerHistory(device, name, output, [one_of(stack, i) for stack in self.stacks])
+        places = places_of(parts)
+        self.stacks = [make_zeros(device, "parts", (len(places), *output, 3)) for _ in range(2)] if places else []
+        self.layers = {name: LayerHistory(device, name, output, [one_of(stack, i) for stack in self.stacks])
+                       for name, i in places.items()}
 
     def layer(self, name: str) -> LayerHistory:
         """The history of a layer, made when it is first asked for."""
@@ -288,9 +297,19 @@ class PartHistory:
                 self.layer(name).recall(arrays)
 
 
+def some_of(stack: Tensor, first: int, count: int) -> Tensor:
+    """Pictures of a stack (n, height, width, 3), or planes of one (n, height, width); no copy."""
+    return stack.view(f"{stack.name} from {first}", (count, *stack.shape[1:]), first * math.prod(stack.shape[1:]))
+
+
 def one_of(stack: Tensor, i: int) -> Tensor:
-    """A picture of a stack (n, height, width, 3); no copy."""
-    return stack.view(f"{stack.name} {i}", stack.shape[1:], i * stack.shape[1] * stack.shape[2] * stack.shape[3])
+    """A picture of a stack; no copy."""
+    return stack.view(f"{stack.name} {i}", stack.shape[1:], i * math.prod(stack.shape[1:]))
+
+
+def alone(picture: Tensor) -> Tensor:
+    """A stack of one picture; no copy."""
+    return picture.view(picture.name, (1, *picture.shape))
 
 
 NEEDS = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -24,11 +23,10 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
     opened_shape,
 )
-from postfx.kernels.denoise.parts import ACCUMULATE_PART, REFLECT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, means_size
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_LIGHT, UPSAMPLE_UNSCALED
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.kernel import Kernel
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.tiling import LEVELS, Window
@@ -208,20 +206,7 @@ MOST_PLACES = 64
 """Windows of one size whose positions stay on the device."""
 
 
-@dataclass
-class Layer:
-    """A layer beside the picture that a window's filters run on.
-
-    Attributes:
-        name: the filters write 'light NAME', and 'next_part NAME' unless the layer is the picture itself.
-        tensors: what the filters read, by binding. Without a 'part' the picture's radiance is enlarged once more;
-            without albedos the part has the picture's reflectance.
-        alone: whether it has no history in this frame, though the picture may have one.
-    """
-
-    name: str
-    tensors: dict[str, Tensor]
-    alone: bool
+Tables = dict[str, ArgumentTable]
 
 
 class Graph:
@@ -239,8 +224,7 @@ class Graph:
         networks = {model: load_network(device, model, dims) for model in models}
         for state in networks.values():
             check_bindings(state)
-        self._tables: dict[str, ArgumentTable] = {}
-        self._layer_tables: dict[str, ArgumentTable] = {}
+        self._tables: Tables = {}
         self._places: dict[Window, dict[str, dict[str, Tensor]]] = {}
         between = cache(self._new)  # of several networks only one runs in a frame
         self._heads = {model: self._heads_of(state, between) for model, state in networks.items()}
@@ -252,8 +236,8 @@ class Graph:
                           for model, state in networks.items()}
 
     def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Mapping[str, Tensor],
-               moves: bool, masked: bool, layers: Sequence[Layer] = ()) -> None:
-        """Record the work on a window of this graph's size, on the picture and then on each of the layers.
+               moves: bool, masked: bool) -> None:
+        """Record the work on a window of this graph's size.
 
         Args:
             tensors: the frame's planes, its history, whatever exists once a frame, and the outputs, by the kernels'
@@ -264,9 +248,9 @@ class Graph:
                 If not, one number says it for all.
         """
         warped = self._made["warped"] if moves else tensors["history"]
-        keep = self._made["keep"] if masked else tensors["keep"]
         end, doubts = self._ends[model], model in self._doubting
-        known = {"warped": warped, "keep": keep, "means": self._means if doubts else self._no_means}
+        known = {"warped": warped, "keep": self._keep(tensors, masked),
+                 "means": self._means if doubts else self._no_means}
         self._bind(self._tables, {**tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
@@ -284,39 +268,10 @@ class Graph:
         with commands.compute_encoder("upsample") as encoder:
             encoder.barrier(after="compute", before="compute")
             self._run(encoder, f"upsample {end}")
-        for layer in layers:
-            self._encode_layer(commands, layer, window, model, {**tensors, "keep": keep}, moves)
 
-    def _encode_layer(self, commands: CommandBuffer, layer: Layer, window: Window, model: str,
-                      tensors: Mapping[str, Tensor], moves: bool) -> None:
-        """Record the work on a layer, after the picture's."""
-        if not self._layer_tables:
-            self._make_layer_tables()
-        accumulates, reflects = "part" in layer.tensors, "diffuse_albedo" in layer.tensors
-        moves = (moves and not layer.alone) or window != Window.whole(window.frame)
-        known = {**tensors, **layer.tensors, "light": tensors[f"light {layer.name}"]}
-        known["warped"] = self._made["warped part"] if moves else layer.tensors["history"]
-        known["radiance"] = self._made["part radiance"] if accumulates else self._shaded(model)
-        known["factor"] = self._made["part factor" if reflects else "factor"]
-        known |= self._nothing if layer.alone else {"past": self._made["past"]}
-        if accumulates:
-            known["next_part"] = tensors[f"next_part {layer.name}"]
-        self._bind(self._layer_tables, known, self._place(window), self._heads[model])
-        before = ("history",) * moves + ("reflectance",) * reflects
-        filters = [(name,) for name in (*self._filter_order, "remodulate")] if accumulates else []
-        with commands.compute_encoder("parts") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            for names in (before, *filters):
-                self._run(encoder, *names, tables=self._layer_tables)
-                encoder.barrier()
-            self._run(encoder, "upsample", tables=self._layer_tables)
-
-    def _shaded(self, model: str) -> Tensor:
-        """The picture's radiance with the reflectance of the render size."""
-        end = self._ends[model]
-        radiance = self._radiance[end]
-        size = (3, *radiance.shape[1:])
-        return radiance if end == PLAIN else radiance.view("radiance", size, math.prod(size))
+    def _keep(self, tensors: Mapping[str, Tensor], masked: bool) -> Tensor:
+        """How much of the history counts, pixel by pixel or in one number."""
+        return self._made["keep"] if masked else tensors["keep"]
 
     def _end_of(self, model: str) -> str:
         frame = self._window.frame
@@ -353,11 +308,12 @@ class Graph:
 
     def _make_tables(self, fine: Tensor) -> None:
         level = self._window.level
-        levels = self._levels = [self._new(f"level {i}", (4, *level(i))) for i in range(LEVELS + 1)]
-        filtered = self._filtered = [self._new(f"filtered {i}", (3, *level(i))) for i in range(LEVELS + 1)]
-        self._mixed = [self._new(f"mixed {i}", (3, *level(i))) for i in range(LEVELS)]
+        accumulated = self._new("level 0", (4, *level(0)))
+        self._importance = [accumulated.view("importance 0", (1, *level(0)), 3 * math.prod(level(0)))]
+        self._importance += [self._new(f"importance {i}", (1, *level(i))) for i in range(1, LEVELS + 1)]
         self._radiance: dict[str, Tensor] = {}
-        made = self._made | self._seen | {"fine": fine, "level": levels[0], "filtered": filtered[0]}
+        filtered, self._filter_order = self._make_pyramid(self._tables, accumulated.view("light 0", (3, *level(0))))
+        made = self._made | self._seen | {"fine": fine, "level": accumulated, "filtered": filtered}
         self._looks = ("features", "guides", "trust") if self._guided else ("features",)
         for name, kernel in (("dilate", DILATE), ("history", HISTORY),
                              ("features", FEATURE), ("accumulate", ACCUMULATE)):
@@ -374,41 +330,29 @@ class Graph:
         if self._guided:
             self._table(self._tables, "guides", GUIDE, **made)
             self._table(self._tables, "trust", TRUST, **made)
-        self._filter_order = ["accumulate", *self._make_pyramid(self._tables, levels)]
 
-    def _make_layer_tables(self) -> None:
-        """Tensors for layers. They reuse the picture's memory, except where the picture is still needed."""
-        rows, columns, out = self._window.rows, self._window.columns, self._window.out
-        accumulated = self._new("part level 0", self._levels[0].shape)
-        self._made |= {"warped part": self._new("warped part", (out.rows, out.columns, 3)),
-                       "part radiance": self._new("part radiance", (3, rows + 2, columns + 2)),
-                       "part factor": self._new("part factor", (rows, columns, 3))}
-        self._nothing = {"past": self._given("no past", np.zeros((rows, columns, 4), np.float32)),
-                         "keep": self._given("keep nothing", np.zeros((1, 1, 1), np.float32))}
-        tables, heads = self._layer_tables, next(iter(self._heads.values()))
-        made = {"moved": self._made["moved"], "fine": heads["fine"]}
-        self._table(tables, "reflectance", REFLECT)
-        self._table(tables, "accumulate", ACCUMULATE_PART, **made, level=self._levels[0], part_level=accumulated)
-        self._table(tables, "history", HISTORY, **made, warped=self._made["warped part"])
-        self._make_pyramid(tables, [accumulated, *self._levels[1:]])
-        self._table(tables, "remodulate", REMODULATE, filtered=self._filtered[0])
-        self._table(tables, "upsample", UPSAMPLE_LIGHT, **made)
+    def _make_pyramid(self, tables: Tables, light: Tensor) -> tuple[Tensor, list[str]]:
+        """Make the tables of the filters, for light (3 n, hp, wp) of the picture or of n parts; returns the filtered
+        light, and the tables' order behind 'accumulate'."""
+        def new(name: str, i: int) -> Tensor:
+            return self._new(f"{name} {i}", (light.shape[0], *self._window.level(i)))
 
-    def _make_pyramid(self, tables: dict[str, ArgumentTable], levels: Sequence[Tensor]) -> list[str]:
-        """Make the tables of the filters, from accumulated to filtered colour; returns their order."""
-        filtered, order = self._filtered, [f"pool {i}" for i in range(1, LEVELS + 1)]
+        levels, order = [light, *(new("level", i) for i in range(1, LEVELS + 1))], ["accumulate"]
         for i in range(1, LEVELS + 1):
-            self._table(tables, f"pool {i}", POOL, finer=levels[i - 1], level=levels[i])
+            self._table(tables, f"pool {i}", POOL, finer=levels[i - 1], finer_importance=self._importance[i - 1],
+                        level=levels[i], importance=self._importance[i])
+            order.append(f"pool {i}")
+        filtered = [new("filtered", i) for i in range(LEVELS + 1)]
         for i in range(LEVELS, -1, -1):
-            mixed = levels[i] if i == LEVELS else self._mixed[i]
+            mixed = levels[i] if i == LEVELS else new("mixed", i)
             if i < LEVELS:
                 self._table(tables, f"mix {i}", MIX_LEVELS, coarse=filtered[i + 1], level=levels[i], mixed=mixed)
                 order.append(f"mix {i}")
             self._table(tables, f"filter {i}", FILTER, mixed=mixed, filtered=filtered[i])
             order.append(f"filter {i}")
-        return order
+        return filtered[0], order
 
-    def _table(self, tables: dict[str, ArgumentTable], name: str, kernel: Kernel, **tensors: Tensor) -> None:
+    def _table(self, tables: Tables, name: str, kernel: Kernel, **tensors: Tensor) -> None:
         """Make the argument table of a kernel, with the tensors that the kernel names."""
         table = ArgumentTable(self._device.compute_state(kernel))
         for binding in kernel.reads + kernel.writes:

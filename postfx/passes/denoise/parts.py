@@ -12,9 +12,9 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise.layout import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
 from postfx.passes.base import ResidentFrame
-from postfx.passes.denoise.history import WHOLE, PartHistory, make_zeros, one_of
+from postfx.passes.denoise.history import FACTOR, WHOLE, PartHistory, alone, make_zeros, one_of, places_of, some_of
 from postfx.passes.denoise.inputs import Resampler
-from postfx.passes.denoise.network import Layer
+from postfx.passes.denoise.layers import Layer
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.output import Restore, Strength
 from postfx.passes.denoise.tiling import Rows
@@ -31,8 +31,6 @@ REACH = 1
 LARGEST = float(np.finfo(np.float32).max)
 BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "alpha": (0.0, 1.0), "mist": (0.0, 1.0)}
 """Bounds of the values of planes by kind; other kinds begin at 0 and have no upper bound."""
-FACTOR = "factor"
-"""Kind of a plane that is only brought to the output's size."""
 DEPTH = "depth"
 """Kind of a plane of distances: their reciprocals are filtered, and separately which pixels have a distance."""
 FARTHEST = 1e9
@@ -81,8 +79,7 @@ class Layers:
         self._channels = dict(spec.parts)
         self._render = Size(spec.height, spec.width)
         self._groups = _groups_of(parts)
-        self._places = {name: i for i, name in enumerate(
-            [WHOLE, *(name for group in self._groups for name in group.names)])}
+        self._places = places_of(parts)
         new = device.heap.tensor
         self._params, self._exposed, self._exposure = new("part params", (4,)), new("whole params", (4,)), 1.0
         self._nothing = make_zeros(device, "no reflectance", (*self._render, 3) if self._parts else (1,))
@@ -113,7 +110,7 @@ class Layers:
         self._runs = self._needed(frame)
         runs, targets = [], {}
         for name in list(self._history.layers):
-            if name not in self._runs and self._is_light(name):
+            if name not in self._runs and name in self._places:
                 self._history.layers[name].follow()
         for name in self._runs:
             history = self._history.layer(name)
@@ -122,14 +119,18 @@ class Layers:
                 continue
             fresh = history.turn(commands, self._render, keep)
             output, part = history.next
-            tensors = {"params": self._exposed if name == WHOLE else self._params, "history": history.last["history"]}
+            tensors = {"params": self._exposed if name == WHOLE else self._params}
             if name != WHOLE:
                 tensors |= {"last_part": history.last["last_part"], **self._inputs(name, frame, planes)}
                 targets[f"next_part {name}"] = part
-            targets[f"light {name}"] = (
-                one_of(self._stack("blended"), self._places[name]) if self._is_light(name) else output)
-            runs.append(Layer(name, tensors, not fresh or self._kind(name) in MOVING))
-        if self._history.stacks:
+            last, stack, place = alone(history.last["history"]), alone(output), self._places.get(name, 0)
+            if name in self._places:
+                last, stack = self._history.stacks
+            if self._is_light(name):
+                stack = self._stack("blended")
+            targets[f"light {name}"] = one_of(stack, place)
+            runs.append(Layer(name, tensors, not fresh or self._kind(name) in MOVING, last, stack, place))
+        if self._groups:
             targets["output"] = one_of(self._history.stacks[1], 0)
             self._history.layers[WHOLE].known = True
         return runs, targets
@@ -309,9 +310,9 @@ class Layers:
             encoder.dispatch(table.state, table)
 
     def _stack(self, name: str) -> Tensor:
-        """Pictures of the whole and of all light within a frame, in the order of the history's."""
+        """Pictures of the whole and of all light within a frame, in the places that they have in the history."""
         if name not in self._made:
-            shape = (len(self._places), *self._output, 3)
+            shape = (1 + sum(len(group.names) for group in self._groups), *self._output, 3)
             self._made[name] = self._device.heap.transient(f"{name} parts", shape)
         return self._made[name]
 
@@ -431,9 +432,3 @@ def _is_noisy(frame: ResidentFrame) -> bool:
     """Whether any alpha is neither 0 nor 1."""
     alpha = frame.host_planes.get(Role.ALPHA)
     return alpha is not None and bool(((alpha > 0) & (alpha < 1)).any())
-
-
-def some_of(stack: Tensor, first: int, count: int) -> Tensor:
-    """Pictures of a stack, likewise."""
-    one = stack.shape[1] * stack.shape[2] * stack.shape[3]
-    return stack.view(f"{stack.name} from {first}", (count, *stack.shape[1:]), first * one)
