@@ -21,7 +21,7 @@ from postfx.runtime.heap import Placement
 from postfx.runtime.memory import Memory
 from postfx.runtime.session import first_line
 from postfx.runtime.tensor import Allocation, Tensor
-from postfx.runtime.threads import CommandQueue
+from postfx.runtime.threads import CommandQueue, Slots
 
 E = TypeVar("E", bound="Encoder")
 
@@ -43,6 +43,12 @@ class CommandDevice(CapturableDevice, Protocol):
 
     @property
     def lanes(self) -> Executor: ...
+
+    @property
+    def coordinators(self) -> Executor: ...
+
+    @property
+    def slots(self) -> Slots: ...
 
     def next_encoder(self) -> int: ...
 
@@ -119,7 +125,7 @@ class CommandBuffer:
         self._kept.update(tensor.allocation for tensor in tensors)
 
     def add_completed_handler(self, handler: Callable[[CommandBuffer], None]) -> None:
-        """Call `handler(buffer)` whenever the commands are done or one has failed, on the queue's thread.
+        """Call `handler(buffer)` whenever the commands are done or one has failed, on a thread of the device.
 
         Keep it short. It may `wait`, which then returns or raises at once, and read results. What it raises goes to the
         log. Metal's `addCompletedHandler:`; `begin` drops it. Raises EncodingError after commit.
@@ -147,11 +153,12 @@ class CommandBuffer:
         self._done.clear()
         with self.device.commit_lock:
             self._place()
-            self.device.hazards.commit(self)
+            stands_apart = self.device.hazards.commit(self)
             self._state = "committed"
             capture = self.device.active_capture if self.captured else None
             self._recorder = None if capture is None else capture.record(self)
-            self.device.queue.submit(self._run)
+            beside = stands_apart and self._recorder is None and runs_side_by_side(self.device)
+            self.device.queue.submit(self._run, self.device.coordinators if beside else None)
 
     def discard(self) -> None:
         """Close the buffer without running it. A committed buffer is not affected."""
@@ -288,8 +295,7 @@ class Execution:
         """Run the dispatches up to the first that fails, and wait until they are done."""
         spans = self._replay()
         if spans is None:
-            beside = self._footprint.narrow and self._recorder is None and self._device.scratch is None \
-                and self._memory.host_visible
+            beside = self._footprint.narrow and self._recorder is None and runs_side_by_side(self._device)
             spans = self._side_by_side() if beside else self._one_by_one()
         try:
             self._memory.synchronise()
@@ -331,22 +337,23 @@ class Execution:
 
     def _side_by_side(self) -> list[Span]:
         """Run commands beside each other that no barrier orders, as far as the device has threads for them."""
-        earlier = predecessors(self._footprint.records)
-        free, done, spans = self._device.threads, 0, []
+        earlier, slots = predecessors(self._footprint.records), self._device.slots
+        done, spans = 0, []
         waiting, running = dict(enumerate(self._dispatches)), dict[Future[list[Span]], int]()
         while waiting or running:
             for index, dispatch in list(waiting.items()):
-                if earlier[index] & ~done or _threads(dispatch) > free:
+                if earlier[index] & ~done or not slots.take(_threads(dispatch), patient=not running):
                     continue
                 if self._cannot_run(dispatch, list(waiting.values())):
+                    slots.give(_threads(dispatch))
                     waiting = {}
                     break
-                running[self._device.lanes.submit(self._execute, dispatch)] = index
-                free -= _threads(waiting.pop(index))
+                running[self._device.lanes.submit(self._execute, waiting.pop(index))] = index
             self.running = self._dispatches[min(running.values())] if running else None
             for future in wait_for_futures(running, return_when=FIRST_COMPLETED).done:
                 dispatch = self._dispatches[index := running.pop(future)]
-                free, done = free + _threads(dispatch), done | 1 << index
+                slots.give(_threads(dispatch))
+                done |= 1 << index
                 try:
                     spans += future.result()
                 except BaseException as error:  # what runs beside it goes on to its end
@@ -393,6 +400,11 @@ class Execution:
         self._hazards.mark_lost([tensor for left in dispatches for tensor in left.writes], first or error)
         if self._recorder is not None:
             self._recorder.note_failure(dispatches[0], first or error, ran=first is None)
+
+
+def runs_side_by_side(device: CommandDevice) -> bool:
+    """Whether commands of a device may run side by side: not on a GPU's one stream, and not within a memory budget."""
+    return device.memory.host_visible and device.scratch is None
 
 
 def _threads(dispatch: Dispatch) -> int:

@@ -29,7 +29,7 @@ from postfx.runtime.models import Library
 from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, parse_provider
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, size_in_bytes
-from postfx.runtime.threads import CommandQueue, Helpers
+from postfx.runtime.threads import CommandQueue, Helpers, Slots
 from postfx.system import Scratch, usable_cores
 
 if TYPE_CHECKING:
@@ -114,6 +114,16 @@ class Device:
     def lanes(self) -> ThreadPoolExecutor:
         """Threads for commands that run side by side."""
         return ThreadPoolExecutor(self.threads, thread_name_prefix="postfx lane")
+
+    @cached_property
+    def coordinators(self) -> ThreadPoolExecutor:
+        """Threads that wait for the commands of buffers which run beside others."""
+        return ThreadPoolExecutor(self.threads, thread_name_prefix="postfx buffer")
+
+    @cached_property
+    def slots(self) -> Slots:
+        """The threads that commands share that run side by side."""
+        return Slots(self.threads)
 
     @cached_property
     def helpers(self) -> Helpers:

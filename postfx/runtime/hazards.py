@@ -55,23 +55,27 @@ class Hazards:
         with self._lock:
             self._open.discard(commands)
 
-    def commit(self, commands: RecordedCommands) -> None:
-        """Check a buffer against itself and all buffers in flight, then add it to them; HazardError if a check
-        fails."""
+    def commit(self, commands: RecordedCommands) -> bool:
+        """Check a buffer against itself and all buffers in flight, then add it to them; whether it may run beside those
+        that are not done. HazardError if a check fails."""
         with self._lock:
             footprint = commands.footprint()
             self._check_content(footprint)
             self._check_order(commands, footprint)
+            stands_apart = footprint.narrow and self._stands_apart(footprint)
             for allocation, ranges in footprint.writes.items():
                 for span in ranges.spans:
                     allocation.written.add(*span)
             self._flying.append(commands)
+            return stands_apart
 
     def retire(self, commands: RecordedCommands) -> None:
-        """Retire a buffer that the host has waited for, and all that were committed before it."""
+        """Retire a buffer that the host has waited for, and all that were committed before it and are done."""
         with self._lock:
             if commands in self._flying:
-                del self._flying[: self._flying.index(commands) + 1]
+                place = self._flying.index(commands)
+                self._flying = [other for other in self._flying[:place] if not other.is_done()] \
+                    + self._flying[place + 1:]
 
     def in_flight(self) -> list[RecordedCommands]:
         """Buffers that are committed and not retired, in the order of commit."""
@@ -135,6 +139,15 @@ class Hazards:
             if left.touches(needed):
                 return cause
         return None
+
+    def _stands_apart(self, footprint: Footprint) -> bool:
+        """Whether all that is not done leaves threads, and no barrier puts any of it before these commands."""
+        others = [buffer.footprint() for buffer in self._flying if not buffer.is_done()]
+        if not all(other.narrow for other in others):
+            return False
+        before = predecessors(record for part in (*others, footprint) for record in part.records)
+        count = sum(len(other.dispatches) for other in others)
+        return bool(others) and not any(mask & (1 << count) - 1 for mask in before[count:])
 
     def _check_content(self, footprint: Footprint) -> None:
         for allocation, (tensor, dispatch) in footprint.users.items():

@@ -14,8 +14,8 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,18 +40,53 @@ Work = queue.SimpleQueue[Callable[[], None] | None]
 
 
 class CommandQueue:
-    """Runs functions one after the other on a thread of its own. The thread ends with the queue object."""
+    """Runs functions one after the other on a thread of its own, and others beside them. The thread ends with the queue
+    object."""
 
     def __init__(self, name: str) -> None:
         self._work: Work = queue.SimpleQueue()
+        self._apart: list[Future[None]] = []
         thread = threading.Thread(target=_serve, args=(self._work,), name=name, daemon=True)
         thread.start()
         weakref.finalize(self, self._work.put, None).atexit = False
         _threads[thread] = self._work
 
-    def submit(self, work: Callable[[], None]) -> None:
-        """Run `work` after everything submitted before."""
-        self._work.put(work)
+    def submit(self, work: Callable[[], None], beside: Executor | None = None) -> None:
+        """Run `work` after everything submitted before; at once on a thread of `beside`, if that is given."""
+        self._apart = [other for other in self._apart if not other.done()]
+        if beside is not None:
+            self._apart.append(beside.submit(work))
+        elif self._apart:
+            self._work.put(partial(_after, self._apart, work))
+        else:
+            self._work.put(work)
+
+
+def _after(others: Sequence[Future[None]], work: Callable[[], None]) -> None:
+    wait(others)
+    work()
+
+
+class Slots:
+    """How many threads the commands that run side by side may still take."""
+
+    def __init__(self, count: int) -> None:
+        self._free, self._changed = count, threading.Condition()
+
+    def take(self, count: int, patient: bool) -> bool:
+        """Take `count`; whether there were so many. If `patient`, wait for them."""
+        with self._changed:
+            if patient:
+                self._changed.wait_for(lambda: self._free >= count)
+            taken = self._free >= count
+            self._free -= count * taken
+            return taken
+
+    def give(self, count: int) -> None:
+        """Give `count` back."""
+        with self._changed:
+            self._free += count
+            self._changed.notify_all()
 
 
 def _serve(work: Work) -> None:

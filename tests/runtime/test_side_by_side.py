@@ -93,6 +93,71 @@ def test_a_failure_ends_what_has_not_begun(device, library):
     assert picked[0].array.tolist() == [20] and total.state.failed and picked[1].state.failed
 
 
+def two_buffers(device, library, monkeypatch, meeting, barrier):
+    """A buffer each that doubles x, the second perhaps behind a barrier."""
+    state = device.pipeline_state(library, "double", {"height": 4, "width": 5}, threads=1)
+    prepare = state.prepare
+    monkeypatch.setattr(state, "prepare", lambda tensors: meeting(prepare(tensors)))
+    x, buffers, results = device.wrap("x", np.ones((1, 4, 5), np.float32)), [], []
+    for number in range(2):
+        results.append(device.heap.tensor(f"y{number}", (1, 4, 5)))
+        commands = device.command_buffer(f"frame {number}")
+        with commands.machine_learning_encoder("double") as encoder:
+            if barrier:
+                encoder.barrier(after="machine-learning", before="machine-learning")
+            encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": results[-1]}))
+        buffers.append(commands)
+    return buffers, results
+
+
+def test_buffers_that_nothing_orders_run_side_by_side(library, monkeypatch):
+    device, meeting = Device("cpu", threads=2), Meeting(2)
+    buffers, results = two_buffers(device, library, monkeypatch, meeting, barrier=False)
+    for _ in range(3):
+        for commands in buffers:
+            commands.commit()
+        for commands in reversed(buffers):  # waiting for the second says nothing of the first
+            commands.wait(WAIT)
+        assert all(np.all(y.array == 2.0) for y in results)
+    assert meeting.most == 2 and not device.hazards.in_flight()
+
+
+@pytest.mark.parametrize("threads, barrier", [(2, True), (1, False)])
+def test_buffers_that_a_barrier_orders_or_there_is_no_thread_for(library, monkeypatch, threads, barrier):
+    device, meeting = Device("cpu", threads=threads), Meeting(1)
+    buffers, results = two_buffers(device, library, monkeypatch, meeting, barrier)
+    for commands in buffers:
+        commands.commit()
+    device.wait_idle(WAIT)
+    assert meeting.most == 1 and all(np.all(y.array == 2.0) for y in results)
+
+
+def test_what_comes_after_both_waits_for_both(library, monkeypatch):
+    device, gate, order = Device("cpu", threads=2), threading.Event(), []
+
+    def slow(run):
+        def late():
+            gate.wait(WAIT)
+            run()
+            order.append("network")
+
+        return late
+
+    buffers, results = two_buffers(device, library, monkeypatch, slow, barrier=False)
+    add, total = device.compute_state(toys.ADD), device.heap.tensor("total", (1, 4, 5))
+    last = device.command_buffer("last")
+    with last.compute_encoder("add") as encoder:
+        encoder.barrier(after="machine-learning", before="compute")
+        encoder.dispatch(add, ArgumentTable(add, {"a": results[0], "b": results[1], "total": total}))
+    last.add_completed_handler(lambda _: order.append("last"))
+    for commands in (*buffers, last):
+        commands.commit()
+    assert not last.is_done(0.05) and not order
+    gate.set()
+    device.wait_idle(WAIT)
+    assert np.all(total.array == 4.0) and order[:2] == ["network"] * 2
+
+
 def test_threads_that_a_network_cannot_take(device, library):
     with pytest.raises(DeviceError, match="cannot take 3 of the 2 threads"):
         device.pipeline_state(library, "double", {"height": 4, "width": 5}, threads=3)
