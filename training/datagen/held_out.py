@@ -22,15 +22,15 @@ from training.datagen.tracing import Film, Tracer
 # Traits that a held-out view can be asked to show, and tests for them. Import after Mitsuba's variant is set.
 
 Planes = dict[str, np.ndarray]
-GRID, UNIT = 64, 256  # points a side that are looked at, and the width of an image whose pixels motion counts
-SHARE = 0.03  # of the view, at least, that a trait takes
-EDGES, DARK = 0.15, 0.2  # least part of edges and most of darkness in a view that shows enough
+GRID, UNIT = 64, 256  # points a side that are examined, and the width of an image in whose pixels motion is counted
+SHARE = 0.03  # a trait takes at least this part of the view
+EDGES, DARK = 0.15, 0.2  # a view that shows enough has at least this part of edges, and at most this part of darkness
 FLICKER = 1.15  # least quotient of brightest and darkest frame
 
 
 @dataclass(frozen=True)
 class Trait:
-    """`has`: whether a scene may show it; `shows`: which of the first hits (N, C planes) do."""
+    """`has`: whether a scene may show the trait; `shows`: which of the first hits (N, C planes) do."""
 
     has: Callable[[Description], bool]
     shows: Callable[[Planes], np.ndarray] | None = None

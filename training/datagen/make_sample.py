@@ -1,4 +1,4 @@
-"""Render the sequence of samples/room, and references of it at twice the size.
+"""Render the sequence of samples/room, and its references at twice the size.
 
 python -m training.datagen.make_sample OUT_FOLDER [--reference 1-8 [--reference-spp 192]] [--variant llvm_ad_rgb]
     [--spp 4]
@@ -19,7 +19,7 @@ from fileseq import FrameSet
 
 from postfx.bench.metrics import psnr, to_codes
 
-PACKED = "dwab:80"  # lossy by 47 dB PSNR, far below the noise: zip takes 2.7 times as much
+PACKED = "dwab:80"  # lossy, 47 dB PSNR: an error far below the noise; zip takes 2.7 times as much space
 
 
 def main() -> None:

@@ -29,7 +29,7 @@ GIVE_UP = 3  # deaths of a worker in a row, without a clip between them
 
 @dataclass
 class Worker:
-    """A process for one GPU and the clip it is at."""
+    """A process for one GPU, and the clip that it is making."""
 
     gpu: str
     number: int
@@ -72,7 +72,7 @@ def worker_command(module: str, args: argparse.Namespace, handed: list[str], *wo
 
 
 class Farm:
-    """Hands the clips to the workers and counts what comes back.
+    """Hands clip numbers to the workers and counts their answers.
 
     `command` starts a worker: it reads clip numbers from standard input and answers on standard output, {"ready": true}
     once and {"clip": number, "samples": count} for each.
@@ -190,7 +190,7 @@ class Farm:
             self._sweep(process.pid)
 
     def _count_untold(self) -> None:
-        """Count clips that were finished without an answer."""
+        """Count clips whose workers finished them but were stopped before they could answer."""
         untold = [worker.clip for worker in self._workers if worker.clip is not None]
         self.made += sum(clip_path(self._args.out, clip).exists() for clip in untold)
 

@@ -30,7 +30,7 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
     parser.add_argument("--height", type=int, default=128, help="noisy height")
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--variants", type=int, default=3, help="noisy renders of the same frames")
-    parser.add_argument("--reference-spp", type=int, default=128, help="half to four times as many are taken, by noise")
+    parser.add_argument("--reference-spp", type=int, default=128, help="takes half to four times as many, by noise")
     parser.add_argument("--reference-error", type=float, default=0.015, help="wanted error after x/(1+x)")
     parser.add_argument("--even-spp", type=int, metavar="N", help="samples a pixel of noisy renders are drawn evenly in"
                         " stops from 1 to N (default: mostly 1 to 8)")

@@ -20,7 +20,7 @@ FLAT = 1e-3  # a mirror whose normal changes less than this along the texture co
 
 @dataclass
 class Image:
-    """An affine map of world space, rows (3) and offset: from a thing to its image in a flat mirror."""
+    """An affine map of world space, rows (3) and offset: from an object to its image in a flat mirror."""
 
     x: mi.Vector3f
     y: mi.Vector3f
@@ -47,8 +47,8 @@ class Path:
     """A camera ray after mirrors and glass: the ray to the replaced surface, and how that surface appears.
 
     `tint` is the reflectance so far, `length` the way to the ray's origin, `now` and `before` the images in this frame
-    and in the previous one; `curved` tells of bent mirrors, whose images are not mapped: there `surface`, the previous
-    place of the first hit, leads.
+    and in the previous one. No affine map describes the image in a bent mirror: where `curved` is set, motion comes
+    from `surface`, the previous position of the first hit.
     """
 
     origin: mi.Point3f
@@ -164,9 +164,9 @@ class Tracer:
         """First-hit planes, (N,) or (N, C) float32; motion in pixels of an image of `size`.
 
         Every `spp` consecutive samples of the film make one of the N rows: the mean in the planes named by `mean`, in
-        the others the first. With `steps` the planes are those of what is seen in and through that many mirrors and
-        faces of glass: albedos times their reflectance, normals as mirrored, depth of the whole way along the first
-        ray, motion of the mirrored image.
+        the others the first. With `steps`, rays go on through at most that many mirrors and faces of glass, and the
+        planes show the surface behind them: its albedos times the reflectance on the way, its normal as mirrored, the
+        length of the whole way as depth along the first ray, the motion of its mirrored image.
         """
         width, height = size
         first = _rays(camera, width / height, film)
@@ -269,8 +269,9 @@ def _previous_point(path: Path, first: mi.RayDifferential3f, way: mi.Vector3f, h
                     moved: mi.Point3f) -> mi.Vector3f:
     """Previous position of whatever a ray shows: a point of world space, or a direction for misses.
 
-    What flat mirrors show was mirrored before as well, by the mirrors of that time. Glass shifts what is behind it by
-    as much as now. Bent mirrors and glass take their own motion.
+    A surface seen in a flat mirror was seen in it before, too, so its previous position is mirrored by the mirror's
+    previous position. Glass is taken to shift the objects behind it by as much as now. Bent mirrors and glass have
+    their own motion.
     """
     then = path.before.point(moved)
     shift = mi.Vector3f(first.o) + way - path.now.point(point)

@@ -13,7 +13,7 @@ from training.datagen.scenes.meshes import Mesh, merge
 from training.datagen.scenes.motion import bend_mesh
 
 # Motion -------------------------------------------------------------------------------------------------------------
-# Where surface points were in the previous frame: a matrix for each shape, and a shift for each corner that bends.
+# Leads a surface point back to the previous frame: a matrix for each shape, and a shift for each corner that bends.
 
 RIGID = 0xFFFFFFFF
 
@@ -45,7 +45,7 @@ class Motions:
         return columns[0] * v.x + columns[1] * v.y + columns[2] * v.z
 
     def point(self, row: mi.UInt32, hit: mi.PreliminaryIntersection3f, point: mi.Point3f) -> mi.Point3f:
-        """Of the surface `point` of shape `row` that a preliminary intersection found."""
+        """Previous position of the surface `point`, which a preliminary intersection found on shape `row`."""
         start = dr.gather(mi.UInt32, self.starts, row)
         bends = start != RIGID
         triangle = dr.select(bends, start + hit.prim_index, 0)
@@ -66,7 +66,7 @@ class Motions:
 class Part:
     """A mesh with a material, or with an emitted radiance (3,).
 
-    `mover`, `glow` and `bend` are indices into the lists of a Description; a thing bends first and moves then.
+    `mover`, `glow` and `bend` are indices into the lists of a Description; a part is bent first and then moved.
     """
 
     mesh: Mesh
@@ -146,7 +146,7 @@ class BuiltScene:
         self.motions = self._motions(0.0, 0.0)
 
     def move(self, time: float, previous: float) -> None:
-        """Move things and set lights for frame `time`; `motions` then leads back to frame `previous`."""
+        """Move objects and set lights for frame `time`; `motions` then leads back to frame `previous`."""
         moved = [s for s in self._shapes if s.moves]
         for shape in moved:
             mesh = _posed(shape.source, shape.first, self.description, time)

@@ -193,7 +193,7 @@ def arrange(rng: np.random.Generator, x0: float, x1: float, z0: float, z1: float
 
 
 def picture_frame(rng: np.random.Generator, width: float, height: float, slot: str) -> Thing:
-    """A picture in a moulded frame about the origin, on the plane z = 0; `slot` is the picture's, over its whole."""
+    """A picture in a moulded frame about the origin, on the plane z = 0; `slot`'s texture covers the picture once."""
     rim = solids.frame_profile(rng, rng.uniform(0.02, 0.08), rng.uniform(0.015, 0.05))
     corners = solids.rectangle(-width / 2, -height / 2, width / 2, height / 2)
     inner = width / 2 - 0.005, height / 2 - 0.005

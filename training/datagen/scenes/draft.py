@@ -81,7 +81,7 @@ def moving_thing(d: Description, rng: np.random.Generator, thing: furniture.Thin
 
 
 def add_glowing(d: Description, rng: np.random.Generator, home: np.ndarray, power: float) -> None:
-    """A thing that shines itself, like a neon sign or a paper lamp; at times it moves."""
+    """Add a thing that gives light, like a neon sign or a paper lamp; at times it moves."""
     things = (furniture.ball, furniture.ring, furniture.ring, furniture.lump, furniture.pillar)
     thing = furniture.resize(furniture.pick(rng, things), rng.uniform(0.2, 0.7))
     mesh = meshes.merge([mesh for mesh, _ in thing])

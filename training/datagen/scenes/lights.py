@@ -24,7 +24,7 @@ def tint(rng: np.random.Generator, strong: float = 0.25) -> np.ndarray:
 def sky(rng: np.random.Generator, width: int = 256, sunny: bool = False) -> np.ndarray:
     """A made-up sky (width/2, width, 3): gradient, ground, and a soft sun of 4 to 15 degrees.
 
-    A sunny one has a sun of 1.5 to 3 degrees that gives one to eight times as much light as the sky.
+    With `sunny` the sun is 1.5 to 3 degrees wide and gives one to eight times as much light as the sky.
     """
     v, u = np.mgrid[0 : width // 2, 0:width] + 0.5
     theta, phi = np.pi * v / (width // 2), 2 * np.pi * u / width

@@ -31,7 +31,7 @@ def boxes(low: np.ndarray, high: np.ndarray) -> Mesh:
 
 
 def rounded_box(low: np.ndarray, high: np.ndarray, radius: float, steps: int = 3) -> Mesh:
-    """A box with round edges and corners; at most half as round as it is thin."""
+    """A box with round edges and corners; their radius is at most half of its thinnest side."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     half, centre = (high - low) / 2, (high + low) / 2
     radius = min(radius, 0.98 * half.min())
@@ -58,7 +58,8 @@ def rounded_box(low: np.ndarray, high: np.ndarray, radius: float, steps: int = 3
 def moulding(path: np.ndarray, profile: np.ndarray, closed: bool = False) -> Mesh:
     """A profile (K, 2) swept along a polyline (P, 2) in the plane z = 0, mitred at its corners.
 
-    Profile points are (to the left of the path, off the plane); the solid lies to the right of the profile's way.
+    Profile points are (to the left of the path, off the plane); the solid lies to the right as one goes along the
+    profile.
     Curves of the profile are shaded smooth, corners of more than 37 degrees stay sharp.
     """
     path, profile = np.asarray(path, float), np.asarray(profile, float)

@@ -56,12 +56,12 @@ class Probe:
         return float(total / 2)
 
     def level(self) -> float:
-        """Geometric mean of the luminance, without its darkest depths and without a black background."""
+        """Geometric mean of the luminance, raised to a thousandth of its mean at least; without a black background."""
         seen = self.luminance[self.hits | (self.luminance > 0)]
         return float(np.exp(np.log(np.maximum(seen, 1e-3 * seen.mean() + 1e-12)).mean()))
 
     def gain(self, rng: np.random.Generator) -> float:
-        """Factor that brings the level to a drawn one: median 0.2, mostly 0.07 to 0.6."""
+        """Factor that brings `level` to a random one: median 0.2, mostly 0.07 to 0.6."""
         return float(0.2 * np.exp(rng.normal(0, 0.6)) / self.level())
 
     def samples_for(self, error: float, gain: float) -> float:
