@@ -27,10 +27,10 @@ from training.datagen.clip_file import save_clip
 LATTICE = 64
 LAYERS = 4  # the ground, a disc, a box and a thin bar
 DEPTHS = (12.0, 6.0, 4.0, 2.5)
-SCALES, CHANCES = (1.0, 1.5, 2.0, 3.0), (0.3, 0.1, 0.45, 0.15)
+SCALES, CHANCES = (1.0, 1.5, 2.0, 3.0), (0.42, 0.08, 0.38, 0.12)
 VARIANTS = 3  # noisy renders of a clip
 GLOSS = 0.2  # share of the reflectance that is specular, by roughness
-NO_NOISE, SPARSE, COVERED, LAMPS, SIGNS, JITTERED, FALSE_MOTION = 0.12, 0.25, 0.2, 0.15, 0.15, 0.3, 0.15
+NO_NOISE, SPARSE, COVERED, LAMPS, SIGNS, JITTERED, FALSE_MOTION = 0.2, 0.2, 0.2, 0.15, 0.15, 0.3, 0.15
 """Shares of the clips: without noise; with planes of few samples; with surfaces that cover pixels partly; with lamps;
 with signs; with one sample position for each frame; with the ground's vectors for moving objects."""
 
@@ -109,7 +109,7 @@ def draw_scenes(count: int, side: int, device: torch.device) -> Scene:
     albedo = torch.where(kind > 0.75, low.expand_as(albedo), albedo)  # no texture
     cell = log_uniform(1, 24, *shape, device=device)
     cell = torch.where((kind[:, :, 0, 0, 0] < 0.5) & (torch.rand(shape, device=device) < 0.6), cell.round(), cell)
-    cell = torch.where(torch.rand(shape, device=device) < 0.25, 1.0, cell)  # texture of one pixel
+    cell = torch.where(torch.rand(shape, device=device) < 0.4, 1.0, cell)  # texture of one pixel
     light = torch.exp(0.8 * torch.randn(*shape, 1, LATTICE, LATTICE, device=device))
     light = light * (0.7 + 0.6 * torch.rand(*shape, 3, 1, 1, device=device))
     speed = torch.randn(*shape, 2, device=device) * 3

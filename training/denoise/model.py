@@ -225,6 +225,7 @@ def reflectance(factor: Tensor, own: Tensor) -> Reflectance:
 
 MAX_DEPTH = 1e10
 MAX_FLOAT = 3e38
+MOST_LIGHT = float(MAX_LIGHT)  # a plain number: torch.compile breaks graphs at NumPy's
 ALIGN = 16
 
 
@@ -324,7 +325,7 @@ def recall(inputs: Inputs, state: State, motion: Tensor, output: Tensor, place: 
 
 def demodulate(colour: Tensor, factor: Tensor) -> Tensor:
     """Colour without reflectance, in [0, 1e30]."""
-    return (ops.sanitise(colour, 0, MAX_FLOAT) / factor).clamp(max=float(MAX_LIGHT))
+    return (ops.sanitise(colour, 0, MAX_FLOAT) / factor).clamp(max=MOST_LIGHT)
 
 
 def hold(light: Tensor) -> Tensor:
