@@ -37,7 +37,7 @@ class Clip:
     ``PAIRS``). ``spread`` (V,) says which renders spread their samples over the pixel, ``samples`` (V,) gives the
     samples a pixel; ``keep`` (T,) is 0 at cuts and at the first frame; ``guides`` (T, 11, H, W) float16 are the planes
     at output size, if asked for. ``halved`` (V,) marks renders from half of the reference's samples, which are compared
-    with the other ``half`` (T, 3, H, W).
+    with the other ``half`` (T, 3, H, W). A clip of ``weight`` 2 is drawn twice as often as one of weight 1.
     """
 
     name: str
@@ -52,6 +52,7 @@ class Clip:
     halved: list[bool]
     samples: list[int]
     pairs: tuple[str, ...] = ()
+    weight: float = 1.0
 
 
 @dataclass
@@ -166,11 +167,11 @@ PAIRS = {"inverse": inverse_motion, "static": static_motion}
 
 
 class ClipPool:
-    """All clips of a folder; grows while the data factory is still writing."""
+    """All clips of some folders, each with the weight of its clips; grows while the data factory is still writing."""
 
-    def __init__(self, folder: Path, device: torch.device, guides: bool = False, share: int = 0, shares: int = 1,
-                 held_out: int = 20, pairs: tuple[str, ...] = ()):
-        self.folder, self.device, self.guides, self.pairs = folder, device, guides, pairs
+    def __init__(self, folders: Mapping[Path, float], device: torch.device, guides: bool = False, share: int = 0,
+                 shares: int = 1, held_out: int = 20, pairs: tuple[str, ...] = ()):
+        self.folders, self.device, self.guides, self.pairs = folders, device, guides, pairs
         self.share, self.shares, self.held_out = share, shares, held_out
         self.seen: set[Path] = set()
         self.training: dict[tuple[int, ...], list[Clip]] = {}
@@ -178,8 +179,8 @@ class ClipPool:
 
     def refresh(self) -> int:
         """Load new files; one clip in ``held_out`` is for validation. Returns the number of clips for training."""
-        fresh = [p for p in sorted(self.folder.glob("[!.]*.npz")) if p not in self.seen]
-        mine = [p for p in fresh if self._number(p) % self.shares == self.share]
+        found = [p for folder in self.folders for p in sorted(folder.glob("[!.]*.npz"))]
+        mine = [p for p in found if p not in self.seen and self._number(p) % self.shares == self.share]
         self.seen.update(mine)
         with ThreadPoolExecutor(8) as threads:
             clips = list(threads.map(lambda path: load(path, self.device, self.guides, self.pairs), mine))
@@ -187,7 +188,8 @@ class ClipPool:
             if (self._number(path) // self.shares) % self.held_out == 0:
                 self.validation.append(clip)
             else:
-                self.training.setdefault(tuple(clip.reference.shape), []).append(clip)
+                weighted = replace(clip, weight=self.folders[path.parent])
+                self.training.setdefault(tuple(clip.reference.shape), []).append(weighted)
         return len(self)
 
     @staticmethod
@@ -203,8 +205,9 @@ class ClipPool:
         ``sparse`` is the share of clips whose albedo, normal and roughness come from a render with fewer samples.
         """
         shapes = sorted(self.training)
-        shape = random.Random(seed).choices(shapes, [len(self.training[s]) for s in shapes])[0]
-        clips = random.choices(self.training[shape], k=size)
+        weights = [[clip.weight for clip in self.training[shape]] for shape in shapes]
+        drawn = random.Random(seed).choices(range(len(shapes)), [sum(w) for w in weights])[0]
+        clips = random.choices(self.training[shapes[drawn]], weights[drawn], k=size)
         variants = [random.randrange(len(c.planes)) for c in clips]
         surfaces = [sparser(c, v) if sparse and random.random() < sparse else v
                     for c, v in zip(clips, variants, strict=True)]

@@ -1,11 +1,12 @@
 """Train the denoised upscaler on clips of the data factory.
 
 One GPU:      python -m training.denoise.train --clips CLIPS --out RUN --minutes 20
+Mixed clips:  python -m training.denoise.train --clips mitsuba=3 cycles=2 formula --out RUN --minutes 20
 Several GPUs: torchrun --nproc-per-node 4 -m training.denoise.train --clips CLIPS --out RUN --minutes 20
 To try it:    python -m training.denoise.train --clips CLIPS --out RUN --steps 20 --batch 1 --crop 32 --widths 16 16
 
 The learning rate rises over 500 steps and then follows the clock: a cosine down to zero at the end of --minutes. The
-folder of clips may still be growing. RUN/log.csv and validation.csv hold the curves (`training.measure.runs curves`
+folders of clips may still be growing. RUN/log.csv and validation.csv hold the curves (`training.measure.runs curves`
 draws them). RUN/checkpoint.pt holds the weights, their average, the optimiser, step, time, random states, arguments and
 the git commit; --resume continues with all of it, --start begins a new run from weights alone. --log FILE adds the run
 to a table of runs (`training.measure.runs`). The defaults are those of the last training of m.
@@ -52,7 +53,8 @@ PLACES = ("clips", "out", "start", "resume", "log")  # arguments that name files
 
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--clips", type=Path, required=True, help="folder of clip.NNNNN.npz")
+    parser.add_argument("--clips", type=weighted_folder, required=True, nargs="+", metavar="FOLDER[=WEIGHT]",
+                        help="folders of clip.NNNNN.npz; a clip of weight 3 is drawn three times as often as one of 1")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--minutes", type=float, default=17, help="length of the training (default: %(default)s)")
     parser.add_argument("--steps", type=int, help="length in steps; the cosine then follows steps, not minutes")
@@ -87,6 +89,12 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--log", type=Path, metavar="FILE", help="table of runs (.jsonl) that gets a row at the end")
     return parser
+
+
+def weighted_folder(text: str) -> tuple[Path, float]:
+    """FOLDER or FOLDER=WEIGHT."""
+    folder, _, weight = text.partition("=")
+    return Path(folder), float(weight or 1)
 
 
 def parse(words: list[str] | None = None) -> argparse.Namespace:
@@ -188,9 +196,9 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
     """
     # Clips: each process trains on a share of the folder, and one clip in twenty is held out.
     kinds = (("inverse",) if args.both_ways else ()) + (("static",) if args.false_motion else ())
-    pool = ClipPool(args.clips, device, args.guides, rank, world, pairs=kinds)
+    pool = ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=kinds)
     if pool.refresh() < args.wait:
-        print(f"waiting for {args.wait} clips to train on (--wait): {args.clips} has {len(pool)}", flush=True)
+        print(f"waiting for {args.wait} clips to train on (--wait): {folder_names(args)} has {len(pool)}", flush=True)
     while pool.refresh() < args.wait:
         time.sleep(2)
     augment = Augment(clean=args.clean, false_motion=args.false_motion)
@@ -289,12 +297,17 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
     return model
 
 
+def folder_names(args: argparse.Namespace) -> str:
+    """The folders of clips as on the command line."""
+    return " ".join(str(folder) if weight == 1 else f"{folder}={weight:g}" for folder, weight in args.clips)
+
+
 def run_row(args: argparse.Namespace, notes: dict[str, Any]) -> dict[str, Any]:
     """A row of the table of runs: the arguments and the results."""
-    defaults = vars(options().parse_args(["--clips", "", "--out", ""]))
+    defaults = vars(options().parse_args(["--clips", ".", "--out", ""]))
     changed = {k: v for k, v in vars(args).items() if k not in PLACES and v != defaults[k]}
     return {"run": args.out.name, "date": date.today().isoformat(), "commit": git_commit(),
-            "start": str(args.start or "from scratch"), "options": changed, "data": str(args.clips), **notes}
+            "start": str(args.start or "from scratch"), "options": changed, "data": folder_names(args), **notes}
 
 
 def main() -> None:

@@ -134,8 +134,22 @@ def test_planes_come_from_the_sparser_render_and_light_from_the_denser(tmp_path:
     dense, mixed = collate([clip], [1]).planes, collate([clip], [1], None, [0]).planes
     assert torch.equal(mixed[:, :, SURFACE], collate([clip], [0]).planes[:, :, SURFACE])
     assert torch.equal(mixed[:, :, :3], dense[:, :, :3]) and torch.equal(mixed[:, :, 13:], dense[:, :, 13:])
-    pool = ClipPool(tmp_path, torch.device("cpu"), held_out=10**6)
+    pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"), held_out=10**6)
     pool.seen.clear()
     pool.training = {tuple(clip.reference.shape): [clip]}
     drawn = pool.draw(16, 16, 0, sparse=1.0)
     assert drawn.planes.shape == (16, 2, 16, 16, 16)
+
+
+def test_clips_of_a_folder_are_drawn_as_often_as_its_weight_says(tmp_path: Path) -> None:
+    for name, value in (("many", 0.25), ("few", 0.75)):
+        (tmp_path / name).mkdir()
+        write_clips(tmp_path / name, 2)
+        for path in (tmp_path / name).glob("*.npz"):
+            clip = dict(np.load(path))
+            np.savez(path, **clip | {"reference": np.full_like(clip["reference"], value)})
+    pool = ClipPool({tmp_path / "many": 3.0, tmp_path / "few": 1.0}, torch.device("cpu"), held_out=10**6)
+    pool.refresh()
+    random.seed(1)
+    drawn = pool.draw(4000, 16, 0).reference[:, 0, 0, 0, 0]
+    assert float((drawn == 0.25).float().mean()) == pytest.approx(0.75, abs=0.03)

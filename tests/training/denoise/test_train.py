@@ -174,7 +174,7 @@ def _even_loss(reference: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
 
 def test_validation_counts_what_is_seen_however_clips_count(tmp_path: Path) -> None:
     write_clips(tmp_path, 2)
-    pool = ClipPool(tmp_path, torch.device("cpu"))
+    pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"))
     pool.refresh()
     model = small_model()
     ways = [train.ClipLoss(model, flicker=1.0, reset=0.1, even=even) for even in (8.0, 0.0)]
@@ -235,7 +235,7 @@ def test_a_clip_that_is_still_being_written_waits(tmp_path: Path) -> None:
     write_clips(tmp_path, 2)
     partial = tmp_path / ".clip0002.npz.17.partial.npz"
     partial.write_bytes((tmp_path / "clip0001.npz").read_bytes()[:1000])
-    pool = ClipPool(tmp_path, torch.device("cpu"))
+    pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"))
     pool.refresh()
     assert {path.name for path in pool.seen} == {"clip0000.npz", "clip0001.npz"}
 
