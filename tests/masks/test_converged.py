@@ -106,6 +106,14 @@ def test_nothing_is_left_alone_that_is_not_known() -> None:
     assert (strength_of_converged(none, ONE_PERCENT) == 1).all()
 
 
+def test_noise_counts_where_filters_made_light_negative() -> None:
+    planes, variance = rendered(0.015)
+    planes[Role.SAMPLE_VARIANCE] = variance
+    found = strength_of_converged({**planes, Role.COLOUR: -planes[Role.COLOUR]}, ONE_PERCENT, 64)
+    np.testing.assert_array_equal(found, strength_of_converged(planes, ONE_PERCENT, 64))
+    assert found[:, 40:].min() > 0.3
+
+
 def test_black_without_variance_has_converged() -> None:
     planes = {role: np.zeros((*SIZE, 3), np.float32) for role in (Role.COLOUR, Role.VARIANCE_OF_MEAN)}
     assert (strength_of_converged(planes, ONE_PERCENT) == 0).all()

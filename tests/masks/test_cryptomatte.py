@@ -49,7 +49,7 @@ def test_strength_is_what_the_shares_leave() -> None:
     assert found.shape == (9, 11, 1) and found.dtype == np.float32
     np.testing.assert_allclose(found[..., 0], np.where(wanted < 1e-3, 0, wanted), atol=1e-6)
     np.testing.assert_array_equal(found, strength_from_cryptomatte(list(np.moveaxis(ranks, 2, 0)),
-                                                                   {"logo": 0.25, "sky": 0.0}))
+                                                                   {"logo": 0.25, "sky": 0.0, "hero": 1.0}))
 
 
 def test_a_pixel_that_is_all_one_thing_is_exactly_0_or_1() -> None:
