@@ -199,8 +199,8 @@ class Job:
             self._preparation = Preparation(self._preparation.seconds + later, self._watch.seconds, self._watch.count)
 
     def preview(self, number: int, step: int) -> Path:
-        """Read, process and write one frame, of which no books are kept; returns the file. It has the history of those
-        that were previewed before. step: from one frame to the next. Raises PostfxError."""
+        """Read, process and write one frame without an entry in the manifest; returns the file. The frame has the
+        history of those that were previewed before. step: from one frame to the next. Raises PostfxError."""
         self.sequence.look_again(step)
         frame = self.sequence.read(number, self.plan.planes, self._guides)
         check_sizes(frame, self.plan.input, bool(self._arguments.size))

@@ -107,7 +107,7 @@ def model(content: bytes) -> None:
     _device().pipeline_state(library, "toy", {"height": 4, "width": 4})
 
 
-def books(content: bytes) -> None:
+def records(content: bytes) -> None:
     """A manifest, a claim, a lock and a checkpoint of another run."""
     text = content.decode("utf-8", "surrogateescape")
     try:
@@ -171,7 +171,7 @@ def seeds(name: str, folder: Path) -> None:
         save_model(FOLDER / "toy.onnx", nodes, [], [value("cube", (2, 2, 2, 3))], {"w": np.zeros((2, 2, 2, 3), "f4")})
         card = {"shaper": {"toe": 0.1, "scale": 0.1, "matrix": [1.0] * 9}, "outputs": {"cube": {"constant": True}}}
         add("toy", json.dumps(card).encode() + b"\n" + (FOLDER / "toy.onnx").read_bytes())
-    if name == "books":
+    if name == "records":
         output = Output("run", 1, "0" * 64, 7, 2, 3, {"in.exr": (1, 2)}, True)
         add("manifest", Manifest({"run": {"status": "running"}}, {"a.0001.exr": output}).to_json().encode())
         add("claim", json.dumps({"process": Process.me().as_dict(), "files": ["a"]}).encode())
@@ -195,5 +195,5 @@ def _device() -> Device:
 
 TARGETS: dict[str, Callable[[bytes], None]] = {
     "exr": exr, "container": container, "hdr": hdr, "profile": profile, "patterns": patterns, "model": model,
-    "look": look, "books": books,
+    "look": look, "records": records,
 }

@@ -232,7 +232,7 @@ def test_folder_that_may_not_be_written(runs, forbidden):
     assert code == 2 and f"out.0001.exr: cannot be written: {forbidden}" in said and "Traceback" not in said
 
 
-def test_file_where_the_books_should_be(runs):
+def test_file_where_the_run_folder_should_be(runs):
     runs.folder.mkdir()
     (runs.folder / ".postfx").write_text("a file where the folder should be")
     code, said = runs()
