@@ -266,8 +266,9 @@ class Job:
         if self._arguments.on_error == OnError.STOP:
             self.sequence.refuse_holes(wanted)
         elif missing := [number for number in wanted if not self.sequence.holds(number)]:
-            progress.note(f"{len(missing)} of {len(wanted)} frames are missing, --on-error {self._arguments.on_error} "
-                          f"goes on without: {format_frames(missing)}")
+            are = "is" if len(missing) == 1 else "are"
+            progress.note(f"{len(missing)} of {len(wanted)} frames {are} missing, --on-error "
+                          f"{self._arguments.on_error} goes on without: {format_frames(missing)}")
         if self._smooth:
             progress.note("metering all frames first, for --exposure smooth")
 

@@ -56,7 +56,7 @@ class Explanation:
 
     def __str__(self) -> str:
         first, frames = self.first, describe_frames(self.sequence)
-        lines = [f"input   {self.sequence.pattern}: {frames}", str(self.plan)]
+        lines = [f"input   {self.sequence.pattern}: {frames}{describe_views(self.sequence)}", str(self.plan)]
         lines += [f"skips   {item.what}: {item.why}" for item in self.skips]
         if alone := self._alone():
             lines.append(f"leaves  of frame {first}: {alone}")

@@ -297,8 +297,10 @@ def _one_sequence(patterns: list[Pattern], source: str) -> Pattern:
     """The one pattern, or the one that fits them all, each of another plane; else SequenceError."""
     together = patterns[0] if len(patterns) == 1 else _one_file_a_plane(patterns)
     if together is None:
-        names = ", ".join(Path(str(pattern)).name for pattern in patterns[:4])
-        raise SequenceError(f"{source}: holds {len(patterns)} sequences ({names}): name one of them")
+        names = [Path(str(pattern)).name for pattern in patterns]
+        views = sorted({name.replace("right", VIEW) for name in names} & {name.replace("left", VIEW) for name in names})
+        also = f", or all views by {views[0]}" if views else ""
+        raise SequenceError(f"{source}: holds {len(names)} sequences ({', '.join(names[:4])}): name one of them{also}")
     return together
 
 

@@ -278,6 +278,7 @@ def test_what_is_refused_of_files_for_each_view(tmp_path: Path, capfd) -> None:
         (pattern, "in.%V.####.exr", "--overwrite"): "in.left.0001.exr: is an input",
         (pattern, "in.new_%V.####.exr"): "in.new_left.0001.exr: would be a frame of the input",
         (pattern, "out.%V.####.exr", "--view", "left,up"): "no view 'up': there are files of left, right",
+        ("in.%V.*.exr", "out.%V.####.exr"): "name one of them, or all views by in.{view}.####.exr",
         ("in.left.####.exr", "out.%V.####.exr"): "{view} is for the names of views, and none is known",
         (pattern, "out.%V.####.exr", "--guides", str(tmp_path / "in.left.####.exr")): "put {view} into both",
     }
@@ -294,6 +295,8 @@ def test_what_is_refused_of_files_for_each_view(tmp_path: Path, capfd) -> None:
 
 def test_verbs_that_look_at_one_view(tmp_path: Path, capfd) -> None:
     write_apart(tmp_path)
+    assert main(["run", str(tmp_path / "in.%V.####.exr"), "--explain"]) == 0
+    assert "in.{view}.####.exr: 3 frames (1-3), views left, right" in capfd.readouterr().out
     assert main(["inspect", str(tmp_path / "in.%V.####.exr")]) <= 2
     assert "view left is looked at, not right: --view chooses one" in capfd.readouterr().out
     assert main(["exposure", str(tmp_path / "in.%V.####.exr"), "--device", "cpu"]) <= 1
