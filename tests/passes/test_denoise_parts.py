@@ -10,6 +10,7 @@ import pytest
 from postfx.errors import FrameError, PassOptionError
 from postfx.frame import Frame, Part, Role
 from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.frame import Frames
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from postfx.system import PROCESS
@@ -196,6 +197,27 @@ def test_fog_is_filtered_without_the_reflectance_of_what_lies_behind(device: Dev
     assert_adds_up(parts, (*NAMES, "fog"))
     as_light = upscaler(device, parts=[*NAMES, Part("fog", "light")])(frame)
     assert parts.parts["fog"].std() < 0.6 * as_light.parts["fog"].std()
+
+
+def test_own_filters_of_fog_see_no_surface(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planes of the surface behind fog mislead them; light through glass, which files divide by a colour, has one."""
+    runs, encode = [], Frames.encode
+
+    def record(frames: Frames, commands, planes, *rest, **named):
+        runs.append({name: planes[name].download() for name in ("colour", "normal", "depth", "diffuse_albedo")})
+        return encode(frames, commands, planes, *rest, **named)
+
+    monkeypatch.setattr(Frames, "encode", record)
+    frame = lit(1)
+    frame.parts = {"fog": 0.2 * frame[Role.COLOUR], "glass": 0.3 * frame[Role.COLOUR],
+                   "colour": np.ones((37, 50, 3), np.float32)}
+    parts = [Part("fog", "scatter"), Part("glass", "scatter", factor="colour"), Part("colour", "factor")]
+    upscaler(device, parts=parts, part_filters="own")(frame)
+    seen = {name: next(run for run in runs if np.array_equal(run["colour"], frame.parts[name]))
+            for name in ("fog", "glass")}
+    assert not seen["fog"]["normal"].any() and (seen["fog"]["depth"] == 1).all()
+    assert np.array_equal(seen["glass"]["normal"], frame[Role.NORMAL])
+    assert not seen["fog"]["diffuse_albedo"].any() and not seen["glass"]["diffuse_albedo"].any()
 
 
 def test_no_light_lies_where_there_is_no_lamp_and_no_surface_of_its_kind(device: Device) -> None:

@@ -80,12 +80,12 @@ class Planes:
             if role in spec.guide_roles and not spec.has(role):
                 self._reduced[role] = Resampler(device, f"reduced {role}", role, output, render)
             elif not spec.has(role):
-                self._constants[role] = _constant(device, role, render)
+                self._constants[role] = absent_plane(device, role, render)
         for role in GUIDE_ROLES if guided else ():
             if role not in spec.guide_roles and spec.has(role):
                 self._enlarged[role] = Resampler(device, f"enlarged {role}", role, render, output)
             elif role not in spec.guide_roles:
-                self._constants[f"guide_{role}"] = _constant(device, role, output)
+                self._constants[f"guide_{role}"] = absent_plane(device, role, output)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Mapping[str, Tensor]:
         """Record the resampling, if any; returns every plane by name."""
@@ -103,7 +103,8 @@ class Planes:
         return planes | self._constants
 
 
-def _constant(device: Device, role: Role, size: Size) -> Tensor:
+def absent_plane(device: Device, role: Role, size: Size) -> Tensor:
+    """What stands for a plane that a frame lacks."""
     return device.wrap(f"absent {role}", np.full((*size, ROLES[role].channels), ABSENT[role], np.float32))
 
 

@@ -13,7 +13,7 @@ from postfx.kernels.denoise.layout import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
 from postfx.passes.base import ResidentFrame
 from postfx.passes.denoise.history import FACTOR, WHOLE, PartHistory, alone, make_zeros, one_of, places_of, some_of
-from postfx.passes.denoise.inputs import Resampler
+from postfx.passes.denoise.inputs import ABSENT, Resampler, absent_plane
 from postfx.passes.denoise.layers import Layer
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.output import Restore, Strength
@@ -42,6 +42,10 @@ SIGNED = ("normal", "position", DEPTH)
 MOVING = ("position", DEPTH)
 """Kinds whose values change when the camera moves, so they have no history."""
 REFLECTANCE = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+SURFACE = tuple(role for role in ABSENT if role is not Role.MOTION)
+"""Planes that tell of the surface that is seen."""
+FOG = "scatter"
+"""Kind of light without reflectance: of fog, unless a file divides it by a colour, as that of glass."""
 SURFACES = dict(zip(("diffuse", "specular"), REFLECTANCE, strict=True))
 """Reflectance that light is divided by while it is filtered, by kind: the picture's for 'light', nothing for others."""
 
@@ -264,16 +268,21 @@ class Layers:
         return found if guided else {**found, str(Role.DIFFUSE_ALBEDO): alpha}
 
     def _own_reflectance(self, name: str, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Planes of reflectance, at both sizes, in place of those that a part is not divided by."""
-        if self._kind(name) == "light":
+        """Planes, at both sizes, in place of those that a part has nothing to do with: reflectance that it is not
+        divided by, and for fog, which has no surface, all of them."""
+        kind = self._kind(name)
+        if kind == "light":
             return {}
-        lost = [str(role) for role in REFLECTANCE if role is not SURFACES.get(self._kind(name))]
-        found = dict.fromkeys(lost, self._nothing)
-        for guide in (f"guide_{role}" for role in lost):
-            if guide in planes:
-                self._made.setdefault("no reflectance", make_zeros(self._device, "no reflectance", (*self._output, 3)))
-                found[guide] = self._made["no reflectance"]
-        return found
+        lost = SURFACE if kind == FOG and not self._parts[name].factor else tuple(
+            role for role in REFLECTANCE if role is not SURFACES.get(kind))
+        found = {str(role): self._absent(role, self._render) for role in lost}
+        return found | {f"guide_{role}": self._absent(role, self._output) for role in lost if f"guide_{role}" in planes}
+
+    def _absent(self, role: Role, size: Size) -> Tensor:
+        name = f"no {role} of {size}"
+        if name not in self._made:
+            self._made[name] = absent_plane(self._device, role, size)
+        return self._made[name]
 
     def _three(self, name: str, frame: ResidentFrame) -> Tensor:
         """A layer's values with three channels, as the kernels need them."""
