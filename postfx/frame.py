@@ -279,10 +279,12 @@ class PartSource:
     Attributes:
         channels: full names there.
         factor: name of the part that it is divided by there, as Cycles divides light by the colour of surfaces.
+        exact: whether its numbers are places or distances, which half floats do not hold.
     """
 
     channels: tuple[str, ...]
     factor: str | None = None
+    exact: bool = False
 
 
 @dataclass(eq=False, repr=False)

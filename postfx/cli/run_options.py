@@ -73,8 +73,8 @@ FRAMES = Section("", (
            "larger picture enlarged by the nearest pixel (all); never (none); or bit for bit where the picture has the "
            "input's size, else not (default: auto)"),
     Option(flag="--bits", metavar="N", type=parse_positive, sets="writer.bits",
-           help="of a channel: EXR 16 (half floats, default) or 32 (floats), PNG 8 (default) or 16 (default in HDR), "
-           "TIFF 8 or 16 (default)"),
+           help="of a channel: EXR 16 (half floats, default) or 32 (floats, default beside --aov-denoise depth or "
+           "position), PNG 8 (default) or 16 (default in HDR), TIFF 8 or 16 (default)"),
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
            help="of EXR: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab or, with a level, dwaa:45 (default: "
            "zip, the fastest; the last five lose a little)"),

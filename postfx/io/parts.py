@@ -63,6 +63,10 @@ def _is_id(layer: str) -> bool:
     return any(word.startswith(NEVER[0]) or word in NEVER for word in words)
 
 
+EXACT = ("depth", "position")
+"""Kinds whose numbers half floats do not hold."""
+
+
 @dataclass(frozen=True)
 class FoundPart:
     """A part in the files: its kind, its channels, and the part that its values are divided by."""
@@ -74,7 +78,7 @@ class FoundPart:
     @property
     def source(self) -> PartSource:
         """How it is named there."""
-        return PartSource(tuple(channel.name for channel in self.channels), self.factor)
+        return PartSource(tuple(channel.name for channel in self.channels), self.factor, self.part.kind in EXACT)
 
 
 def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: str,
@@ -97,7 +101,7 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
         for layer in index.layers_like(name)[:1] or [name]:
             channels = _channels(index, layer, LETTERS.get(kind, (*COLOURS, *NUMBERS)))
             if not channels:
-                raise _missing(name, index, layout, path)
+                raise _missing(name, index, layout, path, f"--aov-denoise {kind}={name}")
             found[layer] = FoundPart(Part(layer, kind), channels)
     return {name: part for name, part in found.items() if _size(part.channels) == size}
 
@@ -140,12 +144,12 @@ def _size(channels: tuple[Channel, ...]) -> tuple[int, int]:
     return area.width, area.height
 
 
-def _missing(name: str, index: ChannelIndex, layout: Layout, path: str) -> MissingPlaneError:
+def _missing(name: str, index: ChannelIndex, layout: Layout, path: str, option: str = "--aov") -> MissingPlaneError:
     held = "; ".join(index.contents()[:16]) or "nothing"
     if name == AUTO:
         return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of its layers as parts "
                                  f"of the picture: name them (--aov key,fill); it holds {held}")
-    return MissingPlaneError(f"{path}: no layer '{name}' for --aov: it holds {held}")
+    return MissingPlaneError(f"{path}: no layer '{name}' for {option}: it holds {held}")
 
 
 def read_parts(found: Mapping[str, FoundPart]) -> dict[str, np.ndarray]:

@@ -102,8 +102,8 @@ def write_frame(
         provenance: attributes for an EXR header that tell how the frame came about.
         keep: write everything else that the frame's source holds into an EXR, see `postfx.io.exr.passthrough`; None:
             only beside a picture that has the source's size.
-        bits: EXR 16 (half floats, default) or 32 (floats); PNG and TIFF 8 or 16 (default: PNG 8, but 16 for HDR
-            displays; TIFF 16); JPEG 8.
+        bits: EXR 16 (half floats, default) or 32 (floats, default beside parts that are distances or places); PNG and
+            TIFF 8 or 16 (default: PNG 8, but 16 for HDR displays; TIFF 16); JPEG 8.
         compression: of EXR: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa or dwab, the last two with a level as in
             'dwaa:45'. ZIP is the fastest, pxr24 (floats), b44 and dwa lose a little.
 
@@ -115,7 +115,8 @@ def write_frame(
     check_storage(path, bits, compression, frame.encoding)
     if shown and frame.views:
         raise WriteError(f"{path}: {path.suffix[1:].upper()} holds one view: write EXR, or choose one with --view NAME")
-    half = half if bits is None else bits == 16
+    exact = any(source.exact for name, source in frame.part_sources.items() if name in frame.parts)
+    half = half and not exact if bits is None else bits == 16
     pictures = []
     for view in (frame, *frame.views.values()):
         convert = _code_pixels(view, path, Dither(dither), bits) if shown else _linear_pixels(view, half)

@@ -149,6 +149,19 @@ def test_groups_by_name_and_what_is_not_there(cycles: Path) -> None:
         Sequence(str(cycles), aov="rim").open(1)
 
 
+def test_distances_are_written_as_floats_and_an_unknown_layer_is_named_with_its_option(tmp_path: Path) -> None:
+    """Half floats hold no 1e10, which stands for no distance, and only some of the others."""
+    colour = noisy(1, *SIZE)[Role.COLOUR]
+    depth = np.where(np.arange(SIZE[1])[:, None] < 8, 1e10, 1000.3).astype(np.float32) * np.ones((*SIZE, 1), np.float32)
+    path, output = write(tmp_path / "a.0001.exr", {"": colour, "far": depth}), tmp_path / "b.0001.exr"
+    run = ["run", str(path), "-o", str(output), "--model", "s", "--scale", "1", "--aov-denoise"]
+    assert main([*run, "depth=far"]) == 0
+    found = read(output)["far.V"]
+    assert (found[:, :6] == np.float32(1e10)).all() and np.abs(found[:, 10:] - 1000.3).max() < 1e-2
+    with pytest.raises(MissingPlaneError, match=r"no layer 'near' for --aov-denoise depth=near: it holds"):
+        Sequence(str(path), aov_denoise="depth=near").open(1)
+
+
 def test_plain_layers_are_light_by_name(tmp_path: Path) -> None:
     frame = noisy(1, *SIZE)
     path = write(tmp_path / "a.exr", {"": frame[Role.COLOUR], "key": 0.5 * frame[Role.COLOUR]})
