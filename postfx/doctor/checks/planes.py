@@ -158,8 +158,8 @@ def _enlarged_how(plane: np.ndarray) -> str:
     if min(plane.shape[:2]) < LEAST_SIDE:
         return ""
     for how, taps in ENLARGED.items():
-        ratios = [_phase_ratio(along, np.array(taps, np.float32)) for along in (plane, plane.swapaxes(0, 1))]
-        if all(ratio < EXACT for ratio in ratios):
+        both_ways = (_phase_ratio(along, np.array(taps, np.float32)) for along in (plane, plane.swapaxes(0, 1)))
+        if all(ratio < EXACT for ratio in both_ways):
             return how
     return ""
 
