@@ -44,6 +44,8 @@ def parse_parts(aov: str | None, planes: str | None) -> PartOptions | None:
     if aov is None and planes is None:
         return None
     names = tuple(word.strip() for word in (aov or "").split(",") if word.strip())
+    for name in names:
+        refuse_ids(name, f"--aov {name}")
     found = []
     for entry in (planes or "").split(","):
         kind, _, layer = (word.strip() for word in entry.partition("="))
@@ -51,16 +53,16 @@ def parse_parts(aov: str | None, planes: str | None) -> PartOptions | None:
             continue
         if kind not in PLANES or not layer:
             raise OptionError(f"--aov-denoise {entry.strip()}: give KIND=LAYER, with KIND one of {', '.join(PLANES)}")
-        if _is_id(layer):
-            raise OptionError(f"--aov-denoise {entry.strip()}: '{layer}' holds ids, whose means are other ids: they "
-                              "are never filtered")
+        refuse_ids(layer, f"--aov-denoise {entry.strip()}")
         found.append((layer, kind))
     return PartOptions(names, tuple(found))
 
 
-def _is_id(layer: str) -> bool:
+def refuse_ids(layer: str, option: str) -> None:
+    """OptionError for a layer that holds ids by its name."""
     words = layer.lower().replace("_", " ").replace(".", " ").split()
-    return any(word.startswith(NEVER[0]) or word in NEVER for word in words)
+    if any(word.startswith(NEVER[0]) or word in NEVER for word in words):
+        raise OptionError(f"{option}: '{layer}' holds ids, whose means are other ids: they are never filtered")
 
 
 EXACT = ("depth", "position")
@@ -85,13 +87,14 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
                size: tuple[int, int]) -> dict[str, FoundPart]:
     """The parts by the names of their layers, of those that have the colour's size.
 
-    Raises MissingPlaneError for a layer that is not there.
+    Raises MissingPlaneError for a layer that is not there, OptionError for one of ids.
     """
     found: dict[str, FoundPart] = {}
     for name in options.names:
         matches = _by_profile(index, layout, "*" if name == AUTO else name)
         layers = [] if matches or name == AUTO else index.layers_like(name)
         for layer in layers:
+            refuse_ids(layer, f"--aov {name}")
             if channels := _channels(index, layer, COLOURS):
                 matches[layer] = FoundPart(Part(layer, "light", "named"), channels)
         if not matches:
@@ -99,6 +102,7 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
         found |= {layer: part for layer, part in matches.items() if layer not in found}
     for name, kind in options.planes:
         for layer in index.layers_like(name)[:1] or [name]:
+            refuse_ids(layer, f"--aov-denoise {kind}={name}")
             channels = _channels(index, layer, LETTERS.get(kind, (*COLOURS, *NUMBERS)))
             if not channels:
                 raise _missing(name, index, layout, path, f"--aov-denoise {kind}={name}")

@@ -179,6 +179,16 @@ def test_kinds_are_checked_and_ids_are_never_filtered(text: str, message: str) -
         parse_parts(None, text)
 
 
+def test_ids_are_no_light_either(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="--aov CryptoObject00: 'CryptoObject00' holds ids"):
+        parse_parts("key,CryptoObject00", None)
+    colour = noisy(1, *SIZE)[Role.COLOUR]
+    path = write(tmp_path / "a.exr", {"": colour, "Cryptos.uCryptoAsset00": colour, "Crypto_00": colour})
+    for aov, planes in (("00", None), (None, "mist=00")):
+        with pytest.raises(OptionError, match="'Crypto_00' holds ids"):
+            Sequence(str(path), aov=aov, aov_denoise=planes).open(1)
+
+
 def test_pictures_for_a_display_have_no_parts(cycles: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(cycles), "-o", str(tmp_path / "a.0001.png"), "--aov", "auto", "--explain"]) == 0
     assert "parts of the picture: they are light of the scene" in capsys.readouterr().out
