@@ -5,11 +5,9 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-import os
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,27 +21,13 @@ from postfx.passes.base import MOST_SIZES, Downloads, Pass, ResidentFrame, share
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skip, Step, make_plan
 from postfx.repair import is_unusable, repair_nonfinite
-from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor
+from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor, default_device
 
 MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
 """Planes and guides of all sizes that are kept ready."""
 
 RunUp = Callable[[Frame, Callable[[Frame], None]], Frame]
 """Runs frames before one that begins a shot, by the function that it is given, and says as what that one is run."""
-
-
-@cache
-def _device_of(process: int) -> Device:
-    return Device("auto")
-
-
-def default_device() -> Device:
-    """The device of pipelines that are given none: one for the process."""
-    with _ONE_AT_A_TIME:
-        return _device_of(os.getpid())
-
-
-_ONE_AT_A_TIME = threading.Lock()
 
 
 class Pipeline:
@@ -67,7 +51,8 @@ class Pipeline:
         ahead: milliseconds on the device of each frame that was run up to the last one.
         exposure: multiplier used for the last frame; None before the first and when no pass ran.
         cut: whether the last frame was found to begin another shot.
-        broken: how many pixels of which planes of the last frame were not finite, see `postfx.repair.repair_nonfinite`.
+        bad_pixels: plane -> how many of its pixels in the last frame were not finite, see
+            `postfx.repair.repair_nonfinite`.
 
     The other views of a frame (`Frame.views`) run through copies of the passes, each with its own history, and with the
     exposure and the cuts of the frame itself; times and counts are those of all views.
@@ -335,10 +320,10 @@ class Pipeline:
 
     def _run_ahead(self, plan: Plan, steps: Sequence[Step], frame: Frame) -> None:
         """Run a frame only for the history, as far as passes profit from it."""
-        frame, broken = repair_nonfinite(dataclasses.replace(frame), plan.planes, self.device.scratch)
+        frame, bad_pixels = repair_nonfinite(dataclasses.replace(frame), plan.planes, self.device.scratch)
         if frame.reset:
             self._reset_passes()
-        self._flow.run_ahead(frame, plan, steps, self.exposure or 1.0, is_unusable(frame, broken))
+        self._flow.run_ahead(frame, plan, steps, self.exposure or 1.0, is_unusable(frame, bad_pixels))
         self.ahead += (sum(self._flow.timings.values()),)
 
     def _reset_passes(self) -> None:
@@ -431,9 +416,7 @@ class Flow:
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
         parts = {name: self._input(f"part {name}", frame.parts[name]) for name in plan.parts}
         try:
-            resident = _resident(frame, plan.input, inputs, guides, exposure, unusable)
-            resident.parts, resident.host_parts = dict(parts), {name: frame.parts[name] for name in parts}
-            yield resident
+            yield ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure, unusable)
         finally:
             for tensor in (*inputs.values(), *guides.values(), *parts.values()):
                 tensor.release()
@@ -468,29 +451,6 @@ def _wait(commands: CommandBuffer) -> None:
         with suppress(CommandError):
             commands.wait()
         raise
-
-
-def _resident(
-    frame: Frame, spec: FrameSpec, tensors: dict[Role, Tensor], guides: dict[Role, Tensor], exposure: float,
-    unusable: bool
-) -> ResidentFrame:
-    return ResidentFrame(
-        spec=spec,
-        tensors=dict(tensors),
-        guides=dict(guides),
-        guide_jitter=frame.guide_jitter,
-        number=frame.number,
-        jitter=frame.jitter,
-        exposure=exposure,
-        reset=frame.reset,
-        unusable=unusable,
-        samples=frame.samples,
-        world_to_camera=frame.world_to_camera,
-        fov_x=frame.fov_x,
-        metadata=frame.metadata,
-        host_planes={role: frame[role] for role in tensors},
-        host_guides={role: frame.guides[role] for role in guides},
-    )
 
 
 def _encode(step: Step, commands: CommandBuffer, resident: ResidentFrame) -> None:

@@ -12,7 +12,7 @@ from postfx.errors import (
 )
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
-from postfx.runtime.device import Device
+from postfx.runtime.device import Device, default_device
 from postfx.runtime.encoders import ComputeEncoder, MachineLearningEncoder
 from postfx.runtime.heap import Heap
 from postfx.runtime.models import Library
@@ -42,4 +42,5 @@ __all__ = [
     "PortableComputeState",
     "Tensor",
     "TensorState",
+    "default_device",
 ]

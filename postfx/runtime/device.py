@@ -413,3 +413,17 @@ class ProviderMemory(Immediate):
 
     def _here(self, pointer: int) -> tuple[str, int, int]:
         return self._placement.memory, self._placement.index, pointer
+
+
+def default_device() -> Device:
+    """The device of whoever is given none: one for the process."""
+    with _ONE_AT_A_TIME:
+        return _device_of(os.getpid())
+
+
+@cache
+def _device_of(process: int) -> Device:
+    return Device("auto")
+
+
+_ONE_AT_A_TIME = threading.Lock()
