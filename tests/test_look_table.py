@@ -48,7 +48,7 @@ def test_a_global_look_is_its_table(device: Device, picture: Frame, tmp_path: Pa
     table.write(tmp_path / "a.cube", ["a note"])
     codes = np.random.default_rng(0).integers(4, SIZE, (50, 3)) / (SIZE - 1)
     light = ocio.convert(codes, "ACEScct", "Linear Rec.709 (sRGB)")
-    wanted = find_view("neutral", parse_display("srgb")).from_rec709(light)
+    wanted = find_view("neutral", parse_display("srgb")).apply(np.maximum(light, 0))
     found = by_ocio(tmp_path / "a.cube", codes)
     bright = light.max(1) < 200  # where the view's own cube ends
     np.testing.assert_allclose(found[bright], wanted[bright], atol=0.02)

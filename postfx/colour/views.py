@@ -15,7 +15,7 @@ import numpy as np
 
 from postfx.colour import ocio
 from postfx.colour.displays import Display, parse_display, srgb_encode
-from postfx.colour.primaries import ACESCG, REC709, Chromaticities, matrix_between, to_xyz
+from postfx.colour.primaries import ACESCG, REC709, Chromaticities, to_xyz
 
 SIZE = 65
 TOE, WHITEST = 2.0**-10, 2.0**8
@@ -40,10 +40,6 @@ class View:
     display: Display
     title: str
 
-    def from_rec709(self, light: np.ndarray) -> np.ndarray:
-        """Code values of exposed scene-linear Rec.709 (..., 3), computed by the view itself."""
-        own = light @ matrix_between(REC709, self.primaries).T
-        return self.apply(np.maximum(np.nan_to_num(own, posinf=WHITEST), 0))
 
 
 def reinhard(light: np.ndarray, primaries: Chromaticities = REC709, most: float = 1.0) -> np.ndarray:
@@ -169,10 +165,10 @@ def false_colour(signal: np.ndarray) -> np.ndarray:
     return picture
 
 
-def zebra(display: np.ndarray, level: float = ZEBRA) -> np.ndarray:
-    """Diagonal stripes where the luma of a display picture (height, width, 3), 0..1, is `level` or more; uint8."""
+def zebra(display: np.ndarray) -> np.ndarray:
+    """Diagonal stripes where the luma of a display picture (height, width, 3), 0..1, is ZEBRA or more; uint8."""
     picture: np.ndarray = (np.clip(np.nan_to_num(display, nan=0.0), 0, 1) * 255 + 0.5).astype(np.uint8)
     rows, columns = np.indices(display.shape[:2])
     dark = (rows + columns) // STRIPE % 2 == 0
-    picture[(luma(display) >= level) & dark] = 0
+    picture[(luma(display) >= ZEBRA) & dark] = 0
     return picture

@@ -47,10 +47,6 @@ class Pattern:
     def numbered(self) -> bool:
         return self.digits is not None
 
-    @property
-    def has_planes(self) -> bool:
-        """Whether every plane has a file of its own."""
-        return PLANE in self.prefix + self.suffix
 
     @property
     def has_views(self) -> bool:

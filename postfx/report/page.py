@@ -116,11 +116,6 @@ def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
     return folder / PAGE
 
 
-def capture_page(capture: Capture, title: str) -> str:
-    """The page: times, dependencies, tensors and networks of a capture, in one file without network access."""
-    return _page(capture, as_dict(capture), title)
-
-
 def _page(capture: Capture, data: dict[str, Any], title: str) -> str:
     dispatches = [dispatch for buffer in capture.buffers for dispatch in buffer.dispatches]
     pictures = _Pictures()

@@ -149,8 +149,8 @@ class Verification:
         return {"well": self.is_well, **vars(self)}
 
 
-def verify(folder: Path, report: Callable[[str], None] = lambda _: None) -> Verification:
-    """Check a folder; ManifestError if it has no manifest. `report` is called with the name of each file it reads."""
+def verify(folder: Path) -> Verification:
+    """Check a folder; ManifestError if it has no manifest."""
     if not (folder / NAME).is_file():
         raise ManifestError(f"{folder}: has no {NAME}: give the folder that 'postfx run' wrote to")
     manifest = load_manifest(folder)
@@ -162,16 +162,13 @@ def verify(folder: Path, report: Callable[[str], None] = lambda _: None) -> Veri
         elif not path.is_file():
             found.missing.append(name)
         else:
-            report(name)
             whole = path.stat().st_size == output.bytes and hash_file(path) == output.sha256
             (found.whole if whole else found.altered).append(name)
     found.unknown = _unknown(folder, manifest)
     return found
 
 
-def verify_together(
-    folders: Iterable[Path], frames: Collection[int], report: Callable[[str], None] = lambda _: None
-) -> Verification:
+def verify_together(folders: Iterable[Path], frames: Collection[int]) -> Verification:
     """Check folders that hold the chunks of one sequence, such as those of several machines.
 
     Every frame of the range must have been written by some run, and all runs must have had the same settings, passes,
@@ -179,7 +176,7 @@ def verify_together(
     """
     folders, found, made, written = list(folders), Verification(), [], set()
     for folder in folders:
-        part, manifest = verify(folder, report), load_manifest(folder)
+        part, manifest = verify(folder), load_manifest(folder)
         prefix = f"{folder}/" if len(folders) > 1 else ""
         for kind in ("whole", "altered", "missing", "unfinished", "unknown"):
             getattr(found, kind).extend(f"{prefix}{name}" for name in getattr(part, kind))

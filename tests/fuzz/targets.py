@@ -92,7 +92,7 @@ def patterns(content: bytes) -> None:
     except SequenceError:
         return
     path = pattern.path(7)
-    if pattern.numbered and not pattern.has_planes and path.name and ".." not in path.parts:
+    if pattern.numbered and "{plane}" not in text and path.name and ".." not in path.parts:
         assert pattern.takes(path), (str(pattern), path)
 
 

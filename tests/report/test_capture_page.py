@@ -9,13 +9,17 @@ import pytest
 
 from postfx.errors import ReadError, WriteError
 from postfx.report.capture_data import as_dict, read
-from postfx.report.page import capture_page, write_capture
+from postfx.report.page import write_capture
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.capture import MISSING
 from tests import toys
 from tests.report.browser import rendered
 
 SVG = "http://www.w3.org/2000/svg"
+
+
+def page_of(capture, folder):
+    return write_capture(capture, folder, "toy").read_text(encoding="utf-8")
 
 
 def embedded(text):
@@ -53,16 +57,16 @@ def test_what_is_not_finite_is_text_in_json(make_capture):
     json.dumps(data, allow_nan=False)
 
 
-def test_the_page_needs_nothing_beside_it(make_capture):
-    text = capture_page(make_capture(), "toy")
+def test_the_page_needs_nothing_beside_it(make_capture, tmp_path):
+    text = page_of(make_capture(), tmp_path)
     assert set(re.findall(r"https?://[^\s\"'<>]+", text)) == {SVG}
     assert not re.search(r"<(link|iframe|img|object|embed)\b|<script[^>]+src|@import|url\(", text)
     assert "default-src 'none'" in text
     assert "{{" not in text.split('id="data"')[0]
 
 
-def test_pictures_and_nodes_are_in_the_page(make_capture):
-    data = embedded(capture_page(make_capture(), "toy"))
+def test_pictures_and_nodes_are_in_the_page(make_capture, tmp_path):
+    data = embedded(page_of(make_capture(), tmp_path))
     (total,) = data["commands"][0]["writes"]
     ((picture,),) = [data["pictures"][total["pictures"]]]
     assert picture["src"].startswith("data:image/png;base64,iVBORw0KGgo")
@@ -74,10 +78,10 @@ def test_pictures_and_nodes_are_in_the_page(make_capture):
     assert (node["op"], node["inputs"], node["outputs"]) == ("Add", ["x", "x"], ["y"])
 
 
-def test_without_onnx_the_page_says_so(make_capture, monkeypatch):
+def test_without_onnx_the_page_says_so(make_capture, monkeypatch, tmp_path):
     capture = make_capture()
     monkeypatch.setitem(sys.modules, "onnx", None)
-    (network,) = embedded(capture_page(capture, "toy"))["networks"]
+    (network,) = embedded(page_of(capture, tmp_path))["networks"]
     assert network["note"] == MISSING and network["nodes"] == []
 
 
@@ -91,7 +95,7 @@ def test_all_has_a_picture_for_each_channel_and_each_input_once(tmp_path):
     with device.capture("all", tmp_path) as capture:
         commands.commit()
         commands.wait(10)
-    data = embedded(capture_page(capture, "toy"))
+    data = embedded(page_of(capture, tmp_path))
     (command,) = data["commands"]
     labels = [picture["label"] for picture in data["pictures"][command["writes"][0]["pictures"]]]
     assert labels == ["channels 0 to 2 as colour", *(f"channel {number}" for number in range(5))]

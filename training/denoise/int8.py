@@ -71,8 +71,8 @@ class Moments:
         return Rounded(factors.reshape(weight.shape), steps)
 
 
-def round_compensated(weights: np.ndarray, moments: np.ndarray, limit: int = LIMIT) -> Rounded:
-    """Integers up to `limit` for weights (outputs, inputs), by least squared error of the sums.
+def round_compensated(weights: np.ndarray, moments: np.ndarray) -> Rounded:
+    """Integers up to LIMIT for weights (outputs, inputs), by least squared error of the sums.
 
     Args:
         moments: (inputs, inputs), the mean product of inputs.
@@ -83,8 +83,8 @@ def round_compensated(weights: np.ndarray, moments: np.ndarray, limit: int = LIM
     best = np.full(len(weights), np.inf)
     factors, steps = np.zeros(weights.shape), np.ones(len(weights), np.float32)
     for share in SHARES:
-        step = np.maximum(np.abs(weights).max(1) * share / limit, 1e-12).astype(np.float32)
-        tried = _compensated(weights.astype(np.float64), upper, step, limit)
+        step = np.maximum(np.abs(weights).max(1) * share / LIMIT, 1e-12).astype(np.float32)
+        tried = _compensated(weights.astype(np.float64), upper, step)
         apart = tried * step[:, None] - weights
         error = ((apart @ damped) * apart).sum(1)
         better = error < best
@@ -92,11 +92,11 @@ def round_compensated(weights: np.ndarray, moments: np.ndarray, limit: int = LIM
     return Rounded(factors, steps)
 
 
-def _compensated(left: np.ndarray, upper: np.ndarray, step: np.ndarray, limit: int) -> np.ndarray:
+def _compensated(left: np.ndarray, upper: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Round column by column; each one's error is compensated by the columns behind it."""
     found = np.empty_like(left)
     for i in range(left.shape[1]):
-        found[:, i] = np.clip(np.rint(left[:, i] / step), -limit, limit)
+        found[:, i] = np.clip(np.rint(left[:, i] / step), -LIMIT, LIMIT)
         missing = (left[:, i] - found[:, i] * step) / upper[i, i]
         left[:, i:] -= missing[:, None] * upper[i, i:]
     return found

@@ -63,10 +63,9 @@ def active_channels(model: DenoiseUpscale, batches: Iterable[Batch]) -> dict[str
 
 
 @torch.no_grad()
-def revive(config: TrunkConfig, weights: Mapping[str, Tensor], active: Mapping[str, Tensor],
-           seed: int = 0) -> dict[str, Tensor]:
+def revive(config: TrunkConfig, weights: Mapping[str, Tensor], active: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of a `DenoiseUpscale` with restarted channels in place of those that are never active."""
-    made, random = {name: weight.clone() for name, weight in weights.items()}, torch.Generator().manual_seed(seed)
+    made, random = {name: weight.clone() for name, weight in weights.items()}, torch.Generator().manual_seed(0)
     for name, channels in active.items():
         dead = ~channels.cpu()
         block, number = name.rsplit(".", 1)

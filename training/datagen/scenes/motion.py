@@ -110,14 +110,11 @@ def flicker(rng: np.random.Generator) -> Callable[[float], float]:
     return strength
 
 
-def object_path(
-    home: np.ndarray, velocity: np.ndarray, axis: np.ndarray, spin: float, wobble: float = 0.0
-) -> Path:
+def object_path(home: np.ndarray, velocity: np.ndarray, axis: np.ndarray, spin: float) -> Path:
     """An object at `home` (3,), moving by `velocity` a frame, turning by `spin` radians a frame about `axis`."""
 
     def matrix(frame: float) -> np.ndarray:
-        offset = home + velocity * (frame - 3.5) + wobble * np.array([0, np.sin(1.3 * frame), 0])
-        return translation(*offset) @ rotation(axis, spin * (frame - 3.5))
+        return translation(*(home + velocity * (frame - 3.5))) @ rotation(axis, spin * (frame - 3.5))
 
     return matrix
 
