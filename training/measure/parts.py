@@ -106,13 +106,13 @@ def cost(model: str) -> None:
     colour = random.random((540, 960, 3), np.float32)
     planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: colour, Role.NORMAL: colour,
               Role.DEPTH: 1 + colour[..., :1].copy(), Role.MOTION: 0.5 * colour[..., :2].copy()}
-    frame = Frame(planes, parts={f"light {i}": colour / COUNTS[-1] for i in range(COUNTS[-1])})
-    pipelines = {count: Pipeline([DenoiseUpscale(model=model, parts=list(frame.parts)[:count])], device, exposure=0.0)
-                 for count in COUNTS}
+    frames = {count: Frame(planes, parts={f"light {i}": colour / count for i in range(count)}) for count in COUNTS}
+    pipelines = {count: Pipeline([DenoiseUpscale(model=model, parts=list(frame.parts))], device, exposure=0.0)
+                 for count, frame in frames.items()}
     times: dict[int, list[float]] = {count: [] for count in pipelines}
     for _ in range(FRAMES):
         for count, pipeline in pipelines.items():
-            pipeline(frame)
+            pipeline(frames[count])
             times[count].append(sum(pipeline.timings.values()))
     alone, *among = (float(np.median(one[WARM_UP:])) for one in times.values())
     print(f"{model}: {alone:.0f} ms a frame" + "".join(
