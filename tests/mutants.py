@@ -405,7 +405,7 @@ def write_table(results: dict[Mutant, str | None], path: Path, seed: int, versio
     lost = [mutant for mutant, killer in results.items() if killer is None]
     equal = sum(bool(mutant.excuse) for mutant in lost)
     lines = ["# Faults put into postfx, and the tests that find them", "",
-             f"Written by `python -m tests.mutants` (seed {seed}, sources of {version}). Of {len(results)} faults, "
+             f"Written by `python -m tests.mutants` (seed {seed}, sources of {version}). Of {len(results)} faults,",
              f"{len(results) - len(lost)} are found; {equal} change nothing that a test could see; "
              f"{len(lost) - equal} are not found.", "",
              "| room | faults | found | no effect | not found |", "| --- | --- | --- | --- | --- |"]
@@ -415,6 +415,8 @@ def write_table(results: dict[Mutant, str | None], path: Path, seed: int, versio
         missed = [mutant for mutant in here if mutant in lost]
         excused = sum(bool(mutant.excuse) for mutant in missed)
         lines.append(f"| {room} | {len(here)} | {len(here) - len(missed)} | {excused} | {len(missed) - excused} |")
+    lines += ["", *(f"- Not found in {mutant.place}: `{mutant.name}`: {mutant.excuse or 'a test is missing'}."
+                    for mutant in lost)]
     lines += ["", "| | source | fault | found by |", "| --- | --- | --- | --- |"]
     for number, (mutant, killer) in enumerate(results.items(), 1):
         by = f"`{killer}`" if killer else f"**nothing**: {mutant.excuse}" if mutant.excuse else "**nothing**"
