@@ -112,9 +112,10 @@ def motions(folder: Path) -> Iterator[np.ndarray]:
 
 
 def nearest_exposure(view: View, light: list[np.ndarray], shown: list[np.ndarray]) -> float:
-    """Stops before a view that bring it nearest to a look's pictures of a sequence: least squares of code values.
+    """Exposure in stops, applied before a view, that brings it nearest to a look's pictures of a sequence.
 
-    light: frames of exposed scene-linear (H,W,3); shown: the look's code values of them. One number for all frames.
+    One number for all frames, by least squares of code values. light: frames of exposed scene-linear (H,W,3);
+    shown: the look's code values of them.
     """
     given, wanted = (np.stack([x[::SPARSE, ::SPARSE] for x in frames]) for frames in (light, shown))
 
@@ -125,12 +126,12 @@ def nearest_exposure(view: View, light: list[np.ndarray], shown: list[np.ndarray
 
 
 def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, dict[str, float]]:
-    """Two figures of each look, over pixels where the look named `judge` changes by less than 0.1 along the motion
-    (elsewhere the motion does not tell):
+    """Two figures of each look, over pixels where the look named `judge` changes by less than 0.1 along the motion;
+    elsewhere the motion cannot be trusted.
 
     flicker: 1000 times the mean absolute change from frame to frame along the motion.
     contrast: 1000 times the mean absolute change to the next pixels, right and below, in the same frames. A static
-        curve flickers by as much as it shows of a render's noise and detail, so by as much as it has of contrast.
+        curve shows a render's noise and detail as flicker, in proportion to its contrast.
     """
     before, sums, count = {}, {name: np.zeros(2) for name in looks}, 0
     for frame, motion in zip(exposed_frames(folder), motions(folder), strict=False):
