@@ -7,7 +7,7 @@ Keys: `reference` (T, H, W, 3) float16 linear Rec.709; for each noisy variant v 
 current position in noisy pixels, x right, y down, without jitter; `v{v}_jitter` (T, 2) float32, sample position minus
 0.5, x right, y down; `v{v}_spp` int; `v{v}_style` 'realtime', 'box' or 'blackman-harris'.
 `half` (T, H, W, 3) is optional: one half of the reference's samples. Noisy renders with `v{v}_half` true were made from
-the other half, and are compared with this one.
+the other half, and are compared with this one. The planes of one with `v{v}_exact` true are the truth for all renders.
 Guides, the first-hit planes at output size: `guide_diffuse_albedo`, `guide_specular_albedo`, `guide_normal`
 (T, H, W, 3), `guide_roughness` (T, H, W), `guide_depth` (T, H, W), all float16; depth is the base-2 logarithm of the
 depth within 1e-4..1e10, so that it fits. `guide_jitter` (T, 2) float32 in output pixels: position of the one sample in
@@ -91,6 +91,7 @@ def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: di
         arrays[f"v{index}_spp"] = np.int32(variant["spp"])
         arrays[f"v{index}_style"] = np.str_(variant["style"])
         arrays[f"v{index}_half"] = np.bool_(variant.get("half", False))
+        arrays[f"v{index}_exact"] = np.bool_(variant.get("exact", False))
     arrays["reset"] = np.asarray(facts.get("reset", first_only(len(reference))), np.uint8)
     arrays["scale"] = np.float32(facts["scale"])
     arrays["seed"] = np.int64(facts["seed"])

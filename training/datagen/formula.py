@@ -28,11 +28,11 @@ LATTICE = 64
 LAYERS = 4  # the ground, a disc, a box and a thin bar
 DEPTHS = (12.0, 6.0, 4.0, 2.5)
 SCALES, CHANCES = (1.0, 1.5, 2.0, 3.0), (0.42, 0.08, 0.38, 0.12)
-VARIANTS = 3  # noisy renders of a clip
+VARIANTS = 3  # noisy renders of a clip, beside one without noise
 GLOSS = 0.2  # share of the reflectance that is specular, by roughness
-NO_NOISE, SPARSE, COVERED, LAMPS, SIGNS, JITTERED, FALSE_MOTION = 0.2, 0.2, 0.2, 0.15, 0.15, 0.3, 0.15
-"""Shares of the clips: without noise; with planes of few samples; with surfaces that cover pixels partly; with lamps;
-with signs; with one sample position for each frame; with the ground's vectors for moving objects."""
+SPARSE, COVERED, LAMPS, SIGNS, JITTERED, FALSE_MOTION = 0.25, 0.2, 0.15, 0.15, 0.3, 0.15
+"""Shares of the clips: with planes of few samples; with surfaces that cover pixels partly; with lamps; with signs; with
+one sample position for each frame; with the ground's vectors for moving objects."""
 
 
 @dataclass
@@ -225,12 +225,12 @@ def noise_of(shape: torch.Size, samples: Tensor, flies: Tensor) -> Tensor:
 
 # Clips --------------------------------------------------------------------------------------------------------------
 
-def draw_sampling(count: int, device: torch.device) -> Sampling:
+def draw_sampling(count: int, device: torch.device, noisy: bool = True) -> Sampling:
     none = (count, 1, 1, 1)
     samples = torch.exp2(torch.randint(0, 11, none, device=device).float())
     few = torch.exp2(torch.randint(0, 5, none, device=device).float())
     return Sampling(samples, torch.where(torch.rand(none, device=device) < 0.5, few, samples),
-                    torch.rand(none, device=device) < NO_NOISE, torch.rand(none, device=device) < SPARSE,
+                    torch.full(none, not noisy, device=device), torch.rand(none, device=device) < SPARSE,
                     0.4 * torch.rand(none, device=device) * (torch.rand(none, device=device) < 0.4),
                     0.02 + 0.98 * torch.rand(none, device=device))
 
@@ -242,7 +242,8 @@ def draw_clips(count: int, frames: int, side: int, scale: float,
     scene, full = draw_scenes(count, side, device), round(side * scale)
     jittered = chosen(JITTERED * (scale > 1), count, device)
     jitter = (torch.rand(count, frames, 2, device=device) - 0.5) * jittered[:, None, None]
-    false, draws = chosen(FALSE_MOTION, count, device), [draw_sampling(count, device) for _ in range(VARIANTS)]
+    false = chosen(FALSE_MOTION, count, device)
+    draws = [draw_sampling(count, device, noisy=v < VARIANTS) for v in range(VARIANTS + 1)]
     references, renders, guides = [], [[] for _ in draws], []
     for t in range(frames):
         truth = look(scene, grid(full, full, full / side, 3 if scale < 2 else 2, device), t)
@@ -255,7 +256,8 @@ def draw_clips(count: int, frames: int, side: int, scale: float,
     clips = []
     for n in range(count):
         variants = [split_planes(planes[n]) | {"jitter": jitter[n].cpu().numpy(), "spp": int(drawn.samples[n]),
-                                               "style": "realtime" if jittered[n] else "box"}
+                                               "style": "realtime" if jittered[n] else "box",
+                                               "exact": bool(drawn.quiet[n])}
                     for planes, drawn in zip(shots[2:], draws, strict=True)]
         guide = split_planes(np.concatenate((np.zeros_like(shots[1][n][..., :3]), shots[1][n]), -1)) | {"jitter": still}
         clips.append((shots[0][n], variants, {"scale": scale, "guides": guide, "scene": "formula",

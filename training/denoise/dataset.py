@@ -26,6 +26,7 @@ PLANES = (("colour", 3), ("diffuse_albedo", 3), ("specular_albedo", 3), ("normal
           ("motion", 2))
 GUIDES = PLANES[1:6]
 CHANNELS = sum(channels for _, channels in PLANES)
+SOME, MANY = 64, 256  # samples a pixel whose mean albedo is taken for the true one: beside a render of fewer, or alone
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
@@ -37,7 +38,8 @@ class Clip:
     ``PAIRS``). ``spread`` (V,) says which renders spread their samples over the pixel, ``samples`` (V,) gives the
     samples a pixel; ``keep`` (T,) is 0 at cuts and at the first frame; ``guides`` (T, 11, H, W) float16 are the planes
     at output size, if asked for. ``halved`` (V,) marks renders from half of the reference's samples, which are compared
-    with the other ``half`` (T, 3, H, W). A clip of ``weight`` 2 is drawn twice as often as one of weight 1.
+    with the other ``half`` (T, 3, H, W); ``exact`` (V,) marks renders with the true planes. A clip of ``weight`` 2 is
+    drawn twice as often as one of weight 1.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Clip:
     exposure: float
     half: Tensor | None
     halved: list[bool]
+    exact: list[bool]
     samples: list[int]
     pairs: tuple[str, ...] = ()
     weight: float = 1.0
@@ -61,7 +64,8 @@ class Batch:
 
     ``keep`` (T, N, 1, 1, 1) is 0 where the history ends. Lists of T motions (N, 2, h, w): ``inverse`` leads to the next
     frame, for clips that also run backwards; ``static`` is the motion if only the camera moved; ``true_motion`` is set
-    if the motion of the frames may be false.
+    if the motion of the frames may be false. ``reflectance`` (T, N, 3, h, w) is the true one, NaN in entries where it
+    is unknown.
     """
 
     frames: list[Inputs]
@@ -70,17 +74,20 @@ class Batch:
     inverse: list[Tensor] | None = None
     static: list[Tensor] | None = None
     true_motion: list[Tensor] | None = None
+    reflectance: Tensor | None = None
 
 
 @dataclass
 class Stack:
-    """Stacked windows of several clips: the fields of ``Clip`` with N in front, exposure (N, 1, 1, 1)."""
+    """Stacked windows of several clips: the fields of ``Clip`` with N in front, exposure (N, 1, 1, 1), and true albedos
+    (N, T, 6, h, w), NaN where they are unknown."""
 
     planes: Tensor
     jitter: Tensor
     spread: Tensor
     keep: Tensor
     reference: Tensor
+    albedos: Tensor
     guides: Tensor | None
     exposure: Tensor
     pairs: tuple[str, ...] = ()
@@ -122,6 +129,7 @@ def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[st
         grey_exposure(reference[0]),
         plane("half") if "half" in data.files else None,
         [f"{v}_half" in data.files and bool(data[f"{v}_half"]) for v in variants],
+        [f"{v}_exact" in data.files and bool(data[f"{v}_exact"]) for v in variants],
         [int(data[f"{v}_spp"]) for v in variants],
         pairs,
     )
@@ -231,7 +239,11 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
     guided = clips[0].guides is not None
     device = clips[0].planes.device
     planes = torch.stack([c.planes[v, ..., w[0], w[1]] for c, v, w in chosen]).float()
+    albedos = torch.full_like(planes[:, :, ALBEDOS], torch.nan)
     for entry, (other, (clip, variant, window)) in enumerate(zip(surfaces or variants, chosen, strict=True)):
+        known = true_planes(clip, other)
+        if known is not None:
+            albedos[entry] = clip.planes[known, :, ALBEDOS, window[0], window[1]]
         if other != variant:
             planes[entry, :, SURFACE] = clip.planes[other, :, SURFACE, window[0], window[1]].float()
     return Stack(
@@ -240,6 +252,7 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
         torch.tensor([c.spread[v] for c, v, _ in chosen], device=device),
         torch.stack([c.keep for c in clips]),
         torch.stack([target(c, v)[..., w[2], w[3]] for c, v, w in chosen]).float(),
+        albedos,
         torch.stack([c.guides[..., w[2], w[3]] for c, _, w in chosen]).float() if guided else None,
         torch.tensor([c.exposure for c in clips], device=device, dtype=torch.float32)[:, None, None, None],
         clips[0].pairs,
@@ -249,6 +262,18 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
 def target(clip: Clip, variant: int) -> Tensor:
     """The reference of a noisy render, made of other samples than the render."""
     return clip.half if clip.halved[variant] else clip.reference
+
+
+def true_planes(clip: Clip, variant: int) -> int | None:
+    """The render with the true albedos of a noisy one: an exact one, itself if all its samples lie at one place, else a
+    render with many samples; None if there is none."""
+    if any(clip.exact):
+        return clip.exact.index(True)
+    if not clip.spread[variant]:
+        return variant
+    best = max(range(len(clip.samples)), key=lambda v: clip.samples[v] if clip.spread[v] else 0)
+    enough = MANY if best == variant else min(MANY, max(SOME, 4 * clip.samples[variant]))
+    return best if clip.samples[best] >= enough else None
 
 
 def _window(clip: Clip, crop: int | None) -> tuple[slice, slice, slice, slice]:
@@ -269,7 +294,10 @@ def to_batch(stack: Stack) -> Batch:
               for p, j, g in zip(planes.unbind(1), stack.jitter.unbind(1), guides, strict=True)]
     references = (stack.reference * stack.exposure[:, None]).clamp(0, 1e4).transpose(0, 1)
     pairs = {name: list(motion.unbind(1)) for name, motion in zip(stack.pairs, motions, strict=True)}
-    return Batch(frames, references, stack.keep.T[..., None, None, None], **pairs)
+    albedos = stack.albedos.transpose(0, 1)
+    factors = torch.stack([ops.demodulation(*frame.split(3, 1)) for frame in albedos])
+    factors = torch.where(albedos[:, :, :1].isnan(), torch.nan, factors)
+    return Batch(frames, references, stack.keep.T[..., None, None, None], reflectance=factors, **pairs)
 
 
 def _inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None, exposure: Tensor) -> Inputs:
@@ -289,6 +317,7 @@ def _split(stacked: Tensor, planes: tuple[tuple[str, int], ...]) -> dict[str, Te
 # false motion or missing planes.
 
 NORMAL, MOTION = 9, 14  # first channels of these planes in a stack; further kinds of motion follow motion
+ALBEDOS = slice(3, 9)
 SURFACE = slice(3, 13)  # albedos, normal and roughness: means over a pixel's samples, where those are spread
 # Values for a plane that a file lacks; postfx/passes/denoise/inputs.py fills in the same ones.
 ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0, "motion": 0.0}
@@ -343,7 +372,9 @@ class Augment:
             chosen = torch.rand(entries, 1, 1, 1, device=device) < chance * self.drop
             lost |= {name: lost[name] | chosen for name in names}
         inverse = batch.inverse and [torch.where(lost["motion"], ABSENT["motion"], motion) for motion in batch.inverse]
+        unknown = lost["diffuse_albedo"] | lost["specular_albedo"]
         return replace(batch, frames=[_without(frame, lost) for frame in batch.frames],
+                       reflectance=torch.where(unknown, torch.nan, batch.reflectance),
                        keep=batch.keep * ~lost["motion"], inverse=inverse)
 
 
@@ -389,21 +420,22 @@ def _without(planes: Inputs | Guides, lost: dict[str, Tensor]) -> Inputs | Guide
 def _flip(stack: Stack) -> Stack:
     """Mirror and transpose the picture; motion and jitter follow."""
     planes, jitter, reference, guides = stack.planes, stack.jitter.clone(), stack.reference, stack.guides
+    albedos = stack.albedos
     signs = torch.ones(planes.shape[2], device=planes.device)
     for axis in (0, 1):
         if random.random() < 0.5:
-            planes, reference = planes.flip(-1 - axis), reference.flip(-1 - axis)
+            planes, reference, albedos = (x.flip(-1 - axis) for x in (planes, reference, albedos))
             guides = None if guides is None else guides.flip(-1 - axis)
             signs[MOTION + axis::2] = -1
             jitter[..., axis] *= -1
     planes = planes * signs[:, None, None]
     if random.random() < 0.5:
-        planes, reference = planes.transpose(-1, -2), reference.transpose(-1, -2)
+        planes, reference, albedos = (x.transpose(-1, -2) for x in (planes, reference, albedos))
         guides = None if guides is None else guides.transpose(-1, -2)
         motions = planes[:, :, MOTION:].unflatten(2, (-1, 2)).flip(3).flatten(2, 3)
         planes = torch.cat((planes[:, :, :MOTION], motions), 2)
         jitter = jitter.flip(-1)
-    return replace(stack, planes=planes, jitter=jitter, reference=reference, guides=guides)
+    return replace(stack, planes=planes, jitter=jitter, reference=reference, albedos=albedos, guides=guides)
 
 
 def _permute_channels(stack: Stack) -> Stack:
@@ -417,4 +449,5 @@ def _permute_channels(stack: Stack) -> Stack:
     guides = stack.guides
     if guides is not None:
         guides = guides[:, :, [c - 3 for c in order[3:MOTION]]] * signs[3:MOTION, None, None]
-    return replace(stack, planes=planes, reference=stack.reference[:, :, rgb], guides=guides)
+    return replace(stack, planes=planes, reference=stack.reference[:, :, rgb],
+                   albedos=stack.albedos[:, :, [*rgb, *(3 + i for i in rgb)]], guides=guides)

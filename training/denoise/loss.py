@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from training import ops
 from training.denoise.dataset import Batch
-from training.denoise.model import DenoiseUpscale, Inputs, empty_state
+from training.denoise.model import DenoiseUpscale, Inputs, empty_state, trust_reflectance
 
 # Perceived difference -----------------------------------------------------------------------------------------------
 # Differentiable perceived difference: the colour part of FLIP (Andersson et al. 2020).
@@ -82,6 +82,7 @@ COARSE = (4, 8, 16)  # output pixels
 KNEE, COARSE_KNEE = 0.02, 0.005  # code values
 LIGHT_CELL, LIGHT_MOST, LIGHT_FLOOR = 16, 1000.0, 0.05
 LIGHT = 0.5, 0.05  # weight and knee of the error of light
+DARK_REFLECTANCE, REFLECTANCE_KNEE = 0.05, 0.1
 SEEN = 0.5  # weight of the perceived difference
 NOISY = 0.2  # input error (display-encoded) of frames that count once
 
@@ -117,6 +118,15 @@ def light_loss(output: Tensor, reference: Tensor, knee: float = LIGHT[1]) -> Ten
     would let uncertain lamps fade. Errors below ``knee`` are squared, so that they find the mean and not the median."""
     found, wanted = (F.avg_pool2d(x.clamp(max=LIGHT_MOST), LIGHT_CELL) for x in (output, reference))
     return huber((found - wanted) / (wanted.mean(1, keepdim=True) + LIGHT_FLOOR), knee)
+
+
+def reflectance_loss(planes: Inputs, share: Tensor, wanted: Tensor) -> Tensor:
+    """Relative error of the planes' reflectance, trusted by ``share`` (N, 1, h, w), against the ``wanted`` one
+    (N, 3, h, w). NaN in it does not count."""
+    found = trust_reflectance(ops.demodulation(planes.diffuse_albedo, planes.specular_albedo), share)
+    known = ~wanted.isnan()
+    ratio = (found + DARK_REFLECTANCE) / (torch.where(known, wanted, found) + DARK_REFLECTANCE)
+    return huber(ratio.log(), REFLECTANCE_KNEE)
 
 
 def flicker_loss(output: Tensor, previous: Tensor, reference: Tensor, reference_previous: Tensor,
@@ -197,14 +207,15 @@ class ClipLoss(nn.Module):
 
     ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history; ``even``
     is the largest factor that gives clips of little noise more weight (0: all have the same); ``light`` are weight and
-    knee of the error of light. A batch with inverse motion also runs backwards: each direction has a loss, and so has
-    their blend.
+    knee of the error of light, ``reflectance`` is the weight of the error of the trusted reflectance. A batch with
+    inverse motion also runs backwards: each direction has a loss, and so has their blend.
     """
 
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
-                 light: tuple[float, float] = LIGHT):
+                 light: tuple[float, float] = LIGHT, reflectance: float = 0.0):
         super().__init__()
         self.model, self.flicker, self.reset, self.even, self.light = model, flicker, reset, even, light
+        self.reflectance = reflectance
 
     def forward(self, batch: Batch) -> Scores:
         # One context for the whole clip, so that weights are cast once and not once a frame.
@@ -213,25 +224,36 @@ class ClipLoss(nn.Module):
 
     def _clip(self, batch: Batch) -> Scores:
         truth, size = Truth(batch, self.even, self.light), batch.references.shape[-2:]
-        ahead, counts = self._run(batch.frames, list(batch.keep), size)
+        ahead, counts, trust = self._run(batch.frames, list(batch.keep), size)
         if batch.inverse is None:
-            return truth.scores(ahead, self.flicker)
-        back, back_counts = (x[::-1] for x in self._run(*backwards(batch), size))
+            loss, *rest = truth.scores(ahead, self.flicker)
+            return loss + self._doubt(batch, trust), *rest
+        back, back_counts = (x[::-1] for x in self._run(*backwards(batch), size)[:2])
         both = [torch.lerp(b, a, n / (n + m)) for a, b, n, m in zip(ahead, back, counts, back_counts, strict=True)]
         own = [truth.scores(outputs, self.flicker)[0] for outputs in (ahead, back)]
         loss, quality, flicker = truth.scores(both, self.flicker)
-        return OWN * (own[0] + own[1]) / 2 + (1 - OWN) * loss, quality, flicker
+        return OWN * (own[0] + own[1]) / 2 + (1 - OWN) * loss + self._doubt(batch, trust), quality, flicker
+
+    def _doubt(self, batch: Batch, trust: list[Tensor]) -> Tensor | float:
+        """Loss of the trust in each frame's planes."""
+        if not self.reflectance:
+            return 0.0
+        errors = map(reflectance_loss, batch.frames, trust, batch.reflectance)
+        return self.reflectance * sum(errors) / len(trust)
 
     def _run(self, frames: list[Inputs], keep: list[Tensor],
-             size: tuple[int, int]) -> tuple[list[Tensor], list[Tensor]]:
-        """Exposed linear outputs, and how many frames each has seen, itself included, (N, 1, 1, 1)."""
+             size: tuple[int, int]) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
+        """Exposed linear outputs, how many frames each has seen, itself included, (N, 1, 1, 1), and the trust in its
+        planes (N, 1, h, w), the last hidden channel."""
         state, outputs, counts = empty_state(frames[0], *size), [], [torch.zeros_like(keep[0])]
+        trust = []
         for inputs, kept in zip(frames, keep, strict=True):
             kept = (torch.rand_like(kept) >= self.reset) * kept
             output, state, _ = self.model(inputs, state.drop(kept))
             outputs.append(output)
             counts.append(1 + kept * counts[-1])
-        return outputs, counts[1:]
+            trust.append(state.hidden[:, -1:])
+        return outputs, counts[1:], trust
 
 
 def backwards(batch: Batch) -> tuple[list[Inputs], list[Tensor]]:

@@ -74,6 +74,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--light", type=float, nargs=2, default=LIGHT, metavar=("WEIGHT", "KNEE"),
                         help="weight of the relative error of light in cells of 16x16 pixels, and the error below "
                              "which it is squared (default: %(default)s)")
+    parser.add_argument("--reflectance", type=float, default=0.0, metavar="WEIGHT",
+                        help="with --trust: weight of the relative error of the trusted reflectance against that of a "
+                             "render with many samples (default: %(default)s)")
     parser.add_argument("--clean", type=float, default=Augment.clean, metavar="SHARE",
                         help="share of the offline renders whose colour is moved towards the reference (%(default)s)")
     parser.add_argument("--false-motion", type=float, default=0.0, metavar="SHARE",
@@ -212,7 +215,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
         if args.trust and args.start.suffix == ".onnx":
             begin_trust(model.trunk)
     average = Average(model, DECAY)
-    loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light))
+    loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance)
     flat = FlatGradient(list(model.parameters()))
     gradient = GradientStep(loss, flat)
     optimiser = torch.optim.AdamW(model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,

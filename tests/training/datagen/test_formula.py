@@ -19,7 +19,7 @@ CPU, SIDE = torch.device("cpu"), 32
 def test_clips_are_read_by_the_pool(tmp_path: Path) -> None:
     formula.write_clips(tmp_path, 2, seed=1, device=CPU, frames=3, side=SIDE)
     clip = load_clip(tmp_path / "clip.00001.npz")
-    assert clip["variants"] == formula.VARIANTS and clip["meta"] == {"kind": "formula"}
+    assert clip["variants"] == formula.VARIANTS + 1 and clip["meta"] == {"kind": "formula"}
     pool = ClipPool({tmp_path: 1.0}, CPU, guides=True, held_out=10)
     pool.refresh()
     (clips,) = pool.training.values()

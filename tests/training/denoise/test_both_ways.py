@@ -87,7 +87,7 @@ def told_clip(cuts: list[int]) -> Batch:
     planes = torch.cat((clip.planes, clip.planes[:, :, :2]), 2)[:, :1].repeat(1, len(cuts), 1, 1, 1)
     planes[:, :, 14:16], planes[:, :, 16:] = 1, 2
     repeated = {name: getattr(clip, name)[:, :1].repeat(1, len(cuts), *[1] * (getattr(clip, name).ndim - 2))
-                for name in ("jitter", "reference", "guides")}
+                for name in ("jitter", "reference", "albedos", "guides")}
     keep = 1 - torch.tensor([cuts], dtype=torch.float32)
     return to_batch(replace(clip, planes=planes, pairs=("inverse",), keep=keep, **repeated))
 

@@ -13,6 +13,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from tests.training.denoise.test_train import moving_clip, write_clips  # noqa: E402
+from training import ops  # noqa: E402
 from training.datagen.scenes.motion import Camera, look_at  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise.dataset import (  # noqa: E402
@@ -28,6 +29,7 @@ from training.denoise.dataset import (  # noqa: E402
     sparser,
     static_motion,
     to_batch,
+    true_planes,
 )
 
 SIZE = 40, 30
@@ -41,7 +43,7 @@ def entries(count: int) -> Stack:
     for channel, value in zip(range(14, 18), (1.0, -2.0, 5.0, 7.0), strict=True):
         planes[:, :, channel] = value
     repeated = {name: getattr(clip, name).repeat(count, *[1] * (getattr(clip, name).ndim - 1))
-                for name in ("jitter", "spread", "keep", "reference", "exposure")}
+                for name in ("jitter", "spread", "keep", "reference", "albedos", "exposure")}
     return replace(clip, planes=planes, guides=None, pairs=("static",), **repeated)
 
 
@@ -153,3 +155,35 @@ def test_clips_of_a_folder_are_drawn_as_often_as_its_weight_says(tmp_path: Path)
     random.seed(1)
     drawn = pool.draw(4000, 16, 0).reference[:, 0, 0, 0, 0]
     assert float((drawn == 0.25).float().mean()) == pytest.approx(0.75, abs=0.03)
+
+
+def test_true_albedos_are_those_of_an_exact_render_or_of_many_samples(tmp_path: Path) -> None:
+    write_clips(tmp_path, 1)
+    clip = load(tmp_path / "clip0000.npz", torch.device("cpu"))
+    renders = replace(clip, samples=[4, 32, 1024], spread=[True, True, True], exact=[False] * 3)
+    assert [true_planes(renders, v) for v in range(3)] == [2, 2, 2]
+    assert true_planes(replace(renders, exact=[False, True, False]), 0) == 1
+    assert true_planes(replace(renders, spread=[False, True, True]), 0) == 0  # all samples lie at one place
+    few = replace(renders, samples=[16, 64, 8])
+    assert [true_planes(few, v) for v in range(3)] == [1, None, 1]
+    assert true_planes(replace(few, samples=[32, 64, 8]), 0) is None
+
+
+def test_true_reflectance_follows_the_planes_through_augmentation() -> None:
+    torch.manual_seed(3)
+    random.seed(3)
+    for drop in (0.0, 100.0):
+        batch = Augment(drop=drop)(moving_clip(2))
+        seen = [ops.demodulation(frame.diffuse_albedo, frame.specular_albedo) for frame in batch.frames]
+        known = drop == 0  # a clip that lost its albedo has nothing to trust
+        assert torch.equal(batch.reflectance, torch.stack(seen)) if known else batch.reflectance.isnan().all()
+
+
+def test_the_loss_of_reflectance_asks_for_trust_where_planes_are_right_and_for_doubt_where_they_are_noise() -> None:
+    frame = to_batch(moving_clip(2)).frames[0]
+    own = ops.demodulation(frame.diffuse_albedo, frame.specular_albedo)
+    flat = torch.full_like(own, float(own.mean()))
+    full, none = (torch.full_like(frame.depth, value) for value in (1.0, -1.0))
+    assert losses.reflectance_loss(frame, full, own) == 0 < losses.reflectance_loss(frame, none, own)
+    assert losses.reflectance_loss(frame, none, flat) < losses.reflectance_loss(frame, full, flat)
+    assert losses.reflectance_loss(frame, none, torch.full_like(own, torch.nan)) == 0
