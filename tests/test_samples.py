@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import re
 import runpy
 import subprocess
 import sys
@@ -109,6 +110,11 @@ def test_what_windows_take_is_measured():
     assert "ms a window =" in run("window_cost.py", "--width", "480", "--height", "272", "--runs", "1", "--model", "s")
 
 
+def test_a_kernel_is_the_same_as_one_source_for_both_processors() -> None:
+    told = run("one_source.py", "--width", "40", "--height", "24", "--runs", "1", "--launches", "1", "2")
+    assert float(re.search(r"largest difference (\S+)", told)[1]) < 1e-6 and "shipped" in told
+
+
 def test_edges_of_overlays_neither_ring_nor_shine(tmp_path):
     """What holds them adds less than 0.5 % to the error; bilinear has more than 10 % more."""
     lines = run("overlay_edges.py", str(tmp_path / "room.png")).splitlines()[1:]
@@ -147,6 +153,7 @@ def test_what_the_ray_caster_writes_is_right(tmp_path):
 
 def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
-             "converged.py", "window_cost.py", "overlay_edges.py", "ghosts.py", "measure_memory.py", "ray_caster.py",
-             "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py", "external_tone_mapper.py"}
+             "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
+             "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
+             "external_tone_mapper.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named
