@@ -19,6 +19,7 @@ and says how to fix it.
         OutputExistsError
         ManifestReadError       a manifest is there but cannot be read now
       RunError                  another run works on the same files
+      FarmError                 Ray, or a machine of it, cannot run a chunk
       ManifestError             a manifest is missing or damaged
       CheckpointError           a checkpoint is damaged
       OptionError               options of a command that do not go together
@@ -145,6 +146,10 @@ class ManifestReadError(WriteError):
 
 class RunError(PostfxError):
     """Another run works on the same files."""
+
+
+class FarmError(PostfxError):
+    """Ray cannot be reached, or a machine that it knows cannot run a chunk."""
 
 
 class ManifestError(PostfxError):

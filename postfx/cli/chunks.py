@@ -1,15 +1,22 @@
-"""`postfx chunks`: a sequence in chunks for the machines of a farm."""
+"""A sequence in chunks for the machines of a farm: `postfx chunks` prints them, `postfx run --ray` has Ray run them."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import logging
+import os
+import re
 import shlex
+import socket
+import sys
+import time
 from collections.abc import Sequence as Words
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from postfx.cli.options import parse_path, parse_positive
+from postfx.cli.options import CHUNK, parse_path, parse_positive
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence
@@ -43,7 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="OUTPUT", default="out/", type=parse_path,
                         help="files to write: a pattern or a folder (default: out/)")
     parser.add_argument("--frames", metavar="RANGE", help="frames to process, e.g. 1-100 or 1-100x2 (default: all)")
-    parser.add_argument("--size", metavar="N", type=parse_positive, default=50, help="frames of a chunk (default: 50)")
+    parser.add_argument("--size", metavar="N", type=parse_positive, default=CHUNK,
+                        help=f"frames of a chunk (default: {CHUNK})")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--openjd", metavar="FILE", type=parse_path,
                         help="also write the job as an Open Job Description template, as JSON")
@@ -54,41 +62,75 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Print the chunks; returns the exit code."""
     from postfx.cli.main import make_parser
-    from postfx.cli.run_options import RUN
     from postfx.errors import OptionError
     from postfx.files import write_atomically
-    from postfx.io.pattern import format_frames
-    from postfx.runs.schedule import make_chunks
 
-    rest = arguments.forwarded
-    words = [*arguments.input, "-o", arguments.output, *rest]
-    given = make_parser(["run"]).parse_args(["run", *words])
-    RUN.refuse_conflicts(given)
-    sequence = _open(given, arguments.frames or given.frames)
-    chunks = list(make_chunks(sequence, arguments.size, _frames_ahead(given, sequence)))
-    own = [] if given.preroll is not None else ["--preroll", "auto"]
-    own += [] if given.overwrite or given.skip_existing else ["--skip-existing"]
-    run = ["postfx", "run", *words, *own]
-    folder = Path(arguments.output) if arguments.output.endswith("/") else Path(arguments.output).parent
-    whole = format_frames(sequence.numbers)
-    verify = ["postfx", "verify", str(folder), f"--frames={whole}"]
-    notes = _notes(given, arguments.output)
-    before = sum(len(chunk.preroll) for chunk in chunks) if given.preroll is None else 0
-    notes += [f"{before} frames run twice, for the history of chunks: larger chunks need fewer, and -- --preroll 32 is "
-              "enough for most shots"] if before > len(sequence) // 2 else []
+    words = ["run", *arguments.input, "-o", arguments.output, *arguments.forwarded]
+    cut = cut_up(words, make_parser(["run"]).parse_args(words), arguments.size, arguments.frames)
     if arguments.openjd:
         if Path(arguments.openjd).resolve().parent != Path.cwd():
             raise OptionError(f"--openjd {arguments.openjd}: write it into this folder, {Path.cwd()}: names of files "
                               "in it are relative to where it lies")
-        name = f"postfx {Path(str(sequence.pattern)).name}"
-        job = json.dumps(describe_job(name, chunks, arguments.size, run, verify), indent=2)
+        name = f"postfx {Path(str(cut.sequence.pattern)).name}"
+        job = json.dumps(describe_job(name, cut.chunks, arguments.size, cut.run, cut.verify), indent=2)
         write_atomically(Path(arguments.openjd), lambda file: file.write(f"{job}\n".encode()))
     facts: dict[str, Any] = {
-        "input": str(sequence.pattern), "output": arguments.output, "frames": whole,
-        "chunks": [{**chunk.as_dict(), "command": _command(run, chunk)} for chunk in chunks],
-        "verify": verify, "notes": notes}
+        "input": str(cut.sequence.pattern), "output": arguments.output, "frames": cut.frames,
+        "chunks": [{**chunk.as_dict(), "command": cut.command(chunk)} for chunk in cut.chunks],
+        "verify": cut.verify, "notes": cut.notes}
     print(json.dumps(facts, indent=2) if arguments.json else "\n".join(_lines(facts)))
     return 0
+
+
+class Cut(NamedTuple):
+    """A sequence in chunks.
+
+    Attributes:
+        frames: numbers of all frames, as text.
+        run: command of a chunk, without its frames; verify: of the check of all chunks together.
+        notes: what may be seen at seams, and what takes long.
+    """
+
+    sequence: Sequence
+    chunks: list[Chunk]
+    frames: str
+    run: list[str]
+    verify: list[str]
+    notes: list[str]
+
+    def command(self, chunk: Chunk) -> list[str]:
+        """Command of a chunk."""
+        return [*self.run, f"--frames={chunk.as_dict()['frames']}"]
+
+
+def cut_up(words: Words[str], given: argparse.Namespace, size: int, frames: str | None = None) -> Cut:
+    """Cut what a `postfx run` would process.
+
+    Args:
+        words: the verb and its arguments.
+        given: these, parsed.
+        size: frames of a chunk.
+        frames: range of frames, if not as `given` says.
+
+    Raises PostfxError for options that do not go together, and for frames that are missing.
+    """
+    from postfx.cli.run_options import RUN
+    from postfx.io.pattern import format_frames
+    from postfx.runs.schedule import make_chunks
+
+    RUN.refuse_conflicts(given)
+    sequence = _open(given, frames or given.frames)
+    chunks = list(make_chunks(sequence, size, _frames_ahead(given, sequence)))
+    own = [] if given.preroll is not None else ["--preroll", "auto"]
+    own += [] if given.overwrite or given.skip_existing else ["--skip-existing"]
+    folder = Path(given.output) if given.output.endswith("/") else Path(given.output).parent
+    whole = format_frames(sequence.numbers)
+    notes = _notes(given, given.output)
+    before = sum(len(chunk.preroll) for chunk in chunks) if given.preroll is None else 0
+    notes += [f"{before} frames run twice, for the history of chunks: larger chunks need fewer, and --preroll 32 is "
+              "enough for most shots"] if before > len(sequence) // 2 else []
+    verify = ["postfx", "verify", str(folder), f"--frames={whole}"]
+    return Cut(sequence, chunks, whole, ["postfx", *words, *own], verify, notes)
 
 
 def _open(given: argparse.Namespace, frames: str | None) -> Sequence:
@@ -121,10 +163,6 @@ def _notes(given: argparse.Namespace, output: str) -> list[str]:
     found = ["both_ways"] if given.both_ways else []
     found += ["smooth"] if given.exposure == "smooth" else ["metered"] if given.exposure == "auto" and shown else []
     return [_UNEVEN[name] for name in found]
-
-
-def _command(run: Words[str], chunk: Chunk) -> list[str]:
-    return [*run, f"--frames={chunk.as_dict()['frames']}"]
 
 
 def _lines(facts: dict[str, Any]) -> list[str]:
@@ -173,3 +211,170 @@ def _script(words: Words[str]) -> dict[str, Any]:
     """A script that runs a command in the job's folder: schedulers start each in a folder of its own."""
     args = ["-c", 'cd "$0" && exec "$@"', f"{{{{Param.{FOLDER}}}}}", *words]
     return {"actions": {"onRun": {"command": "sh", "args": args}}}
+
+
+# Ray
+
+RESTARTS = 3
+"""How often a chunk goes to another machine because its own one died; a chunk may also be what kills them."""
+REACH = 5.0
+"""Seconds to wait for Ray's port. Without looking there first, Ray itself tries for a minute and ends the process."""
+PAUSE = 2.0
+"""Seconds between two tries to take over files that another run has claimed."""
+
+
+class ChunkActor:
+    """Runs a chunk in a process on a machine that Ray chooses, and keeps the chunk's history from frame to frame."""
+
+    def run(self, folder: str, version: str, command: list[str]) -> tuple[str, list[str], int]:
+        """Run a chunk's command as `postfx run` does, in `folder`; the machine's name, warnings, and how many frames
+        failed and were let pass.
+
+        If the machine dies, Ray calls it again on another one: finished frames are kept, and the history comes from
+        the last checkpoint. Until the claim of the dead process counts as ended, its files are waited for.
+        """
+        from postfx.cli.job import Job
+        from postfx.cli.main import make_parser, read_and_write_by
+        from postfx.errors import FarmError, RunError
+        from postfx.runs.locks import BEAT, SILENT
+        from postfx.version import __version__
+
+        machine = socket.gethostname()
+        if version != __version__:
+            raise FarmError(f"{machine} has postfx {__version__}, not {version}: install the same everywhere")
+        if not Path(folder).is_dir():
+            raise FarmError(f"{machine} has no folder {folder}: frames must be at the same place on all machines")
+        os.chdir(folder)
+        sys.argv = command  # the manifest records it
+        given = make_parser(["run"]).parse_args(command[1:])
+        given.ray = None
+        read_and_write_by(given.threads)
+        end = time.monotonic() + SILENT + BEAT
+        while True:
+            job = Job(given)
+            try:
+                job.run()
+                break
+            except RunError:
+                if time.monotonic() > end:
+                    raise
+                time.sleep(PAUSE)
+        report = job.report()
+        return machine, list(report.warnings), len(report.faults)
+
+
+def run_on_ray(arguments: argparse.Namespace) -> int:
+    """`postfx run --ray`: let Ray run the chunks, then check all of them together; returns the exit code.
+
+    Ray alone decides which chunk runs where and when. Raises FarmError if Ray cannot be reached or a chunk failed.
+    """
+    from postfx.cli.interruptions import EXIT_FAULTS
+    from postfx.cli.job import NOWHERE
+    from postfx.cli.main import make_parser
+    from postfx.errors import WriteError
+
+    if not arguments.output:
+        raise WriteError(NOWHERE)
+    address, size = arguments.ray
+    cut = cut_up(arguments.words, arguments, size)
+    ray = _connect(address)
+    try:
+        faults = _hand_out(ray, cut, _share_of_machine(ray, address, arguments))
+    finally:
+        ray.shutdown()
+    check = make_parser(["verify"]).parse_args(cut.verify[1:])
+    code: int = check.execute(check)
+    return EXIT_FAULTS if faults else code
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _connect(address: str) -> Any:
+    """The module ray, connected; FarmError if that fails."""
+    from postfx.errors import FarmError
+
+    try:
+        ray = import_module("ray")
+    except ImportError:
+        raise FarmError("--ray needs Ray, which is not installed here: pip install 'postfx[ray]'") from None
+    remedy = "give the address that 'ray start --head' printed, auto for the cluster of this machine, or local"
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        if port.isdigit():
+            socket.create_connection((host, int(port)), REACH).close()
+        ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
+    except Exception as error:  # of many kinds, by Ray's version and the address
+        raise FarmError(f"--ray {address}: cannot be reached: {_first_line(error)}: {remedy}") from None
+    return ray
+
+
+def _share_of_machine(ray: Any, address: str, given: argparse.Namespace) -> dict[str, int]:
+    """What Ray reserves for a chunk: a GPU if there are any, and the cores of the smallest machine, or of its GPU."""
+    from postfx.errors import FarmError
+
+    machines = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+    gpus = 1 if given.device != "cpu" and any(each.get("GPU") for each in machines) else 0
+    cores = [each["CPU"] / (each["GPU"] if gpus else 1) for each in machines
+             if each.get("CPU") and (each.get("GPU") or not gpus)]
+    if not cores:
+        raise FarmError(f"--ray {address}: Ray has no machine with cores: begin one with 'ray start --address'")
+    _tell(f"Ray at {address}, machines: {len(cores)}")
+    return {"num_cpus": max(1, int(min(cores))), "num_gpus": gpus}
+
+
+def _hand_out(ray: Any, cut: Cut, share: dict[str, int]) -> int:
+    """Have all chunks run; how many frames failed and were let pass. FarmError at the end if a chunk failed."""
+    from postfx.errors import FarmError
+    from postfx.version import __version__
+
+    # with its source, so that a machine without postfx can say so
+    ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    actors = ray.remote(ChunkActor).options(**share, max_restarts=RESTARTS, max_task_retries=-1)
+    pending: dict[Any, tuple[Chunk, Any]] = {}
+    for chunk in cut.chunks:
+        actor = actors.remote()
+        pending[actor.run.remote(os.getcwd(), __version__, cut.command(chunk))] = chunk, actor
+    del actor
+    for note in cut.notes:
+        _tell(f"note: {note}")
+    warnings: dict[str, None] = {}
+    failed, faults = [], 0
+    while pending:
+        (ready,), _ = ray.wait(list(pending), num_returns=1)
+        chunk = pending.pop(ready)[0]  # without its handle the actor ends, and makes room for the next one
+        frames = chunk.as_dict()["frames"]
+        try:
+            machine, texts, lost = ray.get(ready)
+        except ray.exceptions.RayError as error:
+            failed.append(f"frames {frames}: {_explain(error)}")
+            _tell(failed[-1])
+            continue
+        warnings |= dict.fromkeys(texts)
+        faults += lost
+        _tell(f"frames {frames}: done on {machine}, {len(pending)} of {len(cut.chunks)} chunks left")
+    for text in warnings:
+        _tell(f"warning: {text}")
+    if failed:
+        raise FarmError(f"{len(failed)} of {len(cut.chunks)} chunks failed, {failed[0]}; the same command goes on from "
+                        "here")
+    return faults
+
+
+def _explain(error: Exception) -> str:
+    """Why a chunk failed, in one line."""
+    from postfx.errors import PostfxError
+
+    cause = getattr(error, "cause", None)
+    if isinstance(cause, PostfxError):
+        return str(cause)
+    if missing := re.search(r"No module named '([^']*)'", str(error)):
+        place = re.search(r"\bip=([^,)\s]+)", str(error))
+        return f"machine {place[1] if place else '?'} has no Python package '{missing[1]}': install postfx into the " \
+               "Python that runs Ray there"
+    return _first_line(cause or error)
+
+
+def _first_line(error: BaseException) -> str:
+    return str(getattr(error, "strerror", None) or error or type(error).__name__).strip().partition("\n")[0]

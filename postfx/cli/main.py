@@ -38,8 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     own = words.index("--") if words[:1] and words[0] in FORWARDING and "--" in words else len(words)
     arguments = make_parser([word for word in words if not word.startswith("-")][:1]).parse_args(words[:own])
-    arguments.forwarded = words[own + 1:]
-    _read_and_write_by(getattr(arguments, "threads", None))
+    arguments.words, arguments.forwarded = words, words[own + 1:]
+    read_and_write_by(getattr(arguments, "threads", None))
     try:
         code: int = arguments.execute(arguments)
         sys.stdout.flush()
@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return getattr(interrupt, "exit_code", EXIT_INTERRUPTED)
 
 
-def _read_and_write_by(threads: int | None) -> None:
+def read_and_write_by(threads: int | None) -> None:
     """Have files read and written by so many threads; None: by all that this process may use."""
     import OpenImageIO as oiio  # here, as --help does without
 

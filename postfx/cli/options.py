@@ -234,3 +234,16 @@ def parse_size(text: str) -> tuple[int, int]:
     if not (width.isdigit() and height.isdigit()):
         raise argparse.ArgumentTypeError(f"'{text}' is not a size like 1920x1080")
     return int(width), int(height)
+
+
+CHUNK = 50
+"""Frames of a chunk for a farm, if not given."""
+
+
+def parse_ray(text: str) -> tuple[str, int]:
+    """An address of Ray and the frames of a chunk, 'ADDRESS[,size=N]', as argparse's `type`."""
+    address, _, rest = text.partition(",")
+    name, _, number = rest.partition("=")
+    if not address or (rest and name != "size"):
+        raise argparse.ArgumentTypeError(f"'{text}' is not an address, with ,size=N for the frames of a chunk")
+    return address, parse_positive(number) if rest else CHUNK

@@ -50,6 +50,7 @@ examples:
   postfx run shot/noisy.####.exr -o out/film.####.png --tonemap film.cube,input=ACEScct
   postfx run shot/noisy.####.exr -o out/clean.####.exr --pass vignette,amount=0.5
   postfx run shot/noisy.####.exr -o out/picture.####.png --pass grain,after=tonemap --explain
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --ray 10.0.0.1:6379,size=50
   postfx run --passes
   POSTFX_EXPOSURE_TOOL=1 postfx run shot/noisy.####.exr -o out/grey.####.exr
 
@@ -70,6 +71,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Process the sequence; returns the exit code."""
+    if arguments.ray and not arguments.explain:
+        from postfx.cli.chunks import run_on_ray
+
+        return run_on_ray(arguments)
     from postfx.cli.interruptions import EXIT_FAULTS
     from postfx.cli.job import Job  # loads the runtime, which --help must not wait for
 

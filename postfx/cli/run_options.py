@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postfx.cli.options import (
+    CHUNK,
     Option,
     Options,
     Section,
@@ -24,6 +25,7 @@ from postfx.cli.options import (
     parse_from_zero,
     parse_path,
     parse_positive,
+    parse_ray,
     parse_size,
 )
 
@@ -446,6 +448,11 @@ READING = Section("reading and running", (
            "lies in temporary files (TMPDIR); CPU only (default: no limit)"),
     Option(flag="--threads", metavar="N", type=parse_positive, sets="device.threads",
            help="CPU threads (default: all usable cores)"),
+    Option(flag="--ray", metavar="ADDRESS[,size=N]", type=parse_ray, changes="nothing",
+           excludes=dict.fromkeys(("--json", "--report", "--capture"), "--ray has other machines run the sequence, in "
+                                  "chunks: leave --json, --report and --capture out"),
+           help="run on the machines of a Ray cluster (HOST:PORT, ray://HOST:PORT, auto, or local for this machine), "
+           f"in chunks of N frames (default: {CHUNK}) as 'postfx chunks' makes them (docs/farm.md)"),
 ))
 
 
