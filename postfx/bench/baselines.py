@@ -227,7 +227,7 @@ class Accumulator:
         self._past: dict[str, np.ndarray] = {}
 
     def __call__(self, current: np.ndarray, frame: Frame) -> np.ndarray:
-        """Mean (H, W, 3) of `current` and what the motion of `frame` leads back to."""
+        """Mean (H, W, 3) of `current` and the earlier frames, which the motion of `frame` aligns with it."""
         height, width = current.shape[:2]
         shape = frame[Role.MOTION].shape[:2]
         now = {"depth": _plane(frame, Role.DEPTH, np.ones((*shape, 1), np.float32)),

@@ -82,7 +82,7 @@ def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def print_table(facts: dict[str, Any]) -> None:
-    """The table on standard output, then comparisons and what was left out."""
+    """The table on standard output, then comparisons and the methods that were left out, with reasons."""
     from rich.console import Console
 
     console = Console()

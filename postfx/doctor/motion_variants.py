@@ -164,11 +164,11 @@ VARIANTS = (
     _jittered(1, "motion-jitter", "without the jitter's change, taken twice with the wrong sign",
               "the jitter was taken off with the wrong sign", "compute motion with matrices that hold no jitter"),
     _jittered(-2, "jitter-sign", "right, with the jitter of the header negated",
-              "the header's jitter is that of the projection, not of the sample", "negate postfx:jitter (both axes)"),
+              "the header's jitter shifts the projection, not the sample", "negate postfx:jitter (both axes)"),
     _jittered((0, -2), "jitter-sign", "right, with y of the header's jitter negated", "the header's jitter has y up",
               "negate y of postfx:jitter"),
     _jittered((-2, 0), "jitter-sign", "right, with x of the header's jitter negated",
-              "x of the header's jitter is that of the projection", "negate x of postfx:jitter"),
+              "x of the header's jitter shifts the projection, not the sample", "negate x of postfx:jitter"),
     _rescaled_jitter("in parts of the image (uv)", "multiply postfx:jitter by the picture's size",
                      lambda size: (size[0], size[1])),
     _rescaled_jitter("in -1..1 of the image (ndc)", "multiply postfx:jitter by half the picture's size",
@@ -341,7 +341,7 @@ def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
     inside, apart = np.empty(x.shape, bool), np.empty(x.shape, np.float32)
     compare_places(feature.before, feature.now, x, y, apart, inside)
     own = is_inside(feature.before, feature.columns + feature.motion[:, 0], feature.rows + feature.motion[:, 1])
-    # Points that only this shift moves outside count too: otherwise a shift could hide what it makes worse.
+    # Points that only this shift moves outside count, too: otherwise a shift could hide where it fits worse.
     used = inside | own
     apart[~used] = np.inf
     apart.sort(axis=1)

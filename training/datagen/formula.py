@@ -143,7 +143,7 @@ def text_lattice() -> Tensor:
     return ink
 
 
-# What is seen of them -----------------------------------------------------------------------------------------------
+# Pictures of the scenes ---------------------------------------------------------------------------------------------
 
 def lattice_at(lattice: Tensor, u: Tensor, v: Tensor, smooth: Tensor) -> Tensor:
     """Values (N, C, P) of lattices (N, C, 64, 64) at cells' coordinates (N, P): linear between the centres if

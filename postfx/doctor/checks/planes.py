@@ -200,7 +200,7 @@ def _of_other_frame(role: Role, table: np.ndarray, numbers: list[int]) -> Iterat
     source = other.argmax(1)
     off = other.max(1) > np.maximum(np.maximum(OTHER_FITS * own, own + OTHER_LEAST), SHARED)
     if off.mean() > MOST_OFF and len(set(source[off])) >= 2:
-        fits = ", ".join(f"frame {numbers[source[at]]} holds that of {numbers[at]}" for at in np.nonzero(off)[0][:3])
+        fits = ", ".join(f"frame {numbers[source[at]]} holds frame {numbers[at]}'s" for at in np.nonzero(off)[0][:3])
         evidence = (f"by its outlines {fits} (correlation {other.max(1)[off].mean():.2f}, with its own frame's planes "
                     f"{own[off].mean():.2f})")
         yield error(role, "other-frame", evidence, "the plane was written a frame late or early, or frames are in "
@@ -429,8 +429,8 @@ def check_exposure_mismatch(material: Material) -> Iterator[Finding]:
                     f"wants {2 ** metered[number]:.3g} ({metered[number]:+.2f} EV): {off:+.2f} EV")
         result = "bright" if off > 0 else "dark"
         yield warning("sequence", "exposure-mismatch", evidence, f"pictures would be too {result}: colour was scaled "
-                      "after the exposure was set, or it is that of another camera", "write the multiplier that brings "
-                      "mid grey to 0.18, or use --exposure auto")
+                      "after the exposure was set, or the exposure belongs to another camera", "write the multiplier "
+                      "that brings mid grey to 0.18, or use --exposure auto")
     elif not headers and metered and abs(ev := float(np.median(list(metered.values())))) > UNUSUAL_EV:
         yield info("sequence", "exposure-unusual", f"metering wants {ev:+.2f} EV", "physical light units without a "
                    "camera's exposure", "nothing to do with --exposure auto; else write postfx:exposure")
