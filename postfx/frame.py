@@ -382,11 +382,10 @@ class Frame:
         return all(_is_same(getattr(self, name), getattr(other, name)) for name in names)
 
     def __repr__(self) -> str:
-        width, height = self.spec.width, self.spec.height
         rows = [_COLUMNS, *self._rows()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-        return "\n  ".join([f"Frame {self._name()}: {width}x{height}, {self.encoding}", *lines])
+        return "\n  ".join([f"Frame {self._name()}: {self.spec.width}x{self.spec.height}, {self.encoding}", *lines])
 
     def _repr_html_(self) -> str:
         """Table of the planes under the picture, for notebooks."""
@@ -422,14 +421,13 @@ class Frame:
         try:
             return Role(role)
         except ValueError:
-            known = ", ".join(Role)
             raise FrameError(f"{kind} '{role}' of frame {self._name()} has no meaning here{suggest(str(role), Role)}"
-                             f"{'' if suggest(str(role), Role) else ':'} roles are {known}") from None
+                             f"{'' if suggest(str(role), Role) else ':'} roles are {', '.join(Role)}") from None
 
     def _check(self, role: Role, plane: np.ndarray, kind: str) -> np.ndarray:
         if kind == "guide" and role not in OUTPUT_SIZE_ROLES:
-            usable = ", ".join(OUTPUT_SIZE_ROLES)
-            raise GuideError(f"plane '{role}' of frame {self._name()} cannot be a guide: use {usable}")
+            raise GuideError(f"plane '{role}' of frame {self._name()} cannot be a guide: use "
+                             f"{', '.join(OUTPUT_SIZE_ROLES)}")
         plane = host_floats(plane, f"{kind} '{role}' of frame {self._name()}")
         channels = ROLES[role].channels
         if plane.ndim == 2 and channels == 1:
