@@ -8,8 +8,10 @@ import logging
 import os
 import re
 import shlex
+import signal
 import socket
 import sys
+import threading
 import time
 from collections.abc import Sequence as Words
 from importlib import import_module
@@ -226,8 +228,8 @@ PAUSE = 2.0
 class ChunkActor:
     """Runs a chunk in a process on a machine that Ray chooses, and keeps the chunk's history from frame to frame."""
 
-    def run(self, folder: str, version: str, command: list[str]) -> tuple[str, list[str], int]:
-        """Run a chunk's command as `postfx run` does, in `folder`; the machine's name, warnings, and how many frames
+    def run(self, folder: str, version: str, command: list[str]) -> tuple[str, list[str], list[str]]:
+        """Run a chunk's command as `postfx run` does, in `folder`; the machine's name, warnings, and which frames
         failed and were let pass.
 
         If the machine dies, Ray calls it again on another one: finished frames are kept, and the history comes from
@@ -260,7 +262,8 @@ class ChunkActor:
                     raise
                 time.sleep(PAUSE)
         report = job.report()
-        return machine, list(report.warnings), len(report.faults)
+        faults = [f"frame {fault.frame}, {fault.instead}: {fault.why}" for fault in report.faults]
+        return machine, list(report.warnings), faults
 
 
 def run_on_ray(arguments: argparse.Namespace) -> int:
@@ -324,11 +327,14 @@ def _share_of_machine(ray: Any, address: str, given: argparse.Namespace) -> dict
     return {"num_cpus": max(1, int(min(cores))), "num_gpus": gpus}
 
 
-def _hand_out(ray: Any, cut: Cut, share: dict[str, int]) -> int:
-    """Have all chunks run; how many frames failed and were let pass. FarmError at the end if a chunk failed."""
-    from postfx.errors import FarmError
+def _hand_out(ray: Any, cut: Cut, share: dict[str, int]) -> bool:
+    """Have all chunks run; whether frames failed and were let pass. FarmError at the end if a chunk failed."""
+    from postfx.errors import FarmError, Interrupted
     from postfx.version import __version__
 
+    asked: list[int] = []
+    if threading.current_thread() is threading.main_thread():  # Ray's own handler prints a trace and exits with 1
+        signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
     # with its source, so that a machine without postfx can say so
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
     actors = ray.remote(ChunkActor).options(**share, max_restarts=RESTARTS, max_task_retries=-1)
@@ -340,9 +346,15 @@ def _hand_out(ray: Any, cut: Cut, share: dict[str, int]) -> int:
     for note in cut.notes:
         _tell(f"note: {note}")
     warnings: dict[str, None] = {}
-    failed, faults = [], 0
+    failed: list[str] = []
+    faults: list[str] = []
     while pending:
-        (ready,), _ = ray.wait(list(pending), num_returns=1)
+        found, _ = ray.wait(list(pending), num_returns=1, timeout=1.0)
+        if asked:
+            raise Interrupted(asked[0])
+        if not found:
+            continue
+        ready = found[0]
         chunk = pending.pop(ready)[0]  # without its handle the actor ends, and makes room for the next one
         frames = chunk.as_dict()["frames"]
         try:
@@ -352,14 +364,14 @@ def _hand_out(ray: Any, cut: Cut, share: dict[str, int]) -> int:
             _tell(failed[-1])
             continue
         warnings |= dict.fromkeys(texts)
-        faults += lost
+        faults += [f"failed: {line}" for line in lost]
         _tell(f"frames {frames}: done on {machine}, {len(pending)} of {len(cut.chunks)} chunks left")
-    for text in warnings:
-        _tell(f"warning: {text}")
+    for line in [*(f"warning: {text}" for text in warnings), *faults]:
+        _tell(line)
     if failed:
         raise FarmError(f"{len(failed)} of {len(cut.chunks)} chunks failed, {failed[0]}; the same command goes on from "
                         "here")
-    return faults
+    return bool(faults)
 
 
 def _explain(error: Exception) -> str:
