@@ -315,7 +315,7 @@ class Pipeline:
         """What is run for a frame: where it begins a shot and a pass profits, what the frames after it lead to."""
         if self._run_up is None or not self._begins:
             return frame
-        steps = plan.accumulating()
+        steps = plan.accumulating_steps()
         return self._run_up(frame, partial(self._run_ahead, plan, steps)) if steps else frame
 
     def _run_ahead(self, plan: Plan, steps: Sequence[Step], frame: Frame) -> None:

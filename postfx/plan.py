@@ -74,7 +74,7 @@ class Plan:
         """Spec of the frame once only the planes and guides that are needed were read."""
         return _restricted(self.available, self.planes, self.guides, self.parts)
 
-    def accumulating(self) -> tuple[Step, ...]:
+    def accumulating_steps(self) -> tuple[Step, ...]:
         """The steps up to the last one whose results improve with the frames before; empty if there is none."""
         last = max((at for at, step in enumerate(self.steps, 1) if step.instance.accumulates(step.input)), default=0)
         return self.steps[:last]

@@ -20,7 +20,7 @@ from ray_caster import render
 import postfx
 from postfx import Role, integrate
 from postfx.bench.metrics import to_codes
-from postfx.kernels.image import resampled
+from postfx.kernels.image import resample
 from postfx.masks import Threshold, strength_of_converged
 
 TARGETS = (0.1, 0.05, 0.02, 0.01)
@@ -77,7 +77,7 @@ def main() -> None:
         frame = replace(first, planes=planes, exposure=exposure, samples=None)
         masked = replace(frame, planes={**planes, Role.STRENGTH: strength})
         pictures, times = compare([masked, frame], arguments.model, arguments.runs)
-        alone = resampled(strength, 2 * height, 2 * width, first.jitter)[:, :, 0] == 0
+        alone = resample(strength, 2 * height, 2 * width, first.jitter)[:, :, 0] == 0
         errors = [(to_codes(picture, exposure) - to_codes(reference, exposure))**2 for picture in pictures]
         scores = [-10 * np.log10(part.mean()) for part in (*(error[alone] for error in errors), *errors)]
         print(f"{target:6.2f}  {count.mean():7.1f}  {100 * alone.mean():9.1f} %  {scores[0]:12.2f}  {scores[1]:8.2f}  "

@@ -60,7 +60,7 @@ def test_steps_up_to_the_last_one_that_improves_with_earlier_frames():
             return spec.has(Role.COLOUR)
 
     def names(*passes: Pass) -> list[str]:
-        return [step.name for step in make_plan(passes, SPEC).accumulating()]
+        return [step.name for step in make_plan(passes, SPEC).accumulating_steps()]
 
     assert names(toys.Sum(), Mean(), Encode()) == ["sum", "mean"]
     assert names(Mean(), toys.Sum()) == ["mean"] and names(toys.Sum(), Encode()) == []

@@ -25,7 +25,7 @@ from postfx.bench.metrics import Pictures, flicker, flip, grey_exposure, psnr, s
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
 from postfx.kernels.denoise.layout import KERNEL  # noqa: E402
 from postfx.passes.denoise import models  # noqa: E402
-from postfx.passes.denoise.models import UNSCALED, exact, parted  # noqa: E402
+from postfx.passes.denoise.models import UNSCALED, exact, split_ending  # noqa: E402
 from postfx.runtime import Device, Library  # noqa: E402
 from postfx.sampling import motion_at  # noqa: E402
 
@@ -46,7 +46,7 @@ MEASURED = {
 SLACK = 0.4
 ABOVE_PLAIN = 4.0
 SLACK_AT_1X = 0.2
-FOR_1X = [exact(parted(name)[0].removeprefix("denoise_upscale.")) for name in Library().names()
+FOR_1X = [exact(split_ending(name)[0].removeprefix("denoise_upscale.")) for name in Library().names()
           if name.endswith(UNSCALED) and "fp16" not in name]
 """Tags of networks that have one of their own for 1x."""
 

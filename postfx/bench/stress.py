@@ -11,7 +11,7 @@ import numpy as np
 
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.models import GUIDED, PASS, UNSCALED, exact, parted
+from postfx.passes.denoise.models import GUIDED, PASS, UNSCALED, exact, split_ending
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
@@ -87,7 +87,7 @@ def stress(frames: Sequence[Frame], device: Device, models: Sequence[str] | None
     """Every hard input for every network, by tag (default: those for the device); 'm.int8.1x' is the network of
     'm.int8' at render size. All frames but the last are changed, so that the last one has them in its history."""
     for model in models or tags(device):
-        tag, unscaled = parted(model)[0], model.endswith(UNSCALED)
+        tag, unscaled = split_ending(model)[0], model.endswith(UNSCALED)
         denoise = Pipeline([DenoiseUpscale(model=tag, scale=1 if unscaled else None)], device, cuts="none")
         given = [replace(frame, guides={}, guide_size=None) for frame in frames] if unscaled else frames
         show = Pipeline([ToneMap()], device, cuts="none")
@@ -106,7 +106,7 @@ def tags(device: Device) -> list[str]:
     """Tags of the networks, in the precisions made for the device."""
     names = [name.removeprefix(f"{PASS}.") for name in Library().names() if name.startswith(f"{PASS}.")]
     other = ".fp16" if device.memory.host_visible else ".int8"
-    found = [parted(name) for name in names]
+    found = [split_ending(name) for name in names]
     return [exact(tag) + ending for tag, ending in found if ending != GUIDED and not tag.endswith(other)]
 
 

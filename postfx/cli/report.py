@@ -16,7 +16,7 @@ from postfx.errors import ReportError
 from postfx.exposure import ExposureMeter, measure
 from postfx.frame import Frame, Role
 from postfx.io.writer import check_folder
-from postfx.kernels.image import resampled
+from postfx.kernels.image import resample
 from postfx.pipeline import Pipeline
 from postfx.report.frame_log import Comparison, FrameLog, Look, References, measure_errors
 from postfx.report.page import write_report
@@ -103,7 +103,7 @@ class RunReport:
         """Light of one size that is shown alike: a view before, after and, if there is one, its reference."""
         after = result[Role.COLOUR]
         height, width = after.shape[:2]
-        before = resampled(frame[Role.COLOUR], height, width, frame.jitter)
+        before = resample(frame[Role.COLOUR], height, width, frame.jitter)
         scene = {"before": before}
         reference = self._references.colour(frame.number, view) if self._references else None
         scene |= {"reference": reference} if reference is not None and reference.shape == after.shape else {}

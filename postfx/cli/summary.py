@@ -76,7 +76,7 @@ class Explanation:
 
     def _ahead(self) -> list[int]:
         """Frames that are run before the first one, in the order in which they are."""
-        return self.run_up.after(self.first)[::-1] if self.run_up and self.plan.accumulating() else []
+        return self.run_up.after(self.first)[::-1] if self.run_up and self.plan.accumulating_steps() else []
 
 
 def describe_frames(sequence: Sequence) -> str:

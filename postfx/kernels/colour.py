@@ -165,7 +165,7 @@ RED, GREEN, BLUE = map(np.float32, LUMA_REC2020)
 
 
 @inline
-def looked_up(table: np.ndarray, place: Real) -> Real:
+def look_up(table: np.ndarray, place: Real) -> Real:
     """A table between its entries; place is in [0, STEPS]."""
     i = int(place)
     low = table[i]
@@ -173,17 +173,17 @@ def looked_up(table: np.ndarray, place: Real) -> Real:
 
 
 @inline
-def known(value: Real) -> Real:
+def make_finite(value: Real) -> Real:
     """A NaN becomes 0, an infinity finite."""
     value = value if value == value else ZERO
     return min(max(value, np.float32(-MOST_LIGHT)), np.float32(MOST_LIGHT))
 
 
 @inline
-def encoded(light: Real, most: Real, gain: Real, table: np.ndarray) -> Real:
+def encode_light(light: Real, most: Real, gain: Real, table: np.ndarray) -> Real:
     """Code value of light, which is cut to [0, most] and then multiplied by a gain."""
     unit = min(min(max(light, ZERO), most) * gain, ONE)
-    return looked_up(table, np.sqrt(np.sqrt(np.sqrt(unit))) * COUNT)
+    return look_up(table, np.sqrt(np.sqrt(np.sqrt(unit))) * COUNT)
 
 
 @compiled
@@ -194,11 +194,11 @@ def encode_display_rows(y0: int, y1: int, colour: np.ndarray, params: np.ndarray
     most, exponent, codes = params[MOST], params[EXPONENT], params[CODES] > ZERO
     for y in range(y0, y1):
         for x in range(colour.shape[1]):
-            r, g, b = known(colour[y, x, 0]), known(colour[y, x, 1]), known(colour[y, x, 2])
+            r, g, b = make_finite(colour[y, x, 0]), make_finite(colour[y, x, 1]), make_finite(colour[y, x, 2])
             if codes:
-                r = looked_up(decode, min(max(r, ZERO), ONE) * COUNT)
-                g = looked_up(decode, min(max(g, ZERO), ONE) * COUNT)
-                b = looked_up(decode, min(max(b, ZERO), ONE) * COUNT)
+                r = look_up(decode, min(max(r, ZERO), ONE) * COUNT)
+                g = look_up(decode, min(max(g, ZERO), ONE) * COUNT)
+                b = look_up(decode, min(max(b, ZERO), ONE) * COUNT)
             red = m[0] * r + m[1] * g + m[2] * b
             green = m[3] * r + m[4] * g + m[5] * b
             blue = m[6] * r + m[7] * g + m[8] * b
@@ -207,9 +207,9 @@ def encode_display_rows(y0: int, y1: int, colour: np.ndarray, params: np.ndarray
                 luminance = (RED * min(max(red, ZERO), most) + GREEN * min(max(green, ZERO), most)
                              + BLUE * min(max(blue, ZERO), most))
                 gain = max(luminance, np.float32(DARK)) ** exponent
-            output[y, x, 0] = encoded(red, most, gain, encode)
-            output[y, x, 1] = encoded(green, most, gain, encode)
-            output[y, x, 2] = encoded(blue, most, gain, encode)
+            output[y, x, 0] = encode_light(red, most, gain, encode)
+            output[y, x, 1] = encode_light(green, most, gain, encode)
+            output[y, x, 2] = encode_light(blue, most, gain, encode)
 
 
 ENCODE_DISPLAY = Kernel(

@@ -35,14 +35,14 @@ def catmull_rom(t: Real) -> Taps:
 
 
 @inline
-def known(value: Real) -> Real:
+def make_finite(value: Real) -> Real:
     return value if abs(value) < INFINITE else ZERO
 
 
 @compiled
 def clean(source: np.ndarray, target: np.ndarray) -> None:
     for i in range(source.size):
-        target[i] = known(source[i])
+        target[i] = make_finite(source[i])
 
 
 @compiled
@@ -198,7 +198,7 @@ def positions(size: int, out_size: int, shift: float = 0.0) -> np.ndarray:
     return ((np.arange(out_size) + 0.5) * (size / out_size) - 0.5 - shift).astype(np.float32)
 
 
-def resampled(image: np.ndarray, height: int, width: int, jitter: tuple[float, float]) -> np.ndarray:
+def resample(image: np.ndarray, height: int, width: int, jitter: tuple[float, float]) -> np.ndarray:
     """Cubic interpolation of (h, w, C), whose samples are `jitter` (x, y) pixels off their centres, in this thread."""
     output = np.empty((height, width, image.shape[2]), np.float32)
     h, w = image.shape[:2]
@@ -218,7 +218,7 @@ RESAMPLE = Kernel("resample", ("image", "rows", "columns"), ("output",), resampl
 def straight(light: Real, alpha: Real, empty: Real) -> Real:
     """Colour of what covers a pixel: light over alpha; infinite where light comes from what covers nothing, `empty`
     where there is nothing at all."""
-    light, alpha = known(light), known(alpha)
+    light, alpha = make_finite(light), make_finite(alpha)
     if alpha > ZERO:
         return light / alpha
     return empty if light == ZERO else INFINITE if light > ZERO else -INFINITE
@@ -278,7 +278,7 @@ def enlarge_rows(y0: int, y1: int, image: np.ndarray, rows: np.ndarray, columns:
 @inline
 def over(front: Real, alpha: Real, behind: Real) -> Real:
     """Porter and Duff 1984, premultiplied."""
-    return known(front) + (ONE - clamp(alpha, ZERO, ONE)) * known(behind)
+    return make_finite(front) + (ONE - clamp(alpha, ZERO, ONE)) * make_finite(behind)
 
 
 @compiled

@@ -11,7 +11,7 @@ import pytest
 from postfx.errors import ModelError, PassOptionError, PostfxError
 from postfx.frame import FrameSpec, Role
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.models import GUIDED, exact, family, model_of, parted, validate_tag
+from postfx.passes.denoise.models import GUIDED, exact, family, model_of, split_ending, validate_tag
 from postfx.pipeline import Pipeline
 from postfx.runs.run import provenance_of
 from postfx.runtime import Device, Library
@@ -56,7 +56,7 @@ def test_tags_of_the_float_network() -> None:
 
 
 def test_endings_of_networks_that_are_taken_by_themselves() -> None:
-    found = [parted(name) for name in ("m", "m.int8.1x", "denoise_upscale.m.fp16.guides", "m.fp32")]
+    found = [split_ending(name) for name in ("m", "m.int8.1x", "denoise_upscale.m.fp16.guides", "m.fp32")]
     assert found == [("m", ""), ("m.int8", ".1x"), ("denoise_upscale.m.fp16", ".guides"), ("m.fp32", "")]
 
 

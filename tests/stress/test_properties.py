@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from postfx.frame import Frame, Role
-from postfx.kernels.image import positions, resampled
+from postfx.kernels.image import positions, resample
 from postfx.passes.composite import Overlay
 from postfx.passes.display import Display, View
 from postfx.passes.tonemap import ToneMap
@@ -97,8 +97,8 @@ def test_resampling_turns_with_the_picture(seed, height, width, out, jitter, nam
     image = light(seed, height, width)[Role.COLOUR]
     picture, vector = TURNS[name]
     turned_out = out[::-1] if "90" in name else out
-    found = resampled(picture(image), *turned_out, vector(*jitter))
-    wanted = picture(resampled(image, *out, jitter))
+    found = resample(picture(image), *turned_out, vector(*jitter))
+    wanted = picture(resample(image, *out, jitter))
     whole = [np.abs(at - np.rint(at)) < WHOLE for at in map(positions, (height, width), out, jitter[::-1])]
     same = picture((whole[0][:, None] == whole[1])[..., None])  # else the sides of a whole row or column are not alike
     np.testing.assert_allclose(found * same, wanted * same, rtol=0, atol=RESAMPLED * max(out) * image.max())

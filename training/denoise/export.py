@@ -34,7 +34,7 @@ from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
 from postfx.kernels.denoise.reflections import REFLECTIONS
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
-from postfx.passes.denoise.models import GUIDED, UNSCALED, parted
+from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
 from postfx.passes.denoise.network import FEATURE_PARTS, PHASED_FINE
 from training.denoise.model import Trunk, TrunkConfig, stem
 from training.export import export, export_kernel, parity, parser, read_quality, write_card, write_model
@@ -187,7 +187,7 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
         "name": f"denoise_upscale.{tag}",
         "pass": "denoise_upscale",
         "tag": tag,
-        "summary": SUMMARIES[parted(tag)[1]],
+        "summary": SUMMARIES[split_ending(tag)[1]],
         "parameters": sum(weight.numel() for weight in checkpoint["weights"].values()),
         "inputs": {
             name: {

@@ -24,7 +24,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from postfx.passes.denoise.models import GUIDED, UNSCALED, parted
+from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
 from training.denoise.checkpoint import PREFIX, weights_of
 from training.denoise.dataset import Batch, collate, load, to_batch
 from training.denoise.export import card, export_trunk, load_trunk
@@ -172,7 +172,8 @@ def observe(model: DenoiseUpscale, batches: Iterable[Batch]) -> tuple[dict[str, 
 def prune_levels(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     """Cut the levels that a model does not use, and write it again with its card."""
     path = args.models / f"{args.name}.onnx"
-    facts, weights, ending = json.loads(path.with_suffix(".json").read_text()), weights_of(path), parted(args.name)[1]
+    facts, weights = json.loads(path.with_suffix(".json").read_text()), weights_of(path)
+    ending = split_ending(args.name)[1]
     config = TrunkConfig.from_dict(facts["config"])
     model = DenoiseUpscale(config)
     model.load_state_dict(weights)

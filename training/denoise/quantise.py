@@ -25,7 +25,7 @@ from onnx import NodeProto
 import postfx
 from postfx.colour.displays import srgb_encode
 from postfx.frame import Frame, Role
-from postfx.passes.denoise.models import GUIDED, UNSCALED, exact, parted
+from postfx.passes.denoise.models import GUIDED, UNSCALED, exact, split_ending
 from postfx.runtime import Device, Library, PipelineState, Tensor
 from training.datagen.clip_file import GUIDES, PLANES, guide_depth, load_clip
 from training.denoise.int8 import (
@@ -203,13 +203,13 @@ def pictures(found: Iterable[Shot], library: Library, name: str, look: Look = la
 
 def variant_name(name: str, precision: str) -> str:
     """'denoise_upscale.m.guides' -> 'denoise_upscale.m.int8.guides'."""
-    plain, ending = parted(name)
+    plain, ending = split_ending(name)
     return f"{plain}.{precision}{ending}"
 
 
 def layers_of(graph: onnx.GraphProto, name: str) -> list[str]:
     """Modules of a network to quantise, as 'up.0'."""
-    size, ending = name.split(".")[1], parted(name)[1]
+    size, ending = name.split(".")[1], split_ending(name)[1]
     kept = FINE.get(size, ()) if ending == UNSCALED else ()
     found = dict.fromkeys(".".join(node.input[1].split(".")[:2]) for node in convolutions(graph, LAYERS))
     return [layer for layer in found if layer not in kept]
@@ -218,7 +218,7 @@ def layers_of(graph: onnx.GraphProto, name: str) -> list[str]:
 def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[str, Any]:
     """Write a network's int8 variant and its card to a folder; returns the card."""
     model = unfold_half(lower_constants(onnx.load_from_string(library.load(name))))
-    ending = parted(name)[1]
+    ending = split_ending(name)[1]
     layers = layers_of(model.graph, name)
     kept = activations(model.graph, layers)
     stem = None if ending == UNSCALED else Stem(model.graph)

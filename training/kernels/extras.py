@@ -33,7 +33,7 @@ from training.kernels.denoise import part, to_image, to_picture
 
 # Overlays -----------------------------------------------------------------------------------------------------------
 
-def known(values: Tensor) -> Tensor:
+def make_finite(values: Tensor) -> Tensor:
     """The values with 0 in place of those that are not finite."""
     return torch.where(values.abs() < torch.inf, values, torch.zeros_like(values))
 
@@ -44,7 +44,7 @@ class Enlarge(nn.Module):
     def forward(self, image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
         cubic = to_picture(ops.resample(to_image(image), rows, columns))
         alpha, colour = cubic[..., 3:].clamp(0, 1), cubic[..., :3]
-        low, high = straight(known(image))
+        low, high = straight(make_finite(image))
         for axis, positions in ((0, rows), (1, columns)):
             near = [(positions.floor() + k).clamp(0, image.shape[axis] - 1).long() for k in range(2)]
             low = torch.minimum(*(low.index_select(axis, index) for index in near))
@@ -69,7 +69,7 @@ class Over(nn.Module):
     """overlay (H, W, 4), colour (H, W, 3) -> output (H, W, 3)."""
 
     def forward(self, overlay: Tensor, colour: Tensor) -> Tensor:
-        return over(known(overlay[..., :3]), ops.sanitise(overlay[..., 3:], 0, 1), known(colour))
+        return over(make_finite(overlay[..., :3]), ops.sanitise(overlay[..., 3:], 0, 1), make_finite(colour))
 
 
 class OverAlpha(nn.Module):
@@ -77,7 +77,7 @@ class OverAlpha(nn.Module):
 
     def forward(self, overlay: Tensor, alpha: Tensor) -> Tensor:
         covered = ops.sanitise(overlay[..., 3:], 0, 1)
-        return over(covered, covered, known(alpha))
+        return over(covered, covered, make_finite(alpha))
 
 
 def over(front: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
@@ -88,7 +88,7 @@ def over(front: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
 # Reactive mask ------------------------------------------------------------------------------------------------------
 # The kernels of the reactive mask as torch modules: see ``postfx.kernels.denoise.reactive``.
 
-def seen(colour: Tensor, exposure: Tensor) -> Tensor:
+def compress(colour: Tensor, exposure: Tensor) -> Tensor:
     """Exposed light as a display shows it, 0 to 1."""
     light = (ops.sanitise(colour, 0, MAX_FLOAT) * exposure).clamp(max=ops.MAX_COLOUR)
     return torch.sqrt(light / (1 + light))
@@ -99,7 +99,7 @@ class Reactive(nn.Module):
 
     def forward(self, colour: Tensor, opaque_colour: Tensor, difference: Tensor) -> Tensor:
         exposure, scale, threshold = difference.unbind()
-        most = (seen(colour, exposure) - seen(opaque_colour, exposure)).abs().amax(-1, keepdim=True)
+        most = (compress(colour, exposure) - compress(opaque_colour, exposure)).abs().amax(-1, keepdim=True)
         return torch.where(most >= threshold, (most * scale).clamp(max=1), torch.zeros_like(most))
 
 

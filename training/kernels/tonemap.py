@@ -16,12 +16,12 @@ def to_image(colour: torch.Tensor) -> torch.Tensor:
     return colour.permute(2, 0, 1)[None]
 
 
-def known(colour: torch.Tensor) -> torch.Tensor:
+def make_finite(colour: torch.Tensor) -> torch.Tensor:
     """NaN becomes 0, infinities finite."""
     return torch.where(colour == colour, colour, torch.zeros_like(colour)).clamp(-MOST_LIGHT, MOST_LIGHT)
 
 
-def looked_up(table: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
+def look_up_code(table: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
     """A table between its entries, at a share of it in [0, 1]."""
     place = share * STEPS
     index = place.long()
@@ -96,12 +96,12 @@ class EncodeDisplay(nn.Module):
     def forward(
         self, colour: torch.Tensor, params: torch.Tensor, decode: torch.Tensor, encode: torch.Tensor
     ) -> torch.Tensor:
-        x = known(colour)
-        x = torch.where(params[9] > 0, looked_up(decode, x.clamp(0, 1)), x)
+        x = make_finite(colour)
+        x = torch.where(params[9] > 0, look_up_code(decode, x.clamp(0, 1)), x)
         light = (x @ params[:9].reshape(3, 3).T).clamp_min(0).minimum(params[10])
         luminance = (light * light.new_tensor(LUMA_REC2020)).sum(-1, keepdim=True)
         light = (light * luminance.clamp_min(DARK) ** params[11]).clamp_max(1)
-        return looked_up(encode, light.sqrt().sqrt().sqrt())
+        return look_up_code(encode, light.sqrt().sqrt().sqrt())
 
 
 class Checkerboard(nn.Module):

@@ -56,7 +56,7 @@ def graded(frame: Frame) -> Frame:
     return Frame(planes, number=frame.number, samples=frame.samples)
 
 
-def seen(result: np.ndarray, reference: np.ndarray) -> float:
+def shown_psnr(result: np.ndarray, reference: np.ndarray) -> float:
     """PSNR of a displayed picture, exposed like its reference."""
     exposure = grey_exposure(reference)
     exposed = [exposure * np.maximum(light, 0) for light in (result, reference)]
@@ -84,20 +84,21 @@ def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], m
     for name in names:
         reference, part = references[name][size], frames[-1].parts[name]
         plain = part if scale == 1 else kernels.enlarge(part, size, size, (0.0, 0.0))
-        row = [seen(light, reference) for light in (
+        row = [shown_psnr(light, reference) for light in (
             plain, found.parts[name], own[name], by_oidn(frames[-1], part, size, kernels))]
         print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in row) + " |")
     picture, whole = found[Role.COLOUR], sum(references[name][size] for name in names)
-    print(f"picture {seen(picture, whole):.2f} dB")
+    print(f"picture {shown_psnr(picture, whole):.2f} dB")
     wanted = sum(GRADE.get(name, 1.0) * references[name][size] for name in names)
     grade = ", ".join(f"{name} x{factor:g}" for name, factor in GRADE.items())
     for filters, parts in zip(PART_FILTERS, (found.parts, own), strict=True):
         after = sum(GRADE.get(name, 1.0) * parts[name] for name in names)
         apart = np.abs(sum(parts[name] for name in names) - picture).sum() / picture.sum()
         print(f"filters {filters}: sum apart by {apart:.1e} of the light; graded ({grade}) after "
-              f"{seen(after, wanted):.2f} dB")
+              f"{shown_psnr(after, wanted):.2f} dB")
     oidn = sum(GRADE.get(name, 1.0) * by_oidn(frames[-1], frames[-1].parts[name], size, kernels) for name in names)
-    print(f"graded before {seen(picture_graded_before, wanted):.2f} dB, OIDN's parts {seen(oidn, wanted):.2f} dB")
+    before, others = shown_psnr(picture_graded_before, wanted), shown_psnr(oidn, wanted)
+    print(f"graded before {before:.2f} dB, OIDN's parts {others:.2f} dB")
 
 
 def cost(model: str) -> None:

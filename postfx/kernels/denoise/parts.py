@@ -40,7 +40,7 @@ from postfx.kernels.denoise.upsample import (
     lean_on,
     pixel_of,
     place,
-    scaled,
+    scale_row,
     trust_picked,
     trust_side,
 )
@@ -56,7 +56,7 @@ filtered; ``SHIFT`` then stands for none."""
 
 
 @inline
-def coded(value: Real, coding: np.ndarray) -> Real:
+def encode_part(value: Real, coding: np.ndarray) -> Real:
     """A value coded for the filters, at least 0; NaN counts as 0, infinity as the largest number."""
     known = clamp(value, -MAX_FLOAT, MAX_FLOAT)
     return max(known - coding[OFFSET], ZERO) * coding[FACTOR]
@@ -100,7 +100,7 @@ def accumulate_rows(y0: int, y1: int, part: np.ndarray, coding: np.ndarray, fact
                 recall(last_part, np.float32(u) + moved[y, x, 0], np.float32(v) + moved[y, x, 1], before)
             known = next_state[y, x, 3] > ZERO
             for c in range(3):
-                now = min(coded(part[v, u, c], coding) / factor[y, x, c], coding[MOST])
+                now = min(encode_part(part[v, u, c], coding) / factor[y, x, c], coding[MOST])
                 mean = before[c] + (now - before[c]) * alpha if held else now
                 mean = mean if mean <= np.float32(MAX_FLOAT) else now
                 part_level[c, y, x] = mean
@@ -167,7 +167,7 @@ def double_taps(lower: int, fine: np.ndarray, iy: int, gauss_x: np.ndarray, gaus
         total[side] = TINY
         for tap in range(TAPS):
             j, i = tap // 3, tap % 3
-            scaled(fine[0, TAP_WEIGHTS + 4 * tap + 2 * lower + side, iy], gauss_y[j] * gauss_x[i, side],
+            scale_row(fine[0, TAP_WEIGHTS + 4 * tap + 2 * lower + side, iy], gauss_y[j] * gauss_x[i, side],
                    taps[side, tap])
             add(taps[side, tap], total[side])
 

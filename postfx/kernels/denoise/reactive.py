@@ -15,7 +15,7 @@ SPREAD = 1  # render pixels
 
 
 @compiled
-def seen(light: Real) -> Real:
+def compress(light: Real) -> Real:
     """Exposed light as a display shows it, 0 to 1."""
     held = min(light, np.float32(MAX_COLOUR))
     return np.sqrt(held / (ONE + held))
@@ -33,8 +33,8 @@ def reactive_rows(y0: int, y1: int, colour: np.ndarray, opaque_colour: np.ndarra
         for x in range(reactive.shape[1]):
             most = ZERO
             for c in range(3):
-                with_all = seen(clamp(colour[y, x, c], ZERO, MAX_FLOAT) * exposure)
-                most = max(most, abs(with_all - seen(clamp(opaque_colour[y, x, c], ZERO, MAX_FLOAT) * exposure)))
+                with_all = compress(clamp(colour[y, x, c], ZERO, MAX_FLOAT) * exposure)
+                most = max(most, abs(with_all - compress(clamp(opaque_colour[y, x, c], ZERO, MAX_FLOAT) * exposure)))
             reactive[y, x, 0] = min(most * scale, ONE) if most >= threshold else ZERO
 
 

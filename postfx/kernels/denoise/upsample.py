@@ -113,20 +113,20 @@ def lean_on(corners: np.ndarray, index: np.ndarray, leans: np.ndarray, out: np.n
 
 
 @vectorised
-def scaled(row: np.ndarray, scale: Real, out: np.ndarray) -> None:
+def scale_row(row: np.ndarray, scale: Real, out: np.ndarray) -> None:
     for x in range(out.size):
         out[x] = row[x] * scale
 
 
 @vectorised
-def weighted(a: np.ndarray, b: np.ndarray, c: np.ndarray, u: Real, v: Real, w: Real, out: np.ndarray) -> None:
+def weigh_three(a: np.ndarray, b: np.ndarray, c: np.ndarray, u: Real, v: Real, w: Real, out: np.ndarray) -> None:
     """a * u + b * v + c * w, over the length of ``out``."""
     for x in range(out.size):
         out[x] = a[x] * u + b[x] * v + c[x] * w
 
 
 @vectorised
-def weighted_picked(row: np.ndarray, weights: np.ndarray, index: np.ndarray, out: np.ndarray) -> None:
+def weigh_picked(row: np.ndarray, weights: np.ndarray, index: np.ndarray, out: np.ndarray) -> None:
     """Three neighbours of a row, beginning at ``index``, by weights (3, width)."""
     for x in range(index.size):
         at = index[x]
@@ -237,9 +237,9 @@ def trust_picked(left: int, y: Real, size: tuple[int, int], moved: np.ndarray, p
 
 
 @inline
-def softened(line: np.ndarray, wide_x: np.ndarray, side: int, out: np.ndarray) -> None:
+def soften(line: np.ndarray, wide_x: np.ndarray, side: int, out: np.ndarray) -> None:
     """The wide Gaussian of a row of the softened picture, at one side of the render pixels."""
-    weighted(line, line[1:], line[2:], wide_x[0, side], wide_x[1, side], wide_x[2, side], out)
+    weigh_three(line, line[1:], line[2:], wide_x[0, side], wide_x[1, side], wide_x[2, side], out)
 
 
 @compiled
@@ -255,14 +255,14 @@ def double_row(y: int, left: int, iy: int, lower: int, radiance: np.ndarray, col
         rows[:channels], rows[channels] = ZERO, TINY
         for tap in range(TAPS):
             j, i = tap // 3, tap % 3
-            scaled(fine[0, TAP_WEIGHTS + 4 * tap + corner, iy], gauss_y[j] * gauss_x[i, side], line)
+            scale_row(fine[0, TAP_WEIGHTS + 4 * tap + corner, iy], gauss_y[j] * gauss_x[i, side], line)
             add(line, total)
             for c in range(channels):
                 add_product(line, radiance[c, iy + j, i:i + w], rows[c])
         for c in range(3):
-            softened(column[c], wide_x, side, soft)
+            soften(column[c], wide_x, side, soft)
             if channels > 3:
-                softened(column[3 + c], wide_x, side, line)
+                soften(column[3 + c], wide_x, side, line)
                 guided_row(line, guide[c], guide[3], side, 2, soft)
                 guided_row(rows[3 + c], guide[c], guide[3], side, 2, rows[c])
             encode_sharp(rows[c], total, soft, fine[0, SHARPEN + corner, iy])
@@ -302,9 +302,9 @@ def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: 
             add_picked(corners, radiance[3:, iy + j, i:i + w], gauss_x[i], index, leans, line, rows[3:6])
     control_row(SHARPEN, iy, ty, fine, index, leans, corners, sharpen)
     for c in range(3):
-        weighted_picked(column[c], wide_x, index, soft)
+        weigh_picked(column[c], wide_x, index, soft)
         if channels > 3:
-            weighted_picked(column[3 + c], wide_x, index, line)
+            weigh_picked(column[3 + c], wide_x, index, line)
             guided_row(line, guide[c], guide[3], 0, 1, soft)
             guided_row(rows[3 + c], guide[c], guide[3], 0, 1, rows[c])
         elif guide.shape[1] > 0:
@@ -358,7 +358,7 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
         for j in range(3):
             gauss_y[j] = gauss(j - 1 + params[JITTER_Y] - offset)
         for c in range(channels):
-            weighted(radiance[c, iy], radiance[c, iy + 1], radiance[c, iy + 2], upper, middle, lower, column[c])
+            weigh_three(radiance[c, iy], radiance[c, iy + 1], radiance[c, iy + 2], upper, middle, lower, column[c])
         if by == OWN:
             own_factor_row(factor[iy], index, guide)
         if by == GUIDED:

@@ -119,7 +119,7 @@ class DenoiseUpscale(Pass):
         guides = GUIDE_ROLES if self._reads_guides(spec) else lost
         planes = (*PLANES, Role.STRENGTH, *self._reactive_planes(spec)) if self.strength else ()
         planes += (Role.SPECULAR_HIT_DISTANCE,) if planes and can_follow(spec) else ()
-        demanded = self._mask.demanded() if self.strength else ()
+        demanded = self._mask.demands() if self.strength else ()
         kept = [role for role in carried if role not in spec.guide_roles]
         guides = (*(guides if self.strength else ()), *(role for role in carried if role in spec.guide_roles))
         return Reflection(reads=(Role.COLOUR, *demanded), may_read=(*planes, *kept), writes=(Role.COLOUR, *carried),

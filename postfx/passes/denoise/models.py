@@ -25,7 +25,7 @@ def exact(tag: str) -> str:
     return tag if "." in tag else f"{tag}{EXACT}"
 
 
-def parted(name: str) -> tuple[str, str]:
+def split_ending(name: str) -> tuple[str, str]:
     """A tag or a model's name without its special ending, and the ending: 'm.int8.1x' -> 'm.int8', '.1x'."""
     ending = next((one for one in SPECIAL if name.endswith(one)), "")
     return name.removesuffix(ending), ending
@@ -42,7 +42,7 @@ def validate_tag(model: str, library: Library | None = None) -> str:
     """
     path = Path(model).expanduser()
     word = path.stem if model.endswith(FILE) else model
-    plain, ending = parted(word)
+    plain, ending = split_ending(word)
     if ending:
         there = model.removesuffix(FILE).removesuffix(ending) + FILE * model.endswith(FILE)
         raise PassOptionError(f"model '{model}' runs {SPECIAL[ending]}: give the model '{there}'")

@@ -112,7 +112,7 @@ class ReactiveOption:
         found = [role for role in SOURCES[self.kind] if spec.has(role)]
         return found[0] if found and spec.has(Role.MOTION) else None
 
-    def demanded(self) -> tuple[Role, ...]:
+    def demands(self) -> tuple[Role, ...]:
         """The plane that the user asked for by name."""
         return SOURCES[self.kind] if len(SOURCES[self.kind]) == 1 else ()
 

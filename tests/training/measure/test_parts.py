@@ -21,7 +21,7 @@ def test_groups_add_up_and_are_graded(tmp_path: Path) -> None:
     key, fill = (frames[1].parts[name] for name in ("key", "fill"))
     np.testing.assert_allclose(frames[1][Role.COLOUR], key + fill, rtol=1e-6)
     np.testing.assert_allclose(parts.graded(frames[1])[Role.COLOUR], 2 * key + 0.5 * fill, rtol=1e-6)
-    assert parts.seen(key, key) > 100 > parts.seen(key, fill)
+    assert parts.shown_psnr(key, key) > 100 > parts.shown_psnr(key, fill)
 
 
 def test_more_samples_come_nearer_to_the_truth() -> None:
