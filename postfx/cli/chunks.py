@@ -389,4 +389,6 @@ def _explain(error: Exception) -> str:
 
 
 def _first_line(error: BaseException) -> str:
-    return str(getattr(error, "strerror", None) or error or type(error).__name__).strip().partition("\n")[0]
+    from postfx.runtime.session import first_line
+
+    return getattr(error, "strerror", None) or first_line(error)

@@ -143,6 +143,13 @@ def add_product(weights: np.ndarray, row: np.ndarray, total: np.ndarray) -> None
         total[x] += weights[x] * row[x]
 
 
+@vectorised
+def divide(row: np.ndarray, total: np.ndarray) -> None:
+    """row /= total, over the length of ``total``."""
+    for x in range(total.size):
+        row[x] /= total[x]
+
+
 # Four numbers in one instruction, which Numba's compiler does not find by itself where code jumps from pixel to pixel.
 
 Four: TypeAlias = Any

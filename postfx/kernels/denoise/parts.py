@@ -44,7 +44,7 @@ from postfx.kernels.denoise.upsample import (
     trust_picked,
     trust_side,
 )
-from postfx.kernels.numeric import Real, add, clamp, compiled, demodulation, fused, inline, vectorised
+from postfx.kernels.numeric import Real, add, clamp, compiled, demodulation, divide, fused, inline, vectorised
 
 ZERO, HALF, ONE, DARKEST = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1e-30)
 OFFSET, FACTOR, MOST = range(3)
@@ -135,12 +135,6 @@ def add_three_picked(taps: np.ndarray, row: np.ndarray, index: np.ndarray, total
 
 
 @vectorised
-def divide(row: np.ndarray, total: np.ndarray) -> None:
-    for x in range(row.size):
-        row[x] /= total[x]
-
-
-@vectorised
 def interleave(rows: np.ndarray, flat: np.ndarray) -> None:
     """Rows of the red, green and blue of even pixels, then of odd ones, as one row of pixels."""
     a, b, c, d, e, f = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
@@ -168,7 +162,7 @@ def double_taps(lower: int, fine: np.ndarray, iy: int, gauss_x: np.ndarray, gaus
         for tap in range(TAPS):
             j, i = tap // 3, tap % 3
             scale_row(fine[0, TAP_WEIGHTS + 4 * tap + 2 * lower + side, iy], gauss_y[j] * gauss_x[i, side],
-                   taps[side, tap])
+                      taps[side, tap])
             add(taps[side, tap], total[side])
 
 

@@ -10,7 +10,7 @@ all of them. Parts are pooled by the picture's importance.
 import numpy as np
 
 from postfx.kernels.denoise.layout import BOTH, KERNEL, MIX, TINY, kernel
-from postfx.kernels.numeric import add, add_product, compiled, fused, inline, vectorised
+from postfx.kernels.numeric import add, add_product, compiled, divide, fused, inline, vectorised
 
 ZERO = np.float32(0)
 SIDE, REACH = 5, 2
@@ -78,12 +78,6 @@ def mix_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.
     for y in range(y0, y1):
         for k in range(0, mixed.shape[0], 3):
             mix_row(coarse[k:k + 3, int(coarse_rows[y])], level[k:k + 3, y], heads[0, at, y], second, mixed[k:k + 3, y])
-
-
-@vectorised
-def divide(row: np.ndarray, total: np.ndarray) -> None:
-    for x in range(total.size):
-        row[x] /= total[x]
 
 
 @fused
