@@ -2,11 +2,12 @@
 
 Put this folder into ComfyUI's `custom_nodes`, or a link to it, and install postfx where ComfyUI runs. The type
 POSTFX_FRAMES is a shot and what is to be done with it; the work is done frame by frame where files or images are made,
-so that a long shot never lies in memory.
+so that a long shot never lies in memory. Relative paths are in ComfyUI's input and output folders.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -55,6 +56,17 @@ def _progress(count: int) -> Callable[[], None]:
     return step
 
 
+def _path(kind: str, path: str) -> str:
+    """A path as the user gave it, in ComfyUI's "input" or "output" folder if it is relative."""
+    try:
+        import folder_paths
+    except ImportError:  # the nodes are used without ComfyUI
+        folder = ""
+    else:
+        folder = folder_paths.get_input_directory() if kind == "input" else folder_paths.get_output_directory()
+    return str(Path(folder, Path(path).expanduser()))
+
+
 class LoadSequence:
     """Frames of a rendered sequence with all planes that the files hold."""
 
@@ -63,16 +75,22 @@ class LoadSequence:
     @classmethod
     def INPUT_TYPES(cls) -> dict[str, Any]:
         return {"required": {
-            "pattern": ("STRING", {"default": "shot/noisy.####.exr", "tooltip": "####, %04d, a folder or one file"}),
+            "pattern": ("STRING", {"default": "shot/noisy.####.exr",
+                                   "tooltip": "####, %04d, a folder or one file; relative to ComfyUI's input folder"}),
             "frames": ("STRING", {"default": "", "tooltip": "such as 1-100x2; empty for all"})}}
 
     @classmethod
-    def IS_CHANGED(cls, **_: Any) -> float:
-        """Always: a renderer may have written the files anew."""
-        return float("nan")
+    def IS_CHANGED(cls, pattern: str | None, frames: str | None) -> str | float:
+        """What the files are: a renderer may have written some anew."""
+        if pattern is None:  # another node will give it
+            return float("nan")
+        files = postfx.read_sequence(_path("input", pattern), frames=frames or None).all_files()
+        stamps = [(str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in sorted(files)]
+        return hashlib.sha256(repr(stamps).encode()).hexdigest()
 
     def load(self, pattern: str, frames: str) -> tuple[Shot]:
-        sequence = postfx.read_sequence(pattern, frames=frames or None)
+        sequence = postfx.read_sequence(_path("input", pattern), frames=frames or None)
+        sequence.refuse_holes(sequence.numbers)
         return (Shot(lambda: sequence, len(sequence)),)
 
 
@@ -141,17 +159,18 @@ class Look:
 
 
 class SaveFrames:
-    """Write files: EXR holds light, other formats pictures."""
+    """Write files, over those of the same names: EXR holds light, other formats pictures."""
 
     CATEGORY, FUNCTION, RETURN_TYPES, RETURN_NAMES = "postfx", "save", ("STRING",), ("files",)
     OUTPUT_NODE = True
 
     @classmethod
     def INPUT_TYPES(cls) -> dict[str, Any]:
-        return {"required": {"frames": (FRAMES,), "output": ("STRING", {"default": "out/clean.####.exr"})}}
+        return {"required": {"frames": (FRAMES,), "output": ("STRING", {
+            "default": "clean/clean.####.exr", "tooltip": "relative to ComfyUI's output folder"})}}
 
     def save(self, frames: Shot, output: str) -> dict[str, Any]:
-        pattern = parse_pattern(str(Path(output).expanduser()))
+        pattern = parse_pattern(_path("output", output))
         if frames.count > 1 and not pattern.numbered:
             raise OptionError(f"output '{output}' has no place for the number of {frames.count} frames: write ####")
         files = [str(postfx.write_frame(pattern.path(frame.number), frame)) for frame in frames]
