@@ -89,7 +89,7 @@ def test_the_time_of_masked_frames(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10000
 
 
-@pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="postfx[bench] is not installed")
+@pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="postfx-render[bench] is not installed")
 def test_misses_are_left_alone_as_long_as_that_is_better():
     """At every noise within 0.5 dB of the better of denoising them and leaving them; without noise they are left."""
     rows = [list(map(float, line.split()[:5])) for line in run("leave_alone.py", "1").splitlines()[1:]]

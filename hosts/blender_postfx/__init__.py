@@ -84,7 +84,7 @@ class Preferences(bpy.types.AddonPreferences):
 
     command: bpy.props.StringProperty(
         name="Command", subtype="FILE_PATH", description="The command postfx, such as /opt/venv/bin/postfx; empty: as "
-        "the system finds it. Install it by: pip install postfx")
+        "the system finds it. Install it by: pip install postfx-render")
 
     def draw(self, context):
         self.layout.prop(self, "command")
@@ -96,8 +96,8 @@ def find_command(context) -> list[str]:
     text = addon.preferences.command.strip() if addon else ""
     words = ([text] if Path(text).is_file() else shlex.split(text)) if text else ["postfx"]
     if shutil.which(words[0]) is None:
-        raise LookupError(f"there is no command '{words[0]}': install postfx (pip install postfx) and name its command "
-                          "in the add-on's preferences")
+        raise LookupError(f"there is no command '{words[0]}': install it (pip install postfx-render) and name "
+                          "it in the add-on's preferences")
     return words
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from postfx.cli.options import CHUNK, parse_path, parse_positive
+from postfx.version import pip_install
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence
@@ -301,7 +302,7 @@ def _connect(address: str) -> Any:
     try:
         ray = import_module("ray")
     except ImportError:
-        raise FarmError("--ray needs Ray, which is not installed here: pip install 'postfx[ray]'") from None
+        raise FarmError(f"--ray needs Ray, which is not installed here: {pip_install('ray')}") from None
     remedy = "give the address that 'ray start --head' printed, auto for the cluster of this machine, or local"
     host, _, port = address.removeprefix("ray://").rpartition(":")
     try:

@@ -20,6 +20,7 @@ from postfx.frame import Role
 from postfx.io.sequence import Sequence as FrameSequence
 from postfx.report.pictures import encode_light, pack_codes, png_uri, shrink
 from postfx.sampling import Curve, bilinear, is_inside, motion_at
+from postfx.version import pip_install
 
 LONGEST = 800
 """Longest side of a picture in pixels; larger ones are reduced."""
@@ -159,7 +160,7 @@ class References:
     def __init__(self, source: str, size: tuple[int, int], views: Sequence[str] = ()) -> None:
         for module, package in LIBRARIES.items():
             if find_spec(module) is None:
-                raise ReportError(f"{package} is not installed, and --reference needs it: pip install 'postfx[bench]'")
+                raise ReportError(f"{package} is not installed, and --reference needs it: {pip_install('bench')}")
         self._sequence, self._size = FrameSequence(source), size
         with self._sequence.open(self._sequence.numbers[0]) as files:
             spec = files.spec()

@@ -38,6 +38,7 @@ from postfx.runtime.snapshot import (
 )
 from postfx.runtime.states import Binding, PipelineState
 from postfx.runtime.tensor import Tensor, TensorDevice
+from postfx.version import pip_install
 
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto, TensorProto
@@ -374,7 +375,7 @@ def _milliseconds(profile: Path) -> float:
     return float(sum(e["dur"] for e in events if e.get("cat") == "Node" and e["name"].endswith("_kernel_time"))) / 1000
 
 
-MISSING = "the graphs of networks need the package onnx: pip install 'postfx[capture]'"
+MISSING = f"the graphs of networks need the package onnx: {pip_install('capture')}"
 
 
 def require_onnx() -> None:

@@ -24,6 +24,7 @@ from postfx.errors import DeviceError, ModelError
 from postfx.kernels.denoise import layout
 from postfx.kernels.kernel import Kernel
 from postfx.runtime.memory import CUDA, address
+from postfx.version import pip_install
 
 if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor
@@ -60,7 +61,7 @@ class CudaMemory:
         try:
             from cuda.core import Device
         except ImportError:
-            raise DeviceError("CUDA needs the package cuda-core: install it by pip install 'postfx[cuda]'") from None
+            raise DeviceError(f"CUDA needs the package cuda-core: install it by {pip_install('cuda')}") from None
         self._device = Device(index)
         self.place = CUDA, index
         self._thread = threading.local()

@@ -31,6 +31,7 @@ from postfx.runtime.states import CompiledComputeState, CudaComputeState, Pipeli
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, size_in_bytes
 from postfx.runtime.threads import CommandQueue, Helpers, Slots
 from postfx.system import Scratch, usable_cores
+from postfx.version import pip_install
 
 if TYPE_CHECKING:
     from postfx.kernels.kernel import Kernel
@@ -352,7 +353,7 @@ def choose(name: str, threads: int, graphs: bool = True) -> tuple[Placement, Mem
 def cuda_fault(index: int) -> str | None:
     """Why CUDA device `index` cannot be used, or None when a copy to it and back works."""
     if "CUDAExecutionProvider" not in ort.get_available_providers():
-        return "this onnxruntime has no CUDA provider; install it by pip install 'postfx[cuda]'"
+        return f"this onnxruntime has no CUDA provider; install it by {pip_install('cuda')}"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

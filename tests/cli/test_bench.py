@@ -137,7 +137,7 @@ def test_a_library_that_is_not_installed(monkeypatch, capsys):
     find = bench.find_spec
     monkeypatch.setattr(bench, "find_spec", lambda name: None if name == "flip_evaluator" else find(name))
     assert main(["bench", *INPUTS]) == 2
-    message = "error: flip-evaluator is not installed, and it measures or draws: pip install 'postfx[bench]'\n"
+    message = "error: flip-evaluator is not installed, and it measures or draws: pip install 'postfx-render[bench]'\n"
     assert capsys.readouterr().err == message
 
 

@@ -47,7 +47,7 @@ def test_without_ray(postfx, noise, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     done = postfx("run", "in/", "-o", "out/", "--ray", "auto")
     assert (done.code, done.err) == (
-        2, "error: --ray needs Ray, which is not installed here: pip install 'postfx[ray]'\n")
+        2, "error: --ray needs Ray, which is not installed here: pip install 'postfx-render[ray]'\n")
 
 
 def test_an_actor_says_what_its_machine_lacks(tmp_path):
@@ -85,7 +85,7 @@ def test_every_machine_that_fits_can_take_a_chunk(machines, device, share):
 def test_two_machines_of_which_one_dies(postfx, write_exr, tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_AUTH_MODE", "token")  # it runs whatever anyone sends to its ports
     monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
-    pytest.importorskip("ray", reason="Ray is no part of the extra 'dev': pip install 'postfx[ray]'")
+    pytest.importorskip("ray", reason="Ray is no part of the extra 'dev': pip install 'postfx-render[ray]'")
     from ray.cluster_utils import Cluster
 
     rng = np.random.default_rng(8)
