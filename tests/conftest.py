@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+os.environ.setdefault("POSTFX_CONFIG", "")  # no defaults of this machine or user
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 LONGEST = (
     "test_quality.py", "test_types.py", "training/datagen/test_clip.py", "doctor/test_breakages.py",

@@ -133,7 +133,7 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int, frames: str 
     notes += [f"{before} frames run twice, for the history of chunks: larger chunks need fewer, and --preroll 32 is "
               "enough for most shots"] if before > len(sequence) // 2 else []
     verify = ["postfx", "verify", str(folder), f"--frames={whole}"]
-    return Cut(sequence, chunks, whole, ["postfx", *words, *own], verify, notes)
+    return Cut(sequence, chunks, whole, ["postfx", *words, *given.defaults, *own], verify, notes)
 
 
 def _open(given: argparse.Namespace, frames: str | None) -> Sequence:

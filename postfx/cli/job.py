@@ -7,8 +7,10 @@ import dataclasses
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from functools import partial
+from math import log2
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +19,6 @@ import numpy as np
 from postfx.cli.interruptions import Faults, OnError, Standin, Stop, check_sizes, first_readable
 from postfx.cli.run_options import (
     RUN,
-    announce_run_up,
     display_passes,
     explain_kept,
     explain_overlay,
@@ -34,6 +35,7 @@ from postfx.cli.summary import (
     Preparation,
     Report,
     describe_frames,
+    describe_outputs,
     describe_sizes,
     describe_views,
     guides_in,
@@ -173,6 +175,11 @@ class Job:
         """Whether the exposure is in the pixels that are written."""
         return self.plan.output.encoding != self.plan.input.encoding
 
+    def dry_run(self) -> tuple[list[Path], str]:
+        """Files that a run would write, and a line on them."""
+        paths = [path for number in self.sequence.numbers for path in self._files().paths(number)]
+        return paths, describe_outputs(paths, self._arguments.overwrite)
+
     def headline(self) -> str:
         """What comes of what, in a line."""
         to = f" to {self.outputs.path(self.first).with_name(self.outputs.pattern)}" if self.outputs else ""
@@ -182,7 +189,7 @@ class Job:
     def run(self) -> None:
         """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
         begin = None
-        progress = FrameProgress(len(self.sequence))
+        progress = FrameProgress(len(self.sequence), self._arguments.quiet)
         self._watch = CompileWatch(progress.note_compilation)
         try:
             with progress, self._watch, Stop(progress.note) as stop, self._open_run() as run:
@@ -262,6 +269,8 @@ class Job:
         MissingFrameError where missing frames stop the run: before the first one, not hours later.
         """
         progress.note(self.headline())
+        if self._arguments.verbose:
+            progress.note(str(self.plan))
         wanted = [work.number for work in run.works if work.write]
         if self._arguments.on_error == OnError.STOP:
             self.sequence.refuse_holes(wanted)
@@ -387,6 +396,10 @@ class Job:
             self._exposure.multipliers[number], self._exposure.lit[number] = used, done.lit
         self._written, self._frames = self._written + paths, self._frames + 1
         progress.advance(" ".join(paths))
+        if self._arguments.verbose:
+            spent = [f"{name} {elapsed:.1f} ms" for name, elapsed in done.passes.items()]
+            stops = [] if used is None else [f"exposure {log2(used):+.2f} EV"]
+            progress.note(f"frame {number}: {', '.join([*spent, *stops]) or 'only its picture, enlarged'}")
 
     def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False) -> tuple[list[Pass], list[Skip]]:
         """The passes, the first with these options, or without a denoiser if they are None; and what is left out."""
@@ -437,6 +450,23 @@ class Job:
                 if number == numbers[-1]:
                     raise
         raise AssertionError("a page has a frame")
+
+
+def announce_run_up(check: Callable[[], None], tell: Callable[[str], None]) -> Callable[[int, int], None]:
+    """What is called before each frame of a run-up, with the number of the frame that it leads to and its own.
+
+    `check` may raise to end the run; `tell` gets a line before the first frame, as a run-up may take long.
+    """
+    told: int | None = None
+
+    def before_frame(first: int, other: int) -> None:
+        nonlocal told
+        check()
+        if first != told:
+            tell(f"before frame {first}: a run-up from frame {other}")
+        told = first
+
+    return before_frame
 
 
 def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles | None:

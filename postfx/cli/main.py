@@ -18,6 +18,7 @@ VERBS = {
     "chunks": "cut a sequence into chunks for the machines of a farm",
     "verify": "check that the files of a run are there, whole and unaltered",
     "inspect": "find what is wrong with a sequence's planes",
+    "config": "show the defaults that postfx.toml sets",
     "exposure": "measure whether the exposure is right and steady",
     "bench": "measure run time against error on a sequence with references",
     "models": "list the trained models",
@@ -27,6 +28,7 @@ VERBS = {
 """Verb -> what it does, as in `postfx --help`. The module of its name is loaded when it is called."""
 FORWARDING = ("watch", "chunks")
 """Verbs that hand options of `postfx run` on, which stand behind --."""
+SHELLS = ("bash", "zsh", "fish", "powershell")
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE = 141
@@ -35,12 +37,16 @@ EXIT_PIPE = 141
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code: 0 done, 1 what was checked is not well, 2 something the user can fix,
     130 interrupted by Ctrl-C, 143 ended by SIGTERM."""
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks how a line may go on
+        import argcomplete
+
+        argcomplete.autocomplete(make_parser())
     words = list(sys.argv[1:] if argv is None else argv)
     own = words.index("--") if words[:1] and words[0] in FORWARDING and "--" in words else len(words)
-    arguments = make_parser([word for word in words if not word.startswith("-")][:1]).parse_args(words[:own])
-    arguments.words, arguments.forwarded = words, words[own + 1:]
-    read_and_write_by(getattr(arguments, "threads", None))
     try:
+        arguments = make_parser([word for word in words if not word.startswith("-")][:1]).parse_args(words[:own])
+        arguments.words, arguments.forwarded = words, words[own + 1:]
+        read_and_write_by(getattr(arguments, "threads", None))
         code: int = arguments.execute(arguments)
         sys.stdout.flush()
         return code
@@ -62,6 +68,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return getattr(interrupt, "exit_code", EXIT_INTERRUPTED)
 
 
+class _Completion(argparse.Action):
+    """Prints what a shell has to run once, as by eval "$(postfx --completion bash)", and ends the process."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: object,
+                 option_string: str | None = None) -> None:
+        from argcomplete.shell_integration import shellcode
+
+        print(shellcode(["postfx"], shell=str(values)))
+        parser.exit()
+
+
 def read_and_write_by(threads: int | None) -> None:
     """Have files read and written by so many threads; None: by all that this process may use."""
     import OpenImageIO as oiio  # here, as --help does without
@@ -80,12 +97,15 @@ def make_parser(used: Collection[str] = tuple(VERBS)) -> argparse.ArgumentParser
         epilog="'postfx VERB --help' explains a verb and gives examples.",
     )
     parser.add_argument("--version", action="version", version=f"postfx {__version__}")
+    parser.add_argument("--completion", metavar="SHELL", choices=SHELLS, action=_Completion,
+                        help=f"print what completes commands in {', '.join(SHELLS[:-1])} or {SHELLS[-1]}")
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
     for name, summary in VERBS.items():
         added = verbs.add_parser(name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter)
         if name in used:
             verb = import_module(f"postfx.cli.{name.replace('-', '_')}")
             added.description, added.epilog = verb.DESCRIPTION, verb.EXAMPLES
+            added.more = getattr(verb, "MORE", ""), getattr(verb, "MORE_EXAMPLES", "")
             verb.add_arguments(added)
             added.set_defaults(execute=verb.execute, parser=added)
     return parser

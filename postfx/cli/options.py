@@ -8,9 +8,10 @@ list.
 from __future__ import annotations
 
 import argparse
+import copy
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, NoReturn
 
 from postfx.errors import OptionError, suggest
@@ -41,6 +42,8 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
             list.
         repeated: whether it may be given more than once: the value is then a list.
         shows: makes a text that is printed instead of doing anything.
+        basic: whether --help shows it, which most people need; --help-all shows all.
+        once: whether it says something about one command only, so that it has no place among the defaults of a studio.
     """
 
     flag: str
@@ -62,6 +65,8 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
     several: bool = False
     repeated: bool = False
     shows: Callable[[], str] | None = None
+    basic: bool = False
+    once: bool = False
 
     @property
     def name(self) -> str:
@@ -77,13 +82,34 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
         value = self.value(arguments)
         return value is not None and value is not False and (self.off is None or value != self.off)
 
+    @property
+    def is_switch(self) -> bool:
+        """Whether it takes no value."""
+        return self.metavar is None and not self.choices
+
+    @property
+    def resting(self) -> Any:
+        """Its value where nobody says anything."""
+        return False if self.is_switch else self.default
+
+    def parse(self, text: str) -> Any:
+        """The value that a text stands for; ValueError with the reason where it stands for none."""
+        if self.choices and text not in self.choices:
+            raise ValueError(f"'{text}' is none of {', '.join(self.choices)}")
+        try:
+            return (self.type or str)(text)
+        except argparse.ArgumentTypeError as error:
+            raise ValueError(str(error)) from None
+        except ValueError:
+            raise ValueError(f"'{text}' is not a number") from None
+
     def add_to(self, group: argparse._ActionsContainer) -> None:
         """Add it to a parser or a group."""
         names = [name for name in (self.short, self.flag) if name]
         if self.shows is not None:
             group.add_argument(*names, action=_Show, help=self.help, const=self.shows)
             return
-        if self.metavar is None and not self.choices:
+        if self.is_switch:
             group.add_argument(*names, action="store_true", help=self.help)
             return
         extra: dict[str, Any] = {} if self.bare is None else {"nargs": "?", "const": self.bare}
@@ -134,6 +160,9 @@ class Options:
 
     def add_to(self, parser: argparse.ArgumentParser) -> None:
         """Add all of them."""
+        if any(option.basic for option in self):
+            parser.add_argument("--help-all", action=_ShowAll, nargs=0, default=argparse.SUPPRESS,
+                                help="show all options, in groups, and more examples")
         for section in self.sections:
             group = parser.add_argument_group(section.title) if section.title else parser
             rivals: dict[str, argparse._ActionsContainer] = {}
@@ -151,6 +180,32 @@ class Options:
             if owner == part and value is not False and not (value is None and option.default is None):
                 found[parameter] = option.convert(value) if option.convert else value
         return found
+
+    def fill(self, arguments: argparse.Namespace, given: Collection[str], values: Mapping[str, Any]) -> list[str]:
+        """Set options by name, but none that is `given` already, nor one that does not go with those; returns the names
+        of those that were set."""
+        trial = copy.copy(arguments)
+        for option in self:
+            if option.name not in given and not option.shows:
+                setattr(trial, option.name, option.resting)
+        found = []
+        for option in self:
+            if option.name not in values or option.name in given:
+                continue
+            setattr(trial, option.name, values[option.name])
+            if self._goes(option, trial):
+                setattr(arguments, option.name, values[option.name])
+                found.append(option.name)
+            setattr(trial, option.name, option.resting)
+        return found
+
+    def _goes(self, option: Option, arguments: argparse.Namespace) -> bool:
+        """Whether an option goes with the others that are given."""
+        rivals = [other for section in self.sections if option in section.options for other in section.options
+                  if option.either and other.either == option.either and other is not option]
+        others = [other for other in self if other.is_given(arguments) and
+                  any(self._asks(key, arguments) for key in other.excludes if key.partition("=")[0] == option.flag)]
+        return not (any(rival.is_given(arguments) for rival in rivals) or others or self.exclusions(option, arguments))
 
     def exclusions(self, option: Option, arguments: argparse.Namespace) -> list[str]:
         """Messages of the given options that this one does not go with."""
@@ -176,8 +231,66 @@ class Options:
         return option.value(arguments) == value if value else option.is_given(arguments)
 
 
+class _ShowAll(argparse.Action):
+    """Prints the help with all options and ends the process."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(parser.format_help_all() if isinstance(parser, Parser) else parser.format_help(), end="")
+        parser.exit()
+
+
 class Parser(argparse.ArgumentParser):
-    """A parser that knows which option or verb was meant."""
+    """A parser that knows which option or verb was meant, shows few options where there are many, and fills in what is
+    not given.
+
+    Attributes:
+        declared: the options that were added, if they were declared together.
+        more: what --help-all says after the description, and its examples in place of `epilog`.
+        complete: is called with the arguments and the names of those that were given.
+    """
+
+    declared: Options | None = None
+    more: tuple[str, str] = "", ""
+    complete: Callable[[argparse.Namespace, set[str]], None] | None = None
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As its base class does; notes which options are given."""
+        if self.declared is None or self.complete is None:
+            return super().parse_known_args(args, namespace)
+        options = [option for option in self.declared if not option.shows]
+        blanks: dict[str, list[Any]] = {option.name: [] for option in options}  # no value is one of these lists
+        known = vars(namespace) if namespace else {}
+        found, rest = super().parse_known_args(args, argparse.Namespace(**{**known, **blanks}))
+        given = {name for name, blank in blanks.items() if getattr(found, name) is not blank}
+        for option in options:
+            if option.name not in given:
+                setattr(found, option.name, option.resting)
+        self.complete(found, given)
+        return found, rest
+
+    def format_help(self) -> str:
+        """The help: of the basic options alone, where some are."""
+        basic = {option.name for option in self.declared or () if option.basic}
+        if not basic:
+            return super().format_help()
+        shown = [action for action in self._actions if action.dest in {"help", "help_all", "input", *basic}]
+        return self._format([("options", shown)], self.description, self.epilog)
+
+    def format_help_all(self) -> str:
+        """The help with all options, in groups."""
+        groups = [(group.title, group._group_actions) for group in self._action_groups]
+        return self._format(groups, f"{self.description}\n{self.more[0]}", self.more[1])
+
+    def _format(self, groups: list[tuple[str | None, list[argparse.Action]]], *texts: str | None) -> str:
+        formatter = self._get_formatter()
+        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        formatter.add_text(texts[0])
+        for title, actions in groups:
+            formatter.start_section(title)
+            formatter.add_arguments(actions)
+            formatter.end_section()
+        formatter.add_text(texts[1])
+        return formatter.format_help()
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """The arguments; ends the process with a message for those that it does not know."""
@@ -195,7 +308,8 @@ class Parser(argparse.ArgumentParser):
                  for name in action.choices] if choice else []
         meant = suggest(choice[1], verbs) if choice else ""
         meant = f": did you mean postfx run {choice[1]}?" if choice and re.search(r"[./]", choice[1]) else meant
-        self.exit(2, f"error: {message}{meant} ('{self.prog} --help' shows all)\n")
+        help = "--help-all" if any(option.basic for option in self.declared or ()) else "--help"
+        self.exit(2, f"error: {message}{meant} ('{self.prog} {help}' shows all)\n")
 
 
 def parse_path(text: str) -> str:

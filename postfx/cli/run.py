@@ -6,22 +6,37 @@ import argparse
 import json
 import sys
 
-from postfx.cli.run_options import RUN
+from postfx.cli.config import complete
+from postfx.cli.options import Parser
+from postfx.cli.run_options import PRESETS, RUN
 from postfx.errors import PostfxError
 
 DESCRIPTION = """\
 Denoise, upscale and tone-map a rendered sequence.
 
-EXR output stays scene-linear unless --tonemap or --display is given. PNG, JPEG and TIFF output is tone-mapped and
-encoded for a display, sRGB if not told otherwise.
+INPUT is a pattern like shot.####.exr, a folder or a file. EXR output stays scene-linear unless --tonemap is given. PNG,
+JPEG and TIFF output is tone-mapped and encoded for a display.
+"""
+MORE = """\
 INPUT is a file name with ####, %04d, @@@@ or $F4 for the frame number, a name with wildcards (quoted or not), a folder
 that holds one sequence, or files of one sequence. Where every plane has a file of its own, put {plane} where their
-names differ: shot_{plane}.####.exr; where every view has, put {view}, or %V as Nuke does, into INPUT and OUTPUT.
+names differ: shot_{plane}.####.exr. Where every view has, put {view}, or %V as Nuke does, into INPUT and OUTPUT.
 
-Albedo, normal, roughness and depth may come at output size as guides, which make edges exact: in files of their own
-(--guides), or as planes larger than the colour in INPUT. The output then has their size.
+Albedo, normal, roughness and depth may come at output size as guides, which make edges exact. They may lie in files of
+their own (--guides), or be planes of INPUT that are larger than the colour. The output then has their size.
 """
 EXAMPLES = """\
+examples:
+  postfx run shot/noisy.####.exr -o out/clean.####.exr                    # twice as large, scene-linear
+  postfx run shot/noisy.####.exr -o out/picture.####.png                  # tone-mapped pictures
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --denoise-only     # the render's own size
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --preset final     # the cleanest
+  postfx run shot/ -o out/ --skip-existing                                # go on after a stop
+
+A video of the pictures: ffmpeg -framerate 24 -i out/picture.%04d.png -pix_fmt yuv420p shot.mp4
+'postfx run --help-all' shows all options, 'postfx config' the defaults of your studio.
+"""
+MORE_EXAMPLES = """\
 examples:
   postfx run shot/noisy.####.exr -o out/clean.####.exr
   postfx run shot/noisy.%04d.exr -o out/picture.%04d.png --frames 1-100x2
@@ -59,6 +74,8 @@ POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx 
 Beside the frames lies postfx.manifest.json: how they were made, and the hash of each ('postfx verify' checks it).
 Ctrl-C and SIGTERM end a run after the frame in work; --skip-existing goes on with the same pixels.
 
+Defaults of a studio come from postfx.toml: see 'postfx config --help'.
+
 exit codes: 0 done; 2 an error whose message says how to fix it (finished frames are kept); 3 done, but frames failed
 (--on-error skip or copy); 130 interrupted by Ctrl-C; 143 ended by SIGTERM
 """
@@ -67,11 +84,15 @@ exit codes: 0 done; 2 an error whose message says how to fix it (finished frames
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
     RUN.add_to(parser)
+    parser.usage = f"{parser.prog} INPUT... -o OUTPUT [OPTIONS]"
+    if isinstance(parser, Parser):
+        parser.declared, parser.complete = RUN, complete(RUN, PRESETS)
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Process the sequence; returns the exit code."""
-    if arguments.ray and not arguments.explain:
+    is_plan = arguments.explain or arguments.dry_run
+    if arguments.ray and not is_plan:
         from postfx.cli.chunks import run_on_ray
 
         return run_on_ray(arguments)
@@ -79,12 +100,14 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.cli.job import Job  # loads the runtime, which --help must not wait for
 
     job = Job(arguments)
-    if arguments.explain:
+    if is_plan:
         explained = job.explain()
+        paths, line = job.dry_run() if arguments.dry_run else ([], "")
         if arguments.json:
-            print(json.dumps(explained.as_dict(), indent=2))
+            outputs = {"outputs": [str(path) for path in paths]} if paths else {}
+            print(json.dumps(explained.as_dict() | outputs, indent=2))
         else:
-            print("\n".join(filter(None, [str(explained), job.kept])))
+            print("\n".join(filter(None, [str(explained), job.kept, line])))
         return 0
     failure: PostfxError | KeyboardInterrupt | None = None
     try:
@@ -97,7 +120,8 @@ def execute(arguments: argparse.Namespace) -> int:
     except PostfxError as error:  # the frames are written all the same, and the summary tells of them
         failure = failure or error
         report = job.report(failure)
-    print(report.summary(), file=sys.stderr)
+    if told := report.problems() if arguments.quiet else report.summary():
+        print(told, file=sys.stderr)
     if arguments.json:
         print(json.dumps(report.as_dict()))
     if failure:

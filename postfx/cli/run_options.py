@@ -12,7 +12,7 @@ change:
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,6 +41,13 @@ if TYPE_CHECKING:
 # Modules that load NumPy or the runtime are imported inside functions: --help must not wait for them.
 
 
+PRESETS = {
+    "preview": {"model": "s", "run_up": 0},
+    "final": {"model": "l", "both_ways": True},
+    "animation": {"both_ways": True, "exposure": "smooth"},
+}
+"""Preset -> option -> value; `--preset` says them in words."""
+
 _FOR_DENOISER = {"--no-denoise": "{flag} is for the denoiser, which --no-denoise leaves out: give one of them"}
 
 
@@ -51,38 +58,40 @@ def _parse_preroll(text: str) -> int | str:
     return text if text == "auto" else parse_count(text)
 
 
-INPUT = Option(flag="input", metavar="INPUT", is_file=True, several=True,
+INPUT = Option(flag="input", once=True, metavar="INPUT", is_file=True, several=True,
                help="frames to read: a pattern, a folder, wildcards or files")
 
-FRAMES = Section("", (
+FRAMES = Section("frames", (
     INPUT,
-    Option(flag="--output", short="-o", metavar="OUTPUT", changes="nothing",
-           help="files to write: a pattern, a folder or one file"),
-    Option(flag="--guides", metavar="GUIDES", sets="sequence.guides", is_file=True,
-           help="frames of planes at output size, named like INPUT and numbered alike"),
-    Option(flag="--frames", metavar="RANGE", changes="nothing",
+    Option(flag="--output", short="-o", basic=True, once=True, metavar="OUTPUT", changes="nothing",
+           help="files to write: a pattern like out/clean.####.exr, a folder or one file"),
+    Option(flag="--frames", basic=True, once=True, metavar="RANGE", changes="nothing",
            help="frames to process, e.g. 1-100, 1-100x2 or 1,5,8-12; from below 0 as --frames=-10-20"),
-    Option(flag="--overwrite", either="existing", changes="nothing", help="replace output files that are there"),
-    Option(flag="--skip-existing", either="existing", changes="nothing",
-           help="keep output files that are whole, by the manifest's hash or decoded to the last pixel; go on from "
-           "there"),
-    Option(flag="--preroll", metavar="N|auto", type=_parse_preroll, sets="run.preroll", changes="nothing",
-           help="frames to process without writing, before the first one of the range, so that the passes have their "
-           "history; auto for those of its shot, at most 96 (default: 0)"),
+    Option(flag="--overwrite", basic=True, either="existing", changes="nothing",
+           help="replace output files that are there"),
+    Option(flag="--skip-existing", basic=True, either="existing", changes="nothing",
+           help="keep output files that are whole, and go on from there with the same pixels"),
+    Option(flag="--guides", once=True, metavar="GUIDES", sets="sequence.guides", is_file=True,
+           help="frames of planes at output size, named like INPUT and numbered alike"),
+    Option(flag="--preroll", once=True, metavar="N|auto", type=_parse_preroll, sets="run.preroll", changes="nothing",
+           help="frames to process without writing before the first one of the range, for a history; auto for those of "
+           "its shot, at most 96 (default: 0)"),
+    Option(flag="--on-error", choices=("stop", "skip", "copy"), default="stop", changes="nothing",
+           help="what to do with a frame that cannot be read or processed: end the run (default), write no file, or "
+           "only enlarge its picture. The last two go on, and the run exits with 3"),
+))
+
+FILES_WRITTEN = Section("files that are written", (
     Option(flag="--keep", choices=("auto", "all", "none"), default="auto", off="auto", sets="writer.keep",
            convert={"auto": None, "all": True, "none": False}.get,
-           help="EXR: what the input holds beside the picture (channels, parts, header) goes into the output; beside a "
-           "larger picture enlarged by the nearest pixel (all); never (none); or bit for bit where the picture has the "
-           "input's size, else not (default: auto)"),
+           help="what else the EXR input holds (channels, parts, header). auto: keep it bit for bit where the picture "
+           "has the input's size; all: else enlarge it by the nearest pixel; none: leave it out (default: auto)"),
     Option(flag="--bits", metavar="N", type=parse_positive, sets="writer.bits",
            help="of a channel: EXR 16 (half floats, default) or 32 (floats, default beside --aov-denoise depth or "
            "position), PNG 8 (default) or 16 (default in HDR), TIFF 8 or 16 (default)"),
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
            help="of EXR: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab or, with a level, dwaa:45 (default: "
            "zip, the fastest; the last five lose a little)"),
-    Option(flag="--on-error", choices=("stop", "skip", "copy"), default="stop", changes="nothing",
-           help="a frame that cannot be read or processed ends the run; has no output; or its picture is enlarged "
-           "without denoising. The run goes on after the last two and exits with 3 (default: stop)"),
 ))
 
 
@@ -131,28 +140,28 @@ def _parse_rerun(text: str) -> str | int:
 
 
 LOGS = Section("logs and resuming", (
-    Option(flag="--log", metavar="FILE", type=parse_path, sets="run.log", changes="nothing",
+    Option(flag="--log", once=True, metavar="FILE", type=parse_path, sets="run.log", changes="nothing",
            help="append one JSON object a line for each frame and event (docs/reliability.md)"),
     Option(flag="--checkpoint", metavar="SECONDS", type=_parse_seconds, default=30.0, sets="run.checkpoint",
            changes="nothing",
            help="keep what the passes remember in OUTPUT's folder after so many seconds of work, and when the run is "
            "stopped, so that --skip-existing goes on from there; 0 after every frame, none for never (default: 30)"),
-    Option(flag="--resume", metavar="exact|N", type=_parse_rerun, default=_EXACT, sets="run.rerun",
+    Option(flag="--resume", once=True, metavar="exact|N", type=_parse_rerun, default=_EXACT, sets="run.rerun",
            convert=lambda rerun: None if rerun == _EXACT else rerun, changes="nothing",
            help="with --skip-existing: run as many finished frames again, without writing them, as it takes for the "
            "pixels of an unbroken run, or at most N (default: exact)"),
 ))
 
 
-# Passes
+# Denoising and looks
 
 TONEMAP = Option(
-    flag="--tonemap", metavar="LOOK", type=parse_path, bare="", either="look", sets="look.tonemap",
+    flag="--tonemap", basic=True, metavar="LOOK", type=parse_path, bare="", either="look", sets="look.tonemap",
     excludes={"--overlay=separate":
               "--overlay separate keeps scene-linear light, --tonemap does not: give one of them"},
-    help="tone-map, with the default network, another one ('postfx models' lists them), reinhard, neutral (Khronos "
-    "PBR Neutral), ocio:VIEW (part of a view's name; of the config $OCIO or the built-in ACES 2 config; "
-    "ocio:VIEW@DISPLAY for a display by its name there), or a look-up table: FILE.cube,input=SPACE",
+    help="tone-map with the default look, or with another one: aces2, agx, pbr_neutral, local or auto ('postfx models' "
+    "lists all), neutral, reinhard, ocio:VIEW or FILE.cube,input=SPACE. A VIEW is part of a view's name, of the config "
+    "$OCIO or the built-in ACES 2 config; VIEW@DISPLAY names a display, too",
 )
 NO_TONEMAP = Option(flag="--no-tonemap", either="look", sets="look.no_tonemap",
                     help="for a display, but only exposed, cut and encoded")
@@ -189,35 +198,32 @@ def _list_passes() -> str:
     return describe_passes()
 
 
-PASSES = Section("passes", (
-    Option(flag="--pass", metavar="NAME[,OPTION=VALUE]", repeated=True,
-           help="also run a pass, such as one of another package, before the picture is tone-mapped, or before=PASS or "
-           "after=PASS: e.g. vignette,amount=0.5,after=tonemap; may be given more than once (docs/passes.md)"),
-    Option(flag="--passes", changes="nothing", shows=_list_passes,
-           help="list all passes that are installed, with their options, then stop"),
-    Option(flag="--scale", metavar="S", type=float, either="size", sets="denoiser.scale",
+DENOISING = Section("denoising and size", (
+    Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
+           help="preview: the fastest, --model s without a run-up; final: the cleanest, --model l --both-ways; "
+           "animation: steady brightness, --both-ways --exposure smooth. Options that you give yourself win"),
+    Option(flag="--scale", basic=True, metavar="S", type=float, either="size", sets="denoiser.scale",
            excludes=_FOR_DENOISER,
-           help="output size over render size, 1 to 3 (default: the size of the guides, or 2 without guides)"),
+           help="output size over render size, 1 to 3 (default: 2, or the size of the guides)"),
+    Option(flag="--denoise-only", basic=True, either="size", sets="denoiser.scale", convert=lambda _: 1.0,
+           excludes=_FOR_DENOISER, help="keep the render's size; the same as --scale 1"),
     Option(flag="--size", metavar="WxH", type=parse_size, either="size", sets="denoiser.size",
            excludes=_FOR_DENOISER,
            help="size of the output with all overscan, e.g. 1920x1080: frames may change their size between it and a "
            "third of it"),
-    Option(flag="--denoise-only", either="size", sets="denoiser.scale", convert=lambda _: 1.0, excludes=_FOR_DENOISER,
-           help="denoise at the render's own size, do not enlarge; the same as --scale 1"),
     Option(flag="--no-denoise", help="leave denoising and upscaling out"),
-    Option(flag="--model", metavar="TAG|FILE", sets="denoiser.model", convert=_find_network, excludes=_FOR_DENOISER,
-           help="denoiser: s, m (default) or l in the device's fast precision, or with one, e.g. m.fp32 ('postfx "
-           "models' lists them); or a network of your own, FILE.onnx, with its card beside it"),
-    Option(flag="--budget", metavar="MS", type=float, sets="denoiser.budget", excludes=_FOR_DENOISER,
-           help="milliseconds that denoising a frame may take: networks smaller than --model take turns with it"),
-    Option(flag="--both-ways",
+    Option(flag="--model", basic=True, metavar="TAG|FILE", sets="denoiser.model", convert=_find_network,
+           excludes=_FOR_DENOISER,
+           help="network of the denoiser: s, m (default) or l, in the device's fast precision or in a given one, e.g. "
+           "m.fp32 ('postfx models' lists all); or FILE.onnx with its card beside it"),
+    Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,
                "--budget": "--both-ways runs every frame twice, --budget keeps to a time: give one of them",
                "--memory": "--both-ways keeps results of 32 frames, --memory keeps to a size: give one of them",
            },
-           help="also denoise the sequence in reverse order, in parts, and mix both results: frames are cleaner, the "
-           "first ones most; takes two to three times as long"),
+           help="also denoise the sequence in reverse order and mix both results: cleaner frames, the first ones most; "
+           "takes two to three times as long"),
     Option(flag="--run-up", metavar="N", type=parse_count, off=0,
            excludes={
                "--no-denoise": "--run-up runs frames more than once, --no-denoise has no denoiser to run up: give one "
@@ -226,51 +232,61 @@ PASSES = Section("passes", (
                "anyway: give one of them",
                "--budget": "--run-up runs frames more than once, --budget keeps to a time: give one of them",
            },
-           help="frames after the first one of each shot that are run before it, in reverse order, so that it has a "
-           "history and is as clean as the others; 0 for none (default: 8; none with --both-ways or --budget)"),
+           help="run the N frames after a shot's first one before it, in reverse order: the first frame is then as "
+           "clean as the others; 0 for none (default: 8; none with --both-ways or --budget)"),
+    Option(flag="--budget", metavar="MS", type=float, sets="denoiser.budget", excludes=_FOR_DENOISER,
+           help="milliseconds that denoising a frame may take: networks smaller than --model take turns with it"),
     Option(flag="--strength", metavar="S", type=float, sets="denoiser.strength", excludes=_FOR_DENOISER,
            help="of denoising, 0 (only resample) to 1 (fully), times the plane 'strength' if there is one "
            "(default: 1)"),
-    Option(flag="--leave", metavar="NAMES", sets="sequence.leave", excludes=_FOR_DENOISER,
-           help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, 'auto' for sky and "
-           "misses that are free of noise, and 'converged:0.01' for what its variance says to have at most 1 %% of "
-           "error, or 'converged:256spp'; with a strength of their own after =, e.g. auto,sky_*,logo=0.5,7-9@id"),
     Option(flag="--clamp-fireflies", metavar="N", type=float, sets="sequence.clamp_fireflies", excludes=_FOR_DENOISER,
-           help="before denoising, darken pixels that are more than N times (such as 8) as bright as the third "
-           "brightest of the 24 around them, in the picture and its parts; the run says how much light that took"),
+           help="before denoising, darken pixels more than N times (such as 8) as bright as the third brightest of the "
+           "24 around them; the run says how much light that took"),
+    Option(flag="--reactive", metavar="KIND[,NAME=NUMBER]", sets="denoiser.reactive",
+           excludes=_FOR_DENOISER,
+           help="where the history is not used, for particles and the like: plane (the plane 'reactive'), difference "
+           "(colour against the plane 'opaque_colour'), auto (the first of these that is there, default) or none; "
+           "with scale= and threshold= of the difference, e.g. auto,scale=8"),
+))
+
+PARTS = Section("masks and parts of the picture", (
+    Option(flag="--leave", metavar="NAMES", sets="sequence.leave", excludes=_FOR_DENOISER,
+           help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, 'auto' for a "
+           "noise-free sky, 'converged:0.01' for pixels with at most 1 %% of error, or 'converged:256spp'. A strength "
+           "may follow =, e.g. auto,sky_*,logo=0.5,7-9@id"),
     Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov", excludes=_FOR_DENOISER,
-           help="parts of the picture to denoise with it, so that they still add up to it: light groups and passes by "
-           "name, like 'key,fill,rim', or auto for those that the renderer's profile knows; written into the EXR "
-           "under their names (docs/parts.md)"),
+           help="light groups and passes to denoise with the picture, so that they still add up to it: names like "
+           "'key,fill,rim', or auto for those that the profile knows (docs/parts.md)"),
     Option(flag="--aov-denoise", metavar="KIND=LAYER,...", sets="sequence.aov_denoise",
            excludes=_FOR_DENOISER,
            help="other layers to denoise by the picture's filters, each with its kind, like 'normal=N,mist=Mist': "
            "albedo, normal, position, depth, mist, shadow or ao; ids and Cryptomattes are never filtered"),
     Option(flag="--aov-filters", choices=("picture", "own"), sets="denoiser.part_filters",
            excludes=_FOR_DENOISER,
-           help="of the light that --aov names, and of alpha: those of the picture, or own ones, for which the network "
-           "runs on each of them, too: cleaner, and each takes as long as the picture (default: picture)"),
+           help="filters of alpha and of the light that --aov names: the picture's, or own ones, which are cleaner and "
+           "take as long as the picture for each part (default: picture)"),
     Option(flag="--no-alpha-denoise", sets="denoiser.alpha", convert=lambda leave: not leave, excludes=_FOR_DENOISER,
-           help="only resample alpha; else it is denoised with the picture in frames where it is anywhere neither 0 "
-           "nor 1"),
+           help="only resample alpha, which is else denoised where a frame has values between 0 and 1"),
+    Option(flag="--overlay", choices=("composite", "separate", "ignore"), default="composite", sets="sequence.without",
+           convert=_roles_unread,
+           help="transparency overlay: composite it over the denoised picture, write it as an EXR layer of its own, or "
+           "do not read it (default: composite)"),
+))
+
+LOOKS = Section("look", (
     TONEMAP,
     NO_TONEMAP,
+    Option(flag="--exposure", basic=True, metavar="auto|smooth|lit|metadata|EV", default="auto",
+           help="exposure of pictures: auto (metered frame by frame, default), smooth (metered on the whole sequence), "
+           "lit (as it was lit: the header's, else 0 EV), metadata (the header's), or a number of stops"),
     DISPLAY,
     Option(flag="--dither", choices=("moving", "static", "none"), default="moving", sets="writer.dither",
            help="of 8 bits: another pattern each frame (default), one, none"),
-    Option(flag="--overlay", choices=("composite", "separate", "ignore"), default="composite", sets="sequence.without",
-           convert=_roles_unread,
-           help="transparency overlay: over the denoised picture and its alpha, as an EXR layer of the same size "
-           "beside the picture without it, or unread (default: composite)"),
-    Option(flag="--reactive", metavar="KIND[,NAME=NUMBER]", sets="denoiser.reactive",
-           excludes=_FOR_DENOISER,
-           help="where the history is not used, for particles and the like: plane (the plane 'reactive'), difference "
-           "(colour against the plane 'opaque_colour'), auto (the first of these that is there, default) or none; "
-           "with scale= and threshold= of the difference, e.g. auto,scale=8"),
-    Option(flag="--exposure", metavar="auto|smooth|lit|metadata|EV", default="auto",
-           help="of pictures: metered frame by frame, metered on the whole sequence in a pass before (steadier), as it "
-           "was lit (the header's postfx:exposure, or 0 EV), by the header alone, or a number of stops (default: auto, "
-           "and the summary says by how much)"),
+    Option(flag="--pass", metavar="NAME[,OPTION=VALUE]", repeated=True,
+           help="also run a pass, such as one of another package: before the tone mapping, or where before=PASS or "
+           "after=PASS say, e.g. vignette,amount=0.5,after=tonemap; may be repeated (docs/passes.md)"),
+    Option(flag="--passes", changes="nothing", shows=_list_passes,
+           help="list all passes that are installed, with their options, then stop"),
 ))
 
 
@@ -282,23 +298,6 @@ def make_run_up(arguments: argparse.Namespace, sequence: Sequence, cuts: str) ->
     option = RUN["--run-up"]
     frames = DEFAULT_FRAMES if arguments.run_up is None else arguments.run_up
     return RunUp(sequence, frames, cuts) if frames and not RUN.exclusions(option, arguments) else None
-
-
-def announce_run_up(check: Callable[[], None], tell: Callable[[str], None]) -> Callable[[int, int], None]:
-    """What is called before each frame of a run-up, with the number of the frame that it leads to and its own.
-
-    `check` may raise to end the run; `tell` gets a line before the first frame, as a run-up may take long.
-    """
-    told: int | None = None
-
-    def before_frame(first: int, other: int) -> None:
-        nonlocal told
-        check()
-        if first != told:
-            tell(f"before frame {first}: a run-up from frame {other}")
-        told = first
-
-    return before_frame
 
 
 def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None = None, **_: object) -> bool:
@@ -435,11 +434,12 @@ READING = Section("reading and running", (
            help="how the renderer names its planes (default: found from the file)"),
     DEPTH,
     *FILES,
-    Option(flag="--cuts", metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts", convert=parse_cuts,
+    Option(flag="--cuts", once=True, metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts",
+           convert=parse_cuts,
            help="where shots begin, so that the history is dropped: by headers and pictures, nowhere, or at these "
            "frames, e.g. 1,48,90 (default: auto)"),
     Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", sets="device.name", help="where to run"),
-    Option(flag="--provider", metavar="NAME[,OPTION=VALUE...]", sets="device.provider", changes="rounding",
+    Option(flag="--provider", once=True, metavar="NAME[,OPTION=VALUE...]", sets="device.provider", changes="rounding",
            help="run networks on an execution provider of ONNX Runtime, with options of its own, e.g. "
            "OpenVINO,device_type=CPU; library=FILE or PACKAGE loads one that is a plug-in; tensors and kernels stay on "
            "the CPU"),
@@ -448,7 +448,7 @@ READING = Section("reading and running", (
            "lies in temporary files (TMPDIR); CPU only (default: no limit)"),
     Option(flag="--threads", metavar="N", type=parse_positive, sets="device.threads",
            help="CPU threads (default: all usable cores)"),
-    Option(flag="--ray", metavar="ADDRESS[,size=N]", type=parse_ray, changes="nothing",
+    Option(flag="--ray", once=True, metavar="ADDRESS[,size=N]", type=parse_ray, changes="nothing",
            excludes=dict.fromkeys(("--json", "--report", "--capture"), "--ray has other machines run the sequence, in "
                                   "chunks: leave --json, --report and --capture out"),
            help="run on the machines of a Ray cluster (HOST:PORT, ray://HOST:PORT, auto, or local for this machine), "
@@ -459,13 +459,20 @@ READING = Section("reading and running", (
 # Reports and captures
 
 REPORTS = Section("reports", (
-    Option(flag="--explain", changes="nothing", help="show what would run and what is skipped, then stop"),
-    Option(flag="--json", changes="nothing", help="print one JSON object on standard output at the end"),
-    Option(flag="--report", metavar="HTML", type=parse_path, sets="page.path", changes="nothing",
+    Option(flag="--dry-run", basic=True, once=True, changes="nothing",
+           help="check everything as a run does, show what would be read, run and written, then stop"),
+    Option(flag="--explain", once=True, changes="nothing",
+           help="show what would run on the first frame and what is skipped, then stop; needs no OUTPUT"),
+    Option(flag="--quiet", short="-q", either="words", changes="nothing",
+           help="print warnings and errors only"),
+    Option(flag="--verbose", short="-v", either="words", changes="nothing",
+           help="also print what is going to run, and how long each pass takes for each frame"),
+    Option(flag="--json", once=True, changes="nothing", help="print one JSON object on standard output at the end"),
+    Option(flag="--report", once=True, metavar="HTML", type=parse_path, sets="page.path", changes="nothing",
            excludes={"--memory": "--report keeps whole frames in memory: leave --memory out"},
            help="write a page that opens from the disk and needs no network: before and after with an exposure slider, "
            "curves over the frames, times, what was skipped, findings and a picture of every plane"),
-    Option(flag="--reference", metavar="FRAMES", sets="page.reference", changes="nothing",
+    Option(flag="--reference", once=True, metavar="FRAMES", sets="page.reference", changes="nothing",
            needs={"--report": "--reference is for --report FILE.html: give both"},
            help="noise-free frames at output size, numbered like INPUT: the report compares with them, by PSNR and "
            "FLIP (needs the extra 'bench')"),
@@ -475,18 +482,18 @@ _NEEDS_CAPTURE = {"--capture": "--capture-frame, --capture-tensors and --capture
                   "write the capture"}
 
 CAPTURE = Section("capture", (
-    Option(flag="--capture", metavar="DIR", type=parse_path, sets="capture.folder", changes="nothing",
+    Option(flag="--capture", once=True, metavar="DIR", type=parse_path, sets="capture.folder", changes="nothing",
            help="write DIR/capture.html, a page on one frame's commands: times, memory, dependencies, tensors, "
            "networks"),
-    Option(flag="--capture-frame", metavar="N", type=parse_count, sets="capture.number", needs=_NEEDS_CAPTURE,
-           changes="nothing", help="frame to capture (default: the second, which has a history)"),
-    Option(flag="--capture-tensors", choices=("thumbnails", "none", "all"), sets="capture.tensors",
+    Option(flag="--capture-frame", once=True, metavar="N", type=parse_count, sets="capture.number",
+           needs=_NEEDS_CAPTURE, changes="nothing", help="frame to capture (default: the second, which has a history)"),
+    Option(flag="--capture-tensors", once=True, choices=("thumbnails", "none", "all"), sets="capture.tensors",
            needs=_NEEDS_CAPTURE, changes="nothing",
            help="of each tensor keep figures and small pictures (default), nothing, or also all of it in DIR/tensors, "
            "for 'postfx capture-compare'"),
-    Option(flag="--capture-network", sets="capture.network", needs=_NEEDS_CAPTURE, changes="nothing",
+    Option(flag="--capture-network", once=True, sets="capture.network", needs=_NEEDS_CAPTURE, changes="nothing",
            help="also run the frame's networks once more, node by node: figures, pictures and time of each node"),
 ))
 
-RUN = Options(FRAMES, LOGS, PASSES, READING, REPORTS, CAPTURE)
+RUN = Options(FRAMES, DENOISING, LOOKS, PARTS, FILES_WRITTEN, READING, LOGS, REPORTS, CAPTURE)
 """All of them."""

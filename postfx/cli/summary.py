@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from math import ceil, log2
+from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -99,14 +100,24 @@ def describe_views(sequence: Sequence) -> str:
     return f", views {', '.join(filter(None, (sequence.view, *sequence.views)))}" if sequence.views else ""
 
 
+def describe_outputs(paths: list[Path], is_overwritten: bool) -> str:
+    """Files that a run would write, and what becomes of those that are there."""
+    there = sum(path.exists() for path in paths)
+    more = f" ... {paths[-1]}" if len(paths) > 1 else ""
+    fate = "replaced" if is_overwritten else "kept if they are whole"
+    kept = f"; {there} there already, {fate}" if there else ""
+    return f"writes  {paths[0]}{more}: {len(paths)} file{'s' * (len(paths) > 1)}{kept}"
+
+
 class FrameProgress:
     """Counts finished frames. Use as a context manager.
 
-    In a terminal: a bar with frames per second and time left. In a log: one line for each finished frame.
+    In a terminal: a bar with frames per second and time left. In a log: one line for each finished frame. Where it is
+    `quiet`: nothing.
     """
 
-    def __init__(self, total: int) -> None:
-        self._console = Console(stderr=True, markup=False, emoji=False)
+    def __init__(self, total: int, quiet: bool = False) -> None:
+        self._console = Console(stderr=True, markup=False, emoji=False, quiet=quiet)
         self._total, self._done, self._fresh = total, 0, 0
         self._begin = time.perf_counter()
         self._told: float | None = None
@@ -119,7 +130,7 @@ class FrameProgress:
             TextColumn("left"),
             console=self._console,
             transient=True,
-            disable=not self._console.is_terminal,
+            disable=quiet or not self._console.is_terminal,
         )
         self._task = self._bar.add_task("frames", total=total, rate="")
 
@@ -381,6 +392,10 @@ class Report:
             more = f" ... {self.outputs[-1]}" if len(self.outputs) > 1 else ""
             lines.append(f"wrote    {self.outputs[0]}{more}")
         return "\n".join(lines)
+
+    def problems(self) -> str:
+        """Those lines of the summary that nobody must miss: frames that failed, and warnings."""
+        return "\n".join([*self._fault_lines(), *(f"warning  {warning}" for warning in self.warnings)])
 
     def _fault_lines(self) -> list[str]:
         """How many frames failed, and the first few of them."""

@@ -45,7 +45,7 @@ def sharpen(monkeypatch) -> Option:
 
 def test_an_option_declared_in_one_place_is_in_the_help(sharpen, capsys):
     with pytest.raises(SystemExit):
-        main(["run", "--help"])
+        main(["run", "--help-all"])
     assert capsys.readouterr().out.count("more:\n  --sharpen S  ") == 1
 
 
@@ -103,7 +103,7 @@ def test_options_name_what_there_is(option):
     (["run", "in/", "--no-denoize"], "did you mean --no-denoise?"),
     (["exposure", "in/", "--refrence=0"], "did you mean --reference?"),
     (["rnu", "in/"], "did you mean run?"), (["shot/a.exr"], "did you mean postfx run shot/a.exr?"),
-    (["run", "in/", "--qqq"], "error: unrecognized arguments: --qqq ('postfx run --help' shows all)\n"),
+    (["run", "in/", "--qqq"], "error: unrecognized arguments: --qqq ('postfx run --help-all' shows all)\n"),
     (["run", "in/", "--on-error", "skp"], "invalid choice: 'skp' (choose from 'stop', 'skip', 'copy')"),
 ])
 def test_mistyped_options_and_verbs(words, told, capsys):

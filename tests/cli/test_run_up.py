@@ -7,7 +7,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from postfx.cli.run_options import announce_run_up
+from postfx.cli.job import announce_run_up
 from postfx.errors import Interrupted
 from postfx.io.sequence import Sequence
 from postfx.temporal.run_up import RunUp

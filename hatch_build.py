@@ -1,0 +1,87 @@
+"""The man page of postfx, made from its parser when a wheel is built; `python hatch_build.py FILE` writes it alone."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent
+PAGE = ROOT / "build" / "postfx.1"
+
+
+def man_page() -> str:
+    """The page as roff, man(7): what `postfx --help` says, and then all options of each verb."""
+    sys.path.insert(0, str(ROOT))
+    from postfx.cli.main import VERBS, make_parser
+    from postfx.version import __version__
+
+    parser = make_parser()
+    (verbs,) = (action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    lines = [f'.TH POSTFX 1 "" "postfx {__version__}" "User Commands"', ".SH NAME",
+             "postfx \\- denoise, upscale and tone-map rendered image sequences", ".SH SYNOPSIS",
+             ".B postfx", ".I VERB", "[\\fIOPTIONS\\fR]", ".SH VERBS"]
+    for name, summary in VERBS.items():
+        lines += [".TP", f".B {_escape(name)}", _escape(summary)]
+    for name, verb in verbs.items():
+        lines += [f".SH POSTFX {_escape(name.upper())}", *_text(verb.description), *_text(verb.more[0]),
+                  *_options(verb), *_verbatim(verb.more[1] or verb.epilog)]
+    return "\n".join(lines) + "\n"
+
+
+def _options(verb: Any) -> Iterator[str]:
+    formatter = verb._get_formatter()
+    for group in verb._action_groups:
+        actions = [action for action in group._group_actions if action.dest not in ("help", "help_all")]
+        if actions and group.title:
+            yield f".SS {_escape(group.title)}"
+        for action in actions:
+            yield from (".TP", f".B {_escape(formatter._format_action_invocation(action))}",
+                        _escape(formatter._expand_help(action)))
+
+
+def _text(text: str | None) -> Iterator[str]:
+    """Paragraphs; lines that begin with two spaces stay as they are."""
+    for paragraph in (text or "").strip("\n").split("\n\n"):
+        if paragraph.startswith("  "):
+            yield from _verbatim(paragraph)
+        else:
+            yield from (".PP", *map(_escape, paragraph.splitlines()))
+
+
+def _verbatim(text: str) -> Iterator[str]:
+    yield from (".PP", ".nf", *map(_escape, text.strip("\n").splitlines()), ".fi")
+
+
+def _escape(line: str) -> str:
+    """A line of text: without control characters of roff, and with hyphens that can be copied."""
+    line = line.replace("\\", "\\e").replace("-", "\\-")
+    return f"\\&{line}" if line.startswith((".", "'")) else line
+
+
+def write(path: Path) -> None:
+    """Write the page."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(man_page(), encoding="utf-8")
+
+
+try:
+    from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+except ImportError:  # it is called by hand
+    pass
+else:
+
+    class ManPageHook(BuildHookInterface):
+        """Puts the page into a wheel, for share/man/man1 of where it is installed."""
+
+        def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+            """Make the page before the wheel is put together."""
+            if self.target_name == "wheel":
+                write(PAGE)
+                build_data["shared_data"][str(PAGE)] = "share/man/man1/postfx.1"
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]))
