@@ -263,7 +263,7 @@ PARTS = Section("masks and parts of the picture", (
            "albedo, normal, position, depth, mist, shadow or ao; ids and Cryptomattes are never filtered"),
     Option(flag="--aov-filters", choices=("picture", "own"), sets="denoiser.part_filters",
            excludes=_FOR_DENOISER,
-           help="filters of alpha and of the light that --aov names: the picture's, or own ones, which are cleaner and "
+           help="filters of the light that --aov names: the picture's, or own ones, which are cleaner and "
            "take as long as the picture for each part (default: picture)"),
     Option(flag="--no-alpha-denoise", sets="denoiser.alpha", convert=lambda leave: not leave, excludes=_FOR_DENOISER,
            help="only resample alpha, which is else denoised where a frame has values between 0 and 1"),

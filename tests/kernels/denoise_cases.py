@@ -21,7 +21,7 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
 )
 from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
-from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
+from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, CORRECT, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, RESIZE, SCALE, means_size
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
@@ -44,7 +44,7 @@ KERNELS = (
     PACK, OPEN, OPEN_FINE, OPEN_PHASED,
     OPEN_PRODUCTS, OPEN_FINE_PRODUCTS, STORE,
     STORE_RINGED,
-    REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, DECODE, DECODE_ONE,
+    REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, CORRECT, DECODE, DECODE_ONE,
 )
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
@@ -180,8 +180,8 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return positions(case.w, case.width, -0.4)
     if name == "radiance":
         return np.pad(20 * unit[:, 1:-1, 1:-1] ** 3, ((0, 0), (1, 1), (1, 1)), "edge")
-    if name in ("motion", "moved"):
-        return random.normal(0, 3, size)
+    if name in ("motion", "moved"):  # every eighth column is still
+        return random.normal(0, 3, size) * (np.arange(size[1]) % 8 > 0)[:, None]
     if name in ("normal", "guide_normal"):
         return 2 * unit - 1
     if name in ("depth", "last_depth", "guide_depth"):

@@ -9,6 +9,7 @@ import pytest
 
 from postfx.errors import FrameError, PassOptionError
 from postfx.frame import Frame, Part, Role
+from postfx.kernels.denoise.parts import CORRECT
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.frame import Frames
 from postfx.pipeline import Pipeline
@@ -243,14 +244,39 @@ def test_alpha_is_denoised_where_it_is_noisy_and_left_alone_where_it_is_clean(de
     noisy_alpha = replace(frame, planes={**frame.planes, Role.ALPHA: (0.6 > noise) * (0.5 + 0.5 * noise)})
     clean = replace(frame, planes={**frame.planes, Role.ALPHA: (noise > 0.5).astype(np.float32)})
     resampled = upscaler(device, alpha=False)
-    for filters in ("picture", "own"):
-        denoised, again = (upscaler(device, part_filters=filters) for _ in range(2))
-        assert np.array_equal(denoised(clean)[Role.ALPHA], resampled(clean)[Role.ALPHA])
-        found, plain = denoised(noisy_alpha)[Role.ALPHA], resampled(noisy_alpha)[Role.ALPHA]
-        assert found.shape == (74, 100, 1) and 0 <= found.min() and found.max() <= 1
-        assert found.std() < 0.5 * plain.std() and abs(found.mean() - noisy_alpha[Role.ALPHA].mean()) < 0.07
-        again.recall(noisy_alpha, {name: array.copy() for name, array in denoised.history().items()})
-        assert np.array_equal(again(noisy_alpha)[Role.ALPHA], denoised(noisy_alpha)[Role.ALPHA])
+    denoised, again, *others = (upscaler(device) for _ in range(4))
+    assert np.array_equal(denoised(clean)[Role.ALPHA], resampled(clean)[Role.ALPHA])
+    found, plain = denoised(noisy_alpha)[Role.ALPHA], resampled(noisy_alpha)[Role.ALPHA]
+    assert found.shape == (74, 100, 1) and 0 <= found.min() and found.max() <= 1
+    assert found.std() < 0.5 * plain.std() and abs(found.mean() - noisy_alpha[Role.ALPHA].mean()) < 0.07
+    again.recall(noisy_alpha, {name: array.copy() for name, array in denoised.history().items()})
+    assert np.array_equal(again(noisy_alpha)[Role.ALPHA], denoised(noisy_alpha)[Role.ALPHA])
+    first, second = ([run(frame) for frame in (before, clean, noisy_alpha)][-1][Role.ALPHA]
+                     for run, before in zip(others, (clean, noisy_alpha), strict=True))
+    assert np.array_equal(first, second)  # what lies two frames back is no history
+
+
+def test_means_of_corrected_alpha_come_nearer_to_the_frame_s_own_where_it_has_structure() -> None:
+    random = np.random.default_rng(0)
+    filtered = np.repeat(random.uniform(0.3, 0.7, (26, 30, 1)), 3, 2).astype(np.float32)
+    filtered[:14] = 0.5  # flat: what differs there is noise
+    part, motion = np.full((13, 15, 3), 0.45, np.float32), np.zeros((13, 15, 2), np.float32)
+    motion[:, 8:] = 1 / 32
+    found = np.empty((26, 30, 3), np.float32)
+    CORRECT.rows(0, 26, filtered, part, motion, np.array([1, 0.25, 0], np.float32), found)
+    means, before = (alpha[..., 0].reshape(13, 2, 15, 2).mean((1, 3)) for alpha in (found, filtered))
+    np.testing.assert_array_equal(found[:12], filtered[:12])
+    np.testing.assert_allclose(means[8:, 8:], 0.45, atol=1e-3)
+    np.testing.assert_allclose(means[8:, :8], before[8:, :8] + 0.25 * (0.45 - before[8:, :8]), atol=1e-3)
+
+
+def test_alpha_of_many_samples_is_nearly_the_frame_s_own_but_not_if_it_is_jittered(device: Device) -> None:
+    alpha = np.broadcast_to(np.where(np.arange(50) % 5 < 2, 0.9, 0.0)[:, None], (37, 50, 1)).astype(np.float32)
+    frame = replace(lit(1), samples=256)
+    frame.planes[Role.ALPHA] = alpha
+    own, shifted = (upscaler(device)(replace(frame, jitter=jitter))[Role.ALPHA].reshape(37, 2, 50, 2).mean((1, 3))
+                    for jitter in ((0.0, 0.0), (1e-6, 0.0)))
+    assert np.abs(own - alpha[..., 0]).mean() < 0.7 * np.abs(shifted - alpha[..., 0]).mean()
 
 
 def test_the_plan_shows_parts_and_a_missing_one_is_named(device: Device) -> None:

@@ -48,7 +48,7 @@ BOUNDS = {
     "denoise_upsample_guided": 2e-6, "denoise_upsample_unscaled": 2e-6, "denoise_means": 5e-7,
     "resample": 5e-6, "slice_apply": 1e-5, "overlay_enlarge": 2e-5,
     "denoise_reflections": 2e-5, "denoise_open_products": 2e-6, "denoise_open_fine_products": 2e-6,
-    "denoise_accumulate_part": 5e-6, "denoise_upsample_light": 2e-6, "denoise_balance": 5e-7,
+    "denoise_accumulate_part": 5e-6, "denoise_upsample_light": 2e-6, "denoise_balance": 5e-7, "denoise_correct": 2e-6,
     "denoise_reflectance": ROUNDED, "denoise_decode": ROUNDED, "denoise_decode_one": ROUNDED,
     "denoise_store": 0.004, "denoise_store_ringed": 0.004,  # one of 255 codes
 }

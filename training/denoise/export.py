@@ -27,7 +27,7 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
 )
 from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
-from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
+from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, CORRECT, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, RESIZE, SCALE
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
@@ -85,6 +85,7 @@ KERNELS = {
     ACCUMULATE_PART: parts.AccumulatePart,
     UPSAMPLE_LIGHT: parts.UpsampleLight,
     BALANCE: parts.Balance,
+    CORRECT: parts.Correct,
     DECODE: parts.Decode,
     DECODE_ONE: parts.DecodeOne,
     JUDGE: extras.Judge,

@@ -81,6 +81,31 @@ class Balance(nn.Module):
         return torch.where(light > DARKEST, parts / light.clamp(min=DARKEST), equal) * picture
 
 
+class Correct(nn.Module):
+    """filtered (H, W, 3), part (h, w, 3), motion (h, w, 2), gain (3,) -> corrected (H, W, 3)."""
+
+    def forward(self, filtered: Tensor, values: Tensor, motion: Tensor, gain: Tensor) -> Tensor:
+        rows, columns = (_shares_within(size, out) for size, out in
+                         zip(values.shape[:2], filtered.shape[:2], strict=True))
+        mean = rows @ filtered[..., 0] @ columns.T
+        around = F.pad(mean[None], (1, 1, 1, 1), mode="replicate")[0].unfold(0, 3, 1).unfold(1, 3, 1).flatten(2)
+        middle = around.mean(-1)
+        structure = (around.square().mean(-1) - middle.square()).clamp(min=0)
+        noise = gain[2] * (middle * (1 - middle)).clamp(min=0)
+        still = (motion.abs() < 1 / 64).all(-1)
+        share = torch.where(still, gain[1], gain[0]) * structure / (structure + noise + 1e-6)
+        lack = share * (ops.sanitise(values[..., 0], 0, 1) - mean)
+        found = filtered[..., 0] + (rows > 0).to(lack.dtype).T @ lack @ (columns > 0).to(lack.dtype)
+        return ops.sanitise(found, 0, 1)[..., None].expand(-1, -1, 3)
+
+
+def _shares_within(size: Tensor, out: Tensor) -> Tensor:
+    """Weights (size, out) of the pixels in each larger pixel, which sum to 1."""
+    at = (2 * torch.arange(out) + 1) * size // (2 * out)
+    found = (torch.arange(size)[:, None] == at).to(torch.float32)
+    return found / found.sum(1, keepdim=True)
+
+
 class Decode(nn.Module):
     """filtered (H, W, 3), decoding (5,) -> plane (H, W, 3)."""
 

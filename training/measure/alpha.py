@@ -2,7 +2,7 @@
 
 python -m training.measure.alpha [--model m] [--scales 1,2]
 
-Fur and a translucent disc, drawn by formula: 128x128 at 4 samples a pixel, six frames of a still camera, light with
+Fur and a translucent disc, drawn by formula: 128x128 at 4 samples a pixel, six frames, still and moving, light with
 exponential noise; the truth has 256 samples a pixel (128 at 2x). Prints PSNR of the last frame's composites as sRGB.
 """
 
@@ -22,6 +22,8 @@ from postfx.runtime import Device
 
 SIDE, HAIRS, FRAMES, SAMPLES = 128, 140, 6, 4
 GREYS = {"black": 0.0, "grey": 0.18, "white": 1.0}
+MOVES = {"still": (0.0, 0.0), "moving": (1.3, 0.4)}
+"""Pixels a frame, right and down."""
 
 
 class Hairs(NamedTuple):
@@ -51,14 +53,16 @@ class Hairs(NamedTuple):
         return found
 
 
-def draw(hairs: Hairs, seed: int, samples: int, scale: int, noisy: bool) -> dict[Role, np.ndarray]:
-    """Premultiplied colour, alpha and albedo, means over the given samples a pixel."""
+def draw(hairs: Hairs, seed: int, samples: int, scale: int, noisy: bool,
+         moved: np.ndarray) -> dict[Role, np.ndarray]:
+    """Premultiplied colour, alpha and albedo, means over the given samples a pixel; all `moved` by so many pixels."""
     random, side = np.random.default_rng(seed), SIDE * scale
     rows, columns = np.mgrid[:side, :side]
     sums = {role: np.zeros((side, side, count)) for role, count in
             ((Role.COLOUR, 3), (Role.ALPHA, 1), (Role.DIFFUSE_ALBEDO, 3))}
     for _ in range(samples):
-        x, y = (columns + random.random((side, side))) / scale, (rows + random.random((side, side))) / scale
+        x, y = ((places + random.random((side, side))) / scale - shift
+                for places, shift in zip((columns, rows), moved, strict=True))
         hair = hairs.hit(x, y)
         disc = (random.random((side, side)) < np.clip(1 - np.hypot(x - 64, y - 28) / 20, 0, 1)) & (hair < 0)
         albedo = np.where((hair >= 0)[..., None], hairs.colour[np.maximum(hair, 0)], 0.6 * disc[..., None])
@@ -69,23 +73,24 @@ def draw(hairs: Hairs, seed: int, samples: int, scale: int, noisy: bool) -> dict
     return {role: (total / samples).astype(np.float32) for role, total in sums.items()}
 
 
-def measure(model: str, scale: int) -> None:
-    """Print a row for each background."""
-    hairs, device = Hairs.grown(), Device("cpu")
-    true = draw(hairs, 99, 256 // scale, scale, noisy=False)
-    passes = [Pipeline([DenoiseUpscale(scale=scale, model=model, **options)], device)
-              for options in ({"alpha": False}, {}, {"part_filters": "own"})]
+def measure(model: str, scale: int, name: str, truth: int = 256) -> dict[str, list[float]]:
+    """For each background, PSNR with alpha resampled, denoised and true; the truth has so many samples at 1x."""
+    hairs, device, way = Hairs.grown(), Device("cpu"), np.array(MOVES[name])
+    true = draw(hairs, 99, truth // scale, scale, False, (FRAMES - 1) * way)
+    passes = [Pipeline([DenoiseUpscale(scale=scale, model=model, alpha=alpha)], device) for alpha in (False, True)]
     for i in range(FRAMES):
-        planes = draw(hairs, i, SAMPLES, 1, noisy=True)
-        planes[Role.MOTION] = np.zeros((SIDE, SIDE, 2), np.float32)
+        planes = draw(hairs, i, SAMPLES, 1, True, i * way)
+        planes[Role.MOTION] = np.broadcast_to(-way, (SIDE, SIDE, 2)).astype(np.float32)
         planes[Role.DEPTH] = np.where(planes[Role.ALPHA] > 0, 5, 1e10).astype(np.float32)
         results = [run(Frame(dict(planes), number=i, samples=SAMPLES)) for run in passes]
-    for name, grey in GREYS.items():
+    rows = {}
+    for background, grey in GREYS.items():
         wanted = srgb_encode(np.clip(true[Role.COLOUR] + (1 - true[Role.ALPHA]) * grey, 0, 1))
         picture = results[0][Role.COLOUR]
-        row = [psnr(srgb_encode(np.clip(picture + (1 - alpha) * grey, 0, 1)), wanted)
-               for alpha in (*(result[Role.ALPHA] for result in results), true[Role.ALPHA])]
-        print(f"| {scale}x | {name} | " + " | ".join(f"{value:.2f}" for value in row) + " |")
+        rows[background] = [
+            psnr(srgb_encode(np.clip(picture + (1 - alpha) * grey, 0, 1)), wanted)
+            for alpha in (*(result[Role.ALPHA] for result in results), true[Role.ALPHA])]
+    return rows
 
 
 def main() -> None:
@@ -94,9 +99,11 @@ def main() -> None:
     parser.add_argument("--model", default="m")
     parser.add_argument("--scales", default="1,2")
     arguments = parser.parse_args()
-    print("| | background | alpha resampled | the picture's filters | own filters | true alpha |")
+    print("| | background | alpha resampled | denoised | true alpha |")
     for scale in arguments.scales.split(","):
-        measure(arguments.model, int(scale))
+        for name in MOVES:
+            for background, row in measure(arguments.model, int(scale), name).items():
+                print(f"| {scale}x, {name} | {background} | " + " | ".join(f"{value:.2f}" for value in row) + " |")
 
 
 if __name__ == "__main__":

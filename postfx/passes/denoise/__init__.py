@@ -34,7 +34,7 @@ from postfx.passes.denoise.models import (
     validate_tag,
 )
 from postfx.passes.denoise.options import Size, output_size, parse_reactive, validate_scale, validate_size
-from postfx.passes.denoise.parts import ALPHA_LAYER, checked_parts
+from postfx.passes.denoise.parts import checked_parts
 from postfx.passes.denoise.tiling import Sizes, active_cells
 from postfx.runtime import CommandBuffer, Device, Library, Tensor
 
@@ -64,8 +64,8 @@ class DenoiseUpscale(Pass):
             it pixel by pixel, and both are multiplied; no network runs where it is 0.
         parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part` for those that are
             not light. Light of one group keeps its sum.
-        part_filters: 'picture' filters parts and alpha like the picture; 'own' runs the network on each part that is
-            light, and on alpha, too, which takes as long as the picture for each.
+        part_filters: 'picture' filters parts like the picture; 'own' runs the network on each part that is light,
+            which takes as long as the picture for each.
         alpha: whether alpha is denoised with the picture, where it is neither 0 nor 1; else it is only resampled.
         reactive: where the history is not used, for things that move without motion vectors, such as particles:
             'plane', the plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto',
@@ -104,8 +104,7 @@ class DenoiseUpscale(Pass):
         if part_filters not in PART_FILTERS:
             raise PassOptionError(f"pass '{self.name}' has no part filters '{part_filters}': give "
                                   f"{' or '.join(PART_FILTERS)}")
-        self._own_filters = part_filters == PART_FILTERS[1]
-        self._own = [part.name for part in self._parts if part.is_light and self._own_filters]
+        self._own = [part.name for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
         self._used: str | None = None
         self._cameras = Cameras()
         own = Library(Path(library).expanduser()) if isinstance(library, str | Path) else library
@@ -152,8 +151,7 @@ class DenoiseUpscale(Pass):
             reactive = self._mask.role(spec) is not None
             sizes = Sizes(spec.height, spec.width, *size)
             self._history = History(device, sizes, reactive)
-            alpha = [ALPHA_LAYER] if self._own_filters and self._alpha and spec.has(Role.ALPHA) else []
-            own = {name: History(device, sizes, reactive) for name in (*self._own, *alpha)}
+            own = {name: History(device, sizes, reactive) for name in self._own}
             self._part_history = PartHistory(device, size, self._parts, own)
         self._sizes: LRUCache[FrameSpec, ReadyNetwork | ReadyPlain] = LRUCache(MOST_SIZES)
         self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
@@ -274,10 +272,10 @@ class DenoiseUpscale(Pass):
         layers, written = ready.layers.begin(commands, frame, planes, params, keep) if ready.layers else ([], {})
         colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
         own_runs = ready.layers.own_runs(frame, planes, params, keep) if ready.layers else ()
-        for name, seen, own_params, own_keep, output in own_runs:
+        for name, seen, own_params, output in own_runs:
             ready.own[name].use(ready.models[self._used])
-            own_still = still and own_keep and own_params[GAIN] == params[GAIN]
-            ready.own[name].encode(commands, seen, own_params, own_keep, own_still, band, (), {"output": output})
+            own_still = still and own_params[GAIN] == params[GAIN]
+            ready.own[name].encode(commands, seen, own_params, keep, own_still, band, (), {"output": output})
         self._fresh, self._exposure = not frame.unusable, frame.exposure
         rows = ready.frames.rows(band)
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour

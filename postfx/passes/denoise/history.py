@@ -161,22 +161,27 @@ FACTOR = "factor"
 
 
 class LayerHistory:
-    """The last output of a layer and its accumulated values, in two sets used in turn."""
+    """The last output of a layer and its accumulated values, in two sets used in turn.
+
+    Attributes:
+        frames: how many frames the layer ran in since it last had no history; 0 if the last one left nothing.
+    """
 
     def __init__(self, device: Device, name: str, output: Size, outputs: Sequence[Tensor] = ()) -> None:
         self._device = device
         self._outputs = list(outputs) or [make_zeros(device, f"last {name}", (*output, 3)) for _ in range(2)]
         self._rooms: list[Room] = []
         self._size: Shape = (0, 0)
-        self.known = False
+        self.frames = 0
 
     def turn(self, commands: CommandBuffer, size: Shape, keep: bool) -> bool:
         """Begin a frame of a render size; returns whether the layer has a history in it."""
-        keep = keep and self.known
+        keep = keep and self.frames > 0
+        self.frames = self.frames + 1 if keep else 1
         self._outputs.reverse()
         self._rooms.reverse()
         before, old = self._rooms[0].of(self._size) if self._rooms else {}, self._size
-        self._size, self.known = size, True
+        self._size = size
         if not self._rooms or size[0] * size[1] > self._rooms[0].pixels:
             self._rooms = [Room(self._device, size[0] * size[1], {"last_part": 3}) for _ in range(2)]
         elif size != old:
@@ -186,8 +191,14 @@ class LayerHistory:
         return keep
 
     def follow(self) -> None:
-        """Another layer that shares the memory of the outputs has begun a frame, and this one is not run in it."""
+        """Other layers that share the memory of the outputs have begun a frame."""
         self._outputs.reverse()
+
+    def skip(self, shared: bool) -> None:
+        """The layer does not run in a frame, perhaps but others that share its memory."""
+        self.frames = 0
+        if shared:
+            self.follow()
 
     @property
     def output(self) -> Tensor:
@@ -206,15 +217,15 @@ class LayerHistory:
 
     def kept(self) -> dict[str, np.ndarray]:
         """Between two frames: the values that the last one left; empty if it left none."""
-        if not self.known or not self._rooms:
+        if not self.frames or not self._rooms:
             return {}
         output, part = self.next
-        return {"output": output.content(), "part": part.content()}
+        return {"output": output.content(), "part": part.content(), "frames": np.array(self.frames, np.int64)}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
         """Between two frames: replace the values that the last one left by those `kept`."""
-        self.known = bool(kept)
-        if self.known:
+        self.frames = int(kept["frames"]) if kept else 0
+        if self.frames:
             self._size = kept["part"].shape[0], kept["part"].shape[1]
             self._rooms = [Room(self._device, self._size[0] * self._size[1], {"last_part": 3}) for _ in range(2)]
             for tensor, name in zip(self.next, ("output", "part"), strict=True):
@@ -272,7 +283,7 @@ class PartHistory:
         """Between two frames: forget the last one."""
         self.ran = ()
         for layer in self.layers.values():
-            layer.known = False
+            layer.frames = 0
 
     def kept(self) -> dict[str, np.ndarray]:
         """Between two frames: the values that the last one left, by 'part NAME of a layer'."""

@@ -10,7 +10,7 @@ import numpy as np
 from postfx.errors import FrameError
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise.layout import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
-from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
+from postfx.kernels.denoise.parts import BALANCE, CORRECT, DECODE, DECODE_ONE
 from postfx.passes.base import ResidentFrame
 from postfx.passes.denoise.history import FACTOR, WHOLE, PartHistory, alone, make_zeros, one_of, places_of, some_of
 from postfx.passes.denoise.inputs import ABSENT, Resampler, absent_plane
@@ -29,8 +29,11 @@ STEP = 8
 REACH = 1
 """Render pixels around a surface or a lamp beyond which there is nothing of it, though filters bring some there."""
 LARGEST = float(np.finfo(np.float32).max)
-BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "alpha": (0.0, 1.0), "mist": (0.0, 1.0)}
+BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "mist": (0.0, 1.0)}
 """Bounds of the values of planes by kind; other kinds begin at 0 and have no upper bound."""
+FEW, SETTLED, RANDOM, LONGEST = 4, 16, 0.125, 16
+"""Samples a pixel of files that do not say; those with which alpha is half its own and half the filtered one; noise in
+units of a sample's that structure is compared with; and the frames over which still alpha is averaged."""
 DEPTH = "depth"
 """Kind of a plane of distances: their reciprocals are filtered, and separately which pixels have a distance."""
 FARTHEST = 1e9
@@ -101,6 +104,7 @@ class Layers:
         self._identity.upload([1.0, 0.0, -LARGEST, LARGEST, 0.0])
         self._runs: list[str] = []
         self._raw: dict[str, Tensor] = {}
+        self._correction = self._make_correction() if alpha else None
 
     def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
               keep: bool) -> tuple[list[Layer], dict[str, Tensor]]:
@@ -113,9 +117,8 @@ class Layers:
         self._history.turn()
         self._runs = self._needed(frame)
         runs, targets = [], {}
-        for name in list(self._history.layers):
-            if name not in self._runs and name in self._places:
-                self._history.layers[name].follow()
+        for name in self._history.layers.keys() - {*self._runs}:
+            self._history.layers[name].skip(shared=name in self._places)
         for name in self._runs:
             history = self._history.layer(name)
             if name in self._history.own:
@@ -128,7 +131,12 @@ class Layers:
                 tensors |= {"last_part": history.last["last_part"], **self._inputs(name, frame, planes)}
                 targets[f"next_part {name}"] = part
             last, stack, place = alone(history.last["history"]), alone(output), self._places.get(name, 0)
-            if name in self._places:
+            if name == ALPHA_LAYER and self._correction:
+                stack = alone(self._between("blended alpha", 3))
+                self._correction["part"], self._correction["motion"] = self._raw[name], planes[Role.MOTION]
+                self._correction["corrected"] = output
+                self._gain.upload(_gain_of(frame, history.frames))
+            elif name in self._places:
                 last, stack = self._history.stacks
             if self._is_light(name):
                 stack = self._stack("blended")
@@ -136,28 +144,22 @@ class Layers:
             runs.append(Layer(name, tensors, not fresh or self._kind(name) in MOVING, last, stack, place))
         if self._groups:
             targets["output"] = one_of(self._history.stacks[1], 0)
-            self._history.layers[WHOLE].known = True
+            whole = self._history.layers[WHOLE]
+            whole.frames = max(whole.frames, 1)  # the picture is its history where it does not run
         return runs, targets
 
     def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
-                 keep: bool) -> Iterator[tuple[str, dict[str, Tensor], np.ndarray, bool, Tensor]]:
-        """What the network itself runs on in this frame: name, planes, params, whether it has a history, and where the
-        output goes."""
-        last, self._history.ran = self._history.ran, tuple(
-            name for name in self._history.own if name in self._runs)
+                 keep: bool) -> Iterator[tuple[str, dict[str, Tensor], np.ndarray, Tensor]]:
+        """What the network itself runs on in this frame: name, planes, params, and where the output goes."""
+        self._history.ran = tuple(name for name in self._history.own if name in self._runs)
         for name in self._history.ran:
             part = self._raw[name] = self._three(name, frame)
-            if name == ALPHA_LAYER:
-                self._decodings[name].upload([1.0, 0.0, *BOUNDS["alpha"], 0.0])
-                yield (name, self._alpha_planes(part, planes), np.array([1.0, *params[JITTER_X:GAIN], 1.0], np.float32),
-                       keep and name in last, self._history.layer(name).output)
-                continue
             before, stops = self._history.stops[name], self._history.stops
             stops[name] = _stops_above(frame, name, before)
             own = params.copy()
             own[EXPOSURE] *= 2.0 ** stops[name]
             own[GAIN] *= 2.0 ** (stops[name] - before) if keep else 1.0
-            yield (name, {**planes, str(Role.COLOUR): part, **self._own_reflectance(name, planes)}, own, keep,
+            yield (name, {**planes, str(Role.COLOUR): part, **self._own_reflectance(name, planes)}, own,
                    one_of(self._stack("blended"), self._places[name]))
 
     def finish(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, picture: Tensor,
@@ -178,7 +180,11 @@ class Layers:
             if name == WHOLE:
                 continue
             value = self._history.layer(name).output
-            if not self._is_light(name) and self._kind(name) != DEPTH:
+            if name == ALPHA_LAYER and self._correction:
+                with commands.compute_encoder("correct") as encoder:
+                    encoder.barrier(after="compute", before="compute")
+                    encoder.dispatch(self._correction.state, self._correction)
+            elif not self._is_light(name) and self._kind(name) != DEPTH:
                 value = self._decoded(commands, name, value)
             if restore and restoring and self._kind(name) not in SIGNED:
                 place = self._between(f"restored {name}", 3) if blending else self._finished(name)
@@ -252,7 +258,7 @@ class Layers:
         scale = 1.0 if (low, high) == (0.0, 1.0) else 1 / max(high - low, 1e-30)
         most = LARGEST if self._kind(name) == DEPTH else MAX_COLOUR / self._exposure
         self._codings[name].upload([low, scale, most])
-        bounds = BOUNDS.get("alpha" if name == ALPHA_LAYER else self._kind(name), (0.0, LARGEST))
+        bounds = BOUNDS.get(self._kind(name), (0.0, LARGEST))
         if self._kind(name) != DEPTH:
             self._decodings[name].upload([1 / scale, low, *bounds, float(self._kind(name) == "normal")])
         found = {"part": self._raw[name], "coding": self._codings[name]}
@@ -260,12 +266,6 @@ class Layers:
             return found
         own = SURFACES.get(self._kind(name))
         return found | {str(role): planes[str(role)] if role is own else self._nothing for role in REFLECTANCE}
-
-    def _alpha_planes(self, alpha: Tensor, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Alpha as a picture of a white surface, which is there as far as alpha says."""
-        found = {**planes, str(Role.COLOUR): alpha, **self._own_reflectance(ALPHA_LAYER, planes)}
-        guided = any(f"guide_{role}" in planes for role in REFLECTANCE)
-        return found if guided else {**found, str(Role.DIFFUSE_ALBEDO): alpha}
 
     def _own_reflectance(self, name: str, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Planes, at both sizes, in place of those that a part has nothing to do with: reflectance that it is not
@@ -317,6 +317,12 @@ class Layers:
         with commands.compute_encoder("balance") as encoder:
             encoder.barrier(after="compute", before="compute")
             encoder.dispatch(table.state, table)
+
+    def _make_correction(self) -> ArgumentTable:
+        """The kernel by which alpha gets some of what it lacks at each render pixel; the next frame gets it, too."""
+        self._gain = self._device.heap.tensor("gain of alpha", (3,))
+        tensors = {"filtered": self._between("blended alpha", 3), "gain": self._gain}
+        return ArgumentTable(self._device.compute_state(CORRECT), tensors)
 
     def _stack(self, name: str) -> Tensor:
         """Pictures of the whole and of all light within a frame, in the places that they have in the history."""
@@ -435,6 +441,16 @@ def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
     inverse = np.zeros_like(depth)
     inverse[there] = 1 / distances
     return np.stack([inverse, there, there], axis=-1, dtype=np.float32), [sign, nothing, near, far, -1.0]
+
+
+def _gain_of(frame: ResidentFrame, frames: int) -> list[float]:
+    """How much of what alpha lacks it gets: in a mean of `frames`, this one among them, where nothing moves. Jittered
+    alpha does not lie where the pixels do, and lacks nothing."""
+    if frame.jitter != (0.0, 0.0):
+        return [0.0, 0.0, 1.0]
+    samples = frame.samples or FEW
+    moving, still = (1 / (count + SETTLED / samples) for count in (1, frames))
+    return [moving, max(still, 1 / LONGEST), RANDOM / samples]
 
 
 def _is_noisy(frame: ResidentFrame) -> bool:

@@ -26,7 +26,14 @@ def test_groups_add_up_and_are_graded(tmp_path: Path) -> None:
 
 def test_more_samples_come_nearer_to_the_truth() -> None:
     hairs = alpha.Hairs.grown()
-    few, more, true = (alpha.draw(hairs, seed, count, 1, noisy=False)[Role.ALPHA]
+    few, more, true = (alpha.draw(hairs, seed, count, 1, False, np.zeros(2))[Role.ALPHA]
                        for seed, count in ((1, 1), (2, 4), (3, 12)))
     assert np.abs(more - true).mean() < 0.8 * np.abs(few - true).mean()
     assert set(np.unique(few)) == {0, 1} and true.shape == (alpha.SIDE, alpha.SIDE, 1)
+
+
+@pytest.mark.parametrize(("scale", "way", "most"), [(1, "still", 1.4), (2, "moving", 1.0)])
+def test_composites_with_denoised_alpha_are_near_those_with_true_alpha(scale: int, way: str, most: float) -> None:
+    """With 256 samples of the truth, 1x is within 1 dB: fewer count against denoised alpha only."""
+    for resampled, denoised, true in alpha.measure("m", scale, way, truth=64).values():
+        assert denoised >= true - most and denoised >= resampled
