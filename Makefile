@@ -3,7 +3,7 @@ VENV ?= .venv
 OUT ?= out/demo
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint blender clean
+.PHONY: demo test windows lint blender clean
 
 # Denoise, upscale and tone-map the sample sequence. Installs postfx without torch.
 demo: $(VENV)/installed
@@ -23,6 +23,11 @@ blender:
 	@mkdir -p dist
 	cd hosts/blender_postfx && $(PYTHON) -m zipfile -c ../../dist/postfx-blender.zip blender_manifest.toml __init__.py
 	@echo dist/postfx-blender.zip
+
+# The tests of files and of the command line, as if on Windows: without what only POSIX has.
+windows: export PYTHONPATH = tests/windows
+windows: $(VENV)/installed-dev
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 tests/files tests/io tests/cli tests/reliability
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -11,7 +11,9 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import socket
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -54,6 +56,11 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError("its values are nested without end") from None
 
 
+def with_slashes(name: str) -> str:
+    """A path with / between folders. Windows also takes a backslash for that, which elsewhere is a letter of a name."""
+    return name.replace("\\", "/") if os.name == "nt" else name
+
+
 def is_utf8(name: str) -> bool:
     """Whether a file name is valid UTF-8; other bytes reach Python as lone surrogates."""
     return not any("\ud800" <= letter <= "\udfff" for letter in name)
@@ -73,6 +80,39 @@ def hash_file(path: Path) -> str:
     return digest.hexdigest()
 
 
+Result = TypeVar("Result")
+
+
+def despite_readers(work: Callable[[], Result]) -> Result:
+    """What `work` gives, which removes or replaces a file: Windows refuses that for the moment in which another process
+    reads the file."""
+    for pause in (0.01, 0.03, 0.1, 0.3, 1.0) if os.name == "nt" else ():
+        try:
+            return work()
+        except PermissionError:
+            time.sleep(pause)
+    return work()
+
+
+def remove(path: Path) -> None:
+    """Remove a file if it is there."""
+    despite_readers(lambda: path.unlink(missing_ok=True))
+
+
+@contextmanager
+def memory_file(suffix: str, room: int = 0) -> Iterator[Path]:
+    """Path of a file to write and to read, which is gone afterwards: in memory where the system has such files, else in
+    the temporary folder. OSError where that has less than `room` bytes."""
+    if hasattr(os, "memfd_create"):
+        with os.fdopen(os.memfd_create("postfx"), "rb") as file:
+            yield Path(f"/dev/fd/{file.fileno()}")
+        return
+    with tempfile.TemporaryDirectory(prefix="postfx-") as folder:
+        if shutil.disk_usage(folder).free < room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
+        yield Path(folder, f"file{suffix}")
+
+
 @contextmanager
 def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
     """Yield a temporary path beside `path`. When the block ends, that file replaces `path` in one step; when the block
@@ -85,10 +125,10 @@ def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
         yield temporary
         if durable:
             _sync(temporary, os.O_RDWR)
-        os.replace(temporary, path)
+        despite_readers(lambda: os.replace(temporary, path))
         if durable:
-            with suppress(OSError):  # some file systems cannot sync a folder
-                _sync(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+            with suppress(OSError):  # some file systems, and Windows, cannot sync a folder
+                _sync(path.parent, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
     finally:
         with suppress(OSError):
             temporary.unlink()
@@ -133,15 +173,12 @@ def remove_leftovers(folder: Path, names: Iterable[str], any_host: bool = False)
 
 def is_process_alive(pid: int) -> bool:
     """Whether a process of this number runs on this machine, as far as its process numbers are visible from here."""
-    if pid <= 0:
-        return False
+    import psutil  # only where a lock or a leftover is found
+
     try:
-        os.kill(pid, 0)
-    except (ProcessLookupError, OverflowError):
+        return pid > 0 and bool(psutil.pid_exists(pid))
+    except OverflowError:
         return False
-    except PermissionError:  # another user's process
-        return True
-    return True
 
 
 def _host() -> str:
@@ -160,8 +197,6 @@ def _sync(path: Path, flags: int) -> None:
     finally:
         os.close(descriptor)
 
-
-Result = TypeVar("Result")
 
 PAUSES = (0.1, 0.4)
 """Seconds before the second and the third try."""

@@ -7,6 +7,7 @@ files; folders for what can be remade, such as compiled kernels; and the folder 
 from __future__ import annotations
 
 import errno
+import getpass
 import math
 import mmap
 import os
@@ -19,6 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+import platformdirs
 
 from postfx.errors import MemoryBudgetError
 
@@ -42,8 +44,9 @@ def is_plain_name(name: str) -> bool:
 def private_folder(name: str) -> Path | None:
     """A folder that nobody else may write to, since what lies there is run: in the user's cache, else with the
     temporary files; None where neither can be had."""
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    for base in (home / "postfx", Path(tempfile.gettempdir()) / f"postfx-{os.getuid()}"):
+    owner = getattr(os, "getuid", getpass.getuser)()
+    cache = platformdirs.user_cache_path("postfx", appauthor=False)
+    for base in (cache, Path(tempfile.gettempdir()) / f"postfx-{owner}"):
         folder = base / name
         try:
             base.parent.mkdir(parents=True, exist_ok=True)
@@ -57,7 +60,10 @@ def private_folder(name: str) -> Path | None:
 
 
 def _is_private(folder: Path) -> bool:
-    """Whether a folder, and the link if it is one, is this user's, and not for everyone to write to."""
+    """Whether a folder, and the link if it is one, is this user's, and not for everyone to write to. On Windows both
+    places lie in the user's profile, which no other user may write to."""
+    if not hasattr(os, "getuid"):
+        return True
     status = folder.stat()
     return {status.st_uid, folder.lstat().st_uid} == {os.getuid()} and not status.st_mode & stat.S_IWOTH
 
@@ -75,7 +81,9 @@ def usable_cores() -> int:
 
 def usable_memory() -> int:
     """Bytes that this process may have: the machine's, or fewer if its container gets less."""
-    machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    import psutil  # for networks on a GPU alone
+
+    machine = psutil.virtual_memory().total
     return min([machine, *(most for most, in _limits("memory", ("memory.max",), ("memory.limit_in_bytes",)))])
 
 
@@ -156,9 +164,10 @@ class Scratch:
         return found
 
     def relax(self) -> None:
-        """Release the pages that were read; their content stays in the files."""
-        for each in list(self._maps):
-            each.madvise(mmap.MADV_DONTNEED)
+        """Release the pages that were read, where the system can be told so; their content stays in the files."""
+        if hasattr(mmap, "MADV_DONTNEED"):
+            for each in list(self._maps):
+                each.madvise(mmap.MADV_DONTNEED)
 
     def pieces(self, rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
         """First and last row, not included, of pieces of something large; pages are let go of after each."""

@@ -13,7 +13,8 @@ os.environ.setdefault("POSTFX_CONFIG", "")  # no defaults of this machine or use
 REPOSITORY = Path(__file__).resolve().parent.parent
 LONGEST = (
     "test_quality.py", "test_types.py", "training/datagen/test_clip.py", "doctor/test_breakages.py",
-    "training/denoise/test_train_processes.py", "test_samples.py", "test_docs.py", "training/datagen/test_render.py",
+    "training/denoise/test_train_processes.py", "test_windows.py", "test_samples.py", "test_docs.py",
+    "training/datagen/test_render.py",
     "training/datagen/scenes/test_interior.py", "training/measure/test_validation.py", "doctor/test_unbroken.py",
     "training/denoise/test_export.py", "cli/test_bench.py", "fuzz/test_fuzz.py", "passes/test_denoise_reactive.py",
     "passes/test_denoise_fp16.py", "exposure/test_debugger.py", "stress/test_precisions.py",

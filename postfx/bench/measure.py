@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -294,6 +293,13 @@ def peak_memory() -> float:
         marks = [line for line in status.read_text().splitlines() if line.startswith("VmHWM:")]
         if marks:
             return int(marks[0].split()[1]) * 1024 / 1e6
+    import psutil
+
+    peak = getattr(psutil.Process().memory_info(), "peak_wset", None)
+    if peak is not None:  # Windows
+        return float(peak) / 1e6
+    import resource
+
     factor = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * factor / 1e6
 

@@ -10,6 +10,7 @@ import re
 import shlex
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -118,6 +119,7 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int, frames: str 
     Raises PostfxError for options that do not go together, and for frames that are missing.
     """
     from postfx.cli.run_options import RUN
+    from postfx.files import with_slashes
     from postfx.io.pattern import format_frames
     from postfx.runs.schedule import make_chunks
 
@@ -126,7 +128,7 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int, frames: str 
     chunks = list(make_chunks(sequence, size, _frames_ahead(given, sequence)))
     own = [] if given.preroll is not None else ["--preroll", "auto"]
     own += [] if given.overwrite or given.skip_existing else ["--skip-existing"]
-    folder = Path(given.output) if given.output.endswith("/") else Path(given.output).parent
+    folder = Path(given.output) if with_slashes(given.output).endswith("/") else Path(given.output).parent
     whole = format_frames(sequence.numbers)
     notes = _notes(given, given.output)
     before = sum(len(chunk.preroll) for chunk in chunks) if given.preroll is None else 0
@@ -169,8 +171,9 @@ def _notes(given: argparse.Namespace, output: str) -> list[str]:
 
 
 def _lines(facts: dict[str, Any]) -> list[str]:
-    lines = [f"{shlex.join(chunk['command'])}  # reads {chunk['reads']}" for chunk in facts["chunks"]]
-    return [*lines, f"{shlex.join(facts['verify'])}  # after all of them", *(f"# {note}" for note in facts["notes"])]
+    join = subprocess.list2cmdline if os.name == "nt" else shlex.join
+    lines = [f"{join(chunk['command'])}  # reads {chunk['reads']}" for chunk in facts["chunks"]]
+    return [*lines, f"{join(facts['verify'])}  # after all of them", *(f"# {note}" for note in facts["notes"])]
 
 
 FRAMES, FOLDER = "Frames", "Folder"

@@ -10,7 +10,6 @@ import io
 import os
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from enum import StrEnum
 from functools import cache
@@ -24,6 +23,7 @@ from isal import isal_zlib
 from postfx.colour.displays import KINDS, SRGB, Display
 from postfx.colour.primaries import D50_XYZ, Chromaticities, adapt, to_xyz
 from postfx.errors import ReadError
+from postfx.files import memory_file
 from postfx.frame import Frame
 from postfx.io.exr.container import ExrContainer, Rows, picture_part, write_container
 from postfx.io.exr.header import Header, read_headers
@@ -289,10 +289,9 @@ def _encode_pixel(suffix: str, spec: oiio.ImageSpec) -> bytes:
     """A file of one pixel that says everything else about a picture, made in memory."""
     pixel = oiio.ImageSpec(spec)
     pixel.width = pixel.height = 1
-    with os.fdopen(os.memfd_create("pixel"), "rb") as file:
-        path = Path(f"/dev/fd/{file.fileno()}")
+    with memory_file(suffix) as path:
         _encode(path, suffix, pixel, lambda rows: np.zeros((1, 1, spec.nchannels), np.float32), None)
-        return file.read()
+        return path.read_bytes()
 
 
 def _pieces(spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> Iterator[np.ndarray]:
@@ -306,15 +305,10 @@ def _pieces(spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | N
 
 def _write_jpeg(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels,
                 relax: Callable[[], None] | None) -> None:
-    """Encode through a pipe, as libjpeg ends the process where a disk is full."""
-    reading, writing = os.pipe()
-    with ThreadPoolExecutor(1) as reader, os.fdopen(reading, "rb") as encoded:
-        content = reader.submit(encoded.read)
-        try:
-            _encode(Path(f"/dev/fd/{writing}"), suffix, spec, convert, relax)
-        finally:
-            os.close(writing)
-        path.write_bytes(content.result())
+    """Encode in memory first, as libjpeg ends the process where a disk is full."""
+    with memory_file(suffix, spec.image_bytes()) as made:
+        _encode(made, suffix, spec, convert, relax)
+        path.write_bytes(made.read_bytes())
 
 
 def _encode(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:

@@ -14,6 +14,7 @@ from fileseq.exceptions import MaxSizeException, ParseException
 from fileseq.frameset import FrameSet
 
 from postfx.errors import SequenceError
+from postfx.files import with_slashes
 from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.image_file import READABLE
 
@@ -62,7 +63,7 @@ class Pattern:
         if not self.has_views:
             return {"": self}
         regex = self._regex()
-        found = {match["view"] for name in glob.glob(self._glob()) if (match := regex.fullmatch(name))}
+        found = {match["view"] for name in _glob(self._wild()) if (match := regex.fullmatch(name))}
         return {view: self.of_view(view) for view in sorted(found)}
 
     def path(self, number: int, plane: str = "") -> Path:
@@ -84,7 +85,7 @@ class Pattern:
         """Frames of one view on the disk: number -> plane word ('' where one file holds all planes) -> file."""
         frames: dict[int, dict[str, Path]] = {}
         regex = self._regex()
-        for name in sorted(glob.glob(self._glob())):
+        for name in sorted(_glob(self._wild())):
             match = regex.fullmatch(name)
             if match:
                 words = match.groupdict()
@@ -98,10 +99,11 @@ class Pattern:
     def takes(self, path: Path) -> bool:
         """Whether a file, there or not, would be found as a frame."""
         folder, name = os.path.split(self.prefix)
-        resolved = Pattern(os.path.join(os.path.realpath(folder), name), self.suffix, self.digits)
-        return resolved._regex().fullmatch(os.path.join(os.path.realpath(path.parent), path.name)) is not None
+        resolved = Pattern(_joined(os.path.realpath(folder), name), self.suffix, self.digits)
+        return resolved._regex().fullmatch(_joined(os.path.realpath(path.parent), path.name)) is not None
 
-    def _glob(self) -> str:
+    def _wild(self) -> str:
+        """Wildcards that fit its files, and others."""
         number = "*" if self.numbered else ""
         name = glob.escape(self.prefix) + number + glob.escape(self.suffix)
         return name.replace(PLANE, "*").replace(VIEW, "*")
@@ -121,12 +123,21 @@ class Pattern:
         return self.prefix + ("" if self.digits is None else "#" * max(self.digits, 1)) + self.suffix
 
 
+def _joined(folder: str, name: str) -> str:
+    return with_slashes(os.path.join(folder, name))
+
+
+def _glob(wild: str) -> list[str]:
+    """Names of files that wildcards fit, as patterns have them: Windows puts backslashes between folders."""
+    return [with_slashes(name) for name in glob.glob(wild)]
+
+
 def parse_pattern(text: str) -> Pattern:
     """Pattern of a file name that holds %04d, ####, @@@@, $F4 or <F4> once in its last part; else a single file.
 
     Nuke's %V and %v stand for {view}. SequenceError when a folder's name holds a frame number, or a name holds two.
     """
-    text = _NUKES_VIEW.sub(VIEW, text)
+    text = _NUKES_VIEW.sub(VIEW, with_slashes(text))
     folder, _, name = text.rpartition("/")
     found = list(_NUMBER.finditer(name))
     if len(found) > 1 or (folder and _NUMBER.search(folder)):
@@ -186,9 +197,9 @@ def pattern_of(path: Path) -> Pattern:
     """Pattern of the sequence that a file belongs to by its name; without a number when the name ends in none."""
     match = _DIGITS.search(path.name)
     if not match:
-        return Pattern(str(path))
-    before = len(str(path)) - len(path.name)
-    name = str(path)
+        return Pattern(with_slashes(str(path)))
+    name = with_slashes(str(path))
+    before = len(name) - len(path.name)
     digits = len(match.group().lstrip("-"))
     return Pattern(name[: before + match.start()], name[before + match.end() :], digits)
 
@@ -236,7 +247,7 @@ def locate(source: Source) -> tuple[Pattern, list[int] | None]:
     """
     if not isinstance(source, str | os.PathLike):
         return _locate_files(list(source))
-    name = os.path.expanduser(source)
+    name = with_slashes(os.path.expanduser(source))
     if os.path.isdir(name):
         return _folder_pattern(Path(name)), None
     pattern = parse_pattern(name)
@@ -253,7 +264,7 @@ def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[in
     """Pattern of files that are named one by one, as a shell does with wildcards."""
     if len(names) == 1:
         return locate(names[0])
-    paths = [Path(os.path.expanduser(name)) for name in names]
+    paths = [Path(with_slashes(os.path.expanduser(name))) for name in names]
     absent = [path for path in paths if not path.is_file()]
     if absent or not paths:
         raise SequenceError(f"{absent[0] if absent else 'INPUT'}: no such file: check the folder, or put a pattern "
@@ -265,7 +276,7 @@ def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
     """Pattern of the files, or of the one folder, that wildcards fit."""
     wild = pattern.prefix + ("*" if pattern.numbered else "") + pattern.suffix
     wild = wild.replace(PLANE, "*").replace(VIEW, "*")
-    found = sorted(map(Path, glob.glob(wild)))
+    found = sorted(map(Path, _glob(wild)))
     folders = [path for path in found if path.is_dir()]
     paths = [path for path in found if path.is_file() and path.suffix.lower() in READABLE]
     if not paths and len(folders) == 1:

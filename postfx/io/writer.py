@@ -15,7 +15,7 @@ import OpenImageIO as oiio
 
 from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import OutputExistsError, WriteError
-from postfx.files import is_utf8, make_printable, output_file
+from postfx.files import is_utf8, make_printable, output_file, with_slashes
 from postfx.frame import LINEAR, Frame, Role
 from postfx.io.encode import JPEG, Dither, Picture, encode, halves, has_end, light_of, quantise, tag_codes, tag_light
 from postfx.io.exr.container import COMPRESSIONS
@@ -281,7 +281,7 @@ class OutputFiles:
 
     def __init__(self, target: str, sequence: Sequence, existing: Existing = Existing.REFUSE) -> None:
         self.existing, self._sequence = existing, sequence
-        target = os.path.expanduser(target)
+        target = with_slashes(os.path.expanduser(target))
         self._pattern = _output_pattern(target, sequence.pattern)
         self.display = is_display_format(str(self._pattern))
         if len(sequence) > 1 and not self._pattern.numbered:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -90,11 +92,21 @@ def load_checkpoint(path: Path) -> dict[str, np.ndarray]:
         for name, kind, shape in shapes:
             if kind not in _KINDS:
                 raise ValueError(f"an array of {kind}")
-            arrays[name] = np.memmap(path, kind, "r", at, tuple(shape) or (1,)).reshape(shape)
+            arrays[name] = _array(path, kind, at, tuple(shape))
             at += arrays[name].nbytes
     except (OSError, ValueError, TypeError, OverflowError) as error:
         raise CheckpointError(f"{path}: cannot be read: {error}") from error
     return arrays
+
+
+def _array(path: Path, kind: str, at: int, shape: tuple[int, ...]) -> np.ndarray:
+    """An array of a file: mapped, so that memory holds it only while it is used; read on Windows, where the next
+    checkpoint could not replace a mapped file."""
+    if os.name != "nt":
+        return np.memmap(path, kind, "r", at, shape or (1,)).reshape(shape)
+    found = np.fromfile(path, kind, math.prod(shape), offset=at).reshape(shape)
+    found.flags.writeable = False
+    return found
 
 
 def _opened(path: Path) -> BinaryIO:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from postfx.errors import CheckpointError, ManifestError, WriteError
-from postfx.files import hash_file, remove_leftovers
+from postfx.files import despite_readers, hash_file, remove, remove_leftovers
 from postfx.runs.checkpoint import SUFFIX, About, load_checkpoint, read_about, save_checkpoint
 from postfx.runs.locks import Claim, FolderLock, is_alive
 from postfx.runs.manifest import NAME, WORK_FOLDER, Manifest, Output, load_manifest, update_manifest
@@ -42,7 +42,7 @@ class RunFolder:
         self._work.mkdir(parents=True, exist_ok=True)
         with FolderLock(self._work / "lock"):
             for path in folder.glob(f".{NAME}.*"):  # who writes the manifest holds the lock: these are of killed runs
-                path.unlink(missing_ok=True)
+                remove(path)
             self._claim = Claim(self._work, run, names)
         try:
             self._remove_leftovers(names)
@@ -106,7 +106,7 @@ class RunFolder:
             for path, about in self._abouts():
                 own = about.run == self._run or not is_alive(self._work, about.run)
                 if own and about.pattern == pattern and about.frame in finished:
-                    path.unlink(missing_ok=True)
+                    remove(path)
         finally:
             self.release()
 
@@ -136,7 +136,7 @@ class RunFolder:
         except ManifestError as error:
             path = self._folder / NAME
             with FolderLock(self._work / "lock"):
-                os.replace(path, path.with_name(f"{NAME}.damaged"))
+                despite_readers(lambda: os.replace(path, path.with_name(f"{NAME}.damaged")))
             fault = str(error).rpartition(': delete')[0]
             self.warnings.append(f"{fault}: renamed to {NAME}.damaged, a new one is started")
             return Manifest()
@@ -153,4 +153,4 @@ class RunFolder:
         remove_leftovers(self._folder, names, any_host=True)
         for path in self._work.glob(f".*{SUFFIX}.*"):
             if not is_alive(self._work, path.name[1:].partition(SUFFIX)[0]):
-                path.unlink(missing_ok=True)
+                remove(path)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from postfx.errors import RunError
-from postfx.files import is_process_alive, parse_json, read_text
+from postfx.files import is_process_alive, parse_json, read_text, remove
 
 
 class Process(NamedTuple):
@@ -75,11 +75,16 @@ def _space() -> str:
 
 
 def _begun(pid: int) -> int:
-    """Start time of a process (field 22 of /proc/PID/stat); 0 if unknown."""
+    """Start time of a process (field 22 of /proc/PID/stat, elsewhere hundredths of a second); 0 if unknown."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
-        return 0
+        import psutil  # only where there is no /proc, or no such process
+
+        try:
+            return int(psutil.Process(pid).create_time() * 100)
+        except (psutil.Error, OverflowError, ValueError):
+            return 0
     return int(text.rpartition(")")[2].split()[19])
 
 
@@ -118,29 +123,31 @@ class FolderLock:
 
     def __exit__(self, *_: object) -> None:
         if _holder(self._path) == Process.me():  # another process may have taken it for abandoned
-            with suppress(FileNotFoundError):
-                self._path.unlink()
+            remove(self._path)
 
     def _break(self) -> None:
         """Remove an abandoned lock. Only one process at a time may do so, so that none removes a new lock."""
         breaking = self._path.with_name(f"{self._path.name}.breaking")
         if not _create(breaking):
             if _is_left(breaking):
-                with suppress(FileNotFoundError):
-                    breaking.unlink()
+                remove(breaking)
             time.sleep(PAUSE)
             return
         try:
             if _is_left(self._path):
-                self._path.unlink(missing_ok=True)
+                remove(self._path)
         finally:
-            breaking.unlink(missing_ok=True)
+            remove(breaking)
 
 
 def _create(path: Path) -> bool:
     try:
         handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
     except FileExistsError:
+        return False
+    except PermissionError:
+        if os.name != "nt":  # where it also means that the file is about to be removed
+            raise
         return False
     with os.fdopen(handle, "w", encoding="utf-8") as file:
         json.dump(Process.me().as_dict(), file)
@@ -187,7 +194,7 @@ class Claim:
     def release(self) -> None:
         """Release the files to other runs."""
         self._over.set()
-        self.path.unlink(missing_ok=True)
+        remove(self.path)
 
     def _beat(self) -> None:
         while not self._over.wait(BEAT):
@@ -204,7 +211,7 @@ def is_alive(folder: Path, run: str) -> bool:
 def _refuse_shared(path: Path, wanted: set[str]) -> None:
     process, files = _process(path)
     if _is_gone(path, process):
-        path.unlink(missing_ok=True)
+        remove(path)
         return
     shared = sorted(wanted & files)
     if shared:

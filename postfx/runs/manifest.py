@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from postfx.errors import ManifestError, ManifestReadError
-from postfx.files import hash_file, make_printable, parse_json, read_text, write_atomically
+from postfx.files import hash_file, make_printable, parse_json, read_text, remove, write_atomically
 from postfx.io.pattern import parse_pattern
 from postfx.runs.locks import FolderLock, is_alive
 from postfx.system import is_plain_name
@@ -98,7 +98,7 @@ def update_manifest(folder: Path, change: Callable[[Manifest], None]) -> None:
         manifest = load_manifest(folder)
         change(manifest)
         if not (manifest.runs or manifest.outputs):
-            (folder / NAME).unlink(missing_ok=True)
+            remove(folder / NAME)
             return
         text = manifest.to_json().encode()
         write_atomically(folder / NAME, lambda file: file.write(text), durable=True)

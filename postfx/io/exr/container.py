@@ -20,6 +20,7 @@ import OpenImageIO as oiio
 from isal import isal_zlib
 
 from postfx.errors import ReadError
+from postfx.files import memory_file
 from postfx.io.exr.header import (
     DEEP,
     DEEP_SCANLINES,
@@ -350,8 +351,7 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
     spec.channelnames = tuple(channel.name for channel in header.channels)
     level = f":{header.dwa_level:g}" if header.dwa_level else ""
     spec.attribute("compression", COMPRESSIONS[header.compression] + level)
-    with os.fdopen(os.memfd_create("part"), "rb") as file:
-        path = Path(f"/dev/fd/{file.fileno()}")
+    with memory_file(".exr") as path:
         output = oiio.ImageOutput.create("exr")
         if output is None or not output.open(str(path), spec):
             raise OSError(oiio.geterror())
