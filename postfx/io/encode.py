@@ -10,6 +10,7 @@ import io
 import os
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from enum import StrEnum
 from functools import cache
@@ -305,10 +306,20 @@ def _pieces(spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | N
 
 def _write_jpeg(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels,
                 relax: Callable[[], None] | None) -> None:
-    """Encode in memory first, as libjpeg ends the process where a disk is full."""
-    with memory_file(suffix, spec.image_bytes()) as made:
-        _encode(made, suffix, spec, convert, relax)
-        path.write_bytes(made.read_bytes())
+    """Encode through a pipe, as libjpeg ends the process where a disk is full or a file is larger than it may be."""
+    if not Path("/dev/fd").is_dir():  # on Windows, where pipes have no names: there must be room for any JPEG
+        with memory_file(suffix, spec.image_bytes()) as made:
+            _encode(made, suffix, spec, convert, relax)
+            path.write_bytes(made.read_bytes())
+        return
+    reading, writing = os.pipe()
+    with ThreadPoolExecutor(1) as reader, os.fdopen(reading, "rb") as encoded:
+        content = reader.submit(encoded.read)
+        try:
+            _encode(Path(f"/dev/fd/{writing}"), suffix, spec, convert, relax)
+        finally:
+            os.close(writing)
+        path.write_bytes(content.result())
 
 
 def _encode(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None) -> None:
