@@ -2,8 +2,9 @@ PYTHON ?= python3
 VENV ?= .venv
 OUT ?= out/demo
 BIN := $(VENV)/bin
+PYTHONS ?= $(PYTHON)
 
-.PHONY: demo test windows lint blender clean
+.PHONY: demo test windows release lint blender clean
 
 # Denoise, upscale and tone-map the sample sequence. Installs postfx without torch.
 demo: $(VENV)/installed
@@ -28,6 +29,12 @@ blender:
 windows: export PYTHONPATH = tests/windows
 windows: $(VENV)/installed-dev
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 tests/files tests/io tests/cli tests/reliability
+
+# Wheel and sdist in dist/, each installed and run in a fresh environment of every Python in PYTHONS.
+release: $(VENV)/installed-dev
+	rm -rf dist
+	$(BIN)/python -m hatchling build -d dist
+	for python in $(PYTHONS); do .ci/check_release $$python || exit 1; done
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

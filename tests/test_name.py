@@ -81,3 +81,11 @@ def test_this_package_is_not_taken_for_the_other(tmp_path):
         (tmp_path / f"{name}.dist-info").mkdir()
         (tmp_path / f"{name}.dist-info" / "RECORD").write_text("postfx/__init__.py,,\npostfx/cli/main.py,,\n")
     assert find_namesake(tmp_path) is None
+
+
+def test_the_version_is_the_same_everywhere():
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert f"\nversion: {postfx.__version__}\n" in citation
+    assert re.search(r"^## (\S+),", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[1] == postfx.__version__
+    page = (ROOT / "CONTRIBUTING.md").read_text()
+    assert all((ROOT / name).is_file() for name in re.findall(r"`([\w/]+\.(?:py|toml|cff|md))`", page))

@@ -16,14 +16,14 @@ side on noisy frames with references. Needs: {pip_install('bench')}
 The scale follows from the sizes of the frames and of the references. Every method runs in a process of its own, so its
 peak of memory is its own; reading, writing and scoring are not timed. Times are medians of several runs.
 
-Figures are of what is seen (exposure, x / (1 + x), sRGB): PSNR, SSIM, FLIP; relMSE of linear light; flicker is 1000
-times the mean absolute error of the change from frame to frame along the motion. 'late' is the second half.
+PSNR, SSIM and FLIP are of what is seen (exposure, x / (1 + x), sRGB), relMSE of linear light. Flicker is 1000 times the
+mean absolute error of the change from frame to frame along the motion. 'late' is the second half.
 
-Methods: the networks by tag, as 'm' (with '-int8', '-fp16' and '-guides' where there are such models), and the same
-with '-alone', the history dropped at every frame, '-run-up', as 'postfx run' begins a shot, and '-both-ways', as its
---both-ways; oidn-fast, oidn-balanced, oidn-high (at render size, then enlarged), oidn-high-accumulated (and then
-accumulated along the motion at output size), accumulation, bicubic; or families of them: ours, oidn, plain. --ablations
-adds 'm-without-roughness' and so on for each plane that the frames have beside the colour, and 'm-without-all'.
+Methods are the networks by tag, as 'm', with '-int8', '-fp16' and '-guides' where there are such models. '-alone' drops
+the history at every frame, '-run-up' begins as 'postfx run' does, and '-both-ways' is its --both-ways. OIDN runs at the
+render size and is then enlarged: oidn-fast, oidn-balanced, oidn-high. oidn-high-accumulated is then accumulated along
+the motion at output size. Others are accumulation and bicubic. The families ours, oidn and plain stand for theirs.
+--ablations adds 'm-without-roughness' and so on for each plane beside the colour, and 'm-without-all'.
 """
 EXAMPLES = """\
 examples:
@@ -33,9 +33,9 @@ examples:
   postfx bench shot/noisy.####.exr --reference shot/reference.####.exr -o out/bench --threads 1 --runs 5 --json
   postfx bench shot/noisy.####.exr --frames 1-3 --stress
 
-writes OUT: bench.csv (a line a method), bench.json (everything, frame by frame), pareto_psnr.png, pareto_flicker.png,
-crops.png (details where methods differ most), crops_worst.png (details where ours is behind OIDN most, where there are
-any) and the results under OUT/frames/METHOD/.
+OUT then holds bench.csv (a line a method), bench.json (everything, frame by frame), pareto_psnr.png,
+pareto_flicker.png, crops.png (details where methods differ most) and the results under OUT/frames/METHOD/. Where OIDN
+is ahead, crops_worst.png shows the details.
 """
 
 

@@ -12,9 +12,9 @@ from postfx.cli.run_options import FILES, INPUT, refuse_several_views
 DESCRIPTION = """\
 Measure the exposure of a sequence at the end of the chain: a grey checkerboard, divided by the right exposure, goes
 through the tone mapper with the exposure that the run uses. If the exposure is right, the board comes out as a steady
-mid grey. Its level shows by how many stops the exposure is off, frame by frame and shot by shot (from cut to cut),
-whether it drifts, which exposure is right, and which mistake fits: exposure already in the colour, not passed on,
-inverted, in stops, late or feeding back.
+mid grey. Its level shows by how many stops the exposure is off, frame by frame and shot by shot (from cut to cut). It
+also shows whether the exposure drifts, which one is right, and which mistake fits: exposure already in the colour, not
+passed on, inverted, in stops, late or feeding back.
 
 The board covers the picture, so the denoiser does not run: a frame takes the time to read its colour.
 
@@ -81,8 +81,8 @@ EXPOSURE = Options(Section("", (
            "stop"),
     Option(flag="--curve", metavar="PNG", help="write a picture of the exposure over the sequence"),
     Option(flag="--views", metavar="DIR",
-           help="write curve.png and, of each frame, denoised and exposed as under test: ARRI false colour of the Log "
-           "C signal (log_c) and of the display's (display), and zebra at 95 %%; takes the time of a run"),
+           help="write curve.png, and of each frame ARRI false colour of the Log C signal (log_c) and of the display's "
+           "(display), and zebra at 95 %%. Frames are denoised and exposed first, which takes the time of a run"),
     Option(flag="--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)"),
     *FILES,
     Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to run"),

@@ -25,8 +25,8 @@ examples:
   postfx inspect shot/noisy.####.exr --depth reversed,near=0.1    # is that what the plane holds?
   postfx inspect shot/noisy.####.exr --json | python -m json.tool
 
-exit codes: 0 fine; 1 warnings only; 2 at least one error; also 2, with one line on standard error and nothing on
-standard output, when the arguments are wrong or the first frame cannot be read; 130 interrupted
+exit codes: 0 fine; 1 warnings only; 2 at least one error; 130 interrupted. Wrong arguments and a first frame that
+cannot be read also give 2, with one line on standard error and nothing on standard output.
 """
 
 

@@ -84,8 +84,8 @@ FRAMES = Section("frames", (
 FILES_WRITTEN = Section("files that are written", (
     Option(flag="--keep", choices=("auto", "all", "none"), default="auto", off="auto", sets="writer.keep",
            convert={"auto": None, "all": True, "none": False}.get,
-           help="what else the EXR input holds (channels, parts, header). auto: keep it bit for bit where the picture "
-           "has the input's size; all: else enlarge it by the nearest pixel; none: leave it out (default: auto)"),
+           help="whether an EXR output keeps what else the input holds (channels, parts, header): auto, bit for bit, "
+           "beside a picture of the input's size (default); all, else enlarged by the nearest pixel; none"),
     Option(flag="--bits", metavar="N", type=parse_positive, sets="writer.bits",
            help="of a channel: EXR 16 (half floats, default) or 32 (floats, default beside --aov-denoise depth or "
            "position), PNG 8 (default) or 16 (default in HDR), TIFF 8 or 16 (default)"),
@@ -144,8 +144,8 @@ LOGS = Section("logs and resuming", (
            help="append one JSON object a line for each frame and event (docs/reliability.md)"),
     Option(flag="--checkpoint", metavar="SECONDS", type=_parse_seconds, default=30.0, sets="run.checkpoint",
            changes="nothing",
-           help="keep what the passes remember in OUTPUT's folder after so many seconds of work, and when the run is "
-           "stopped, so that --skip-existing goes on from there; 0 after every frame, none for never (default: 30)"),
+           help="save the history of the passes in OUTPUT's folder after so many seconds of work, and when the run is "
+           "stopped: --skip-existing goes on from there. 0: every frame; none: never (default: 30)"),
     Option(flag="--resume", once=True, metavar="exact|N", type=_parse_rerun, default=_EXACT, sets="run.rerun",
            convert=lambda rerun: None if rerun == _EXACT else rerun, changes="nothing",
            help="with --skip-existing: run as many finished frames again, without writing them, as it takes for the "
@@ -244,9 +244,9 @@ DENOISING = Section("denoising and size", (
            "24 around them; the run says how much light that took"),
     Option(flag="--reactive", metavar="KIND[,NAME=NUMBER]", sets="denoiser.reactive",
            excludes=_FOR_DENOISER,
-           help="where the history is not used, for particles and the like: plane (the plane 'reactive'), difference "
-           "(colour against the plane 'opaque_colour'), auto (the first of these that is there, default) or none; "
-           "with scale= and threshold= of the difference, e.g. auto,scale=8"),
+           help="where the history is not used, as for particles: plane (the plane 'reactive'), difference (colour "
+           "against the plane 'opaque_colour'), auto (the first of these that is there, default) or none. The "
+           "difference has scale= and threshold=, e.g. auto,scale=8"),
 ))
 
 PARTS = Section("masks and parts of the picture", (
@@ -406,9 +406,9 @@ COLOURSPACE = Option(
 LAYER = Option(flag="--layer", metavar="NAME", sets="sequence.layer",
                help="view layer or other layer to read (default: of several view layers that with the most planes)")
 VIEW = Option(flag="--view", metavar="NAMES", sets="sequence.view",
-              help="view of stereo files to read, e.g. left (default: the first, or all where {view} in INPUT says "
-              "that each has files of its own); 'postfx run' takes several (left,right or all), each with its own "
-              "history, and writes them into one EXR as they came, or with {view} in OUTPUT into one file each")
+              help="view of stereo files to read, e.g. left (default: the first, or all where INPUT has {view}). "
+              "'postfx run' takes several, left,right or all, each with its own history. It writes them into one EXR, "
+              "or into a file each where OUTPUT has {view}")
 FILES = Options(Section("", (COLOURSPACE, LAYER, VIEW)))
 """What every verb that reads frames must let the user say about them."""
 

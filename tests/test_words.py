@@ -1,0 +1,80 @@
+"""What people read: no sentence of the README or of a help text is longer than 35 words."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from postfx.cli.main import make_parser
+
+ROOT = Path(__file__).resolve().parent.parent
+MOST = 35
+"""Words of a sentence."""
+PAGES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md")
+_END = re.compile(r"(?<=[.!?])[)\"'*]*\s+(?=[A-Z0-9'`*(\[{]|--)|(?<=:\*\*)\s+")
+"""Where a sentence ends: after its full stop, or after the bold label of a list item."""
+_ABBREVIATIONS = re.compile(r"\b(e\.g|i\.e|etc|vs|cf)\.")
+
+
+def paragraphs(text: str) -> Iterator[str]:
+    """Running text of Markdown, or of a description: without code, tables, headings and pictures; list items apart."""
+    text = re.sub(r"```.*?```", "\n", text, flags=re.DOTALL)
+    lines: list[str] = []
+    for line in [*text.splitlines(), ""]:
+        is_item = re.match(r"\s{0,3}([-*]|\d+\.) ", line)
+        if not line.strip() or is_item or line.startswith(("#", "|", "!", "    ", "  postfx")):
+            if lines:
+                yield " ".join(lines)
+            lines = []
+        if is_item or (line.strip() and not line.startswith(("#", "|", "!", "    ", "  postfx"))):
+            lines.append(re.sub(r"^\s{0,3}([-*]|\d+\.) ", "", line).strip())
+
+
+def sentences(paragraph: str) -> Iterator[str]:
+    """Sentences of a paragraph; what stands in backticks is one word, and so is a link's address."""
+    plain = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", paragraph)
+    plain = re.sub(r"`[^`]*`", "CODE", plain)
+    yield from _END.split(_ABBREVIATIONS.sub(r"\1", plain))
+
+
+def too_long(text: str) -> list[str]:
+    """Sentences of more words than `MOST`, with their count."""
+    found = [(len(re.findall(r"[\w'/.*%+-]*\w[\w'/.*%+-]*", sentence)), sentence)
+             for paragraph in paragraphs(text) for sentence in sentences(paragraph)]
+    return [f"{count} words: {sentence}" for count, sentence in found if count > MOST]
+
+
+def help_texts() -> dict[str, str]:
+    """Verb, and verb with option -> what its help says."""
+    parser = make_parser()
+    (verbs,) = (action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    texts = {}
+    for name, verb in verbs.items():
+        texts[name] = "\n\n".join(filter(None, (verb.description, verb.more[0], verb.epilog, verb.more[1])))
+        texts |= {f"{name} {action.dest}": action.help or "" for action in verb._actions}
+    return texts
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_have_short_sentences(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert sum(1 for _ in paragraphs(text)) > 5
+    assert too_long(text) == []
+
+
+def test_help_texts_have_short_sentences():
+    texts = help_texts()
+    assert len(texts) > 100
+    assert {name: found for name, text in texts.items() if (found := too_long(text))} == {}
+
+
+def test_long_sentences_are_found():
+    long = " ".join(["word"] * 36)
+    assert too_long(f"Short.\n\n- {long}.\n") == [f"36 words: {long}."]
+    assert too_long(f"# {long}\n\n| {long} |\n\n    {long}\n\n```\n{long}\n```\n") == []
+    assert too_long(" ".join(["word"] * 35) + ". And more.") == []
+    assert len(too_long(f"One (e.g. {long}) and `code of {long}` here.")) == 1
