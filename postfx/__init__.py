@@ -20,6 +20,7 @@ from postfx.version import __version__
 if TYPE_CHECKING:
     from postfx.errors import PostfxError
     from postfx.frame import ROLES, Frame, FrameSpec, Role
+    from postfx.interpolate import Between, Interpolator
     from postfx.io.sequence import Sequence, read_sequence
     from postfx.io.writer import write_frame
     from postfx.passes.composite import BothWays, Overlay
@@ -34,11 +35,13 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Backwards": "postfx.temporal.bidirectional",
+    "Between": "postfx.interpolate",
     "BothWays": "postfx.passes.composite",
     "DenoiseUpscale": "postfx.passes.denoise",
     "Device": "postfx.runtime",
     "Frame": "postfx.frame",
     "FrameSpec": "postfx.frame",
+    "Interpolator": "postfx.interpolate",
     "Library": "postfx.runtime",
     "Overlay": "postfx.passes.composite",
     "Pipeline": "postfx.pipeline",
@@ -56,11 +59,13 @@ _HOMES = {
 
 __all__ = [
     "Backwards",
+    "Between",
     "BothWays",
     "DenoiseUpscale",
     "Device",
     "Frame",
     "FrameSpec",
+    "Interpolator",
     "Library",
     "Overlay",
     "Pipeline",

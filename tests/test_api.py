@@ -10,11 +10,13 @@ import postfx
 
 PUBLIC = [
     "Backwards",
+    "Between",
     "BothWays",
     "DenoiseUpscale",
     "Device",
     "Frame",
     "FrameSpec",
+    "Interpolator",
     "Library",
     "Overlay",
     "Pipeline",

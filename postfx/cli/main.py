@@ -14,6 +14,7 @@ from postfx.version import __version__
 
 VERBS = {
     "run": "denoise, upscale and tone-map a sequence",
+    "interpolate": "make frames between the frames of a sequence",
     "watch": "preview frames while a renderer writes them",
     "chunks": "cut a sequence into chunks for the machines of a farm",
     "verify": "check that the files of a run are there, whole and unaltered",

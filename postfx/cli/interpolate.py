@@ -1,0 +1,289 @@
+"""`postfx interpolate`: frames between the frames of a sequence."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from postfx.cli.options import Option, Options, Section
+from postfx.cli.run_options import DEPTH, FILES, INPUT, RUN, parse_cuts
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from postfx.frame import Frame
+    from postfx.interpolate import Between
+    from postfx.interpolate.timing import Moment, Times
+    from postfx.io.sequence import Sequence
+    from postfx.io.writer import OutputFiles
+
+DESCRIPTION = """\
+Make frames at times between the frames of a sequence: twice as many, or to another frame rate. Motion vectors and depth
+lead each pixel from both frames to the new time; without vectors, motion is estimated from the pictures. Light stays
+scene-linear: interpolate renders or denoised frames, before tone mapping.
+
+The new sequence is numbered on from the first frame's number. Frame rate and time code in the headers follow. Across a
+cut, and where nothing changes, the nearer frame is repeated; where a frame is missing, there are no new ones beside it.
+Both are told, with the reason.
+"""
+EXAMPLES = """\
+examples:
+  postfx interpolate clean/shot.####.exr -o out/shot.####.exr
+  postfx interpolate clean/shot.####.exr -o out/shot.####.exr --times 4 --planes
+  postfx interpolate clean/shot.####.exr -o out/shot.####.exr --times 0.25,0.5
+  postfx interpolate clean/shot.####.exr -o out/shot.####.exr --fps 24:60
+  postfx interpolate clean/shot.####.exr -o out/shot.####.exr --overlays hud/shot.####.exr
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this verb's arguments."""
+    INTERPOLATE.add_to(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Interpolate a sequence; returns the exit code."""
+    INTERPOLATE.refuse_conflicts(arguments)
+    job = Interpolation(arguments)
+    for number, reason in job.run():
+        print(f"frame {number}: {reason}", file=sys.stderr)
+    print(json.dumps(job.as_dict()) if arguments.json else job.text())
+    return 0
+
+
+INTERPOLATE = Options(Section("", (
+    INPUT,
+    Option(flag="--output", short="-o", metavar="OUTPUT", help="EXR files to write: a pattern or a folder"),
+    Option(flag="--times", metavar="N|T,...",
+           help="how many times as many frames, or times between two frames, e.g. 0.25,0.5 (default: 2)"),
+    Option(flag="--fps", metavar="OLD[:NEW]",
+           help="frame rates, e.g. 24:60; the old one alone for headers that do not tell it"),
+    Option(flag="--frames", metavar="RANGE", help="frames to use, e.g. 1-100"),
+    Option(flag="--planes",
+           help="write depth, motion, normals and reflectances of all frames, too, by their generic names, so that "
+           "passes after this one can use them; the files hold floats"),
+    Option(flag="--no-flow",
+           help="where there are motion vectors, do not estimate motion as well: faster, but shadows and reflections "
+           "are only faded over"),
+    Option(flag="--overlay", choices=("mix", "hold"), default="mix",
+           help="between frames, mix the overlay's layer, or keep that of the frame before (default: mix)"),
+    Option(flag="--composited",
+           help="the overlay's layer is in the picture, too: take it out first, and put it over the result"),
+    Option(flag="--overlays", metavar="FRAMES", is_file=True,
+           excludes={"--composited": "--overlays are put over pictures that have none yet: leave --composited out"},
+           help="overlays of all frames of OUTPUT, numbered like it: they are put over the pictures"),
+    Option(flag="--reference", metavar="FRAMES", is_file=True,
+           help="rendered frames, numbered like OUTPUT: tell the PSNR of each new frame that is among them"),
+    Option(flag="--overwrite", help="replace output files that are there"),
+    RUN["--bits"],
+    RUN["--compression"],
+    RUN["--profile"],
+    DEPTH,
+    *FILES,
+    Option(flag="--cuts", metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts", convert=parse_cuts,
+           help="where shots begin: by headers and pictures, nowhere, or at these frames (default: auto)"),
+    Option(flag="--json", help="print one JSON object"),
+)))
+
+
+@dataclass
+class Summary:
+    """What became of a sequence: reasons by the numbers of new frames, and PSNR in dB by number."""
+
+    kept: int = 0
+    made: int = 0
+    seconds: float = 0.0
+    repeated: dict[int, str] = field(default_factory=dict)
+    skipped: dict[int, str] = field(default_factory=dict)
+    psnr: dict[int, float] = field(default_factory=dict)
+
+
+class Interpolation:
+    """Everything that the arguments ask for. Raises PostfxError where they do not fit together."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        from postfx.cuts import CutDetector
+        from postfx.errors import OptionError, WriteError
+        from postfx.frame import Role
+        from postfx.interpolate.timing import parse_times
+        from postfx.io.sequence import Sequence
+        from postfx.io.writer import Existing, OutputFiles
+
+        if not arguments.output:
+            raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o out/between.####.exr")
+        self._arguments = arguments
+        self._times: Times = parse_times(arguments.times, arguments.fps)
+        self._sequence: Sequence = Sequence(arguments.input, arguments.frames,
+                                            **INTERPOLATE.values_for("sequence", arguments))
+        existing = Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
+        self._outputs: OutputFiles = OutputFiles(arguments.output, self._sequence, existing)
+        if self._outputs.display:
+            raise WriteError(f"{arguments.output}: is for a display: write EXR and tone-map it afterwards")
+        if len(self._sequence) < 2:
+            raise OptionError(f"{self._sequence.pattern}: one frame has nothing between it: give two or more")
+        self._moments: list[Moment] = list(self._times.moments(self._sequence.numbers))
+        self._outputs.check(tuple(moment.number for moment in self._moments))
+        self._overlays = Sequence(arguments.overlays, planes=[Role.OVERLAY]) if arguments.overlays else None
+        self._reference = Sequence(arguments.reference, planes=[Role.COLOUR]) if arguments.reference else None
+        self._detector = CutDetector() if arguments.cuts == "auto" else None
+        self._frames: dict[int, Frame | None] = {}
+        self._cuts: set[int] = set()
+        self._between: tuple[int, Between] | None = None
+        self._first: dict[str, Any] = {}
+        self.summary = Summary()
+
+    def run(self) -> Iterator[tuple[int, str]]:
+        """Write all frames; yields number and reason of those that are repeated or left out."""
+        begin = time.perf_counter()
+        for count, moment in enumerate(self._moments):
+            frame, reason = self._make(moment)
+            if frame is None:
+                self.summary.skipped[moment.number] = reason
+            else:
+                self._write(frame, count)
+                self._compare(frame, moment)
+                if reason:
+                    self.summary.repeated[moment.number] = reason
+                elif moment.t:
+                    self.summary.made += 1
+                else:
+                    self.summary.kept += 1
+            if reason:
+                yield moment.number, reason
+        self.summary.seconds = time.perf_counter() - begin
+
+    def as_dict(self) -> dict[str, Any]:
+        """The summary for programs."""
+        return {"frames": len(self._sequence), "outputs": str(self._outputs.pattern), **vars(self.summary)}
+
+    def text(self) -> str:
+        """The summary for people."""
+        found = self.summary
+        lines = [f"wrote    {self._outputs.pattern}: {found.kept} frames of {self._sequence.pattern}, {found.made} new",
+                 f"time     {found.seconds:.1f} s, {found.seconds / max(found.made, 1):.2f} s a new frame"]
+        lines += [f"repeated {len(found.repeated)} frames"] * bool(found.repeated)
+        lines += [f"left out {len(found.skipped)} frames"] * bool(found.skipped)
+        if found.psnr:
+            mean = sum(found.psnr.values()) / len(found.psnr)
+            lines.append(f"PSNR     {mean:.2f} dB, mean of {len(found.psnr)} new frames against the reference")
+        return "\n".join(lines)
+
+    def _make(self, moment: Moment) -> tuple[Frame | None, str]:
+        """The frame of a moment, with the reason if it is a repeated one; None with the reason if there is none."""
+        frame = self._read(moment.start)
+        following = self._read(moment.start + 1) if moment.t else frame
+        missing = next((index for index, one in ((moment.start, frame), (moment.start + 1, following)) if one is None),
+                       None)
+        if missing is not None or frame is None:
+            return None, f"frame {self._sequence.numbers[missing or moment.start]} is missing"
+        if not moment.t:
+            return self._renumber(frame, moment), ""
+        between = self._between_at(moment.start)
+        made = between.frame(moment.t, moment.number, moment.previous)
+        nearer = self._sequence.numbers[moment.start + (moment.t >= 0.5)]
+        return made, f"repeats frame {nearer}, as {between.reason}" if between.reason else ""
+
+    def _renumber(self, frame: Frame, moment: Moment) -> Frame:
+        """A frame of the input as one of the output, with motion from the new frame before it."""
+        from postfx.frame import Role
+
+        planes = dict(frame.planes)
+        before = self._read(moment.start - 1) if moment.start else None
+        if self._arguments.planes and Role.MOTION in frame and before is not None:
+            between = self._between_at(moment.start - 1)
+            if between.reason is None:
+                planes[Role.MOTION] = between.motion_of_after(moment.previous)
+        return replace(frame, planes=planes, number=moment.number)
+
+    def _read(self, index: int) -> Frame | None:
+        """A frame of the input; None where it is missing. Each is read once, in order."""
+        if index not in self._frames and index < len(self._sequence):
+            number = self._sequence.numbers[index]
+            frame = self._sequence.read(number) if self._sequence.holds(number) else None
+            if frame is not None:
+                self._first = self._first or frame.metadata
+                if self._detector is not None and self._detector(frame):
+                    self._cuts.add(index)
+            self._frames = {other: one for other, one in self._frames.items() if other >= index - 3} | {index: frame}
+        return self._frames.get(index)
+
+    def _between_at(self, index: int) -> Between:
+        """The time between a frame, which is there like the one after it, and that one."""
+        from postfx.interpolate import Between
+
+        if self._between is None or self._between[0] != index:
+            before, after, later = self._read(index), self._read(index + 1), self._read(index + 2)
+            assert before is not None and after is not None, "the caller has read both"
+            later = None if index + 2 in self._cuts else later
+            self._between = index, Between(before, after, later, flow=not self._arguments.no_flow,
+                                           overlay=self._arguments.overlay, composited=self._arguments.composited,
+                                           is_cut=index + 1 in self._cuts)
+        return self._between[1]
+
+    def _write(self, frame: Frame, count: int) -> None:
+        from postfx.io.writer import write_frame
+
+        frame = replace(frame, metadata=self._times.header(frame.metadata, count, self._first))
+        if self._overlays is not None:
+            frame = self._with_overlay(frame)
+        if self._arguments.planes:
+            frame = with_parts(frame)
+        write_frame(self._outputs.path(frame.number), frame, **INTERPOLATE.values_for("writer", self._arguments))
+
+    def _with_overlay(self, frame: Frame) -> Frame:
+        """The frame under the overlay that is given for it (Porter and Duff 1984)."""
+        from postfx.errors import FrameError
+        from postfx.frame import Role
+
+        assert self._overlays is not None, "asked only where --overlays is given"
+        overlay = self._overlays.read(frame.number)[Role.OVERLAY]
+        colour = frame[Role.COLOUR]
+        if overlay.shape[:2] != colour.shape[:2]:
+            raise FrameError(f"overlay of frame {frame.number} is {overlay.shape[1]}x{overlay.shape[0]}, the picture "
+                             f"{colour.shape[1]}x{colour.shape[0]}: render it at the picture's size")
+        clear = 1 - overlay[..., 3:]
+        planes = dict(frame.planes)
+        planes.pop(Role.OVERLAY, None)
+        planes[Role.COLOUR] = overlay[..., :3] + clear * colour
+        if Role.ALPHA in frame:
+            planes[Role.ALPHA] = overlay[..., 3:] + clear * frame[Role.ALPHA]
+        return replace(frame, planes=planes)
+
+    def _compare(self, frame: Frame, moment: Moment) -> None:
+        """Keep the PSNR of a new frame."""
+        if self._reference is None or not moment.t or not self._reference.holds(moment.number):
+            return
+        from postfx.bench.metrics import grey_exposure, psnr
+        from postfx.colour.views import to_codes
+        from postfx.frame import Role
+
+        wanted = self._reference.read(moment.number)[Role.COLOUR]
+        exposure = frame.exposure or grey_exposure(wanted)
+        shown = [to_codes(colour, exposure) for colour in (frame[Role.COLOUR], wanted)]
+        self.summary.psnr[moment.number] = round(psnr(*shown), 3)
+
+
+_CHANNELS = {"depth": ("depth.Z",), "normal": ("normal.X", "normal.Y", "normal.Z"),
+             "diffuse_albedo": ("albedo.R", "albedo.G", "albedo.B"),
+             "specular_albedo": ("specular_albedo.R", "specular_albedo.G", "specular_albedo.B"),
+             "roughness": ("roughness.Y",), "specular_hit_distance": ("specular_hit_distance.Y",)}
+"""Planes that are written beside the picture, and their channels by the generic profile."""
+
+
+def with_parts(frame: Frame) -> Frame:
+    """The frame with its planes as parts, which the writer writes by their generic names, in floats."""
+    from postfx.frame import PartSource, Role
+
+    planes: dict[str, tuple[np.ndarray, tuple[str, ...]]] = {
+        name: (frame[name], channels) for name, channels in _CHANNELS.items() if name in frame}
+    if Role.MOTION in frame:
+        planes |= {f"motion {axis}": (frame[Role.MOTION][..., k:k + 1], (f"motion.{axis}",))
+                   for k, axis in enumerate("XY")}
+    sources = {name: PartSource(channels, exact=True) for name, (_, channels) in planes.items()}
+    return replace(frame, parts={**frame.parts, **{name: plane for name, (plane, _) in planes.items()}},
+                   part_sources={**frame.part_sources, **sources})

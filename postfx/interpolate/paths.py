@@ -1,0 +1,208 @@
+"""Where the points of two frames are at a time between them.
+
+A path is a curve from a point's place in the frame before (time 0) to that in the frame after (time 1). Every pixel of
+both frames has one: of the frame after by its motion, of the frame before by that motion turned round, or, where the
+frame after hides the point, by going on as it came. With a frame further back, or one further ahead, paths are bent:
+Lagrange's polynomial through three or four places.
+
+`splat_paths` brings them to a time: of all paths that arrive at a pixel the nearest ones count, and their mean is kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postfx.kernels.numeric import Real, compiled, inline
+from postfx.temporal.reverse_motion import LOST
+
+FAR = np.float32(1e30)
+"""Stands for an unknown depth or a larger one."""
+ALIKE = np.float32(0.04)
+"""Relative difference in depth of paths that arrive at a pixel as one surface."""
+SEEN = np.float32(1)
+"""Pixels by which motion to the other frame and back may miss."""
+COVERS = np.float32(0.9)
+"""Share of a depth below which what is seen is something else, in front."""
+SPRUNG = np.float32(0.5)
+"""Bend, as a share of the motion, from which a path is no curve but a jump: it is taken as straight."""
+
+
+@dataclass
+class Paths:
+    """Paths of one frame's pixels.
+
+    Attributes:
+        ends: (h, w, 4) float32: from the pixel to the point's place in the frame before (x, y) and in the one after.
+        bend: (h, w, 2): half the second difference of the places, in pixels.
+        depth: (h, w, 1): what decides between paths that meet; the smaller one is in front.
+        seen: (h, w): 1 where the other frame shows the point as well, else 0.
+    """
+
+    ends: np.ndarray
+    bend: np.ndarray
+    depth: np.ndarray
+    seen: np.ndarray
+
+
+def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, depth_after: np.ndarray,
+             came: np.ndarray | None = None, goes: np.ndarray | None = None) -> tuple[Paths, Paths]:
+    """Paths of the pixels of the frame before, and of those of the frame after.
+
+    Args:
+        motion: (h, w, 2) of the frame after: previous place minus this one, in pixels.
+        ahead: likewise of the frame before, to the frame after; LOST where that hides a point.
+        depth_before, depth_after: (h, w, 1), without NaN.
+        came: motion of the frame before, from a frame further back; None without.
+        goes: motion from the frame after to one further ahead, LOST where that hides a point; None without.
+    """
+    h, w = motion.shape[:2]
+    first, last = (Paths(np.empty((h, w, 4), np.float32), np.zeros((h, w, 2), np.float32), depth,
+                         np.empty((h, w), np.float32)) for depth in (depth_before, depth_after))
+    none = np.zeros((0, 0, 2), np.float32)
+    came, goes = none if came is None else came, none if goes is None else goes
+    lead_back(motion, ahead, depth_before, depth_after, came, goes, last.ends, last.bend, last.seen)
+    lead_ahead(ahead, motion, depth_before, depth_after, came, last.bend, first.ends, first.bend, first.seen)
+    return first, last
+
+
+def splat_paths(paths: Paths, t: float) -> tuple[np.ndarray, np.ndarray]:
+    """What arrives at each pixel at time t: the nearest surface's mean path (h, w, 6), as `close_cracks` leaves it, and
+    its depth (h, w), FAR where nothing arrives."""
+    h, w = paths.seen.shape
+    nearest, found = np.full((h, w), FAR, np.float32), np.zeros((h, w, 6), np.float32)
+    depth = np.empty((h, w), np.float32)
+    splat_nearest(paths.ends, paths.bend, paths.depth, t, nearest)
+    splat_means(paths.ends, paths.bend, paths.depth, paths.seen, t, nearest, found)
+    close_cracks(nearest, found, depth)
+    return found, depth
+
+
+@inline
+def is_touched(back: np.ndarray, depth: np.ndarray, v: Real, u: Real, fx: Real, fy: Real, z: Real) -> bool:
+    """Whether one of the four pixels around a place, where a motion led, shows something nearer that does not lead
+    back."""
+    h, w = depth.shape[:2]
+    j, i = int(np.floor(v)), int(np.floor(u))
+    for b in range(max(j, 0), min(j + 2, h)):
+        for a in range(max(i, 0), min(i + 2, w)):
+            leads_back = abs(back[b, a, 0] + fx) <= SEEN and abs(back[b, a, 1] + fy) <= SEEN
+            if depth[b, a, 0] < COVERS * z and not leads_back:
+                return True
+    return False
+
+
+@compiled
+def lead_back(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, depth_after: np.ndarray,
+              came: np.ndarray, goes: np.ndarray, ends: np.ndarray, bend: np.ndarray, seen: np.ndarray) -> None:
+    """Paths of the frame after: by its motion; bent by what the frames beside tell of the same points."""
+    h, w = seen.shape
+    half = np.float32(0.5)
+    for y in range(h):
+        for x in range(w):
+            mx, my = motion[y, x, 0], motion[y, x, 1]
+            ends[y, x, 0], ends[y, x, 1], ends[y, x, 2], ends[y, x, 3] = mx, my, 0, 0
+            seen[y, x] = 0
+            u, v = x + mx + half, y + my + half
+            if not (0 <= u < w and 0 <= v < h):
+                continue
+            i, j = int(u), int(v)
+            same = abs(ahead[j, i, 0] + mx) <= SEEN and abs(ahead[j, i, 1] + my) <= SEEN
+            if same and not is_touched(ahead, depth_before, v - half, u - half, mx, my, depth_after[y, x, 0]):
+                seen[y, x] = 1
+            bx, by, count = np.float32(0), np.float32(0), 0
+            if came.size and same:
+                bx, by, count = came[j, i, 0] - mx, came[j, i, 1] - my, 1
+            if goes.size and goes[y, x, 0] < LOST:
+                bx, by, count = bx + goes[y, x, 0] + mx, by + goes[y, x, 1] + my, count + 1
+            most = SPRUNG * (abs(mx) + abs(my))
+            if count and abs(bx) + abs(by) <= most * count:
+                bend[y, x, 0], bend[y, x, 1] = half * bx / count, half * by / count
+
+
+@compiled
+def lead_ahead(ahead: np.ndarray, motion: np.ndarray, depth_before: np.ndarray, depth_after: np.ndarray,
+               came: np.ndarray, bend_after: np.ndarray, ends: np.ndarray, bend: np.ndarray, seen: np.ndarray) -> None:
+    """Paths of the frame before: to where the frame after shows the point, or straight on."""
+    h, w = seen.shape
+    half = np.float32(0.5)
+    for y in range(h):
+        for x in range(w):
+            fx, fy = ahead[y, x, 0], ahead[y, x, 1]
+            seen[y, x] = 0
+            if fx < LOST:
+                i, j = min(max(int(x + fx + half), 0), w - 1), min(max(int(y + fy + half), 0), h - 1)
+                if abs(motion[j, i, 0] + fx) <= SEEN and abs(motion[j, i, 1] + fy) <= SEEN:  # else a filled crack
+                    bend[y, x, 0], bend[y, x, 1] = bend_after[j, i, 0], bend_after[j, i, 1]
+                    if not is_touched(motion, depth_after, y + fy, x + fx, fx, fy, depth_before[y, x, 0]):
+                        seen[y, x] = 1
+            else:
+                fx, fy = (-came[y, x, 0], -came[y, x, 1]) if came.size else (np.float32(np.nan), np.float32(np.nan))
+            ends[y, x, 0], ends[y, x, 1], ends[y, x, 2], ends[y, x, 3] = 0, 0, fx, fy
+
+
+@compiled
+def splat_nearest(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, t: float, nearest: np.ndarray) -> None:
+    """Least depth of the paths that are nearest to each pixel at time t; FAR where there is none."""
+    h, w = nearest.shape
+    half, at, s = np.float32(0.5), np.float32(t), np.float32(t * (t - 1))
+    for y in range(h):
+        for x in range(w):
+            u = x + half + ends[y, x, 0] + at * (ends[y, x, 2] - ends[y, x, 0]) + s * bend[y, x, 0]
+            v = y + half + ends[y, x, 1] + at * (ends[y, x, 3] - ends[y, x, 1]) + s * bend[y, x, 1]
+            if 0 <= u < w and 0 <= v < h:
+                nearest[int(v), int(u)] = min(nearest[int(v), int(u)], depth[y, x, 0])
+
+
+@compiled
+def splat_means(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, seen: np.ndarray, t: float,
+                nearest: np.ndarray, found: np.ndarray) -> None:
+    """Sums (h, w, 6) of the nearest surface's paths around each pixel: to both frames, seen, weight."""
+    h, w = nearest.shape
+    one, at, s = np.float32(1), np.float32(t), np.float32(t * (t - 1))
+    for y in range(h):
+        for x in range(w):
+            dx = ends[y, x, 0] + at * (ends[y, x, 2] - ends[y, x, 0]) + s * bend[y, x, 0]
+            dy = ends[y, x, 1] + at * (ends[y, x, 3] - ends[y, x, 1]) + s * bend[y, x, 1]
+            u, v = x + dx, y + dy
+            if not (-one < u < w and -one < v < h):
+                continue
+            i, j = int(np.floor(u)), int(np.floor(v))
+            z = depth[y, x, 0]
+            for b in range(max(j, 0), min(j + 2, h)):
+                for a in range(max(i, 0), min(i + 2, w)):
+                    weight = (one - abs(u - a)) * (one - abs(v - b))
+                    if weight > 0 and abs(z - nearest[b, a]) <= ALIKE * nearest[b, a]:
+                        found[b, a, 0] += weight * (ends[y, x, 0] - dx)
+                        found[b, a, 1] += weight * (ends[y, x, 1] - dy)
+                        found[b, a, 2] += weight * (ends[y, x, 2] - dx)
+                        found[b, a, 3] += weight * (ends[y, x, 3] - dy)
+                        found[b, a, 4] += weight * seen[y, x]
+                        found[b, a, 5] += weight
+
+
+@compiled
+def close_cracks(nearest: np.ndarray, found: np.ndarray, depth: np.ndarray) -> None:
+    """Means of the sums; pixels where nothing arrived get those of two neighbours on opposite sides."""
+    h, w = nearest.shape
+    for y in range(h):
+        for x in range(w):
+            depth[y, x] = nearest[y, x]
+            if nearest[y, x] < FAR:
+                for c in range(5):
+                    found[y, x, c] /= found[y, x, 5]
+    for y in range(h):
+        for x in range(w):
+            if nearest[y, x] < FAR:
+                continue
+            best = FAR
+            for j, i in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                if not (j <= y < h - j and abs(i) <= x < w - abs(i)):
+                    continue
+                one, other = nearest[y - j, x - i], nearest[y + j, x + i]
+                if one < FAR and abs(one - other) <= ALIKE * one and one < best:
+                    best = one
+                    for c in range(5):
+                        found[y, x, c] = np.float32(0.5) * (found[y - j, x - i, c] + found[y + j, x + i, c])
+                    depth[y, x] = np.float32(0.5) * (one + other)

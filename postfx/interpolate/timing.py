@@ -1,0 +1,185 @@
+"""Which frames a sequence gets when frames are put between its own: times, numbers, frame rate and time code.
+
+Time codes are those of SMPTE ST 12-1 as OpenEXR stores them: hours, minutes, seconds and frames as decimal digits of 4
+bits in one word. Above 30 frames a second, frames are counted in pairs and a bit tells the second one of a pair.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+from postfx.errors import OptionError
+
+_DROP, _FIELD = 1 << 6, 1 << 15
+_PLACES = ((24, 30), (16, 23), (8, 15), (0, 6))
+"""First and last bit of hours, minutes, seconds and frames."""
+MOST_RATE = 60
+"""Frames a second that a time code can count."""
+
+
+class Moment(NamedTuple):
+    """A frame of the new sequence.
+
+    Attributes:
+        number: its frame number.
+        start: of the frame before it, or of itself, in the old sequence, from 0.
+        t: time since that frame, 0 to 1 (not included); 0 for that frame itself.
+        previous: the time of the new frame before, to which its motion leads, counted like t; for t = 0 counted in the
+            interval that ends there.
+    """
+
+    number: int
+    start: int
+    t: float
+    previous: float
+
+
+@dataclass(frozen=True)
+class Times:
+    """Times at which there are frames.
+
+    Attributes:
+        within: times in each interval, ascending from 0; empty where a rate decides.
+        ratio: new frames for one old frame; None where times are not evenly spaced.
+        rate: frames a second of the old sequence, if it was given.
+    """
+
+    within: tuple[Fraction, ...] = ()
+    ratio: Fraction | None = None
+    rate: Fraction | None = None
+
+    def moments(self, numbers: Sequence[int]) -> Iterator[Moment]:
+        """All frames of a sequence with these numbers, numbered on from its first one."""
+        last, before = len(numbers) - 1, Fraction(0)
+        for count, time in enumerate(self._all(last)):
+            index = min(int(time), last)
+            # the last frame's motion leads through the interval that ends there
+            origin = index - 1 if time == index and index else index
+            yield Moment(numbers[0] + count, index, float(time - index), float(before - origin))
+            before = time
+
+    def _all(self, last: int) -> Iterator[Fraction]:
+        if self.within:
+            yield from (index + t for index in range(last) for t in self.within)
+            yield Fraction(last)
+        elif self.ratio:
+            yield from (count / self.ratio for count in range(int(last * self.ratio) + 1))
+
+    def header(self, metadata: Mapping[str, Any], count: int, first: Mapping[str, Any]) -> dict[str, Any]:
+        """Metadata of the new frame with this count from 0, in the place of `metadata`.
+
+        first: metadata of the old sequence's first frame. Without an even rate there is no frame rate and no time code,
+        without a known one no time code.
+        """
+        found = {name: value for name, value in metadata.items() if name not in ("framesPerSecond", "timeCode")}
+        rate = self.rate or as_rate(first.get("framesPerSecond"))
+        if self.ratio is None or rate is None:
+            return found
+        found["framesPerSecond"] = float(rate * self.ratio)
+        code = first.get("timeCode")
+        if code is not None and nominal(rate * self.ratio) <= MOST_RATE:
+            frames = math.floor(read_code(code[0], rate) * self.ratio) + count
+            found["timeCode"] = (make_code(frames, rate * self.ratio, bool(code[0] & _DROP)), int(code[1]))
+        return found
+
+
+def parse_times(times: str | None, rates: str | None = None) -> Times:
+    """Of --times ('2', or '0.25,0.5') and --fps ('24:60', or '24' for the old rate alone).
+
+    Raises OptionError for anything else.
+    """
+    old, _, new = (rates or "").partition(":")
+    rate = _number(old, f"--fps {rates}") if old else None
+    if new and times:
+        raise OptionError(f"--times {times} and --fps {rates} both say how many frames: give --times with --fps {old}")
+    if new and rate:
+        ratio = _number(new, f"--fps {rates}") / rate
+        if ratio <= 1:
+            raise OptionError(f"--fps {rates}: {new} is not above {old}: give a higher one, like 24:60")
+        return Times(ratio=ratio, rate=rate)
+    text = times or "2"
+    if text.isdigit():
+        count = int(text)
+        if not 2 <= count <= 64:
+            raise OptionError(f"--times {text}: give 2 to 64 times as many frames, or times like 0.25,0.5")
+        return Times(tuple(Fraction(k, count) for k in range(count)), Fraction(count), rate)
+    within = sorted({Fraction(0), *(_number(one, f"--times {text}") for one in text.split(","))})
+    if within[-1] >= 1:
+        raise OptionError(f"--times {text}: {float(within[-1]):g} is not between two frames: give times below 1")
+    even = all(t == Fraction(k, len(within)) for k, t in enumerate(within))
+    return Times(tuple(within), Fraction(len(within)) if even else None, rate)
+
+
+def _number(text: str, option: str) -> Fraction:
+    try:
+        number = Fraction(text.strip())
+    except (ValueError, ZeroDivisionError):
+        number = Fraction(0)
+    if number <= 0:
+        raise OptionError(f"{option}: '{text.strip()}' is no number above 0")
+    return number
+
+
+def as_rate(value: Any) -> Fraction | None:
+    """Frames a second as a fraction, 23.976 as 24000/1001; None for no rate."""
+    try:
+        rate = float(value)
+    except (TypeError, ValueError):
+        return None
+    if not 0 < rate < MOST_RATE * 1000:
+        return None
+    whole = round(rate)
+    return Fraction(1000 * whole, 1001) if 5e-4 < whole / rate - 1 < 2e-3 else Fraction(rate).limit_denominator(1001)
+
+
+def nominal(rate: Fraction) -> int:
+    """The frames that a time code counts in a second."""
+    return math.ceil(rate - Fraction(1, 1000))
+
+
+def read_code(word: int, rate: Fraction) -> int:
+    """Frames since midnight of a time code's first word, at a rate."""
+    hours, minutes, seconds, frames = (_digits(word, first, last) for first, last in _PLACES)
+    base = nominal(rate)
+    if base > 30:
+        frames = 2 * frames + bool(word & _FIELD)
+    total = ((hours * 60 + minutes) * 60 + seconds) * base + frames
+    if word & _DROP:
+        whole = hours * 60 + minutes
+        total -= _dropped(base) * (whole - whole // 10)
+    return total
+
+
+def make_code(total: int, rate: Fraction, drop: bool) -> int:
+    """A time code's first word; drop: whether frame numbers are left out to keep up with the clock, as they can be at
+    30 and 60 times 1000/1001 frames a second."""
+    base = nominal(rate)
+    drop = drop and base in (30, 60) and rate != base
+    if drop:
+        skipped, minute = _dropped(base), 60 * base
+        ten = 10 * minute - 9 * skipped
+        tens, rest = divmod(total, ten)
+        late = max(rest - skipped, 0) // (minute - skipped) if rest >= minute else 0
+        total += skipped * (9 * tens + late)
+    seconds, frames = divmod(total, base)
+    word = _FIELD if base > 30 and frames % 2 else 0
+    frames = frames // 2 if base > 30 else frames
+    parts = seconds // 3600 % 24, seconds // 60 % 60, seconds % 60, frames
+    for (first, _), value in zip(_PLACES, parts, strict=True):
+        word |= (value // 10 << 4 | value % 10) << first
+    return word | (_DROP if drop else 0)
+
+
+def _dropped(base: int) -> int:
+    """Frame numbers left out in a minute."""
+    return 2 * base // 30
+
+
+def _digits(word: int, first: int, last: int) -> int:
+    """Two decimal digits in these bits."""
+    value = word >> first & ((1 << (last - first)) - 1)
+    return (value >> 4) * 10 + (value & 15)

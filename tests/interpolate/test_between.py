@@ -1,0 +1,207 @@
+"""Frames between frames, of a scene whose picture is known at any time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postfx import Between, Interpolator
+from postfx.errors import FrameError
+from postfx.frame import Frame, PartSource, Role
+from tests.interpolate.conftest import DISC, HEIGHT, RADIUS, SIZE, WIDTH, picture
+
+INNER = np.s_[8:-8, 8:-8]
+"""What neither motion carries out of the picture."""
+
+
+def from_disc(t: float) -> np.ndarray:
+    """Distance (h, w) from the disc's middle."""
+    y, x = np.indices(SIZE)
+    return np.hypot(x - 40 - DISC[0] * t, y - 34 - DISC[1] * t)
+
+
+def error(colour: np.ndarray, t: float, where: np.ndarray | tuple[slice, ...] = INNER) -> float:
+    """Mean difference in stops to the true picture, without the disc's edge, which planes have in whole pixels."""
+    counted = np.zeros(SIZE, bool)
+    counted[where] = True
+    counted &= np.abs(from_disc(t) - RADIUS) > 1.5
+    wanted, _ = picture(t)
+    return float(np.abs(np.log2(colour[counted] + 1e-3) - np.log2(wanted[counted] + 1e-3)).mean())
+
+
+def faded(scene, t: float) -> np.ndarray:
+    """What a linear blend makes of the two frames."""
+    return scene(0)[Role.COLOUR] * (1 - t) + scene(1)[Role.COLOUR] * t
+
+
+@pytest.mark.parametrize("t", [0.25, 0.5, 0.8])
+def test_both_layers_are_where_they_are_at_the_time(scene, t):
+    found = Between(scene(0), scene(1)).frame(t)
+    assert error(found[Role.COLOUR], t) < 0.15 * error(faded(scene, t), t)
+    _, there = picture(t)
+    edge = np.abs(from_disc(t) - RADIUS) < 1.5
+    assert ((found[Role.DEPTH][..., 0] == 2) == there)[~edge].all(), "depth follows"
+    surface = there[INNER] & ~edge[INNER]
+    np.testing.assert_allclose(found[Role.MOTION][INNER][surface], np.broadcast_to(
+        np.float32(DISC) * -np.float32(t), (surface.sum(), 2)), atol=0.05, err_msg="motion leads to the frame before")
+
+
+def test_uncovered_background_is_that_of_the_frame_that_shows_it(scene):
+    """Left of the disc the frame after shows the wall, right of it the frame before does."""
+    found = Between(scene(0), scene(1), flow=False).frame(0.5)[Role.COLOUR]
+    hidden = (picture(0)[1] ^ picture(1)[1]) & (from_disc(0.5) > RADIUS + 1.5)
+    assert hidden.sum() > 50
+    assert error(found, 0.5, hidden) < 0.15 * error(faded(scene, 0.5), 0.5, hidden)
+
+
+def test_light_is_kept(scene):
+    """Against the true picture's: the disc, 20 times as bright as the wall, is neither larger nor smaller."""
+    found, (wanted, _) = Between(scene(0), scene(1)).frame(0.5)[Role.COLOUR], picture(0.5)
+    assert found[INNER].mean() == pytest.approx(wanted[INNER].mean(), rel=5e-3)
+
+
+def test_the_ends_are_the_frames_themselves(scene):
+    between = Between(scene(0), scene(1))
+    for t, frame in ((0, scene(0)), (1, scene(1))):
+        np.testing.assert_array_equal(between.frame(t)[Role.COLOUR], frame[Role.COLOUR])
+
+
+@pytest.mark.parametrize("value", [np.nan, 1e6, -1e6, np.inf])
+def test_bad_vectors_are_harmless(scene, value):
+    after = scene(1)
+    after[Role.MOTION][20:30, 60:80] = value
+    after[Role.MOTION][:, -1] = value
+    found = Between(scene(0), after).frame(0.5)
+    assert np.isfinite(found[Role.COLOUR]).all() and np.isfinite(found[Role.DEPTH]).all()
+    assert error(found[Role.COLOUR], 0.5) < 0.4 * error(faded(scene, 0.5), 0.5)
+
+
+def test_pixels_that_are_not_finite_do_not_get_through(scene):
+    before, after = scene(0), scene(1)
+    before[Role.COLOUR][10, 20], after[Role.COLOUR][40, 50], after[Role.DEPTH][30] = np.nan, np.inf, np.nan
+    assert np.isfinite(Between(before, after).frame(0.5)[Role.COLOUR]).all()
+
+
+@pytest.mark.parametrize(("roles", "most"), [((Role.COLOUR, Role.MOTION), 0.25), ((Role.COLOUR, Role.DEPTH), 0.6),
+                                             ((Role.COLOUR,), 0.6)])
+def test_without_depth_or_motion_pictures_tell_what_they_can(scene, roles, most):
+    found = Between(scene(0, roles=roles), scene(1, roles=roles)).frame(0.5)[Role.COLOUR]
+    assert error(found, 0.5) < most * error(faded(scene, 0.5), 0.5)
+
+
+def turning(t: float, degrees: float = 24.0) -> Frame:
+    """Spots on a wheel that turns about the middle of the picture, with motion from the frame before."""
+    y, x = np.indices((96, 96)) - 47.5
+    angle, before = np.radians(degrees * t), np.radians(-degrees)
+    u, v = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+    colour = np.repeat(np.exp(2 * np.sin(u * 0.4) * np.sin(v * 0.4))[..., None], 3, -1)
+    along, across = np.cos(before) - 1, np.sin(before)
+    motion = np.stack([x * along - y * across, x * across + y * along], -1)
+    planes = {Role.COLOUR: colour, Role.MOTION: motion, Role.DEPTH: np.ones((96, 96, 1))}
+    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=int(t) + 1)
+
+
+def test_what_turns_goes_round_and_not_along_the_chord():
+    rim = np.hypot(*(np.indices((96, 96)) - 47.5)) < 44
+    rim &= np.hypot(*(np.indices((96, 96)) - 47.5)) > 24
+    wanted, errors = turning(0.5)[Role.COLOUR], {}
+    for name, before in (("bent", turning(0)), ("straight", replace(turning(0), reset=True))):
+        found = Between(before, turning(1), flow=False).frame(0.5)[Role.COLOUR]
+        errors[name] = np.abs(np.log2(found) - np.log2(wanted))[rim].mean()
+    assert errors["bent"] < 0.3 * errors["straight"]
+
+
+def test_motion_of_the_frame_after_leads_to_the_new_one(scene):
+    found = Between(scene(0), scene(1)).motion_of_after(0.75)
+    np.testing.assert_allclose(found, scene(1, step=0.25)[Role.MOTION], atol=1e-5)
+
+
+def test_a_cut_a_still_and_another_size_repeat_the_nearer_frame_with_a_reason(scene):
+    other = Frame({Role.COLOUR: np.ones((HEIGHT // 2, WIDTH // 2, 3), np.float32)}, number=2)
+    for before, after, options, reason in (
+            (scene(0), scene(1), {"is_cut": True}, "another shot"), (scene(0), replace(scene(1), reset=True), {},
+            "another shot"), (scene(0), replace(scene(0), number=2), {}, "nothing changes"),
+            (scene(0), other, {}, "sizes differ: 112x72 and 56x36")):
+        between = Between(before, after, **options)
+        assert reason in (between.reason or "")
+        np.testing.assert_array_equal(between.frame(0.4)[Role.COLOUR], before[Role.COLOUR])
+        np.testing.assert_array_equal(between.frame(0.6, 9)[Role.COLOUR], after[Role.COLOUR])
+        assert between.frame(0.6, 9).number == 9
+
+
+HUD = np.s_[50:66, 6:40]
+
+
+def drawn(frame: Frame, alpha: float, layer: bool = True, below: bool = False) -> Frame:
+    """The frame under stripes of an overlay."""
+    overlay = np.zeros((*SIZE, 4), np.float32)
+    overlay[HUD] = np.where(np.arange(34)[None, :, None] % 6 < 3, 5.0, 0.25)
+    overlay[HUD][..., 3], overlay[..., :3] = 1, overlay[..., :3] * alpha
+    overlay[..., 3] *= alpha
+    colour = overlay[..., :3] + (1 - overlay[..., 3:]) * frame[Role.COLOUR]
+    planes = {**frame.planes, Role.COLOUR: colour}
+    planes |= {Role.OVERLAY: overlay} if layer else {}
+    planes |= {Role.OPAQUE_COLOUR: frame[Role.COLOUR]} if below else {}
+    return replace(frame, planes=planes)
+
+
+@pytest.mark.parametrize("options", [{"layer": True}, {"layer": False}, {"layer": False, "below": True}])
+def test_an_opaque_overlay_that_stands_still_is_exact(scene, options):
+    """Given as a layer, not told at all, and by pictures without it; the scene beside it moves on."""
+    before, after = (drawn(scene(t), 1.0, **options) for t in (0, 1))
+    found = Between(before, after, composited=options["layer"]).frame(0.5)[Role.COLOUR]
+    np.testing.assert_allclose(found[HUD], before[Role.COLOUR][HUD], atol=1e-4, rtol=0)
+    assert error(found, 0.5, np.s_[8:45, 8:-8]) < 0.15 * error(faded(scene, 0.5), 0.5, np.s_[8:45, 8:-8])
+
+
+@pytest.mark.parametrize("options", [{"layer": True}, {"layer": False, "below": True}])
+def test_the_scene_moves_on_under_a_transparent_overlay(scene, options):
+    before, after = (drawn(scene(t), 0.5, **options) for t in (0, 1))
+    wanted = drawn(Frame({Role.COLOUR: picture(0.5)[0]}), 0.5)[Role.COLOUR]
+    found = Between(before, after, composited=options["layer"]).frame(0.5)[Role.COLOUR]
+    blended = (before[Role.COLOUR] + after[Role.COLOUR]) / 2
+    assert np.abs(found - wanted)[HUD].mean() < 0.25 * np.abs(blended - wanted)[HUD].mean()
+
+
+def test_an_overlay_in_a_layer_of_its_own_is_mixed_or_held(scene):
+    before, after = drawn(scene(0), 1.0), drawn(scene(1), 0.5)
+    mixed = Between(before, after).frame(0.25)[Role.OVERLAY]
+    np.testing.assert_allclose(mixed, 0.75 * before[Role.OVERLAY] + 0.25 * after[Role.OVERLAY], rtol=1e-6)
+    held = Between(before, after, overlay="hold").frame(0.25)[Role.OVERLAY]
+    np.testing.assert_array_equal(held, before[Role.OVERLAY])
+
+
+def test_alpha_is_mixed_and_ids_are_not(scene):
+    frames = []
+    for t in (0, 1):
+        there = picture(t)[1][..., None].astype(np.float32)
+        frame = scene(t)
+        frames.append(replace(frame, planes={**frame.planes, Role.ALPHA: there}, parts={"id": there * 1e20 + 3},
+                              part_sources={"id": PartSource(("id.V",), exact=True)}))
+    found = Between(*frames).frame(0.5)
+    assert set(np.unique(found.parts["id"])) == {np.float32(3), np.float32(1e20)}
+    assert 0.97 < found[Role.ALPHA].sum() / picture(0.5)[1].sum() < 1.03
+    assert found[Role.ALPHA].min() >= 0 and found[Role.ALPHA].max() <= 1 + 1e-6
+
+
+def test_a_stream_gives_frames_at_times_of_its_own(scene):
+    stream = Interpolator()
+    with pytest.raises(FrameError, match="push two frames first"):
+        stream.frame(0.5)
+    for t in (0, 1, 2):
+        stream.push(scene(t), 1 / 24)
+    np.testing.assert_array_equal(stream.at(2.25 / 24)[Role.COLOUR], stream.frame(0.25)[Role.COLOUR])
+    assert error(stream.frame(0.5)[Role.COLOUR], 1.5) < 0.1
+    with pytest.raises(FrameError, match="give 0 <= t <= 1"):
+        stream.at(4 / 24)
+    with pytest.raises(FrameError, match="give a time above 0"):
+        stream.push(scene(3), 0)
+
+
+def test_pictures_for_a_display_and_tiny_ones(scene):
+    with pytest.raises(FrameError, match="frame 2 .* before the display transform"):
+        Between(scene(0), replace(scene(1), encoding="srgb"))
+    tiny = [Frame({Role.COLOUR: np.full((3, 5, 3), value, np.float32)}) for value in (1, 3)]
+    np.testing.assert_allclose(Between(*tiny).frame(0.5)[Role.COLOUR], 2)

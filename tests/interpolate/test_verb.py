@@ -1,0 +1,93 @@
+"""`postfx interpolate`: files in, files out."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx import read_sequence, write_frame
+from postfx.cli.interpolate import with_parts
+from postfx.cli.main import main
+from postfx.frame import Frame, Role
+from tests.interpolate.conftest import picture
+
+OTHER = np.random.default_rng(1).random((9, 14, 3), np.float32).repeat(8, 0).repeat(8, 1)
+FACTS = {"framesPerSecond": 24.0, "timeCode": (0x01000000, 0)}
+
+
+@pytest.fixture
+def shot(scene, tmp_path):
+    """Writes frames 1 to 4 of the scene, without those left out; from `cut` on they show something else."""
+
+    def write(left_out: tuple[int, ...] = (), cut: int = 9) -> str:
+        for number in {1, 2, 3, 4} - set(left_out):
+            frame = replace(scene(number - 1), metadata=dict(FACTS))
+            if number >= cut:
+                frame = replace(frame, planes={**frame.planes, Role.COLOUR: OTHER, Role.DEPTH: 3 * OTHER[..., :1]})
+            write_frame(tmp_path / f"in/shot.{number:04d}.exr", with_parts(frame))
+        return str(tmp_path / "in/shot.####.exr")
+
+    return write
+
+
+def test_numbers_rates_time_codes_and_planes_of_a_sequence(shot, scene, tmp_path, capsys):
+    reference = tmp_path / "rendered"
+    for count in range(7):
+        write_frame(reference / f"shot.{count + 1:04d}.exr", replace(scene(0), planes={
+            Role.COLOUR: picture(count / 2)[0]}), bits=32)
+    assert main(["interpolate", shot(), "-o", f"{tmp_path}/out/", "--planes", "--json",
+                 "--reference", str(reference)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["kept"], found["made"], found["repeated"], found["skipped"]) == (4, 3, {}, {})
+    assert list(found["psnr"]) == ["2", "4", "6"] and min(found["psnr"].values()) > 30
+    frames = list(read_sequence(f"{tmp_path}/out/"))
+    assert [frame.number for frame in frames] == [1, 2, 3, 4, 5, 6, 7]
+    assert [frame.metadata["timeCode"][0] & ~(1 << 15) for frame in frames] == [
+        0x01000000, 0x01000000, 0x01000001, 0x01000001, 0x01000002, 0x01000002, 0x01000003]
+    assert {frame.metadata["framesPerSecond"] for frame in frames} == {48.0}
+    np.testing.assert_array_equal(frames[2][Role.COLOUR], scene(1)[Role.COLOUR], "a frame of the input, in floats")
+    np.testing.assert_allclose(frames[2][Role.MOTION], scene(1, step=0.5)[Role.MOTION], atol=1e-5)
+    assert np.abs(frames[3][Role.DEPTH] - scene(1.5)[Role.DEPTH]).mean() < 0.1
+
+
+def test_a_cut_repeats_and_a_hole_leaves_out_with_a_reason(shot, tmp_path, capsys):
+    assert main(["interpolate", shot(left_out=(2,), cut=4), "-o", f"{tmp_path}/out/", "--json"]) == 0
+    told = capsys.readouterr()
+    found = json.loads(told.out)
+    missing = "frame 2 is missing"
+    assert found["skipped"] == {"2": missing, "3": missing, "4": missing}
+    assert found["repeated"] == {"6": "repeats frame 4, as another shot begins"}
+    assert "frame 4: frame 2 is missing\n" in told.err
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        f"shot.{number:04d}.exr" for number in (1, 5, 6, 7)]
+
+
+def test_given_overlays_are_put_over_all_frames(shot, tmp_path):
+    overlay = np.zeros((72, 112, 4), np.float32)
+    overlay[4:12, 4:40] = 3.0, 2.0, 1.0, 1.0
+    for number in range(1, 4):
+        planes = {Role.COLOUR: np.zeros((72, 112, 3)), Role.OVERLAY: overlay * number / 3}
+        write_frame(tmp_path / f"hud/hud.{number:04d}.exr", Frame(planes))
+    assert main(["interpolate", shot(), "--frames", "1-2", "-o", f"{tmp_path}/out/", "--bits", "32",
+                 "--overlays", f"{tmp_path}/hud/hud.####.exr"]) == 0
+    last = read_sequence(f"{tmp_path}/out/").read(3)
+    np.testing.assert_allclose(last[Role.COLOUR][4:12, 4:40], np.broadcast_to(np.float32([3, 2, 1]), (8, 36, 3)),
+                               atol=1e-3)
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    (["-o", "out/f.####.png"], "is for a display: write EXR"), ([], "give -o OUTPUT"),
+    (["-o", "in/shot.####.exr"], "would be a frame of the input|is an input"),
+    (["-o", "out/", "--frames", "2"], "one frame has nothing between it"),
+    (["-o", "out/", "--overlays", "x", "--composited"], "leave --composited out")])
+def test_what_cannot_be_is_one_line(shot, tmp_path, options, message, monkeypatch, capsys):
+    shot()
+    monkeypatch.chdir(tmp_path)
+    assert main(["interpolate", "in/shot.####.exr", *options]) == 2
+    error = capsys.readouterr().err
+    assert re.search(message, error) and error.count("\n") == 1 and Path("in/shot.0004.exr").is_file()
