@@ -92,7 +92,7 @@ class Hazards:
                     writer = _use(commands, dispatch)
                 if _uses(dispatch.reads, resident):
                     reader = _use(commands, dispatch)
-            for commands, dispatch in _dispatches(self._open):
+            for commands, dispatch in _dispatches(self._open) if len(self._open) else ():
                 if _uses(dispatch.writes, tensor) or _uses(dispatch.reads, tensor):
                     recorded = _use(commands, dispatch)
                     break
@@ -107,7 +107,8 @@ class Hazards:
         """Note that the tensor's content is now defined."""
         with self._lock:
             tensor.allocation.written.add(*tensor.span())
-            self.mark_found(tensor)
+            if tensor.allocation.lost:
+                self.mark_found(tensor)
 
     def mark_found(self, tensor: Tensor) -> None:
         """Note that a command wrote a tensor that an earlier one had failed to write."""

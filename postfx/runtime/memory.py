@@ -253,6 +253,7 @@ class _Managed(ctypes.Structure):
 _FRESH = b"dltensor"
 """Name of a capsule that nobody opened yet."""
 _CODES = {"int": 0, "uint": 1, "float": 2, "bfloat": 4, "bool": 6}
+_WORDS = {code: word for word, code in _CODES.items()}
 _python = ctypes.pythonapi
 _new_capsule = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p)(
     ("PyCapsule_New", _python))
@@ -276,6 +277,7 @@ def _drop_capsule(capsule: int) -> None:
 
 _deleter = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_take_back)
 _destructor = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)(_drop_capsule)
+_DELETER, _DESTRUCTOR = (ctypes.cast(function, ctypes.c_void_p).value for function in (_deleter, _destructor))
 
 
 def lend(pointer: int, shape: tuple[int, ...], dtype: str, place: tuple[int, int], owner: object) -> object:
@@ -283,10 +285,10 @@ def lend(pointer: int, shape: tuple[int, ...], dtype: str, place: tuple[int, int
     word = dtype.rstrip("0123456789")
     sizes = (ctypes.c_int64 * len(shape))(*shape)
     managed = _Managed(pointer, *place, len(shape), _CODES[word], int(dtype.removeprefix(word) or 8), 1, sizes, None, 0,
-                       None, ctypes.cast(_deleter, ctypes.c_void_p))
+                       None, _DELETER)
     address_of = ctypes.addressof(managed)
     _lent[address_of] = managed, sizes, owner
-    return _new_capsule(address_of, _FRESH, ctypes.cast(_destructor, ctypes.c_void_p))
+    return _new_capsule(address_of, _FRESH, _DESTRUCTOR)
 
 
 class Borrowed(NamedTuple):
@@ -333,10 +335,10 @@ def _from_interface(array: Any, told: Any, memory: Memory) -> Borrowed:
 def _from_capsule(array: Any, memory: Memory) -> Borrowed:
     stream = memory.follow(None)
     capsule = array.__dlpack__() if stream is None else array.__dlpack__(stream=stream)
-    managed = ctypes.cast(_open_capsule(capsule, _FRESH), ctypes.POINTER(_Managed)).contents
+    managed = _Managed.from_address(_open_capsule(capsule, _FRESH))
     shape = tuple(managed.shape[: managed.ndim])
     _require_contiguous(shape, managed.strides[: managed.ndim] if managed.strides else None)
-    word = next((word for word, code in _CODES.items() if code == managed.code), f"DLPack's type {managed.code} of ")
+    word = _WORDS.get(managed.code, f"DLPack's type {managed.code} of ")
     dtype = "bool" if word == "bool" else f"{word}{managed.bits}"
     # The capsule is left unused: it returns the array when it goes.
     return Borrowed((managed.data or 0) + managed.offset, shape, dtype, False, capsule)
