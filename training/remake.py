@@ -17,7 +17,8 @@ The recipe is the object `recipe` of a card:
     not recorded  facts of the shipped weights that nobody wrote down; the steps make a choice instead.
 
 Arguments may hold {models}, the folder of results; {work} and {base}, folders of this model's and the base's runs;
-{clips.NAME}, folders of clips; and arguments of the command line: {scenes}, {photos}, {panoramas}, {gpus}, {variant}.
+{clips.NAME}, folders of clips; and arguments of the command line: {scenes}, {blender}, {library}, {photos},
+    {panoramas}, {gpus}, {variant}.
 """
 
 from __future__ import annotations
@@ -37,15 +38,16 @@ from typing import Any
 from training.export import MODELS, check_recipe, parser
 
 ROOT = Path(__file__).resolve().parents[1]
-GIVEN = {"scenes": "--scenes", "photos": "--photos", "panoramas": "--panoramas"}
+GIVEN = {name: f"--{name}" for name in ("scenes", "blender", "library", "photos", "panoramas")}
 # Amounts that --scale changes, by module: option -> the least of it.
 AMOUNTS: Mapping[str, Mapping[str, float]] = {
     "training.datagen.render": {"--clips": 10, "--reference-spp": 16, "--even-spp": 4, "--half-samples": 16},
+    "training.datagen.formula": {"--clips": 4},
     "training.denoise.train": {"--minutes": 0.02, "--batch": 1},
     "training.tonemap.train": {"--minutes": 0.02, "--batch": 1, "--scale": 0.1, "--views": 16},
     "training.tonemap.pictures": {"--side": 64},
 }
-RENDER = "training.datagen.render"
+MAKERS = "training.datagen.render", "training.datagen.formula"  # of clips
 
 
 class RecipeError(ValueError):
@@ -117,7 +119,7 @@ def steps_of(name: str, recipe: Mapping[str, Any], places: Mapping[str, str], cl
     steps = []
     for step in recipe["steps"]:
         module, *words = shlex.split(step["run"])
-        if not (clips and module == RENDER):
+        if not (clips and module in MAKERS):
             filled = tuple(re.sub(r"\{([\w.]+)\}", fill, word) for word in words)
             steps.append(Step(module, filled, step.get("processes", 1)))
     return steps
@@ -200,6 +202,8 @@ def options() -> argparse.ArgumentParser:
     made.add_argument("--scale", type=float, default=1.0, help="factor on clips, samples, minutes: 0.01 for a trial")
     made.add_argument("--clips", type=Path, help="train on these clips; nothing is rendered")
     made.add_argument("--scenes", help="folder of real scenes and environments, from training/datagen/pack_scenes.sh")
+    made.add_argument("--blender", help="a Python with the module bpy, which renders with Cycles")
+    made.add_argument("--library", help="folder of scenes and environments for Cycles, see docs/training_data.md")
     made.add_argument("--photos", help="HDR photographs (a pattern)")
     made.add_argument("--panoramas", help="equirectangular HDR environments (a pattern)")
     made.add_argument("--gpus", default="0", help="numbers of the GPUs that render, separated by commas")

@@ -339,7 +339,7 @@ def write_clips(folder: Path, count: int, seed: int, device: torch.device, frame
         print(f"{min(first + batch, count)} of {count} clips", file=sys.stderr, flush=True)
 
 
-def main(argv: list[str] | None = None) -> int:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder of clip.NNNNN.npz")
     parser.add_argument("--clips", type=int, default=400)
@@ -347,7 +347,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--side", type=int, default=128, help="render pixels (default: %(default)s)")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
-    args = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = options().parse_args(argv)
     write_clips(args.out, args.clips, args.seed, torch.device(args.device), args.frames, args.side)
     return 0
 

@@ -1,6 +1,7 @@
 """Checkpoints of the denoised upscaler: their content, weights from them or from exported networks, and mixtures.
 
     python -m training.denoise.checkpoint mix a/checkpoint.pt:0.6 b/checkpoint.pt:0.4 -o mixed.pt
+    python -m training.denoise.checkpoint mix a/checkpoint.pt:0.85 denoise_upscale.m.1x.onnx:0.15 -o mixed.pt
 
 A checkpoint of a run holds everything that training needs to continue. One for export or --start holds only `config`,
 `weights` and `notes`. `mix` averages the weights of networks with the same layout: on scenes of other renderers the
@@ -10,6 +11,7 @@ mean of two trainings is often better than either.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import random
 import subprocess
@@ -35,9 +37,29 @@ def read(path: Path) -> dict[str, Any]:
     return torch.load(path, map_location="cpu", weights_only=True)
 
 
-def load_weights(path: Path) -> dict[str, Tensor]:
-    """Averaged weights of a checkpoint, or the weights of an exported network."""
-    return weights_of(path) if path.suffix == ".onnx" else read(path)["weights"]
+def load_weights(path: Path, trust: bool = False) -> dict[str, Tensor]:
+    """Averaged weights of a checkpoint, or the weights of an exported network.
+
+    ``trust``: they are for a network that predicts its trust in the planes. An exported one that does not do so begins
+    to trust them nearly everywhere.
+    """
+    if path.suffix != ".onnx":
+        return read(path)["weights"]
+    card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    weights = weights_of(path)
+    return begin_trust(weights) if trust and not card["config"].get("trust") else weights
+
+
+def begin_trust(weights: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Turn the last hidden channel, which had another use, into the trust in the planes: nearly 1 everywhere."""
+    from training.denoise.model import FEATURES, FINE
+
+    head = slice(4 * (FINE - 1), 4 * FINE)
+    changed = {name: weights[PREFIX + name].clone() for name in ("fine.weight", "fine.bias", "stem.weight")}
+    changed["fine.weight"][head] = 0
+    changed["fine.bias"][head] = 2
+    changed["stem.weight"][:, FEATURES - 1] = 0
+    return weights | {PREFIX + name: values for name, values in changed.items()}
 
 
 def weights_of(path: Path) -> dict[str, Tensor]:
@@ -94,16 +116,23 @@ def set_random_state(state: dict[str, Any], device: torch.device) -> None:
 def mix(parts: Sequence[tuple[Path, float]]) -> dict[str, Any]:
     """A checkpoint with the weighted mean of several weights; its notes are the first one's, and name the mixture.
 
-    Raises ValueError if shares do not add up to 1 or networks have different layouts.
+    The first part is a checkpoint; others may be exported networks. Raises ValueError if shares do not add up to 1 or
+    networks have different layouts.
     """
     if abs(sum(share for _, share in parts) - 1) > 1e-6:
         raise ValueError(f"shares add up to {sum(share for _, share in parts):g}, not to 1")
-    found = [(read(path), share) for path, share in parts]
-    first = found[0][0]
-    for (path, _), (one, _) in zip(parts, found, strict=True):
-        if one["config"] != first["config"]:
-            raise ValueError(f"{path}: another layout than {parts[0][0]}: {one['config']}, not {first['config']}")
-    weights = {name: sum(share * one["weights"][name] for one, share in found) for name in first["weights"]}
+    if parts[0][0].suffix == ".onnx":
+        raise ValueError(f"{parts[0][0]}: an exported network cannot be the first part: begin with a checkpoint")
+    first = read(parts[0][0])
+    found = []
+    for path, share in parts:
+        weights = load_weights(path, bool(first["config"].get("trust")))
+        config = first["config"] if path.suffix == ".onnx" else read(path)["config"]
+        shapes = [{name: values.shape for name, values in some.items()} for some in (weights, first["weights"])]
+        if config != first["config"] or shapes[0] != shapes[1]:
+            raise ValueError(f"{path}: another layout than {parts[0][0]}: {config}, not {first['config']}")
+        found.append((weights, share))
+    weights = {name: sum(share * one[name].float() for one, share in found) for name in first["weights"]}
     told = " + ".join(f"{share:g} {path}" for path, share in parts)
     return {"config": first["config"], "weights": weights, "notes": {**first["notes"], "weights": told}}
 
@@ -112,7 +141,8 @@ def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     mixing = commands.add_parser("mix", help="average the weights of networks of the same layout")
-    mixing.add_argument("parts", nargs="+", type=part, metavar="CHECKPOINT:SHARE", help="shares add up to 1")
+    mixing.add_argument("parts", nargs="+", type=part, metavar="FILE:SHARE",
+                        help="checkpoints or exported networks; shares add up to 1")
     mixing.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
     return parser
 

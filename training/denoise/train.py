@@ -146,15 +146,6 @@ class Average:
 
 
 @torch.no_grad()
-def begin_trust(trunk: network.Trunk) -> None:
-    """Turn the last hidden channel, which had another use, into the trust in the planes: nearly 1 everywhere."""
-    head = slice(4 * (network.FINE - 1), 4 * network.FINE)
-    trunk.fine.weight[head] = 0
-    trunk.fine.bias[head] = 2
-    trunk.stem.weight[:, network.FEATURES - 1] = 0
-
-
-@torch.no_grad()
 @torch.compiler.set_stance("force_eager")  # nothing is compiled for the sizes of validation
 def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, both: bool = False) -> tuple[float, float]:
     """PSNR in dB and flicker of the averaged weights on the first noisy render of each held-out clip, without
@@ -211,9 +202,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
                                                 args.trust))
     model = model.to(device, memory_format=torch.channels_last)
     if args.start:
-        model.load_state_dict(load_weights(args.start))
-        if args.trust and args.start.suffix == ".onnx":
-            begin_trust(model.trunk)
+        model.load_state_dict(load_weights(args.start, args.trust))
     average = Average(model, DECAY)
     loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance)
     flat = FlatGradient(list(model.parameters()))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 torch = pytest.importorskip("torch")
 
+from postfx.system import models_dir  # noqa: E402
 from training.denoise.checkpoint import load_weights, main, read, save  # noqa: E402
 
 
@@ -23,7 +25,27 @@ def test_a_mixture_is_the_weighted_mean(tmp_path: Path, capsys: pytest.CaptureFi
     assert load_weights(mixed)["a"].tolist() == pytest.approx([1.4, 1.4])
     assert read(mixed)["notes"] == {"steps": 7, "weights": f"0.6 {one} + 0.4 {other}"}
     for words, said in (([f"{one}:0.6", f"{odd}:0.4"], "another layout"), ([f"{one}:0.6"], "add up to 0.6, not to 1"),
-                        ([one], "is not FILE:SHARE"), ([f"{tmp_path / 'x.pt'}:1"], "No such file")):
+                        ([one], "is not FILE:SHARE"), (["s.onnx:1"], "s.onnx: an exported network cannot be the first"), ([f"{tmp_path / 'x.pt'}:1"], "No such file")):
         with pytest.raises(SystemExit):
             main(["mix", *words, "-o", str(mixed)])
         assert said in capsys.readouterr().err
+
+
+def test_a_mixture_with_a_network_that_ships(tmp_path: Path) -> None:
+    network = models_dir() / "denoise_upscale.m.1x.onnx"
+    weights = {name: values + 1 for name, values in load_weights(network).items()}
+    config = json.loads(network.with_suffix(".json").read_text())["config"]
+    save({"config": config, "weights": weights, "notes": {}}, tmp_path / "a.pt")
+    main(["mix", f"{tmp_path / 'a.pt'}:0.75", f"{network}:0.25", "-o", str(tmp_path / "mixed.pt")])
+    for name, values in load_weights(tmp_path / "mixed.pt").items():
+        torch.testing.assert_close(values, weights[name] - 0.25)
+
+
+def test_a_network_begins_to_trust_planes_unless_it_predicts_its_trust() -> None:
+    plain, doubting = (models_dir() / f"denoise_upscale.{tag}.onnx" for tag in ("s", "m"))
+    last = slice(-4, None)  # four phases of the last hidden channel
+    assert load_weights(plain)["trunk.fine.weight"][last].any()
+    begun = load_weights(plain, trust=True)
+    assert not begun["trunk.fine.weight"][last].any() and (begun["trunk.fine.bias"][last] == 2).all()
+    for name, values in load_weights(doubting).items():
+        assert torch.equal(load_weights(doubting, trust=True)[name], values)
