@@ -78,7 +78,7 @@ def test_a_dry_run_shows_the_steps_and_what_is_not_recorded(
     main([str(models_dir() / "denoise_upscale.m.int8.json"), "--dry-run", "--work", str(tmp_path), "--scale", "0.01"])
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "# denoise_upscale.m" and "# denoise_upscale.m.int8" in lines
-    assert sum(line.startswith("python -m training.denoise.train ") for line in lines) == 3
+    assert sum(line.startswith("python -m training.denoise.train ") for line in lines) == 6
     assert "--minutes 0.22" in lines[2] and "--clips 10 --reference-spp 16" in lines[1]
     assert any(line.startswith("# not recorded: seeds") for line in lines)
     assert not list(tmp_path.iterdir())
