@@ -83,7 +83,7 @@ def usable_memory() -> int:
     """Bytes that this process may have: the machine's, or fewer if its container gets less."""
     import psutil  # for networks on a GPU alone
 
-    machine = psutil.virtual_memory().total
+    machine: int = psutil.virtual_memory().total
     return min([machine, *(most for most, in _limits("memory", ("memory.max",), ("memory.limit_in_bytes",)))])
 
 
