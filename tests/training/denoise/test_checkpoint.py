@@ -25,7 +25,8 @@ def test_a_mixture_is_the_weighted_mean(tmp_path: Path, capsys: pytest.CaptureFi
     assert load_weights(mixed)["a"].tolist() == pytest.approx([1.4, 1.4])
     assert read(mixed)["notes"] == {"steps": 7, "weights": f"0.6 {one} + 0.4 {other}"}
     for words, said in (([f"{one}:0.6", f"{odd}:0.4"], "another layout"), ([f"{one}:0.6"], "add up to 0.6, not to 1"),
-                        ([one], "is not FILE:SHARE"), (["s.onnx:1"], "s.onnx: an exported network cannot be the first"), ([f"{tmp_path / 'x.pt'}:1"], "No such file")):
+                        ([one], "is not FILE:SHARE"), (["s.onnx:1"], "s.onnx: an exported network cannot be the first"),
+                        ([f"{tmp_path / 'x.pt'}:1"], "No such file")):
         with pytest.raises(SystemExit):
             main(["mix", *words, "-o", str(mixed)])
         assert said in capsys.readouterr().err
