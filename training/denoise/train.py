@@ -34,7 +34,6 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from training.denoise import model as network
 from training.denoise.checkpoint import git_commit, load_weights, random_state, read, save, set_random_state
 from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to_batch
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
