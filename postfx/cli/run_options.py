@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from postfx.cli.options import (
     CHUNK,
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 # Modules that load NumPy or the runtime are imported inside functions: --help must not wait for them.
 
 
-PRESETS = {
+PRESETS: dict[str, dict[str, Any]] = {
     "preview": {"model": "s", "run_up": 0},
-    "final": {"model": "l", "both_ways": True},
+    "final": {"both_ways": True},
     "animation": {"both_ways": True, "exposure": "smooth"},
 }
 """Preset -> option -> value; `--preset` says them in words."""
@@ -200,8 +200,8 @@ def _list_passes() -> str:
 
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
-           help="preview: the fastest, --model s without a run-up; final: the cleanest, --model l --both-ways; "
-           "animation: steady brightness, --both-ways --exposure smooth. Options that you give yourself win"),
+           help="preview: the fastest, --model s without a run-up; final: the cleanest, --both-ways; animation: as "
+           "clean and of steady brightness, --both-ways --exposure smooth. Options that you give yourself win"),
     Option(flag="--scale", basic=True, metavar="S", type=float, either="size", sets="denoiser.scale",
            excludes=_FOR_DENOISER,
            help="output size over render size, 1 to 3 (default: 2, or the size of the guides)"),

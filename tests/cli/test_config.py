@@ -39,7 +39,7 @@ def parse(*words: str):
 def test_a_preset_sets_what_is_not_given(places):
     assert (parse("--preset", "preview").model, parse("--preset", "preview").run_up) == ("s", 0)
     final = parse("--preset", "final", "--model", "m")
-    assert (final.model, final.both_ways) == ("m", True)
+    assert (final.model, final.both_ways) == ("m", True) and parse("--preset", "final").model is None
     steady = parse("--preset", "animation", "--exposure", "auto")  # its default, and given all the same
     assert (steady.both_ways, steady.exposure) == (True, "auto")
 
@@ -68,7 +68,7 @@ def test_files_are_weaker_the_farther_away_they_are(places):
 def test_a_preset_on_the_command_line_is_stronger_than_a_file_and_one_in_a_file_weaker(places):
     put(places["shots"], 'model = "m"\npreset = "preview"')
     assert (parse().model, parse().run_up) == ("m", 0)
-    assert parse("--preset", "final").model == "l"
+    assert parse("--preset", "preview").model == "s"
 
 
 def test_the_variable_names_the_only_file(places, tmp_path, monkeypatch):
