@@ -49,6 +49,14 @@ def test_both_directions_are_better_than_one(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 100000
 
 
+def test_frames_between_frames_are_better_than_blending_and_warping(tmp_path):
+    pytest.importorskip("flip_evaluator")
+    lines = run("between_frames.py", "--most", "2", "--picture", str(tmp_path / "a.png")).splitlines()[1:]
+    dB, flip = ({line[14:32].strip(): float(line[32:].split()[at]) for line in lines} for at in (0, 2))
+    assert dB["postfx"] > max(dB["warp"] + 1, dB["blend"] + 1.5) and flip["postfx"] < 0.9 * min(flip["warp"], flip["blend"])
+    assert (tmp_path / "a.png").stat().st_size > 100000
+
+
 def test_a_tone_mapper_outside_is_measured(tmp_path):
     rows = [line.split() for line in run("external_tone_mapper.py", str(tmp_path)).splitlines()[1:]]
     assert [row[0] for row in rows] == ["right", "x2", "x0.5", "drifting"]
