@@ -49,6 +49,21 @@ def make_library(folder: Path) -> Library:
     return Library(folder)
 
 
+def make_deep(folder: Path, depth: int = 40) -> Library:
+    """The networks of `make_library`, and 'deep', which takes long for its few pixels: x and y (1, 512, 256)."""
+    weights = np.random.default_rng(0).normal(0, 0.06, (32, 32, 3, 3)).astype(np.float32)
+    nodes = [helper.make_node("Reshape", ["x", "image"], ["at 0"])]
+    for i in range(depth):
+        nodes += [helper.make_node("Conv", [f"at {i}", "weights"], [f"sum {i}"], pads=[1] * 4),
+                  helper.make_node("Tanh", [f"sum {i}"], [f"at {i + 1}"])]
+    nodes.append(helper.make_node("Reshape", [f"at {depth}", "plane"], ["y"]))
+    shapes = {"image": np.array([1, 32, 64, 64]), "plane": np.array([1, 512, 256])}
+    library = make_library(folder)
+    save_model(folder / "deep.onnx", nodes, [value("x", (1, 512, 256))], [value("y", (1, 512, 256))],
+               {"weights": weights, **shapes})
+    return library
+
+
 def make_kernels(folder: Path) -> Library:
     """Portable definitions of `ADD` and `TWICE_AS_LARGE`."""
     image, fine = value("a", IMAGE), value("fine", (None, None, None))

@@ -293,11 +293,11 @@ class Execution:
 
     def run(self) -> None:
         """Run the dispatches up to the first that fails, and wait until they are done."""
-        spans = self._replay()
-        if spans is None:
-            beside = self._footprint.narrow and self._recorder is None and runs_side_by_side(self._device)
-            spans = self._side_by_side() if beside else self._one_by_one()
         try:
+            spans = self._at_once()
+            if spans is None:
+                beside = self._footprint.narrow and self._recorder is None and runs_side_by_side(self._device)
+                spans = self._side_by_side() if beside else self._one_by_one()
             self._memory.synchronise()
             self.timings = _timings(self._memory, spans)
         except BaseException as error:  # work that a GPU has only started may fail later
@@ -305,22 +305,46 @@ class Execution:
             self.error.__cause__ = self.error.__cause__ or error
         self.running = None
 
-    def _replay(self) -> list[Span] | None:
-        """Run all as one CUDA graph; None if that is impossible, or if each command has to be looked at."""
-        dispatches, memory = self._dispatches, self._memory
-        if not memory.replays or self._recorder is not None:
+    def _at_once(self) -> list[Span] | None:
+        """Put all on a GPU's streams, as one CUDA graph if it can be; None if each command has to be looked at."""
+        dispatches, memory, footprint = self._dispatches, self._memory, self._footprint
+        forks = footprint.narrow and any(map(_stream, dispatches))
+        if not (memory.replays or forks) or self._recorder is not None:
             return None
         if any(tensor.allocation.lost for dispatch in dispatches for tensor in (*dispatch.reads, *dispatch.writes)):
             return None
         states = [dispatch.state for dispatch in dispatches]
-        # A capture that fails leaves ONNX Runtime's session broken.
-        if not all(state and state.capturable for state in states):
-            return None
+        spans: list[Span] | None = None
         try:
-            return memory.replay(_signature(dispatches), states, lambda: _enqueue(memory, dispatches))
+            # A capture that fails leaves ONNX Runtime's session broken.
+            if memory.replays and all(state and state.capturable for state in states):
+                spans = memory.replay(footprint.signature(), states, self._enqueue_all)
+            return self._enqueue_all() if spans is None and forks else spans
         except BaseException as error:
             self._failed(dispatches, CommandError(f"'{self._label}' failed: {first_line(error)}", self._label), error)
             return []
+
+    def _enqueue_all(self) -> list[Span]:
+        return self._enqueue(self._dispatches, predecessors(self._footprint.records) if self._footprint.narrow else ())
+
+    def _enqueue(self, dispatches: Sequence[Dispatch], before: Sequence[int] = (0,)) -> list[Span]:
+        """Run dispatches, or put them on a GPU's streams; returns the start and end of each encoder's.
+
+        Those with streams of their own wait for the ones `before` them, and what comes later for all of them.
+        """
+        fork = self._memory.fork([*map(_stream, dispatches)], before) if self._footprint.narrow else None
+        if fork is not None:
+            with fork:
+                return [Span(dispatch.encoder, dispatch.label, *fork.run(index, _work(dispatch)))
+                        for index, dispatch in enumerate(dispatches)]
+        spans = []
+        for encoder, group in groupby(dispatches, attrgetter("encoder")):
+            begin, label = self._memory.mark(), ""
+            for dispatch in group:
+                _work(dispatch)()
+                label = dispatch.label
+            spans.append(Span(encoder, label, begin, self._memory.mark()))
+        return spans
 
     def _one_by_one(self) -> list[Span]:
         spans: list[Span] = []
@@ -374,7 +398,7 @@ class Execution:
 
     def _execute(self, dispatch: Dispatch) -> list[Span]:
         memory = self._memory
-        spans = _enqueue(memory, [dispatch])
+        spans = self._enqueue([dispatch])
         memory.relax()
         for tensor in dispatch.writes:
             if tensor.allocation.lost:
@@ -403,7 +427,8 @@ class Execution:
 
 
 def runs_side_by_side(device: CommandDevice) -> bool:
-    """Whether commands of a device may run side by side: not on a GPU's one stream, and not within a memory budget."""
+    """Whether threads of a device may run commands side by side: not those of a GPU's streams, and not within a memory
+    budget."""
     return device.memory.host_visible and device.scratch is None
 
 
@@ -413,23 +438,14 @@ def _threads(dispatch: Dispatch) -> int:
     return dispatch.state.threads
 
 
-def _enqueue(memory: Memory, dispatches: Sequence[Dispatch]) -> list[Span]:
-    """Run dispatches, or put them on a GPU's stream; returns the start and end of each encoder's."""
-    spans = []
-    for encoder, group in groupby(dispatches, attrgetter("encoder")):
-        begin, label = memory.mark(), ""
-        for dispatch in group:
-            assert dispatch.execute is not None  # since commit
-            dispatch.execute()
-            label = dispatch.label
-        spans.append(Span(encoder, label, begin, memory.mark()))
-    return spans
+def _stream(dispatch: Dispatch) -> int:
+    """A GPU's stream of its own, 0 for the device's."""
+    return dispatch.state.stream if dispatch.state else 0
 
 
-def _signature(dispatches: Sequence[Dispatch]) -> tuple[object, ...]:
-    """Identifies dispatches by their states and their tensors' addresses and shapes."""
-    return tuple((id(dispatch.state), *((tensor.start, tensor.shape) for tensor in dispatch.reads + dispatch.writes))
-                 for dispatch in dispatches)
+def _work(dispatch: Dispatch) -> Callable[[], None]:
+    assert dispatch.execute is not None  # since commit
+    return dispatch.execute
 
 
 def _timings(memory: Memory, spans: Sequence[Span]) -> dict[int, tuple[str, float]]:

@@ -1,4 +1,4 @@
-"""A CUDA GPU beside ONNX Runtime: its stream, its memory, kernels compiled from source when needed, and CUDA graphs.
+"""A CUDA GPU beside ONNX Runtime: its streams, its memory, kernels compiled from source when needed, and CUDA graphs.
 
 Commands that ran before on the same tensors are launched as one graph. Each family of kernels is a source file; the
 constants of Python and code that all families share are compiled before it. A plug-in's kernels come from files in its
@@ -8,6 +8,7 @@ own folder, and share only the declaration of arguments with ours.
 from __future__ import annotations
 
 import ctypes
+import itertools
 import re
 import sys
 import threading
@@ -50,7 +51,8 @@ class CudaChunk:
 
 
 class CudaMemory:
-    """One GPU: memory for tensors, the stream that all work runs on, and compiled kernels.
+    """One GPU: memory for tensors, the stream that all work runs on, others for what may run beside it, and compiled
+    kernels.
 
     Raises DeviceError if there is no GPU or no library to drive it.
     """
@@ -71,6 +73,21 @@ class CudaMemory:
         self.replays = graphs
         self._graphs = CudaGraphs(self.stream)
         self._lock = threading.RLock()
+        self._beside: list[Any] = []
+        self._next = itertools.count()
+
+    def stream_beside(self) -> int:
+        """A stream for commands that run beside others; a few are used in turn."""
+        with self._entered():
+            place = next(self._next) % MOST_BESIDE
+            if place == len(self._beside):
+                self._beside.append(self._device.create_stream())
+            return int(self._beside[place].handle)
+
+    def fork(self, streams: Sequence[int], before: Sequence[int]) -> Fork | None:
+        """Commands on streams of their own, see `Fork`; None if all are on the device's."""
+        self._enter()
+        return Fork(self.stream, streams, before, lambda: self._graphs.capturing) if any(streams) else None
 
     def allocate(self, nbytes: int) -> CudaChunk:
         """A new chunk."""
@@ -98,8 +115,7 @@ class CudaMemory:
         """Let what comes on the stream wait for the work that a producer's stream has now; the number of ours."""
         if stream is not None and stream != self.stream:
             with self._entered():
-                done = Event(stream, False)
-                check_result(driver().cuStreamWaitEvent(self.stream, done.handle, 0))
+                _let_wait(self.stream, Event(stream, False))
         return self.stream
 
     def relax(self) -> None:
@@ -175,6 +191,57 @@ def _compiled_family(path: Path, arch: str) -> Any:
     from cuda.core import Program, ProgramOptions
 
     return Program(read_source(path), "c++", ProgramOptions(arch=f"sm_{arch}", std="c++17")).compile("cubin")
+
+
+MOST_BESIDE = 4
+"""Streams beside the device's own. Networks that share one run one after the other."""
+
+
+class Fork:
+    """Commands on several streams: each waits for those that barriers put before it, and no others.
+
+    The streams begin after what the device's stream holds now. At the end of a `with` block that one waits for all of
+    them, so whatever comes later does not have to know of them. It may become part of a graph that is being captured.
+
+    Args:
+        own: the device's stream.
+        streams: of each command, 0 for the device's.
+        before: the commands before each one, as a bit mask of indices.
+    """
+
+    def __init__(self, own: int, streams: Sequence[int], before: Sequence[int], capturing: Callable[[], bool]) -> None:
+        self._own, self._streams = own, [stream or own for stream in streams]
+        self._before, self._capturing = before, capturing
+        self._begun = Event(own, False)
+        self._last: dict[int, Event] = {}
+        self._ends: dict[int, Event] = {}
+
+    def run(self, index: int, execute: Callable[[], None]) -> tuple[Event, Event]:
+        """Put a command on its stream; the marks around it."""
+        stream = self._streams[index]
+        if stream not in self._last:
+            _let_wait(stream, self._begun)
+        before = [other for other in self._ends if self._before[index] >> other & 1]
+        for event in {self._streams[other]: self._ends[other] for other in before}.values():  # the last one of each
+            _let_wait(stream, event)
+        begin = Event(stream, self._capturing())
+        execute()
+        end = Event(stream, self._capturing())
+        self._last[stream] = self._ends[index] = Event(stream, False)
+        return begin, end
+
+    def __enter__(self) -> None:
+        """Nothing: the streams begin with the first command."""
+
+    def __exit__(self, *exception: object) -> None:
+        """Let the device's stream wait for all others."""
+        for stream, event in self._last.items():
+            if stream != self._own:
+                _let_wait(self._own, event)
+
+
+def _let_wait(stream: int, event: Event) -> None:
+    check_result(driver().cuStreamWaitEvent(stream, event.handle, 0))
 
 
 MOST = 16

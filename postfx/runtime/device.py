@@ -192,7 +192,7 @@ class Device:
             in_place: input -> output that replaces its content: one binding of the access 'read-write', by the input's
                 name.
             threads: how many of the device's threads it takes, default all of them. Commands that no barrier orders and
-                that take fewer run side by side. CPU only.
+                that take fewer run side by side; on a GPU, each on one of a few streams, unless it is `in_place`.
 
         Raises ModelError when the model is missing, damaged or cannot run here, a dimension is left free, or two
         bindings cannot be one.
@@ -209,6 +209,8 @@ class Device:
         if not 1 <= taken <= self.threads:
             raise DeviceError(f"network '{name}' cannot take {taken} of the {self.threads} threads of {self!r}")
         placement, exclusive = replace(self.placement, threads=taken), self.placement.stream != 0
+        if taken < self.threads and not in_place:
+            placement = replace(placement, stream=self.memory.stream_beside())
         session = Session(content, name, placement, named, library.path(name).parent, exclusive)
         for value in (*session.inputs, *session.outputs):
             free = [str(size or f"axis {axis}") for axis, size in enumerate(value.shape) if not isinstance(size, int)]

@@ -234,6 +234,11 @@ class Footprint:
                 self.users.setdefault(tensor.allocation, (tensor, dispatch))
                 self._write(tensor)
 
+    def signature(self) -> tuple[object, ...]:
+        """Identifies the dispatches by their states and their tensors' addresses and shapes."""
+        return tuple((id(item.state), *((tensor.start, tensor.shape) for tensor in item.reads + item.writes))
+                     for item in self.dispatches)
+
     def _read(self, dispatch: Dispatch, tensor: Tensor) -> None:
         allocation, span = tensor.allocation, tensor.span()
         written = self.writes.get(allocation)

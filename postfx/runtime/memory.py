@@ -33,6 +33,18 @@ class Chunk(Protocol):
     nbytes: int
 
 
+class Fork(Protocol):
+    """Commands on several streams of a GPU. Whatever comes behind the `with` block waits for all of them."""
+
+    def __enter__(self) -> object: ...
+
+    def __exit__(self, *exception: object) -> None: ...
+
+    def run(self, index: int, execute: Callable[[], None]) -> tuple[Any, Any]:
+        """Put a command on its stream, behind those that come before it; the marks around it."""
+        ...
+
+
 class Memory(Protocol):
     """Where a device's tensors live. `host_visible`: NumPy can access it without a copy; `replays`: `replay`
     can run commands as one CUDA graph; `place`: kind and number of the device in DLPack."""
@@ -43,6 +55,15 @@ class Memory(Protocol):
 
     def follow(self, stream: int | None) -> int | None:
         """Let commands run after the work of a producer's stream; the stream that they run on, None without one."""
+        ...
+
+    def stream_beside(self) -> int:
+        """A stream for commands that run beside others, 0 where there is none."""
+        ...
+
+    def fork(self, streams: Sequence[int], before: Sequence[int]) -> Fork | None:
+        """Commands on these streams, 0 for the device's own; None if that is all there is. `before` has the commands
+        that come before each one, as a bit mask of indices."""
         ...
 
     def allocate(self, nbytes: int) -> Chunk:
@@ -92,6 +113,14 @@ class Immediate:
     replays = False
 
     def follow(self, stream: int | None) -> int | None:
+        """None: commands are on no stream."""
+        return None
+
+    def stream_beside(self) -> int:
+        """0: commands are on no stream."""
+        return 0
+
+    def fork(self, streams: Sequence[int], before: Sequence[int]) -> Fork | None:
         """None: commands are on no stream."""
         return None
 

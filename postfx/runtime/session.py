@@ -176,6 +176,7 @@ class Session:
             raise ModelError(f"model '{name}' cannot be made ready: {first_line(error)}") from error
         if self._session.get_providers()[0] != placement.provider:
             raise ModelError(f"model '{name}' cannot run on {placement.provider}: see ONNX Runtime's warning above")
+        self.stream = placement.stream
         self._name = name
         self._placement = placement
 

@@ -59,7 +59,8 @@ class StateDevice(TensorDevice, Protocol):
 
 class State(Protocol):
     """What an argument table is made for and an encoder dispatches; `model` is a network's file, `capturable` whether
-    it may become part of a CUDA graph, `threads` how many of the device's it takes, `narrow` whether not all."""
+    it may become part of a CUDA graph, `threads` how many of the device's it takes, `narrow` whether not all, `stream`
+    its own stream on a GPU, 0 for the device's."""
 
     device: StateDevice
     command: str
@@ -72,6 +73,9 @@ class State(Protocol):
 
     @property
     def narrow(self) -> bool: ...
+
+    @property
+    def stream(self) -> int: ...
 
     @property
     def model(self) -> Path | None: ...
@@ -100,6 +104,7 @@ class PipelineState:
         self.device = device
         self.threads = threads or device.threads
         self.narrow = self.threads < device.threads
+        self.stream = session.stream if self.narrow else 0
         self.name = name
         self.dims = dims
         self.model = model
@@ -120,6 +125,7 @@ class ComputeState:
 
     stage = "compute"
     narrow = False
+    stream = 0
     model: Path | None = None
     capturable = True
 

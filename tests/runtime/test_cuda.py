@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from postfx.runtime import DeviceError, cuda
-from postfx.runtime.cuda import MOST, CudaGraphs, CudaMemory, Event
+from postfx.runtime.cuda import MOST, CudaGraphs, CudaMemory, Event, Fork
 from postfx.runtime.memory import Memory
 
 STREAM = 77
@@ -111,6 +111,49 @@ def test_errors_of_the_driver_are_named(driver: Driver, monkeypatch: pytest.Monk
     monkeypatch.setattr(driver, "cuStreamBeginCapture", lambda *rest: (Status(2),), raising=False)
     with pytest.raises(DeviceError, match="CUDA: CUDA_ERROR_OUT_OF_MEMORY"):
         graphs.replay("frame", None, list)
+
+
+class Streams(Driver):
+    """Streams and events as CUDA orders them: for each stream, what is done before the next command on it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.done: dict[int, set[object]] = {}
+        self.events: dict[int, set[object]] = {}
+        self.at: dict[int, set[object]] = {}
+
+    def cuEventRecordWithFlags(self, event: int, stream: int, flags: int) -> tuple:  # noqa: N802
+        if not flags:
+            self.events[event] = set(self.done.setdefault(stream, set()))
+        return (0,)
+
+    def cuStreamWaitEvent(self, stream: int, event: int, flags: int) -> tuple:  # noqa: N802
+        self.done.setdefault(stream, set()).update(self.events[event])
+        return (0,)
+
+    def command(self, number: int, stream: int):
+        def execute() -> None:
+            self.at[number] = set(self.done.setdefault(stream, set()))
+            self.done[stream].add(number)
+
+        return execute
+
+
+@pytest.mark.parametrize("captured", [False, True])
+def test_streams_wait_for_what_barriers_put_before(monkeypatch: pytest.MonkeyPatch, captured: bool) -> None:
+    """Commands 1 and 2 come after 0, 4 after all before it, 3 and 5 after none."""
+    played, a, b = Streams(), 5, 6
+    monkeypatch.setattr(cuda, "driver", lambda: played)
+    played.done[STREAM] = {"earlier"}
+    streams = [0, a, b, a, 0, b]
+    fork = Fork(STREAM, streams, [0, 0b1, 0b1, 0, 0b1111, 0], lambda: captured)
+    with fork:
+        for number, stream in enumerate(streams):
+            fork.run(number, played.command(number, stream or STREAM))
+    order = {number: done - {"earlier"} for number, done in played.at.items()}
+    assert order == {0: set(), 1: {0}, 2: {0}, 3: {0, 1}, 4: {0, 1, 2, 3}, 5: {0, 2}}, "3 and 5 follow on their streams"
+    assert all("earlier" in done for done in played.at.values())
+    assert played.done[STREAM] == {"earlier", *range(6)}, "what comes later waits for all"
 
 
 def test_memory_of_a_gpu_does_all_that_devices_ask_of_memory() -> None:

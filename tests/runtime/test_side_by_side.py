@@ -1,12 +1,17 @@
 """Commands that no barrier orders run side by side where they leave each other threads; handlers are told the end."""
 
 import logging
+import statistics
 import threading
+import time
 
 import numpy as np
 import pytest
 
 from postfx.runtime import ArgumentTable, CommandError, Device, DeviceError
+from postfx.runtime import device as device_module
+from postfx.runtime.device import ProviderMemory, cuda_fault
+from postfx.runtime.session import Placement
 from tests import toys
 
 WAIT = 20
@@ -156,6 +161,110 @@ def test_what_comes_after_both_waits_for_both(library, monkeypatch):
     gate.set()
     device.wait_idle(WAIT)
     assert np.all(total.array == 4.0) and order[:2] == ["network"] * 2
+
+
+class Forks(ProviderMemory):
+    """Memory of a device with streams, on which commands run at once."""
+
+    def __init__(self, placement):
+        super().__init__(placement)
+        self.streams, self.before, self.ran, self.joined = [], [], [], 0
+
+    def stream_beside(self):
+        self.streams.append(len(self.streams) + 1)
+        return self.streams[-1]
+
+    def fork(self, streams, before):
+        self.ran, self.before = [], [(stream, mask) for stream, mask in zip(streams, before, strict=True)]
+        return self if any(streams) else None
+
+    def __enter__(self):
+        assert not self.ran
+
+    def __exit__(self, *exception):
+        self.joined += 1
+
+    def run(self, index, execute):
+        begin = self.mark()
+        execute()
+        self.ran.append(index)
+        return begin, self.mark()
+
+
+def sum_of_two(device, library, name="double", **dims):
+    """Two networks that may run side by side, and the sum of their results; the networks' states, x and the sum."""
+    states = [device.pipeline_state(library, name, dims, threads=1) for _ in range(2)]
+    shape = states[0].shapes["x"]
+    x, total = device.heap.tensor("x", shape), device.heap.tensor("total", shape)
+    x.upload(np.ones(shape, np.float32))
+    results = [device.heap.transient(f"y{i}", shape) for i in range(2)]
+    pair = device.pipeline_state(library, "pair", {"height": shape[1], "width": shape[2]})
+    commands = device.command_buffer("frame")
+    with commands.machine_learning_encoder("networks") as encoder:
+        for state, y in zip(states, results, strict=True):
+            encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": y}))
+    with commands.machine_learning_encoder("sum") as encoder:
+        encoder.barrier(after="machine-learning", before="machine-learning")
+        encoder.dispatch_network(pair, ArgumentTable(pair, {"a": results[0], "b": results[1], "total": total}))
+    return states, x, total, commands
+
+
+def test_networks_get_streams_of_their_own_where_there_are_any(library, monkeypatch):
+    placement = Placement("CPUExecutionProvider", "cpu", 0, 2)
+    memory = Forks(placement)
+    monkeypatch.setattr(device_module, "choose", lambda *rest: (placement, memory))
+    device = Device("auto", threads=2)
+    states, x, total, commands = sum_of_two(device, library, height=4, width=5)
+    assert [state.stream for state in states] == [1, 2]
+    assert device.pipeline_state(library, "double", {"height": 4, "width": 5}).stream == 0
+    for times in (1, 2):
+        commands.commit()
+        commands.wait(WAIT)
+        assert np.all(total.download() == 4 * times) and memory.joined == times
+        x.upload(np.full((1, 4, 5), 2, np.float32))
+        assert memory.before == [(1, 0), (2, 0), (0, 0b11)] and memory.ran == [0, 1, 2]
+        assert [label for label, _ in commands.timings] == ["networks", "sum"]
+    with device.capture(tensors="none"):  # where each command is looked at, they run one after the other
+        commands.commit()
+        commands.wait(WAIT)
+    assert memory.joined == 4 and memory.before == [(0, 0)] and np.all(total.download() == 8)
+    monkeypatch.setattr(memory, "run", lambda *_: 1 / 0)
+    commands.commit()
+    with pytest.raises(CommandError, match="'frame' failed: division by zero"):
+        commands.wait(WAIT)
+    assert memory.joined == 5 and total.state.failed
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
+def test_networks_side_by_side_on_a_gpu(tmp_path):
+    """Two deep networks of few pixels each leave a GPU room for another one: together they take less than one after
+    the other, as a graph and command by command."""
+    library = toys.make_deep(tmp_path)
+    for graphs in (True, False):
+        device = Device("cuda", threads=2, graphs=graphs)
+        states, x, total, commands = sum_of_two(device, library, "deep")
+        assert len({0, *(state.stream for state in states)}) == 3
+        alone = device.command_buffer("alone")
+        y = device.heap.tensor("y", x.shape)
+        with alone.machine_learning_encoder("network") as encoder:
+            encoder.dispatch_network(states[0], ArgumentTable(states[0], {"x": x, "y": y}))
+
+        def run(some):
+            begin = time.perf_counter()
+            some.commit()
+            some.wait(WAIT)
+            return time.perf_counter() - begin
+
+        took = {alone: [], commands: []}
+        for value in range(30):
+            for some, times in took.items():
+                times.append(run(some))
+            assert np.allclose(total.download(), 2 * y.download(), rtol=1e-5), "both are there when they are added"
+            x.upload(np.full(x.shape, value, np.float32))
+        one, both = (statistics.median(times[5:]) for times in took.values())
+        print(f"graphs {graphs}: two networks and their sum take {both / one:.2f} of one network")
+        assert both < 1.8 * one
 
 
 def test_threads_that_a_network_cannot_take(device, library):
