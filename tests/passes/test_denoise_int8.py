@@ -33,6 +33,7 @@ from training.denoise.int8 import (  # noqa: E402
     activations,
     convolutions,
     round_compensated,
+    show,
     unfold_half,
 )
 from training.denoise.int8 import quantise as quantised  # noqa: E402
@@ -137,6 +138,28 @@ def test_rounding_makes_up_for_itself() -> None:
     kept = round_compensated(weights, 0 * moments)
     assert (kept.factors == np.rint(kept.factors)).all() and np.abs(kept.factors).max() == LIMIT
     assert (np.abs(kept.factors * kept.steps[:, None] - weights) <= 0.501 * kept.steps[:, None]).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_channels_of_more_equal_ranges_are_the_same_network(name: str, small_models: Path) -> None:
+    model = unfold_half(lower_constants(onnx.load(small_models / f"{name}.onnx")))
+    shown = list(quantise.joined(model.graph))
+    assert set(activations(model.graph, quantise.layers_of(model.graph, name))) <= set(shown)
+    random = np.random.default_rng(0)
+    reads = {value.name: random.random((1, value.type.tensor_type.shape.dim[1].dim_value, 32, 48), np.float32)
+             for value in model.graph.input}
+
+    def run(some: onnx.ModelProto) -> list[np.ndarray]:
+        session = onnxruntime.InferenceSession(some.SerializeToString(), providers=["CPUExecutionProvider"])
+        return session.run(None, reads)
+
+    reach = {tensor: np.abs(found).max((0, 2, 3)) for tensor, found in zip(shown, run(show(model, shown)), strict=True)}
+    equal = quantise.equalise(model, {tensor: found / found.max() for tensor, found in reach.items()})
+    for found, wanted in zip(run(equal), run(model), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
+    after = {tensor: np.abs(found).max((0, 2, 3)) for tensor, found in zip(shown, run(show(equal, shown)), strict=True)}
+    uneven = [[np.median(some[t][some[t] > 0]) / some[t].max() for t in shown] for some in (reach, after)]
+    assert np.mean(uneven[1]) > 1.2 * np.mean(uneven[0])
 
 
 @pytest.mark.parametrize("name", sorted(LIMITS))

@@ -4,9 +4,9 @@
     python -m training.denoise.quantise denoise_upscale.m.guides --clips 'shot/noisy.####.exr'
     python -m training.denoise.quantise denoise_upscale.m.1x --clips FOLDER_OF_CLIPS
 
-Runs the network over the frames with its history, records the outputs of its layers, picks the 8-bit ranges with the
-least error, and compares the pictures of both variants. Needs no checkpoint. Only the ranges of tensors, a few dozen
-numbers, are taken from the frames.
+Runs the network over the frames with its history, records the outputs of its layers, brings their channels to more
+equal ranges, picks the 8-bit ranges with the least error, and compares the pictures of both variants. Needs no
+checkpoint. Only ranges, and what weights are rounded by, are taken from the frames.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import onnx
 import onnxruntime
-from onnx import NodeProto
+from onnx import NodeProto, numpy_helper
 
 import postfx
 from postfx.colour.displays import srgb_encode
@@ -48,7 +48,7 @@ from training.export import MODELS, constant_value, known_recipe, lower_constant
 # Statistics of a float network over frames: ranges of its tensors, and moments to round its weights by.
 
 SAMPLED = 4096
-"""Values of a tensor that are sampled in each frame."""
+"""Values of a tensor that are sampled in each frame, about: all channels of some places."""
 SHARES = np.geomspace(0.01, 1, 120)
 """Ranges that are tried, as parts of a tensor's full range."""
 POWER = 1.5
@@ -82,8 +82,8 @@ class Calibration:
         """Add a run with these inputs."""
         values = {**reads, **dict(zip(self._computed, self._session.run(None, dict(reads)), strict=True))}
         for name, seen in self._seen.items():
-            flat = values[name].ravel()
-            seen.append(flat[self._random.integers(0, flat.size, SAMPLED)])
+            flat = values[name].reshape(values[name].shape[1], -1)
+            seen.append(flat[:, self._random.integers(0, flat.shape[1], -(-SAMPLED // len(flat)))])
         for node in self._nodes:
             self._moments[node.input[1]].add(values[node.input[0]])
         if self._stem:
@@ -91,7 +91,15 @@ class Calibration:
 
     def ranges(self) -> dict[str, Range]:
         """For each tensor the range with the least error."""
-        return {name: best_range(np.concatenate(seen)) for name, seen in self._seen.items()}
+        return {name: best_range(np.concatenate(seen, 1)) for name, seen in self._seen.items()}
+
+    def shares(self) -> dict[str, np.ndarray]:
+        """For each tensor how much of the widest channel's range each of its channels needs, (C,)."""
+        found = {}
+        for name, seen in self._seen.items():
+            reach = np.abs(np.concatenate(seen, 1)).max(1)
+            found[name] = reach / max(reach.max(), 1e-12)
+        return found
 
     def weights(self) -> dict[str, Rounded]:
         """Weights of the convolutions in integers, by name."""
@@ -105,6 +113,73 @@ def best_range(values: np.ndarray) -> Range:
     middles = (edges[:-1] + edges[1:]) / 2
     tried = [Range.of(share * values.min(), share * values.max()) for share in SHARES]
     return min(tried, key=lambda kept: (counts * np.abs(kept.decode(middles) - middles) ** POWER).sum())
+
+
+# Equal channels -----------------------------------------------------------------------------------------------------
+# A tensor has one step for all of its channels, and most channels use a small part of its range: 8 bits are then coarse
+# for them. Between two convolutions a channel may be multiplied by any positive number and its weights divided by it;
+# neither ReLU nor maxima, sums or repeated pixels change that (Nagel et al., "Data-Free Quantization Through Weight
+# Equalization and Bias Correction", 2019). Weights divided by more are rounded more coarsely, so channels are brought
+# half of the way, in stops (Xiao et al., "SmoothQuant", 2023): pictures of `m` are then 58.6 dB from float32, instead of
+# 57.0 (126 frames of 9 clips).
+
+WAY = 0.5
+"""How far channels are brought to equal ranges."""
+LEAST_SHARE = 1 / 64
+"""Channels that need less of the range than this, perhaps none of it, are treated as if they needed this much."""
+CHANNELWISE = ("Relu", "MaxPool", "Resize", "Add")
+
+
+def joined(graph: onnx.GraphProto) -> dict[str, str]:
+    """Tensor -> the group of tensors whose channels have to be multiplied alike, by one of them; without tensors that
+    must stay as they are."""
+    constants = {weight.name for weight in graph.initializer}
+    group: dict[str, str] = {}
+    fixed = {value.name for value in (*graph.input, *graph.output)}
+    for node in graph.node:
+        if node.op_type == "Conv":
+            group.setdefault(node.output[0], node.output[0])
+            continue
+        tensors = [name for name in (*node.input, *node.output) if name and name not in constants]
+        if node.op_type not in CHANNELWISE:
+            fixed |= set(tensors)
+        for name in tensors:  # those of the first one's group join that of the last
+            before, after = (group.setdefault(each, each) for each in (tensors[0], name))
+            group.update((each, after) for each, held in list(group.items()) if held == before)
+    fixed = {group.get(name, name) for name in fixed}
+    return {name: held for name, held in group.items() if held not in fixed}
+
+
+def equalise(model: onnx.ModelProto, shares: Mapping[str, np.ndarray]) -> onnx.ModelProto:
+    """The same float32 network, whose channels use their tensors' ranges alike.
+
+    Args:
+        shares: tensor -> the part of its range that each channel needs, (C,).
+    """
+    model = onnx.ModelProto.FromString(model.SerializeToString())
+    group, needs = joined(model.graph), {}
+    for name, share in shares.items():
+        if name in group:
+            needs[group[name]] = np.maximum(needs.get(group[name], 0), share)
+    gains = {name: (np.maximum(need, LEAST_SHARE) ** -WAY).astype(np.float32) for name, need in needs.items()}
+    weights = {weight.name: weight for weight in model.graph.initializer}
+
+    def multiply(name: str, factor: np.ndarray) -> None:
+        weights[name].CopyFrom(numpy_helper.from_array(constant_value(model.graph, name) * factor, name))
+
+    for node in model.graph.node:
+        read, written = (gains.get(group.get(name, "")) for name in (node.input[0], node.output[0]))
+        if node.op_type == "Conv":
+            if read is not None:
+                multiply(node.input[1], 1 / read[None, :, None, None])
+            if written is not None:
+                multiply(node.input[1], written[:, None, None, None])
+                for bias in node.input[2:]:
+                    multiply(bias, written)
+        elif node.op_type == "Add" and written is not None:
+            for constant in weights.keys() & set(node.input):
+                multiply(constant, written[:, None, None])
+    return model
 
 
 # The command --------------------------------------------------------------------------------------------------------
@@ -221,6 +296,9 @@ def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[st
     ending = split_ending(name)[1]
     layers = layers_of(model.graph, name)
     kept = activations(model.graph, layers)
+    widths = Calibration(model, dict.fromkeys(kept.values()), ())
+    pictures(shots(source, ending), library, name, widths.add)
+    model = equalise(model, widths.shares())
     stem = None if ending == UNSCALED else Stem(model.graph)
     quantised = convolutions(model.graph, layers)
     calibration = Calibration(model, dict.fromkeys(kept.values()), [*quantised, *heads(model.graph).values()], stem)
