@@ -120,8 +120,8 @@ def best_range(values: np.ndarray) -> Range:
 # for them. Between two convolutions a channel may be multiplied by any positive number and its weights divided by it;
 # neither ReLU nor maxima, sums or repeated pixels change that (Nagel et al., "Data-Free Quantization Through Weight
 # Equalization and Bias Correction", 2019). Weights divided by more are rounded more coarsely, so channels are brought
-# half of the way, in stops (Xiao et al., "SmoothQuant", 2023): pictures of `m` are then 58.6 dB from float32, instead of
-# 57.0 (126 frames of 9 clips).
+# half of the way, in stops (Xiao et al., "SmoothQuant", 2023): pictures of `m` are then 58.6 dB from float32,
+# instead of 57.0 (126 frames of 9 clips).
 
 WAY = 0.5
 """How far channels are brought to equal ranges."""
