@@ -65,8 +65,8 @@ INTERPOLATE = Options(Section("", (
            help="frame rates, e.g. 24:60; the old one alone for headers that do not tell it"),
     Option(flag="--frames", metavar="RANGE", help="frames to use, e.g. 1-100"),
     Option(flag="--planes",
-           help="write depth, motion, normals and reflectances of all frames, too, by their generic names, so that "
-           "passes after this one can use them; the files hold floats"),
+           help="write depth, motion, normals, reflectances and Cryptomattes of all frames, too, so that passes after "
+           "this one can use them; the files hold floats"),
     Option(flag="--no-flow",
            help="where there are motion vectors, do not estimate motion as well: faster, but shadows and reflections "
            "are only faded over"),
@@ -89,6 +89,10 @@ INTERPOLATE = Options(Section("", (
            help="where shots begin: by headers and pictures, nowhere, or at these frames (default: auto)"),
     Option(flag="--json", help="print one JSON object"),
 )))
+
+
+CRYPTOMATTE = "cryptomatte/"
+"""How the names of a Cryptomatte's attributes begin."""
 
 
 @dataclass
@@ -206,6 +210,8 @@ class Interpolation:
             number = self._sequence.numbers[index]
             frame = self._sequence.read(number) if self._sequence.holds(number) else None
             if frame is not None:
+                if self._arguments.planes:
+                    frame = with_cryptomattes(frame)
                 self._first = self._first or frame.metadata
                 if self._detector is not None and self._detector(frame):
                     self._cuts.add(index)
@@ -233,7 +239,9 @@ class Interpolation:
             frame = self._with_overlay(frame)
         if self._arguments.planes:
             frame = with_parts(frame)
-        write_frame(self._outputs.path(frame.number), frame, **INTERPOLATE.values_for("writer", self._arguments))
+        kept = {name: text for name, text in frame.metadata.items() if name.startswith(CRYPTOMATTE)}
+        write_frame(self._outputs.path(frame.number), frame, provenance=kept if self._arguments.planes else None,
+                    **INTERPOLATE.values_for("writer", self._arguments))
 
     def _with_overlay(self, frame: Frame) -> Frame:
         """The frame under the overlay that is given for it (Porter and Duff 1984)."""
@@ -287,3 +295,26 @@ def with_parts(frame: Frame) -> Frame:
     sources = {name: PartSource(channels, exact=True) for name, (_, channels) in planes.items()}
     return replace(frame, parts={**frame.parts, **{name: plane for name, (plane, _) in planes.items()}},
                    part_sources={**frame.part_sources, **sources})
+
+
+def with_cryptomattes(frame: Frame) -> Frame:
+    """The frame with the Cryptomattes of its file as parts that are copied bit for bit. Those of another size are left
+    out. Raises StrengthError for a broken one."""
+    from pathlib import Path
+
+    from postfx.frame import PartSource
+    from postfx.io.channels import ChannelIndex, read_channels
+    from postfx.io.image_file import ImageFile
+    from postfx.io.masks import cryptomattes
+
+    if frame.source is None or not any(name.startswith(CRYPTOMATTE) for name in frame.metadata):
+        return frame
+    path, parts = Path(frame.source), dict(frame.parts)
+    with ImageFile(path) as file:
+        for matte in cryptomattes(ChannelIndex({"": file}), frame.metadata, path):
+            pixels = read_channels(dict.fromkeys(matte.channels, 0.0))
+            for k, channel in enumerate(matte.channels):
+                if pixels[channel].shape == (frame.spec.height, frame.spec.width):
+                    parts[f"{matte.name}{k // 4:02d}.{'RGBA'[k % 4]}"] = pixels[channel]
+    sources = {name: PartSource((name,), exact=True) for name in parts.keys() - frame.parts.keys()}
+    return replace(frame, parts=parts, part_sources={**frame.part_sources, **sources})

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from postfx import read_sequence, write_frame
-from postfx.cli.interpolate import with_parts
+from postfx.cli.interpolate import with_cryptomattes, with_parts
 from postfx.cli.main import main
-from postfx.frame import Frame, Role
+from postfx.frame import Frame, PartSource, Role
 from tests.interpolate.conftest import picture
 
 OTHER = np.random.default_rng(1).random((9, 14, 3), np.float32).repeat(8, 0).repeat(8, 1)
@@ -91,3 +91,25 @@ def test_what_cannot_be_is_one_line(shot, tmp_path, options, message, monkeypatc
     assert main(["interpolate", "in/shot.####.exr", *options]) == 2
     error = capsys.readouterr().err
     assert re.search(message, error) and error.count("\n") == 1 and Path("in/shot.0004.exr").is_file()
+
+
+def test_cryptomattes_come_from_the_nearest_pixel_bit_for_bit(scene, tmp_path):
+    """The disc and the wall have ids that no mean of the two could have."""
+    disc, ground = np.array([0x3F8ABCDE, 0x4B123457], np.uint32).view(np.float32)
+    about = {"cryptomatte/abc1234/name": "CryptoObject", "cryptomatte/abc1234/hash": "MurmurHash3_32",
+             "cryptomatte/abc1234/conversion": "uint32_to_float32", "cryptomatte/abc1234/manifest": "{}"}
+    for number in (1, 2):
+        there = picture(number - 1)[1][..., None]
+        ranks = {"R": np.where(there, disc, ground), "G": np.ones_like(there, np.float32),
+                 "B": np.zeros_like(there, np.float32), "A": np.zeros_like(there, np.float32)}
+        names = {f"CryptoObject00.{letter}": plane for letter, plane in ranks.items()}
+        frame = with_parts(replace(scene(number - 1), metadata=dict(FACTS)))
+        frame = replace(frame, parts={**frame.parts, **names}, part_sources={
+            **frame.part_sources, **{name: PartSource((name,), exact=True) for name in names}})
+        write_frame(tmp_path / f"in/a.{number:04d}.exr", frame, provenance=about)
+    assert main(["interpolate", f"{tmp_path}/in/", "-o", f"{tmp_path}/out/", "--planes"]) == 0
+    made = with_cryptomattes(read_sequence(f"{tmp_path}/out/").read(2))
+    ids = made.parts["CryptoObject00.R"][..., 0].view(np.uint32)
+    assert set(np.unique(ids)) == {0x3F8ABCDE, 0x4B123457}
+    assert ((ids == 0x3F8ABCDE) == picture(0.5)[1]).mean() > 0.99
+    assert made.metadata["cryptomatte/abc1234/name"] == "CryptoObject"
