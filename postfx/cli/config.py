@@ -92,8 +92,8 @@ class Default(NamedTuple):
 
 
 def complete(options: Options, presets: Mapping[str, Mapping[str, Any]]) -> Any:
-    """What fills in arguments that are not given, for `Parser.complete`. `defaults` of the arguments are then the words
-    that say on a command line what came of files."""
+    """What fills in arguments that are not given, for `Parser.complete`. The arguments then have `filled`, the names of
+    those that files set, and `defaults`, the words that say the same."""
 
     def fill_in(arguments: argparse.Namespace, given: set[str]) -> None:
         found = read_defaults(options)
@@ -101,7 +101,8 @@ def complete(options: Options, presets: Mapping[str, Mapping[str, Any]]) -> Any:
         filled = options.fill(arguments, given, {name: default.value for name, default in found.items()})
         arguments.defaults = [word for name in filled for word in found[name].words]
         if "preset" in filled:
-            options.fill(arguments, {*given, *filled}, presets[arguments.preset])
+            filled += options.fill(arguments, {*given, *filled}, presets[arguments.preset])
+        arguments.filled = set(filled)
 
     return fill_in
 

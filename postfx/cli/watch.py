@@ -86,10 +86,14 @@ def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Jo
     """A job whose first frame is known; those after it are not on the disk yet."""
     from postfx.cli.job import Job
     from postfx.cli.main import make_parser
+    from postfx.cli.run_options import RUN
     from postfx.errors import OptionError
 
     words = [str(pattern), "-o", arguments.output, "--overwrite", f"--frames={first}", *arguments.forwarded]
     given = make_parser(["run"]).parse_args(["run", *words])
+    given.both_ways = given.both_ways and "both_ways" not in given.filled  # defaults of a studio give way
+    if given.exposure == "smooth" and "exposure" in given.filled:
+        given.exposure = RUN["--exposure"].default
     for flag, is_given in (("--both-ways", given.both_ways), ("--exposure smooth", given.exposure == "smooth"),
                            ("--report", given.report), ("--capture", given.capture), ("--explain", given.explain)):
         if is_given:

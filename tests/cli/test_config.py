@@ -126,6 +126,17 @@ def test_chunks_carry_the_defaults_to_machines_that_do_not_have_them(places, sho
                                 "--skip-existing", "--frames=1-2"]
 
 
+def test_a_preview_leaves_out_defaults_that_need_all_frames(places, shot, monkeypatch, capsys, tmp_path):
+    shot(1)
+    monkeypatch.chdir(tmp_path)
+    put(tmp_path, 'preset = "animation"\ncompression = "piz"')
+    watch = ["watch", "in/", "-o", "preview/", "--until", "1", "--settle", "0"]
+    assert main(watch) == 0 and (tmp_path / "preview" / "shot.0001.exr").is_file()
+    capsys.readouterr()
+    assert main([*watch, "--", "--both-ways"]) == 2
+    assert "--both-ways needs all frames" in capsys.readouterr().err
+
+
 def test_a_dry_run_checks_all_and_writes_nothing(shot, tmp_path, monkeypatch, capsys):
     shot(1, 2, 3)
     monkeypatch.chdir(tmp_path)
