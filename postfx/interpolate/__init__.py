@@ -44,6 +44,8 @@ LONGEST = 64
 Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
 """A plane of both frames."""
 OVERLAYS = ("mix", "hold")
+CAMERA = ("worldToCamera", "worldToNDC")
+"""Attributes of a camera, of which the first one is made for the time."""
 CUT, STILL = "another shot begins", "nothing changes"
 
 
@@ -97,9 +99,13 @@ class Between:
         views = {name: Between(view, self.after.views[name], **self._options).frame(t, number, previous)
                  for name, view in self.before.views.items() if name in self.after.views}
         planes, parts = self._make_planes(t, previous)
+        camera = self._camera_at(t)
+        metadata = {name: value for name, value in self.before.metadata.items() if name not in CAMERA}
+        if camera is not None and CAMERA[0] in self.before.metadata:
+            metadata[CAMERA[0]] = tuple(camera.ravel().tolist())
         return replace(self.before, planes=planes, parts=parts, number=number, jitter=(0.0, 0.0), reset=False,
-                       metadata=dict(self.before.metadata), guides={}, guide_size=None, samples=None, views=views,
-                       world_to_camera=None)
+                       metadata=metadata, guides={}, guide_size=None, samples=None, views=views,
+                       world_to_camera=camera)
 
     def motion_of_after(self, previous: float) -> np.ndarray:
         """Motion (h, w, 2) of the frame after to a time between, `previous`: what its plane is once a frame is there.
@@ -121,6 +127,27 @@ class Between:
         planes = [role for role in (Role.COLOUR, Role.ALPHA, Role.OVERLAY) if self._both_have(role)]
         same = all(np.array_equal(self.before[role], self.after[role], equal_nan=True) for role in planes)
         return STILL if same else None
+
+    def _camera_at(self, t: float) -> np.ndarray | None:
+        """World to camera (4, 4) at a time: turned about one axis, and moved straight. None where there is none."""
+        one, other = self.before.world_to_camera, self.after.world_to_camera
+        if one is None or other is None:
+            return None
+        try:
+            first, last = np.linalg.inv(one), np.linalg.inv(other)
+            turn = np.linalg.inv(first[:3, :3]) @ last[:3, :3]
+            angle = math.acos(min(max((np.trace(turn) - 1) / 2, -1), 1))
+            if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or angle > 3:
+                return None
+            axis = (turn - turn.T) / (2 * math.sin(angle)) if angle > 1e-9 else np.zeros((3, 3))
+            part = np.eye(3) + math.sin(t * angle) * axis + (1 - math.cos(t * angle)) * axis @ axis  # Rodrigues
+            camera = first.copy()
+            camera[:3, :3] = first[:3, :3] @ part
+            camera[3] = (1 - t) * first[3] + t * last[3]
+            found: np.ndarray = np.linalg.inv(camera)
+        except np.linalg.LinAlgError:
+            return None
+        return found
 
     # What is found once for all times
 

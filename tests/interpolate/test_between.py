@@ -118,6 +118,22 @@ def test_motion_of_the_frame_after_leads_to_the_new_one(scene):
     np.testing.assert_allclose(found, scene(1, step=0.25)[Role.MOTION], atol=1e-5)
 
 
+def test_the_camera_turns_and_moves_along(scene):
+    """Row vectors: a camera that has turned by an angle about y, at a place."""
+
+    def camera(degrees: float, place: float) -> np.ndarray:
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        to_world = np.array([[-c, 0, s, 0], [0, 1, 0, 0], [s, 0, c, 0], [place, 2, -place, 1]])  # of a mirrored hand
+        return np.linalg.inv(to_world)
+
+    before, after = (replace(scene(t), world_to_camera=camera(20 + 30 * t, 4 * t), metadata={
+        "worldToCamera": tuple(camera(20 + 30 * t, 4 * t).ravel()), "worldToNDC": (0.0,) * 16}) for t in (0, 1))
+    found = Between(before, after).frame(0.25)
+    np.testing.assert_allclose(found.world_to_camera, camera(27.5, 1), atol=1e-12)
+    np.testing.assert_allclose(found.metadata["worldToCamera"], camera(27.5, 1).ravel(), atol=1e-12)
+    assert "worldToNDC" not in found.metadata
+
+
 def test_a_cut_a_still_and_another_size_repeat_the_nearer_frame_with_a_reason(scene):
     other = Frame({Role.COLOUR: np.ones((HEIGHT // 2, WIDTH // 2, 3), np.float32)}, number=2)
     for before, after, options, reason in (
