@@ -234,14 +234,17 @@ class Interpolation:
     def _write(self, frame: Frame, count: int) -> None:
         from postfx.io.writer import write_frame
 
-        frame = replace(frame, metadata=self._times.header(frame.metadata, count, self._first))
-        if self._overlays is not None:
-            frame = self._with_overlay(frame)
-        if self._arguments.planes:
-            frame = with_parts(frame)
+        views = {name: self._prepare(view, count) for name, view in frame.views.items()}
         kept = {name: text for name, text in frame.metadata.items() if name.startswith(CRYPTOMATTE)}
-        write_frame(self._outputs.path(frame.number), frame, provenance=kept if self._arguments.planes else None,
-                    **INTERPOLATE.values_for("writer", self._arguments))
+        for path, picture in self._outputs.split(replace(self._prepare(frame, count), views=views)):
+            write_frame(path, picture, provenance=kept if self._arguments.planes else None,
+                        **INTERPOLATE.values_for("writer", self._arguments))
+
+    def _prepare(self, frame: Frame, count: int) -> Frame:
+        """A frame, or one of its views, as it is written: its header, its overlay and the planes beside it."""
+        frame = replace(frame, metadata=self._times.header(frame.metadata, count, self._first))
+        frame = frame if self._overlays is None else self._with_overlay(frame)
+        return with_parts(frame) if self._arguments.planes else frame
 
     def _with_overlay(self, frame: Frame) -> Frame:
         """The frame under the overlay that is given for it (Porter and Duff 1984)."""

@@ -113,3 +113,16 @@ def test_cryptomattes_come_from_the_nearest_pixel_bit_for_bit(scene, tmp_path):
     assert set(np.unique(ids)) == {0x3F8ABCDE, 0x4B123457}
     assert ((ids == 0x3F8ABCDE) == picture(0.5)[1]).mean() > 0.99
     assert made.metadata["cryptomatte/abc1234/name"] == "CryptoObject"
+
+
+def test_both_eyes_are_interpolated(scene, tmp_path):
+    for number in (1, 2):
+        for view, shift in (("left", 0.0), ("right", 0.5)):
+            frame = replace(scene(number - 1 + shift), metadata=dict(FACTS))
+            write_frame(tmp_path / f"in/{view}.{number:04d}.exr", with_parts(frame))
+    assert main(["interpolate", f"{tmp_path}/in/{{view}}.####.exr", "-o", f"{tmp_path}/out/{{view}}.####.exr"]) == 0
+    for view, t in (("left", 0.5), ("right", 1.0)):
+        found = read_sequence(f"{tmp_path}/out/{view}.####.exr").read(2)
+        inner = np.s_[8:-8, 8:-8]
+        assert np.abs(np.log2(found[Role.COLOUR]) - np.log2(picture(t)[0]))[inner].mean() < 0.1
+        assert found.metadata["framesPerSecond"] == 48.0
