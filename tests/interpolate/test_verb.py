@@ -126,3 +126,14 @@ def test_both_eyes_are_interpolated(scene, tmp_path):
         inner = np.s_[8:-8, 8:-8]
         assert np.abs(np.log2(found[Role.COLOUR]) - np.log2(picture(t)[0]))[inner].mean() < 0.1
         assert found.metadata["framesPerSecond"] == 48.0
+
+
+def test_a_shutter_blurs_as_the_mean_of_rendered_times_does(shot, tmp_path):
+    """Half of 360 degrees, twice as many frames: open for a quarter of the time between two frames of the input."""
+    assert main(["interpolate", shot(), "-o", f"{tmp_path}/out/", "--shutter", "180", "--frames", "1-3"]) == 0
+    sharp, errors = {}, {}
+    for number, t in ((3, 1.0), (4, 1.5)):
+        wanted = np.mean([picture(t + 0.25 * ((k + 0.5) / 32 - 0.5))[0] for k in range(32)], 0)
+        found = read_sequence(f"{tmp_path}/out/").read(number)[Role.COLOUR]
+        errors[t], sharp[t] = (np.abs(one - wanted)[8:-8, 8:-8].mean() for one in (found, picture(t)[0]))
+    assert errors[1.0] < 0.35 * sharp[1.0] and errors[1.5] < 0.6 * sharp[1.5]
