@@ -11,6 +11,7 @@ python -m pip install opencv-python-headless.
 import argparse
 import time
 from collections.abc import Callable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -120,7 +121,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"{'sequence':<14}{'method':<18}{'PSNR':>7}{'SSIM':>8}{'FLIP':>8}{'light %':>9}{'CPU s':>7}")
     for folder in arguments.folders:
-        made = list(gaps(folder))[:arguments.most]
+        made = list(islice(gaps(folder), arguments.most))
         for name, method in METHODS.items():
             rows = []
             for gap in made:

@@ -51,7 +51,7 @@ def test_both_directions_are_better_than_one(tmp_path):
 
 def test_frames_between_frames_are_better_than_blending_and_warping(tmp_path):
     pytest.importorskip("flip_evaluator")
-    lines = run("between_frames.py", "--most", "2", "--picture", str(tmp_path / "a.png")).splitlines()[1:]
+    lines = run("between_frames.py", "--most", "1", "--picture", str(tmp_path / "a.png")).splitlines()[1:]
     dB, flip = ({line[14:32].strip(): float(line[32:].split()[at]) for line in lines} for at in (0, 2))
     assert dB["postfx"] > max(dB["warp"] + 1, dB["blend"] + 1.5)
     assert flip["postfx"] < 0.9 * min(flip["warp"], flip["blend"])
