@@ -150,77 +150,198 @@ def divide(row: np.ndarray, total: np.ndarray) -> None:
         row[x] /= total[x]
 
 
-# Four numbers in one instruction, which Numba's compiler does not find by itself where code jumps from pixel to pixel.
+# Four or eight numbers in one instruction, which Numba's compiler does not find by itself where code jumps from pixel
+# to pixel, or where loops are over many arrays.
 
 Four: TypeAlias = Any
 """A tuple of four numbers."""
-FOUR = types.UniTuple(types.float32, 4)  # type: ignore[no-untyped-call]
-VECTOR = ir.VectorType(ir.FloatType(), 4)
+Eight: TypeAlias = Any
+"""A tuple of eight numbers."""
+Sixteen: TypeAlias = Any
+"""A tuple of sixteen numbers."""
 
 
 @inline
 def load_four(flat: np.ndarray, at: int) -> Four:
     """Four numbers of a flat array, from a place on."""
-    return _load_four(flat, at)  # type: ignore[call-arg]  # Numba gives the first argument
+    return _load_four(flat, at)
 
 
 @inline
 def store_four(flat: np.ndarray, at: int, four: Four) -> None:
     """Put four numbers into a flat array, from a place on."""
-    _store_four(flat, at, four)  # type: ignore[call-arg]
+    _store_four(flat, at, four)
 
 
 @inline
 def add_four(total: Four, four: Four, weight: Real) -> Four:
     """total + four * weight."""
-    return _add_four(total, four, weight)  # type: ignore[call-arg]
+    return _add_four(total, four, weight)
+
+
+@inline
+def load_eight(flat: np.ndarray, at: int) -> Eight:
+    """Eight numbers of a flat array, from a place on."""
+    return _load_eight(flat, at)
+
+
+@inline
+def store_eight(flat: np.ndarray, at: int, eight: Eight) -> None:
+    """Put eight numbers into a flat array, from a place on."""
+    _store_eight(flat, at, eight)
+
+
+@inline
+def add_eight(total: Eight, eight: Eight, weight: Real) -> Eight:
+    """total + eight * weight."""
+    return _add_eight(total, eight, weight)
+
+
+@inline
+def add_products_of_eight(total: Eight, some: Eight, others: Eight) -> Eight:
+    """total + some * others, number by number."""
+    return _add_products_of_eight(total, some, others)
+
+
+@inline
+def divide_eight(some: Eight, others: Eight) -> Eight:
+    """some / others, number by number."""
+    return _divide_eight(some, others)  # type: ignore[call-arg]  # Numba gives the first argument
+
+
+@inline
+def largest_eight(some: Eight, others: Eight) -> Eight:
+    """The larger numbers of two eights."""
+    return _largest_eight(some, others)  # type: ignore[call-arg]
+
+
+@inline
+def load_sixteen(flat: np.ndarray, at: int) -> Sixteen:
+    """Sixteen numbers of a flat array, from a place on."""
+    return _load_sixteen(flat, at)
+
+
+@inline
+def add_sixteen(total: Sixteen, sixteen: Sixteen, weight: Real) -> Sixteen:
+    """total + sixteen * weight."""
+    return _add_sixteen(total, sixteen, weight)
+
+
+@inline
+def weigh_pixels(sixteen: Sixteen, u: Real, v: Real, w: Real, z: Real) -> Eight:
+    """Weighted sum of the eight numbers from each of the first four pixels on, of three numbers each."""
+    zero = np.float32(0)
+    total = _add_eight((zero, zero, zero, zero, zero, zero, zero, zero), _from_second(sixteen), v)
+    total = _add_eight(total, _from_first(sixteen), u)
+    return _add_eight(_add_eight(total, _from_third(sixteen), w), _from_fourth(sixteen), z)
+
+
+def _loader(count: int) -> Any:
+    @intrinsic
+    def load(typingctx: Any, flat: Any, at: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            vector = builder.load(_place_of(count, context, builder, signature, arguments), align=4)
+            return _as_tuple(builder, vector)
+
+        return _tuple_of(count)(flat, at), generate
+
+    return load
+
+
+def _storer(count: int) -> Any:
+    @intrinsic
+    def store(typingctx: Any, flat: Any, at: Any, some: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            place = _place_of(count, context, builder, signature, arguments)
+            builder.store(_as_vector(count, builder, arguments[2]), place, align=4)
+            return context.get_dummy_value()
+
+        return types.void(flat, at, some), generate
+
+    return store
+
+
+def _adder(count: int, many_weights: bool) -> Any:
+    @intrinsic
+    def add(typingctx: Any, total: Any, some: Any, weight: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            kind, name = _vector_of(count), f"llvm.fmuladd.v{count}f32"
+            function = builder.module.declare_intrinsic(name, (), ir.FunctionType(kind, [kind] * 3))
+            sums, values = (_as_vector(count, builder, some) for some in arguments[:2])
+            weights = (_as_vector(count, builder, arguments[2]) if many_weights else
+                       _pack(builder, [arguments[2]] * count))
+            return _as_tuple(builder, builder.call(function, [values, weights, sums]))
+
+        own = _tuple_of(count)
+        return own(total, some, own if many_weights else types.float32), generate
+
+    return add
 
 
 @intrinsic
-def _load_four(typingctx: Any, flat: Any, at: Any) -> Any:
+def _divide_eight(typingctx: Any, some: Any, others: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vector = builder.load(_place_of_four(context, builder, signature, arguments), align=4)
-        return _as_tuple(builder, vector)
+        return _as_tuple(builder, builder.fdiv(*(_as_vector(8, builder, vector) for vector in arguments)))
 
-    return FOUR(flat, at), generate
+    return _tuple_of(8)(some, others), generate
 
 
 @intrinsic
-def _store_four(typingctx: Any, flat: Any, at: Any, four: Any) -> Any:
+def _largest_eight(typingctx: Any, some: Any, others: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = _place_of_four(context, builder, signature, arguments)
-        builder.store(_as_vector(builder, [builder.extract_value(arguments[2], i) for i in range(4)]), place, align=4)
-        return context.get_dummy_value()
+        first, second = (_as_vector(8, builder, vector) for vector in arguments)
+        return _as_tuple(builder, builder.select(builder.fcmp_ordered(">", first, second), first, second))
 
-    return types.void(flat, at, four), generate
-
-
-@intrinsic
-def _add_four(typingctx: Any, total: Any, four: Any, weight: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        function = builder.module.declare_intrinsic("llvm.fmuladd.v4f32", (), ir.FunctionType(VECTOR, [VECTOR] * 3))
-        sums, values = (_as_vector(builder, [builder.extract_value(four, i) for i in range(4)])
-                        for four in arguments[:2])
-        weights = _as_vector(builder, [arguments[2]] * 4)
-        return _as_tuple(builder, builder.call(function, [values, weights, sums]))
-
-    return FOUR(total, four, types.float32), generate
+    return _tuple_of(8)(some, others), generate
 
 
-def _place_of_four(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+def _eight_from(first: int) -> Any:
+    @intrinsic
+    def pick(typingctx: Any, sixteen: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            vector, places = _as_vector(16, builder, arguments[0]), ir.VectorType(ir.IntType(32), 8)
+            mask = ir.Constant(places, [ir.Constant(ir.IntType(32), first + i) for i in range(8)])
+            return _as_tuple(builder, builder.shuffle_vector(vector, vector, mask))
+
+        return _tuple_of(8)(sixteen), generate
+
+    return pick
+
+
+def _tuple_of(count: int) -> Any:
+    return types.UniTuple(types.float32, count)  # type: ignore[no-untyped-call]
+
+
+def _vector_of(count: int) -> Any:
+    return ir.VectorType(ir.FloatType(), count)
+
+
+def _place_of(count: int, context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     flat = context.make_array(signature.args[0])(context, builder, arguments[0])
-    return builder.bitcast(builder.gep(flat.data, [arguments[1]]), VECTOR.as_pointer())
+    return builder.bitcast(builder.gep(flat.data, [arguments[1]]), _vector_of(count).as_pointer())
 
 
-def _as_vector(builder: Any, numbers: Any) -> Any:
-    vector = ir.Constant(VECTOR, ir.Undefined)
+def _as_vector(count: int, builder: Any, some: Any) -> Any:
+    return _pack(builder, [builder.extract_value(some, i) for i in range(count)])
+
+
+def _pack(builder: Any, numbers: Any) -> Any:
+    vector = ir.Constant(_vector_of(len(numbers)), ir.Undefined)
     for i, number in enumerate(numbers):
         vector = builder.insert_element(vector, number, ir.Constant(ir.IntType(32), i))
     return vector
 
 
 def _as_tuple(builder: Any, vector: Any) -> Any:
-    four = ir.Constant(ir.ArrayType(ir.FloatType(), 4), ir.Undefined)
-    for i in range(4):
-        four = builder.insert_value(four, builder.extract_element(vector, ir.Constant(ir.IntType(32), i)), i)
-    return four
+    count = vector.type.count
+    found = ir.Constant(ir.ArrayType(ir.FloatType(), count), ir.Undefined)
+    for i in range(count):
+        found = builder.insert_value(found, builder.extract_element(vector, ir.Constant(ir.IntType(32), i)), i)
+    return found
+
+
+_load_four, _load_eight, _load_sixteen = _loader(4), _loader(8), _loader(16)
+_store_four, _store_eight = _storer(4), _storer(8)
+_add_four, _add_eight, _add_sixteen = (_adder(count, False) for count in (4, 8, 16))
+_add_products_of_eight = _adder(8, True)
+_from_first, _from_second, _from_third, _from_fourth = (_eight_from(first) for first in (0, 3, 6, 9))

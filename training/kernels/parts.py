@@ -24,12 +24,11 @@ class Reflect(nn.Module):
 
 
 class AccumulatePart(nn.Module):
-    """part (h, w, 3), coding (3,), factor (th, tw, 3), past (th, tw, 4), moved, last_part (h, w, 3), fine, window,
-    next_state (th, tw, 12) -> next_part (th, tw, 3), part_level (3, hp, wp)."""
+    """part (h, w, 3), coding (3,), factor (th, tw, 3), past (th, tw, 4), moved, last_part (h, w, 3), fine, window
+    -> next_part (th, tw, 3), part_level (3, hp, wp)."""
 
     def forward(self, values: Tensor, coding: Tensor, factor: Tensor, past: Tensor,
-                moved: Tensor, last_part: Tensor, fine: Tensor, window: Tensor,
-                next_state: Tensor) -> tuple[Tensor, Tensor]:
+                moved: Tensor, last_part: Tensor, fine: Tensor, window: Tensor) -> tuple[Tensor, Tensor]:
         place = Window.of(window)
         (th, tw), at, valid = past.shape[:2], place.held(past), to_image(place.valid(past))
         known = ops.sanitise(ops.pick(to_image(values), *at), -MAX_FLOAT, MAX_FLOAT)
@@ -41,9 +40,8 @@ class AccumulatePart(nn.Module):
         before = ops.warp(to_image(last_part), to_image(moved), place=at)
         mean = torch.where(count > 0, before + (now - before) * alpha, now)
         mean = torch.where(mean <= MAX_FLOAT, mean, now) * valid
-        kept = torch.where(to_image(next_state)[:, 3:4] > 0, mean, 0)
         padded = F.pad(mean, (0, fine.shape[3] - tw, 0, fine.shape[2] - th))[0]
-        return to_picture(kept), padded
+        return to_picture(mean), padded
 
 
 class UpsampleLight(nn.Module):
@@ -76,9 +74,9 @@ class Balance(nn.Module):
                          for out, size in zip(parts.shape[1:3], reached.shape[1:], strict=True))
         parts = parts * reached[:, rows][:, :, columns, None]
         total, alone = parts.sum(0), complete > 0
-        light = torch.where(alone, total, torch.maximum(total, whole))
-        equal = torch.where(alone, torch.ones_like(light) / parts.shape[0], 0)
-        return torch.where(light > DARKEST, parts / light.clamp(min=DARKEST), equal) * picture
+        dark = torch.where(alone, DARKEST, 0)  # light that complete parts have more: equal shares where there is none
+        light = torch.where(alone, total + parts.shape[0] * dark, torch.maximum(total + DARKEST, whole))
+        return (parts + dark) * (picture / light)
 
 
 class Correct(nn.Module):

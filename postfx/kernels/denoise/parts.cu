@@ -12,8 +12,8 @@ extern "C" __global__ void denoise_reflectance(View diffuse_albedo, View specula
 }
 
 // Running mean of a part of the picture by the picture's weights: part (h, w, 3), coding (3,), factor (th, tw, 3),
-// past (th, tw, 4), moved (th, tw, 2), last_part (h, w, 3), fine (1, 80, hp, wp), window (8,),
-// next_state (th, tw, 12) -> next_part (th, tw, 3), part_level (3, hp, wp).
+// past (th, tw, 4), moved (th, tw, 2), last_part (h, w, 3), fine (1, 80, hp, wp), window (8,)
+// -> next_part (th, tw, 3), part_level (3, hp, wp).
 __device__ inline float recalled(const float* last, const size_t (&from)[4], int c, float tx, float ty) {
     const float top = last[from[0] + c] + (last[from[1] + c] - last[from[0] + c]) * tx;
     const float bottom = last[from[2] + c] + (last[from[3] + c] - last[from[2] + c]) * tx;
@@ -21,8 +21,8 @@ __device__ inline float recalled(const float* last, const size_t (&from)[4], int
 }
 
 extern "C" __global__ void denoise_accumulate_part(View part, View coding, View factor, View past, View moved,
-                                                   View last_part, View fine, View window, View next_state,
-                                                   View next_part, View part_level) {
+                                                   View last_part, View fine, View window, View next_part,
+                                                   View part_level) {
     const int height = part_level.size[1], width = part_level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -40,7 +40,7 @@ extern "C" __global__ void denoise_accumulate_part(View part, View coding, View 
     const float* const divisor = factor.at + 3 * pixel;
     const float count = past.at[4 * pixel + 3], share = 1.0f / (fmaxf(count, 0.0f) + 1.0f);
     const float alpha = share + (1.0f - share) * fine.at[DISTRUST * plane + here];
-    const bool held = count > 0.0f, is_known = next_state.at[12 * pixel + 3] > 0.0f;
+    const bool held = count > 0.0f;
     const float px = held ? fminf(fmaxf(u + moved.at[2 * pixel], 0.0f), float(w - 1)) : 0.0f;
     const float py = held ? fminf(fmaxf(v + moved.at[2 * pixel + 1], 0.0f), float(h - 1)) : 0.0f;
     const int left = int(px), upper = int(py), right = min(left + 1, w - 1), lower = min(upper + 1, h - 1);
@@ -54,7 +54,7 @@ extern "C" __global__ void denoise_accumulate_part(View part, View coding, View 
         const float mixed = held ? before + (now - before) * alpha : now;
         const float mean = mixed <= MAX_FLOAT ? mixed : now;
         to[c * plane] = mean;
-        next_part.at[3 * pixel + c] = is_known ? mean : 0.0f;
+        next_part.at[3 * pixel + c] = mean;
     }
 }
 
@@ -101,12 +101,12 @@ extern "C" __global__ void denoise_balance(View parts, View reached, View whole,
     for (int c = 0; c < 3; c++) {
         float total = 0.0f;
         for (int k = 0; k < count; k++) total += parts.at[k * stride + pixel + c] * cover[size_t(k) * h * w];
-        const float light = alone ? total : fmaxf(total, whole.at[pixel + c]);
-        const float inverse = 1.0f / fmaxf(light, 1e-30f), equal = alone ? 1.0f / float(count) : 0.0f;
+        const float dark = alone ? 1e-30f : 0.0f;  // light that complete parts have more: equal shares where there is none
+        const float light = alone ? total + count * dark : fmaxf(total + 1e-30f, whole.at[pixel + c]);
+        const float ratio = picture.at[pixel + c] / light;
         for (int k = 0; k < count; k++) {
             const size_t at = k * stride + pixel + c;
-            const float part = parts.at[at] * cover[size_t(k) * h * w];
-            balanced.at[at] = (light > 1e-30f ? part * inverse : equal) * picture.at[pixel + c];
+            balanced.at[at] = (parts.at[at] * cover[size_t(k) * h * w] + dark) * ratio;
         }
     }
 }

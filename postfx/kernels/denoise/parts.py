@@ -3,8 +3,9 @@
 A part is accumulated with the picture's weights, filtered and enlarged with the picture's kernels, all of it linear in
 light and without exposure, so what adds up in the input adds up in the output. ``coding`` (3,) is what is taken off a
 part's values before they are filtered, what the rest is multiplied by, 0 and 1 for light, and their limit.
-``last_part`` (h, w, 3) and ``next_part`` (th, tw, 3) are the accumulated values without reflectance, 0 where ``state``
-knows nothing. Several parts are filtered and enlarged at once, so that the weights are read from memory once for them.
+``last_part`` (h, w, 3) and ``next_part`` (th, tw, 3) are the accumulated values without reflectance; ``past`` tells
+where they are not used. Several parts are filtered and enlarged at once, so that the weights are read from memory once
+for them.
 """
 
 import numpy as np
@@ -28,7 +29,7 @@ from postfx.kernels.denoise.layout import (
     WIDTH,
     kernel,
 )
-from postfx.kernels.denoise.prepare import steps, warp_row
+from postfx.kernels.denoise.prepare import columns_of, edge_pixel, steps, weigh
 from postfx.kernels.denoise.reactive import kept_row
 from postfx.kernels.denoise.upsample import (
     TAPS,
@@ -40,21 +41,32 @@ from postfx.kernels.denoise.upsample import (
     lean_on,
     pixel_of,
     place,
-    scale_row,
     trust_picked,
     trust_side,
 )
 from postfx.kernels.numeric import (
     Real,
     add,
+    add_eight,
+    add_four,
+    add_products_of_eight,
+    add_sixteen,
     centre,
     clamp,
     compiled,
     demodulation,
     divide,
+    divide_eight,
     fused,
     inline,
+    largest_eight,
+    load_eight,
+    load_four,
+    load_sixteen,
+    store_eight,
+    store_four,
     vectorised,
+    weigh_pixels,
 )
 
 ZERO, HALF, ONE, DARKEST = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1e-30)
@@ -72,56 +84,84 @@ LEAST_MOTION, FAINTEST = np.float32(1 / 64), np.float32(1e-6)
 """Render pixels that count as motion, and the smallest variance that is structure."""
 
 
-@inline
-def encode_part(value: Real, coding: np.ndarray) -> Real:
-    """A value coded for the filters, at least 0; NaN counts as 0, infinity as the largest number."""
-    known = clamp(value, -MAX_FLOAT, MAX_FLOAT)
-    return max(known - coding[OFFSET], ZERO) * coding[FACTOR]
-
-
-@compiled
-def recall(last: np.ndarray, px: Real, py: Real, found: np.ndarray) -> None:
-    """The last frame's part at a place in it, bilinear, edge repeated."""
+@fused
+def recall_row(v: int, left: int, last: np.ndarray, moved: np.ndarray, past: np.ndarray, distrust: np.ndarray,
+               before: np.ndarray, alpha: np.ndarray) -> None:
+    """The last frame's part along a row, bilinear, edge repeated, and how much this frame counts, three times a pixel:
+    all where nothing is known. ``before`` has one more number than pixels have."""
     h, w = last.shape[:2]
-    x, y = min(max(px, ZERO), np.float32(w - 1)), min(max(py, ZERO), np.float32(h - 1))
-    left, upper = int(x), int(y)
-    right, lower = min(left + 1, w - 1), min(upper + 1, h - 1)
-    tx, ty = x - np.float32(left), y - np.float32(upper)
-    for c in range(3):
-        top = last[upper, left, c] + (last[upper, right, c] - last[upper, left, c]) * tx
-        bottom = last[lower, left, c] + (last[lower, right, c] - last[lower, left, c]) * tx
-        found[c] = top + (bottom - top) * ty
+    flat = last.reshape(last.size)
+    for x in range(alpha.size // 3):
+        share = ONE / (max(past[x, 3], ZERO) + ONE)
+        share = share + (ONE - share) * distrust[x] if past[x, 3] > ZERO else ONE
+        alpha[3 * x] = alpha[3 * x + 1] = alpha[3 * x + 2] = share
+        if past[x, 3] <= ZERO:
+            before[3 * x] = before[3 * x + 1] = before[3 * x + 2] = ZERO
+            continue
+        px = min(max(np.float32(left + x) + moved[x, 0], ZERO), np.float32(w - 1))
+        py = min(max(np.float32(v) + moved[x, 1], ZERO), np.float32(h - 1))
+        at_x, at_y = min(int(px), max(w - 2, 0)), min(int(py), max(h - 2, 0))
+        tx, ty = px - np.float32(at_x), py - np.float32(at_y)
+        at = 3 * (at_y * w + at_x)
+        right, below = at + 3 * min(1, w - 1), 3 * w * min(1, h - 1)
+        if right + below + 4 <= last.size:
+            zero = np.float32(0)
+            top = add_four((zero, zero, zero, zero), load_four(flat, at), ONE - tx)
+            top = add_four(top, load_four(flat, right), tx)
+            bottom = add_four((zero, zero, zero, zero), load_four(flat, at + below), ONE - tx)
+            bottom = add_four(bottom, load_four(flat, right + below), tx)
+            store_four(before, 3 * x, add_four(add_four((zero, zero, zero, zero), top, ONE - ty), bottom, ty))
+            continue
+        for c in range(3):
+            upper = flat[at + c] * (ONE - tx) + flat[right + c] * tx
+            lower = flat[at + below + c] * (ONE - tx) + flat[right + below + c] * tx
+            before[3 * x + c] = upper * (ONE - ty) + lower * ty
+
+
+@fused
+def mix_part(values: np.ndarray, coding: np.ndarray, factor: np.ndarray, alpha: np.ndarray, before: np.ndarray,
+             mean: np.ndarray) -> None:
+    """A row's values coded for the filters, at least 0, without reflectance, mixed with those before; NaN counts as 0,
+    infinity as the largest number."""
+    offset, scale, most = coding[OFFSET], coding[FACTOR], coding[MOST]
+    for i in range(mean.size):
+        value = values[i] if values[i] == values[i] else ZERO
+        value = min(max(value, -MAX_FLOAT), MAX_FLOAT)
+        now = min(max(value - offset, ZERO) * scale / factor[i], most)
+        mixed = before[i] + (now - before[i]) * alpha[i]
+        mean[i] = mixed if mixed <= MAX_FLOAT else now
+
+
+@vectorised
+def spread(flat: np.ndarray, first: int, row: np.ndarray) -> None:
+    """One channel of an interleaved row."""
+    for x in range(row.size):
+        row[x] = flat[3 * x + first]
 
 
 @compiled
 def accumulate_rows(y0: int, y1: int, part: np.ndarray, coding: np.ndarray, factor: np.ndarray, past: np.ndarray,
                     moved: np.ndarray, last_part: np.ndarray, fine: np.ndarray, window: np.ndarray,
-                    next_state: np.ndarray, next_part: np.ndarray, part_level: np.ndarray) -> None:
+                    next_part: np.ndarray, part_level: np.ndarray) -> None:
     """Running mean of a part by the picture's weights, and the same planar, zero beyond the frame."""
     h, w = part.shape[:2]
     th, tw = next_part.shape[:2]
     top, left = int(window[TOP]), int(window[LEFT])
     rows, columns = min(th, h - top), min(tw, w - left)
-    before = np.zeros(3, np.float32)
+    before, alpha = np.empty(3 * columns + 1, np.float32), np.empty(3 * columns, np.float32)
     for y in range(y0, y1):
         first = columns if y < rows else 0
         part_level[:, y, first:] = ZERO
         if y < th:
             next_part[y, first:] = ZERO
-        for x in range(first):
-            v, u = top + y, left + x
-            share = ONE / (max(past[y, x, 3], ZERO) + ONE)
-            alpha = share + (ONE - share) * fine[0, DISTRUST, y, x]
-            held = past[y, x, 3] > ZERO
-            if held:
-                recall(last_part, np.float32(u) + moved[y, x, 0], np.float32(v) + moved[y, x, 1], before)
-            known = next_state[y, x, 3] > ZERO
-            for c in range(3):
-                now = min(encode_part(part[v, u, c], coding) / factor[y, x, c], coding[MOST])
-                mean = before[c] + (now - before[c]) * alpha if held else now
-                mean = mean if mean <= np.float32(MAX_FLOAT) else now
-                part_level[c, y, x] = mean
-                next_part[y, x, c] = mean if known else ZERO
+        if not first:
+            continue
+        recall_row(top + y, left, last_part, moved[y], past[y], fine[0, DISTRUST, y], before, alpha)
+        mean = next_part[y, :columns].reshape(3 * columns)
+        mix_part(part[top + y, left:left + columns].reshape(3 * columns), coding,
+                 factor[y, :columns].reshape(3 * columns), alpha, before, mean)
+        for c in range(3):
+            spread(mean, c, part_level[c, y, :columns])
 
 
 @compiled
@@ -135,11 +175,28 @@ def reflectance_rows(y0: int, y1: int, diffuse_albedo: np.ndarray, specular_albe
 
 
 @fused
-def add_three(taps: np.ndarray, row: np.ndarray, total: np.ndarray) -> None:
-    """total += three taps times three neighbours of a row, from each place on."""
-    a, b, c = taps[0], taps[1], taps[2]
-    for x in range(total.size):
-        total[x] = total[x] + a[x] * row[x] + b[x] * row[x + 1] + c[x] * row[x + 2]
+def add_nine(taps: np.ndarray, total: np.ndarray, radiance: np.ndarray, part: int, iy: int, rows: np.ndarray) -> None:
+    """Rows (6, w) of a part's red, green and blue at even pixels of a row at scale 2, then at odd ones: weighted means
+    of 3x3 neighbours from row ``iy`` on. ``taps`` (2, 9, w), ``total`` (2, w); at least 8 pixels wide."""
+    w, (_, tall, wide) = total.shape[1], radiance.shape
+    weights, sums, found = taps.reshape(taps.size), total.reshape(total.size), rows.reshape(rows.size)
+    samples, plane = radiance.reshape(radiance.size), tall * wide
+    first = 3 * part * plane + iy * wide
+    for block in range((w + 7) // 8):
+        x = min(8 * block, w - 8)
+        for side in range(2):
+            red = green = blue = (ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO)
+            for j in range(3):
+                for i in range(3):
+                    tap = load_eight(weights, (TAPS * side + 3 * j + i) * w + x)
+                    at = first + j * wide + x + i
+                    red = add_products_of_eight(red, tap, load_eight(samples, at))
+                    green = add_products_of_eight(green, tap, load_eight(samples, at + plane))
+                    blue = add_products_of_eight(blue, tap, load_eight(samples, at + 2 * plane))
+            weight, to = load_eight(sums, side * w + x), 3 * side * w + x
+            store_eight(found, to, divide_eight(red, weight))
+            store_eight(found, to + w, divide_eight(green, weight))
+            store_eight(found, to + 2 * w, divide_eight(blue, weight))
 
 
 @fused
@@ -170,17 +227,25 @@ def blend_light(current: np.ndarray, warped: np.ndarray, trust: np.ndarray, dark
         light[i] = max(mixed, ZERO) if mixed <= MAX_FLOAT else now
 
 
-@compiled
+@fused
 def double_taps(lower: int, fine: np.ndarray, iy: int, gauss_x: np.ndarray, gauss_y: np.ndarray, taps: np.ndarray,
                 total: np.ndarray) -> None:
-    """Weights of the samples for a row at scale 2: taps (2, 9, w) of its even and odd pixels, and their sums."""
+    """Weights of the samples for a row at scale 2: taps (2, 9, w) of its even and odd pixels, and their sums; at least
+    8 pixels wide."""
+    w, (_, _, hp, wp) = total.shape[1], fine.shape
+    flat, found, sums = fine.reshape(fine.size), taps.reshape(taps.size), total.reshape(total.size)
+    zero, tiny, one = np.float32(0), np.float32(TINY), np.float32(1)
     for side in range(2):
-        total[side] = TINY
-        for tap in range(TAPS):
-            j, i = tap // 3, tap % 3
-            scale_row(fine[0, TAP_WEIGHTS + 4 * tap + 2 * lower + side, iy], gauss_y[j] * gauss_x[i, side],
-                      taps[side, tap])
-            add(taps[side, tap], total[side])
+        for block in range((w + 7) // 8):
+            x = min(8 * block, w - 8)
+            whole = (tiny, tiny, tiny, tiny, tiny, tiny, tiny, tiny)
+            for tap in range(TAPS):
+                at = ((TAP_WEIGHTS + 4 * tap + 2 * lower + side) * hp + iy) * wp + x
+                scale = gauss_y[tap // 3] * gauss_x[tap % 3, side]
+                scaled = add_eight((zero, zero, zero, zero, zero, zero, zero, zero), load_eight(flat, at), scale)
+                store_eight(found, (TAPS * side + tap) * w + x, scaled)
+                whole = add_eight(whole, scaled, one)
+            store_eight(sums, side * w + x, whole)
 
 
 @compiled
@@ -196,6 +261,47 @@ def any_taps(ty: Real, fine: np.ndarray, iy: int, gauss_x: np.ndarray, gauss_y: 
         lean_on(corners, index, leans, taps[0, tap])
         taps[0, tap] *= gauss_x[i]
         add(taps[0, tap], total[0])
+
+
+@fused
+def warp_parts(y: int, columns: np.ndarray, last: np.ndarray, index: np.ndarray, shift_x: np.ndarray,
+               shift_y: np.ndarray, wx: np.ndarray, wy: np.ndarray, rows: np.ndarray) -> None:
+    """Row ``y`` of several pictures (n, height, width, 3) moved, like `warp_row`; ``rows`` (n, 3 width + 2).
+
+    Neighbours in one render pixel share their motion, so they are moved as one run of six numbers, and two behind it.
+    """
+    count, height, width, _ = last.shape
+    flat, found, stride = last.reshape(last.size), rows.reshape(rows.size), rows.shape[1]
+    line, picture = np.uint64(3 * width), np.uint64(3 * width * height)
+    x = 0
+    while x < index.size:
+        at = index[x]
+        left, top = columns[x] + shift_x[at] - 1, y + shift_y[at] - 1
+        if not (0 <= left <= width - 4 and 0 <= top <= height - 4):
+            for k in range(count):
+                edge_pixel(left, top, last[k], at, wx, wy, rows[k, 3 * x:3 * x + 3])
+            x += 1
+            continue
+        w0, w1, w2, w3 = wx[0, at], wx[1, at], wx[2, at], wx[3, at]
+        d0, d1, d2, d3 = wy[0, at], wy[1, at], wy[2, at], wy[3, at]
+        start = np.uint64((top * width + left) * 3)
+        if x + 1 < index.size and index[x + 1] == at and columns[x + 1] == columns[x] + 1 and left < width - 5:
+            for k in range(count):
+                zero = np.float32(0)
+                total = (zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero)
+                total = add_sixteen(total, load_sixteen(flat, start + line), d1)
+                total = add_sixteen(total, load_sixteen(flat, start), d0)
+                total = add_sixteen(total, load_sixteen(flat, start + line + line), d2)
+                total = add_sixteen(total, load_sixteen(flat, start + line + line + line), d3)
+                store_eight(found, np.uint64(k * stride + 3 * x), weigh_pixels(total, w0, w1, w2, w3))
+                start += picture
+            x += 2
+            continue
+        for k in range(count):
+            a, b, c, d = columns_of(flat, start, line, d0, d1, d2, d3)
+            store_four(found, np.uint64(k * stride + 3 * x), weigh(a, b, c, d, w0, w1, w2, w3))
+            start += picture
+        x += 1
 
 
 @compiled
@@ -219,7 +325,7 @@ def light_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: 
     scale = np.float32(size[0] / int(window[WIDTH])), np.float32(size[1] / int(window[HEIGHT]))
     index, leans = np.empty(width, np.int64), np.empty(width, np.float32)
     gauss_x, gauss_y = np.empty((3, width), np.float32), np.empty(3, np.float32)
-    columns, before = out_columns.astype(np.int64), np.empty(3 * width + 1, np.float32)
+    columns, before = out_columns.astype(np.int64), np.zeros((count, 3 * width + 2), np.float32)
     shift_x, shift_y = np.empty(w, np.int32), np.empty(w, np.int32)
     cubic_x, cubic_y = np.empty((4, w), np.float32), np.empty((4, w), np.float32)
     for x in range(width):
@@ -227,11 +333,12 @@ def light_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: 
         leans[x] = lean(offset)
         for i in range(3):
             gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
-    sides, count_x = (2, w) if is_doubled(window) else (1, width)
+    sides, count_x = (2, w) if is_doubled(window) and w >= 8 else (1, width)
     taps, total = np.empty((sides, TAPS, count_x), np.float32), np.empty((sides, count_x), np.float32)
     rows, current = np.empty((3 * sides, count_x), np.float32), np.empty(3 * width, np.float32)
     corners, share = np.empty((2, w), np.float32), np.empty(w, np.float32)
     blend, trust = np.empty(count_x, np.float32), np.empty(3 * width, np.float32)
+    stepped = -1
     for row in range(y0, y1):
         y = int(out_rows[row])
         iy, offset = pixel_of(row, TOP, window, h)
@@ -251,38 +358,25 @@ def light_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: 
             trust_picked(left, np.float32(y), size, moved[iy], past[iy], scale, share, index, blend, trust)
         keeps, moves = any_of(trust), left + width > size[0] or any_of(moved[iy].reshape(2 * w))
         if keeps and moves:
-            steps(moved[iy], 0, scale[0], shift_x, cubic_x)
-            steps(moved[iy], 1, scale[1], shift_y, cubic_y)
+            if iy != stepped:
+                steps(moved[iy], 0, scale[0], shift_x, cubic_x)
+                steps(moved[iy], 1, scale[1], shift_y, cubic_y)
+                stepped = iy
+            warp_parts(y, columns, last, index, shift_x, shift_y, cubic_x, cubic_y, before)
         for k in range(count):
-            for line in range(3 * sides):
-                side, c = line // 3, line % 3
-                rows[line] = ZERO
-                for j in range(3):
-                    samples = radiance[3 * k + c, iy + j]
-                    if sides == 2:
-                        add_three(taps[side, 3 * j:3 * j + 3], samples, rows[line])
-                    else:
-                        add_three_picked(taps[0, 3 * j:3 * j + 3], samples, index, rows[line])
-                divide(rows[line], total[side])
-                if sides == 1:
-                    place(rows[line], c, 3, current)
             if sides == 2:
+                add_nine(taps, total, radiance, k, iy, rows)
                 interleave(rows, current)
-            if keeps and moves:
-                warp_row(y, columns, last[k], index, shift_x, shift_y, cubic_x, cubic_y, before)
-            elif keeps:
-                before[:3 * width] = last[k, y, left:left + width].reshape(3 * width)
             else:
-                before[:] = ZERO
-            blend_light(current, before, trust, ONE / params[EXPOSURE], light[k, row].reshape(3 * width))
-
-
-@vectorised
-def inverse_of(total: np.ndarray, whole: np.ndarray, inverse: np.ndarray) -> None:
-    """1 / light, which turns parts into shares; `total` becomes the light."""
-    for i in range(total.size):
-        total[i] = max(total[i], whole[i])
-        inverse[i] = ONE / max(total[i], DARKEST)
+                for c in range(3):
+                    rows[c] = ZERO
+                    for j in range(3):
+                        add_three_picked(taps[0, 3 * j:3 * j + 3], radiance[3 * k + c, iy + j], index, rows[c])
+                    divide(rows[c], total[0])
+                    place(rows[c], c, 3, current)
+            if keeps and not moves:
+                before[k, :3 * width] = last[k, y, left:left + width].reshape(3 * width)
+            blend_light(current, before[k], trust, ONE / params[EXPOSURE], light[k, row].reshape(3 * width))
 
 
 @compiled
@@ -295,6 +389,37 @@ def cover_row(part: np.ndarray, reached: np.ndarray, covered: np.ndarray) -> Non
             covered[x, c] = part[x, c] * cover
 
 
+@fused
+def share_row(y: int, parts: np.ndarray, whole: np.ndarray, picture: np.ndarray, complete: bool, dark: Real,
+              balanced: np.ndarray) -> None:
+    """A row of parts (n, H, W, 3) in the proportions that they have to each other, or to the ``whole``. ``dark`` is
+    light that each of complete parts has more, so that they get equal shares where there is none."""
+    count, height, width, _ = parts.shape
+    light, found = parts.reshape(parts.size), balanced.reshape(balanced.size)
+    wholes, pictures = whole.reshape(whole.size), picture.reshape(picture.size)
+    n, plane, zero = 3 * width, 3 * width * height, np.float32(0)
+    most = np.float32(count) * dark if complete else DARKEST
+    for block in range(n // 8):
+        i = y * n + 8 * block
+        total = (most, most, most, most, most, most, most, most)
+        for k in range(count):
+            total = add_eight(total, load_eight(light, k * plane + i), ONE)
+        if not complete:
+            total = largest_eight(total, load_eight(wholes, i))
+        ratio = divide_eight(load_eight(pictures, i), total)
+        for k in range(count):
+            part = add_eight((dark, dark, dark, dark, dark, dark, dark, dark), load_eight(light, k * plane + i), ONE)
+            zeros = (zero, zero, zero, zero, zero, zero, zero, zero)
+            store_eight(found, k * plane + i, add_products_of_eight(zeros, part, ratio))
+    for i in range(y * n + n // 8 * 8, y * n + n):
+        summed = most
+        for k in range(count):
+            summed += light[k * plane + i]
+        summed = summed if complete else max(summed, wholes[i])
+        for k in range(count):
+            found[k * plane + i] = (light[k * plane + i] + dark) * (pictures[i] / summed)
+
+
 @compiled
 def balance_rows(y0: int, y1: int, parts: np.ndarray, reached: np.ndarray, whole: np.ndarray, picture: np.ndarray,
                  complete: np.ndarray, balanced: np.ndarray) -> None:
@@ -303,26 +428,16 @@ def balance_rows(y0: int, y1: int, parts: np.ndarray, reached: np.ndarray, whole
 
     ``reached`` (n, h, w) is 0 at render pixels where a part has no light; (n, 1, 1) where all have some everywhere.
     """
-    count, height, width, _ = parts.shape
-    total, inverse = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
-    everywhere = reached.shape[1] == 1
+    count, height = parts.shape[:2]
+    alone, everywhere = complete[0] > ZERO, reached.shape[1] == 1
+    dark = DARKEST if alone else ZERO
     for y in range(y0, y1):
-        total[:] = ZERO
+        if everywhere:
+            share_row(y, parts, whole, picture, alone, dark, balanced)
+            continue
         for k in range(count):
-            if everywhere:
-                add(parts[k, y].reshape(3 * width), total)
-            else:
-                cover_row(parts[k, y], reached[k, y * reached.shape[1] // height], balanced[k, y])
-                add(balanced[k, y].reshape(3 * width), total)
-        alone = complete[0] > ZERO
-        inverse_of(total, total if alone else whole[y].reshape(3 * width), inverse)
-        line = picture[y].reshape(3 * width)
-        equal = ONE / np.float32(count) if alone else ZERO
-        for k in range(count):
-            target = balanced[k, y].reshape(3 * width)
-            source = parts[k, y].reshape(3 * width) if everywhere else target
-            for i in range(3 * width):
-                target[i] = (source[i] * inverse[i] if total[i] > DARKEST else equal) * line[i]
+            cover_row(parts[k, y], reached[k, y * reached.shape[1] // height], balanced[k, y])
+        share_row(y, balanced, whole, picture, alone, dark, balanced)
 
 
 @compiled
@@ -415,7 +530,7 @@ IMAGE, OUTPUT = ("rows", "columns", 3), ("height", "width", 3)
 REFLECT = kernel("reflectance", (*REFLECTANCE, "part_rows", "part_columns"), ("factor",), reflectance_rows,
                  ("factor", 0))
 ACCUMULATE_PART = kernel(
-    "accumulate_part", ("part", "coding", "factor", "past", "moved", "last_part", "fine", "window", "next_state"),
+    "accumulate_part", ("part", "coding", "factor", "past", "moved", "last_part", "fine", "window"),
     ("next_part", "part_level"), accumulate_rows, ("part_level", 1), part=("h", "w", 3), coding=(3,),
     last_part=("h", "w", 3), next_part=("th", "tw", 3), part_level=(3, "hp", "wp"))
 UPSAMPLE_LIGHT = kernel("upsample_light", ("radiance", "fine", "moved", "past", "last", "params", "window", "keep",

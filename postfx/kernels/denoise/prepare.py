@@ -325,6 +325,16 @@ def down_last(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: R
     return r, g, b, b
 
 
+@fused_inline
+def columns_of(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real,
+               d3: Real) -> tuple[Four, Four, Four, Four]:
+    """Weighted sums down four columns of pixels, from a place on."""
+    step = np.uint64(3)
+    return (down(flat, start, line, d0, d1, d2, d3), down(flat, start + step, line, d0, d1, d2, d3),
+            down(flat, start + step + step, line, d0, d1, d2, d3),
+            down_last(flat, start + step + step + step, line, d0, d1, d2, d3))
+
+
 @fused
 def edge_pixel(left: int, top: int, history: np.ndarray, at: int, wx: np.ndarray, wy: np.ndarray,
                pixel: np.ndarray) -> None:
@@ -361,15 +371,11 @@ def warp_row(y: int, columns: np.ndarray, history: np.ndarray, index: np.ndarray
         w0, w1, w2, w3 = wx[0, at], wx[1, at], wx[2, at], wx[3, at]
         d0, d1, d2, d3 = wy[0, at], wy[1, at], wy[2, at], wy[3, at]
         start = np.uint64((top * width + left) * 3)
-        a = down(flat, start, line, d0, d1, d2, d3)
-        b = down(flat, start + next_pixel, line, d0, d1, d2, d3)
-        c = down(flat, start + next_pixel * np.uint64(2), line, d0, d1, d2, d3)
-        start += next_pixel * np.uint64(3)
-        d = down_last(flat, start, line, d0, d1, d2, d3)
+        a, b, c, d = columns_of(flat, start, line, d0, d1, d2, d3)
         store_four(row, np.uint64(3 * x), weigh(a, b, c, d, w0, w1, w2, w3))
         x += 1
         if x < index.size and index[x] == at and columns[x] == columns[x - 1] + 1 and left < width - 4:
-            e = down_last(flat, start + next_pixel, line, d0, d1, d2, d3)
+            e = down_last(flat, start + next_pixel * np.uint64(4), line, d0, d1, d2, d3)
             store_four(row, np.uint64(3 * x), weigh(b, c, d, e, w0, w1, w2, w3))
             x += 1
 
