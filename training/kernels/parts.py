@@ -74,8 +74,8 @@ class Balance(nn.Module):
                          for out, size in zip(parts.shape[1:3], reached.shape[1:], strict=True))
         parts = parts * reached[:, rows][:, :, columns, None]
         total, alone = parts.sum(0), complete > 0
-        dark = torch.where(alone, DARKEST, 0)  # light that complete parts have more: equal shares where there is none
-        light = torch.where(alone, total + parts.shape[0] * dark, torch.maximum(total + DARKEST, whole))
+        dark = torch.where(alone, (DARKEST - total).clamp(min=0), 0)  # equal shares where there is no light
+        light = torch.where(alone, total + parts.shape[0] * dark, torch.maximum(total, whole).clamp(min=DARKEST))
         return (parts + dark) * (picture / light)
 
 

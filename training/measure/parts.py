@@ -1,17 +1,19 @@
 """Light groups denoised with the picture, against Open Image Denoise on each alone, and graded after or before.
 
 python -m training.measure.parts SEQUENCE.npz [--model m] [--scales 1,2]
-python -m training.measure.parts --cost [--model m]
+python -m training.measure.parts --cost [--threads 2] [--model m]
 
 SEQUENCE.npz holds, for frame i, `albedo{i}`, `normal{i}`, `depth{i}`, `motion{i}`, a light group's `NAME{i}`, and for
 the last frame references `ref{size}_NAME{i}`, where size is the width. The light groups add up to the picture. PSNR and
 sums are those of the last frame; PSNR compares displayed pictures, each exposed like its reference. `--cost` measures a
-part's share of a frame's time: frames of 960x540 to 1920x1080 without parts, with three and with six, in turn.
+part's share of a frame's passes: frames of 960x540 to 1920x1080 without parts, with three and with six, in turn; the time
+on `--threads`, and on Linux the processor time of the device's threads, which other work disturbs less.
 """
 
 from __future__ import annotations
 
 import argparse
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -101,24 +103,33 @@ def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], m
     print(f"graded before {before:.2f} dB, OIDN's parts {others:.2f} dB")
 
 
-def cost(model: str) -> None:
+def cost(model: str, threads: int) -> None:
     """Print a part's share of a frame's time."""
-    random, device = np.random.default_rng(0), Device("cpu")
+    random, device = np.random.default_rng(0), Device("cpu", threads=threads)
     colour = random.random((540, 960, 3), np.float32)
     planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: colour, Role.NORMAL: colour,
               Role.DEPTH: 1 + colour[..., :1].copy(), Role.MOTION: 0.5 * colour[..., :2].copy()}
     frames = {count: Frame(planes, parts={f"light {i}": colour / count for i in range(count)}) for count in COUNTS}
     pipelines = {count: Pipeline([DenoiseUpscale(model=model, parts=list(frame.parts))], device, exposure=0.0)
                  for count, frame in frames.items()}
-    times: dict[int, list[float]] = {count: [] for count in pipelines}
+    times: dict[str, dict[int, list[float]]] = {name: {count: [] for count in COUNTS} for name in ("time", "processor")}
     for _ in range(FRAMES):
         for count, pipeline in pipelines.items():
+            before = busy()
             pipeline(frames[count])
-            times[count].append(sum(pipeline.timings.values()))
-    alone, *among = (float(np.median(one[WARM_UP:])) for one in times.values())
-    print(f"{model}: {alone:.0f} ms a frame" + "".join(
-        f", with {count} parts {time:.0f} ms: {(time - alone) / count / alone:.1%} for each"
-        for count, time in zip(COUNTS[1:], among, strict=True)))
+            times["time"][count].append(sum(pipeline.timings.values()))
+            times["processor"][count].append(busy() - before)
+    for name, found in times.items():
+        alone, *among = (float(np.median(one[WARM_UP:])) for one in found.values())
+        print(f"{model}, {name}: {alone:.0f} ms a frame" + "".join(
+            f", with {count} parts {time:.0f} ms: {(time - alone) / count / alone:.1%} for each"
+            for count, time in zip(COUNTS[1:], among, strict=True)))
+
+
+def busy() -> float:
+    """Milliseconds of processor time of all threads but this one so far, by Linux's /proc."""
+    others = {task for task in Path("/proc/self/task").iterdir() if task.name != str(threading.get_native_id())}
+    return sum(int((task / "schedstat").read_text().split()[0]) for task in others) / 1e6
 
 
 def main() -> None:
@@ -126,11 +137,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequence", type=Path, nargs="?")
     parser.add_argument("--cost", action="store_true")
+    parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--model", default="m")
     parser.add_argument("--scales", default="1,2")
     arguments = parser.parse_args()
     if arguments.cost:
-        cost(arguments.model)
+        cost(arguments.model, arguments.threads)
     if arguments.sequence is None:
         return
     frames, references = load(arguments.sequence)

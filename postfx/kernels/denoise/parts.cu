@@ -101,8 +101,8 @@ extern "C" __global__ void denoise_balance(View parts, View reached, View whole,
     for (int c = 0; c < 3; c++) {
         float total = 0.0f;
         for (int k = 0; k < count; k++) total += parts.at[k * stride + pixel + c] * cover[size_t(k) * h * w];
-        const float dark = alone ? 1e-30f : 0.0f;  // light that complete parts have more: equal shares where there is none
-        const float light = alone ? total + count * dark : fmaxf(total + 1e-30f, whole.at[pixel + c]);
+        const float dark = alone ? fmaxf(1e-30f - total, 0.0f) : 0.0f;
+        const float light = alone ? total + count * dark : fmaxf(fmaxf(total, whole.at[pixel + c]), 1e-30f);
         const float ratio = picture.at[pixel + c] / light;
         for (int k = 0; k < count; k++) {
             const size_t at = k * stride + pixel + c;

@@ -390,34 +390,38 @@ def cover_row(part: np.ndarray, reached: np.ndarray, covered: np.ndarray) -> Non
 
 
 @fused
-def share_row(y: int, parts: np.ndarray, whole: np.ndarray, picture: np.ndarray, complete: bool, dark: Real,
+def share_row(y: int, parts: np.ndarray, whole: np.ndarray, picture: np.ndarray, complete: bool,
               balanced: np.ndarray) -> None:
-    """A row of parts (n, H, W, 3) in the proportions that they have to each other, or to the ``whole``. ``dark`` is
-    light that each of complete parts has more, so that they get equal shares where there is none."""
+    """A row of parts (n, H, W, 3) in the proportions that they have to each other, or to the ``whole``. Where complete
+    parts have no light, each counts as having the same."""
     count, height, width, _ = parts.shape
     light, found = parts.reshape(parts.size), balanced.reshape(balanced.size)
     wholes, pictures = whole.reshape(whole.size), picture.reshape(picture.size)
-    n, plane, zero = 3 * width, 3 * width * height, np.float32(0)
-    most = np.float32(count) * dark if complete else DARKEST
+    n, plane = 3 * width, 3 * width * height
+    zeros = (ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO)
+    darkest = (DARKEST, DARKEST, DARKEST, DARKEST, DARKEST, DARKEST, DARKEST, DARKEST)
     for block in range(n // 8):
         i = y * n + 8 * block
-        total = (most, most, most, most, most, most, most, most)
+        total, more = zeros, zeros
         for k in range(count):
             total = add_eight(total, load_eight(light, k * plane + i), ONE)
-        if not complete:
-            total = largest_eight(total, load_eight(wholes, i))
+        if complete:
+            more = largest_eight(add_eight(darkest, total, -ONE), zeros)
+            total = add_eight(total, more, np.float32(count))
+        else:
+            total = largest_eight(largest_eight(total, load_eight(wholes, i)), darkest)
         ratio = divide_eight(load_eight(pictures, i), total)
         for k in range(count):
-            part = add_eight((dark, dark, dark, dark, dark, dark, dark, dark), load_eight(light, k * plane + i), ONE)
-            zeros = (zero, zero, zero, zero, zero, zero, zero, zero)
+            part = add_eight(more, load_eight(light, k * plane + i), ONE)
             store_eight(found, k * plane + i, add_products_of_eight(zeros, part, ratio))
     for i in range(y * n + n // 8 * 8, y * n + n):
-        summed = most
+        summed = ZERO
         for k in range(count):
             summed += light[k * plane + i]
-        summed = summed if complete else max(summed, wholes[i])
+        rest = max(DARKEST - summed, ZERO) if complete else ZERO
+        summed = summed + np.float32(count) * rest if complete else max(summed, wholes[i], DARKEST)
         for k in range(count):
-            found[k * plane + i] = (light[k * plane + i] + dark) * (pictures[i] / summed)
+            found[k * plane + i] = (light[k * plane + i] + rest) * (pictures[i] / summed)
 
 
 @compiled
@@ -430,14 +434,13 @@ def balance_rows(y0: int, y1: int, parts: np.ndarray, reached: np.ndarray, whole
     """
     count, height = parts.shape[:2]
     alone, everywhere = complete[0] > ZERO, reached.shape[1] == 1
-    dark = DARKEST if alone else ZERO
     for y in range(y0, y1):
         if everywhere:
-            share_row(y, parts, whole, picture, alone, dark, balanced)
+            share_row(y, parts, whole, picture, alone, balanced)
             continue
         for k in range(count):
             cover_row(parts[k, y], reached[k, y * reached.shape[1] // height], balanced[k, y])
-        share_row(y, balanced, whole, picture, alone, dark, balanced)
+        share_row(y, balanced, whole, picture, alone, balanced)
 
 
 @compiled
