@@ -6,8 +6,8 @@ python -m training.measure.parts --cost [--threads 2] [--model m]
 SEQUENCE.npz holds, for frame i, `albedo{i}`, `normal{i}`, `depth{i}`, `motion{i}`, a light group's `NAME{i}`, and for
 the last frame references `ref{size}_NAME{i}`, where size is the width. The light groups add up to the picture. PSNR and
 sums are those of the last frame; PSNR compares displayed pictures, each exposed like its reference. `--cost` measures a
-part's share of a frame's passes: frames of 960x540 to 1920x1080 without parts, with three and with six, in turn; the time
-on `--threads`, and on Linux the processor time of the device's threads, which other work disturbs less.
+part's share of a frame's passes: frames of 960x540 to 1920x1080 without parts, with three and with six, in turn; the
+time on `--threads`, and the processor time of the device's threads, by Linux, which other work disturbs less.
 """
 
 from __future__ import annotations
