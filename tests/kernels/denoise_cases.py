@@ -20,8 +20,8 @@ from postfx.kernels.denoise.network_io import (
     STORE,
     STORE_RINGED,
 )
-from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
-from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, CORRECT, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
+from postfx.kernels.denoise.output import ASSEMBLE, CORRECT, DETAIL, JUDGE, RESTORE, STRENGTH
+from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, RESIZE, SCALE, means_size
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK

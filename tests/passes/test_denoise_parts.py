@@ -9,7 +9,7 @@ import pytest
 
 from postfx.errors import FrameError, PassOptionError
 from postfx.frame import Frame, Part, Role
-from postfx.kernels.denoise.parts import CORRECT
+from postfx.kernels.denoise.output import CORRECT
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.frame import Frames
 from postfx.pipeline import Pipeline

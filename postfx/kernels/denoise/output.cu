@@ -294,3 +294,45 @@ extern "C" __global__ void denoise_strength(View denoised, View plain, View stre
         output.at[3 * here + c] = share == 1.0f ? clean : noisy + (clean - noisy) * share;  // both ends are exact
     }
 }
+
+// Alpha, three times, nearer to the frame's own: filtered (H, W, 3), part (h, w, 3), motion (h, w, 2), gain (3,): shares
+// of what it lacks where things move and where not, variance of a pixel's samples over alpha (1 - alpha)
+// -> corrected (H, W, 3).
+__device__ inline int first_within(int at, int size, int out) {
+    return int((2 * size_t(out) * at + size - 1) / (2 * size_t(size)));
+}
+
+__device__ inline float mean_within(const View& filtered, int at_y, int at_x, int h, int w) {
+    const int top = first_within(at_y, h, filtered.size[0]), bottom = first_within(at_y + 1, h, filtered.size[0]);
+    const int left = first_within(at_x, w, filtered.size[1]), right = first_within(at_x + 1, w, filtered.size[1]);
+    float total = 0.0f;
+    for (int y = top; y < bottom; y++)
+        for (int x = left; x < right; x++) total += filtered.at[3 * (size_t(y) * filtered.size[1] + x)];
+    return total / float((bottom - top) * (right - left));
+}
+
+extern "C" __global__ void denoise_correct(View filtered, View part, View motion, View gain, View corrected) {
+    const int height = corrected.size[0], width = corrected.size[1], h = part.size[0], w = part.size[1];
+    PIXEL(width, height);
+    const int at_y = int((2 * size_t(y) + 1) * h / (2 * size_t(height)));
+    const int at_x = int((2 * size_t(x) + 1) * w / (2 * size_t(width)));
+    float mean = 0.0f, square = 0.0f, here = 0.0f;
+    for (int i = -1; i <= 1; i++) {
+        for (int j = -1; j <= 1; j++) {
+            const float found = mean_within(filtered, within(at_y + j, h), within(at_x + i, w), h, w);
+            mean += found;
+            square += found * found;
+            if (i == 0 && j == 0) here = found;
+        }
+    }
+    mean /= 9.0f;
+    const float structure = fmaxf(square / 9.0f - mean * mean, 0.0f);
+    const float noise = gain.at[2] * fmaxf(mean * (1.0f - mean), 0.0f);
+    const size_t pixel = size_t(at_y) * w + at_x;
+    const Pair moves = pair(motion, pixel);
+    const bool still = fabsf(moves.x) < 1.0f / 64.0f && fabsf(moves.y) < 1.0f / 64.0f;
+    const float share = gain.at[still ? 1 : 0] * structure / (structure + noise + 1e-6f);
+    const float lack = share * (clamped(part.at[3 * pixel], 0.0f, 1.0f) - here);
+    float* const to = corrected.at + 3 * (size_t(y) * width + x);
+    to[0] = to[1] = to[2] = clamped(filtered.at[3 * (size_t(y) * width + x)] + lack, 0.0f, 1.0f);
+}

@@ -51,14 +51,11 @@ from postfx.kernels.numeric import (
     add_four,
     add_products_of_eight,
     add_sixteen,
-    centre,
-    clamp,
     compiled,
     demodulation,
     divide,
     divide_eight,
     fused,
-    inline,
     largest_eight,
     load_eight,
     load_four,
@@ -77,11 +74,6 @@ SCALE, SHIFT, LOW, HIGH, KIND = range(5)
 vectors, which get length 1, below 0 distances, of which the reciprocal and the share of the pixel that has one were
 filtered; ``SHIFT`` then stands for none."""
 
-MOVING, STILL, NOISE = range(3)
-"""Of ``gain``: how much of what alpha lacks it gets in a frame, where things move and where not, and the variance of a
-pixel's samples over alpha (1 - alpha)."""
-LEAST_MOTION, FAINTEST = np.float32(1 / 64), np.float32(1e-6)
-"""Render pixels that count as motion, and the smallest variance that is structure."""
 
 
 @fused
@@ -465,71 +457,8 @@ def decode_rows(y0: int, y1: int, filtered: np.ndarray, decoding: np.ndarray, pl
                     plane[y, x, c] *= scale
 
 
-@inline
-def first_within(at: int, size: int, out: int) -> int:
-    """The first of ``out`` pixels whose centre lies in pixel ``at`` of ``size``."""
-    return (2 * out * at + size - 1) // (2 * size)
-
-
-@compiled
-def mean_within(filtered: np.ndarray, at: int, h: int, mean: np.ndarray) -> None:
-    """Mean of the output's pixels in each render pixel of a row."""
-    (height, width), w = filtered.shape[:2], mean.size
-    top, bottom = first_within(at, h, height), first_within(at + 1, h, height)
-    for x in range(w):
-        left, right = first_within(x, w, width), first_within(x + 1, w, width)
-        total = ZERO
-        for row in range(top, bottom):
-            for column in range(left, right):
-                total += filtered[row, column, 0]
-        mean[x] = total / np.float32((bottom - top) * (right - left))
-
-
-@compiled
-def lacking_row(at: int, part: np.ndarray, motion: np.ndarray, means: np.ndarray, gain: np.ndarray,
-                lack: np.ndarray) -> None:
-    """What a row of alpha lacks, as far as its structure is more than the samples' noise; ``means`` are those of three
-    rows around ``at``, the middle one at ``at % 3``."""
-    w = lack.size
-    for x in range(w):
-        mean, square = ZERO, ZERO
-        for i in range(-1, 2):
-            column = min(max(x + i, 0), w - 1)
-            for j in range(3):
-                mean += means[j, column]
-                square += means[j, column] * means[j, column]
-        mean /= np.float32(9)
-        structure = max(square / np.float32(9) - mean * mean, ZERO)
-        noise = gain[NOISE] * max(mean * (ONE - mean), ZERO)
-        still = abs(motion[at, x, 0]) < LEAST_MOTION and abs(motion[at, x, 1]) < LEAST_MOTION
-        share = gain[STILL if still else MOVING] * structure / (structure + noise + FAINTEST)
-        lack[x] = share * (clamp(part[at, x, 0], ZERO, ONE) - means[at % 3, x])
-
-
-@compiled
-def correct_rows(y0: int, y1: int, filtered: np.ndarray, part: np.ndarray, motion: np.ndarray, gain: np.ndarray,
-                 corrected: np.ndarray) -> None:
-    """Alpha, three times, whose means over render pixels are nearer to the frame's own alpha ``part``."""
-    (h, w), (height, width) = part.shape[:2], corrected.shape[:2]
-    means, lack = np.empty((3, w), np.float32), np.empty(w, np.float32)
-    held, last = np.full(3, -1, np.int64), -1
-    for y in range(y0, y1):
-        at, _ = centre(y, h, height)
-        if at != last:
-            for row in range(at - 1, at + 2):
-                within = min(max(row, 0), h - 1)
-                if held[(row + 3) % 3] != within:
-                    mean_within(filtered, within, h, means[(row + 3) % 3])
-                    held[(row + 3) % 3] = within
-            lacking_row(at, part, motion, means, gain, lack)
-            last = at
-        for x in range(width):
-            value = filtered[y, x, 0] + lack[centre(x, w, width)[0]]
-            corrected[y, x, 0] = corrected[y, x, 1] = corrected[y, x, 2] = clamp(value, ZERO, ONE)
-
-
 STACK = ("parts", "rows", "columns", 3)
-IMAGE, OUTPUT = ("rows", "columns", 3), ("height", "width", 3)
+IMAGE = ("rows", "columns", 3)
 REFLECT = kernel("reflectance", (*REFLECTANCE, "part_rows", "part_columns"), ("factor",), reflectance_rows,
                  ("factor", 0))
 ACCUMULATE_PART = kernel(
@@ -543,8 +472,6 @@ UPSAMPLE_LIGHT = kernel("upsample_light", ("radiance", "fine", "moved", "past", 
 BALANCE = kernel("balance", ("parts", "reached", "whole", "picture", "complete"), ("balanced",), balance_rows,
                  ("balanced", 1), parts=STACK, reached=("parts", "reached_h", "reached_w"), whole=IMAGE, picture=IMAGE,
                  complete=(1,), balanced=STACK)
-CORRECT = kernel("correct", ("filtered", "part", "motion", "gain"), ("corrected",), correct_rows, ("corrected", 0),
-                 filtered=OUTPUT, part=("h", "w", 3), gain=(3,), corrected=OUTPUT)
 DECODE = kernel("decode", ("filtered", "decoding"), ("plane",), decode_rows, ("plane", 0), filtered=IMAGE,
                 decoding=(5,), plane=IMAGE)
 DECODE_ONE = kernel("decode_one", ("filtered", "decoding"), ("plane",), decode_rows, ("plane", 0), filtered=IMAGE,
