@@ -119,6 +119,12 @@ def test_what_windows_take_is_measured():
     assert "ms a window =" in run("window_cost.py", "--width", "480", "--height", "272", "--runs", "1", "--model", "s")
 
 
+def test_small_networks_are_timed_beside_torch() -> None:
+    pytest.importorskip("torch")
+    told = run("neural_speed.py", "--widths", "8", "--threads", "1", "--points", "100", "--runs", "1", "--eager")
+    assert len(re.findall(r"(?m)^ +1 +8 (?:run|learn) .* [\d.]+x$", told)) == 2
+
+
 def test_a_kernel_is_the_same_as_one_source_for_both_processors() -> None:
     told = run("one_source.py", "--width", "40", "--height", "24", "--runs", "1", "--launches", "1", "2")
     assert float(re.search(r"largest difference (\S+)", told)[1]) < 1e-6 and "shipped" in told

@@ -1,0 +1,292 @@
+"""Kernels of small fully connected networks: all layers of a point in one pass, forwards, backwards, and Adam.
+
+A point's inputs are followed by sin(2^k pi x) and cos(2^k pi x) of the first `encoded` ones (Fourier features, Tancik
+2020), for k < `bands`; then come 1 to 5 layers of at most 128 outputs, with an activation after each but the last.
+
+- `FORWARD`: network, parameters (count,), points (points, inputs) -> values (points, outputs).
+- `GRADIENTS`: the same and targets (points, outputs) -> partials (groups, count + 1). A group has equally many points,
+  to one; its row holds its share of the gradient of the mean squared error, and of that error. A point with a target
+  that is not finite adds nothing to either.
+- `ADAM`: the sum of the partials by groups, and one step of Adam (Kingma 2015): hyper (4,) is the step size, the two
+  decays and epsilon. parameters (count,) and moments (count, 3), whose last number counts steps, change in place.
+
+network (12,) holds numbers of layers, inputs, encoded inputs, bands, the activation, and the sizes from what the first
+layer reads to the last layer's outputs. Parameters are of each layer the weights (outputs, inputs) and the biases, as
+torch orders them. Sums have a fixed order: results do not depend on threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postfx.kernels.kernel import Kernel
+from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, summed
+from postfx.kernels.products import LANES, STRIP, combine, correlate
+
+MOST_LAYERS, MOST_WIDTH = 5, 128
+LAYERS, INPUTS, ENCODED, BANDS, ACTIVATION, SIZES = range(6)
+FACTS = SIZES + MOST_LAYERS + 1
+ACTIVATIONS = ("relu", "gelu", "sine")
+RELU, GELU, SINE = range(3)
+STRIPS = 8
+"""Strips whose layers are kept until their gradients are summed: few enough for a core's cache."""
+ZERO, HALF, ONE, PI = np.float32(0), np.float32(0.5), np.float32(1), np.float32(np.pi)
+
+
+@fused_inline
+def sine_cosine(whole: Real, rest: Real) -> tuple[Real, Real]:
+    """Sine and cosine of whole pi + rest, for rest in [-pi/2, pi/2]; Taylor series, absolute error below 2e-7."""
+    square = rest * rest
+    odd = whole * HALF
+    sign = ONE - np.float32(4) * (odd - np.floor(odd))
+    sine = np.float32(-1 / 39916800)
+    sine = sine * square + np.float32(1 / 362880)
+    sine = sine * square + np.float32(-1 / 5040)
+    sine = sine * square + np.float32(1 / 120)
+    sine = sine * square + np.float32(-1 / 6)
+    cosine = np.float32(1 / 479001600)
+    cosine = cosine * square + np.float32(-1 / 3628800)
+    cosine = cosine * square + np.float32(1 / 40320)
+    cosine = cosine * square + np.float32(-1 / 720)
+    cosine = cosine * square + np.float32(1 / 24)
+    cosine = cosine * square + np.float32(-0.5)
+    return sign * (sine * square * rest + rest), sign * (cosine * square + ONE)
+
+
+@fused_inline
+def gelu(z: Real) -> tuple[Real, Real]:
+    """z times the normal distribution's share below z, and its slope; error of that share below 1e-7
+    (Abramowitz and Stegun 7.1.26)."""
+    size = abs(z) * np.float32(0.7071067811865476)
+    bell = exp(max(-size * size, np.float32(-80)))
+    t = ONE / (ONE + np.float32(0.3275911) * size)
+    tail = np.float32(1.061405429) * t + np.float32(-1.453152027)
+    tail = tail * t + np.float32(1.421413741)
+    tail = tail * t + np.float32(-0.284496736)
+    tail = (tail * t + np.float32(0.254829592)) * t * bell * HALF
+    share = ONE - tail if z > ZERO else tail
+    return z * share, share + z * bell * np.float32(0.3989422804014327)
+
+
+@compiled
+def apply_relu(values: np.ndarray, slopes: np.ndarray) -> None:
+    for k in range(values.size):
+        slopes[k] = ONE if values[k] > ZERO else ZERO
+        values[k] = max(values[k], ZERO)
+
+
+@fused
+def apply_gelu(values: np.ndarray, slopes: np.ndarray) -> None:
+    for k in range(values.size):
+        values[k], slopes[k] = gelu(values[k])
+
+
+@fused
+def apply_sine(values: np.ndarray, slopes: np.ndarray) -> None:
+    for k in range(values.size):
+        z = values[k]
+        whole = np.floor(z * np.float32(1 / np.pi) + HALF)
+        rest = z - whole * np.float32(3.140625)  # pi in three parts, the first two of few bits
+        rest = rest - whole * np.float32(9.67502593994e-4)
+        rest = rest - whole * np.float32(1.50995799e-7)
+        values[k], slopes[k] = sine_cosine(whole, rest)
+
+
+@compiled
+def activate(kind: int, values: np.ndarray, slopes: np.ndarray) -> None:
+    """Replace values by the activation of them; `slopes` get its derivatives."""
+    if kind == RELU:
+        apply_relu(values, slopes)
+    elif kind == GELU:
+        apply_gelu(values, slopes)
+    else:
+        apply_sine(values, slopes)
+
+
+@fused
+def encode_row(row: np.ndarray, factor: Real, sines: np.ndarray, cosines: np.ndarray) -> None:
+    """Sine and cosine of pi times `factor`, a power of two, times a row."""
+    for p in range(row.size):
+        turns = row[p] * factor
+        whole = np.floor(turns + HALF)
+        sines[p], cosines[p] = sine_cosine(whole, (turns - whole) * PI)
+
+
+@compiled
+def encode(network: np.ndarray, points: np.ndarray, first: int, count: int, rows: np.ndarray) -> None:
+    """What the first layer reads, in rows of a strip, of `count` points; 0 beside them."""
+    inputs, encoded, bands = int(network[INPUTS]), int(network[ENCODED]), int(network[BANDS])
+    for k in range(inputs):
+        for p in range(count):
+            rows[k * STRIP + p] = points[first + p, k]
+        for p in range(count, STRIP):
+            rows[k * STRIP + p] = ZERO
+    at, factor = inputs * STRIP, ONE
+    for _ in range(bands):
+        for k in range(encoded):
+            encode_row(rows[k * STRIP:(k + 1) * STRIP], factor, rows[at:at + STRIP], rows[at + STRIP:at + 2 * STRIP])
+            at += 2 * STRIP
+        factor *= np.float32(2)
+
+
+@compiled
+def run_layers(network: np.ndarray, parameters: np.ndarray, layers: np.ndarray, slopes: np.ndarray, strip: int) -> None:
+    """All layers of a strip: row l of `layers` holds what layer l reads, strip after strip."""
+    count, start = int(network[LAYERS]), 0
+    for layer in range(count):
+        reads, makes = int(network[SIZES + layer]), int(network[SIZES + layer + 1])
+        biases, size = start + reads * makes, makes * STRIP
+        source, target = layers[layer], layers[layer + 1][strip * size:(strip + 1) * size]
+        for j in range(makes):
+            target[j * STRIP:(j + 1) * STRIP] = parameters[biases + j]
+        combine(parameters, start, reads, 1, source, strip * reads * STRIP, reads, target, 0, makes)
+        if layer < count - 1:
+            activate(int(network[ACTIVATION]), target, slopes[layer + 1][strip * size:(strip + 1) * size])
+        start = biases + makes
+
+
+@compiled
+def widest(network: np.ndarray) -> int:
+    size = 0
+    for layer in range(int(network[LAYERS]) + 1):
+        size = max(size, int(network[SIZES + layer]))
+    return size
+
+
+@compiled
+def forward_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray, points: np.ndarray,
+                 values: np.ndarray) -> None:
+    size = widest(network) * STRIP
+    layers, slopes = np.empty((MOST_LAYERS + 1, size), np.float32), np.empty((MOST_LAYERS + 1, size), np.float32)
+    result = layers[int(network[LAYERS])]
+    for first in range(y0, y1, STRIP):
+        count = min(STRIP, y1 - first)
+        encode(network, points, first, count, layers[0])
+        run_layers(network, parameters, layers, slopes, 0)
+        for p in range(count):
+            for j in range(values.shape[1]):
+                values[first + p, j] = result[j * STRIP + p]
+
+
+@compiled
+def compare(values: np.ndarray, targets: np.ndarray, first: int, count: int, share: Real, deltas: np.ndarray) -> float:
+    """Sum of squared differences of a strip's points from their targets; their derivatives times `share`."""
+    outputs, total = targets.shape[1], 0.0
+    deltas[:] = ZERO
+    for p in range(count):
+        known = True
+        for j in range(outputs):
+            known = known and np.isfinite(targets[first + p, j])
+        if known:
+            for j in range(outputs):
+                difference = values[j * STRIP + p] - targets[first + p, j]
+                total += difference * difference
+                deltas[j * STRIP + p] = np.float32(2) * share * difference
+    return total
+
+
+@compiled
+def multiply(row: np.ndarray, target: np.ndarray) -> None:
+    for k in range(target.size):
+        target[k] *= row[k]
+
+
+@compiled
+def pull_back(network: np.ndarray, parameters: np.ndarray, deltas: np.ndarray, strip: int, spare: np.ndarray) -> None:
+    """Derivatives of every layer's result before its activation, in the place of the activation's slopes."""
+    start = 0
+    for layer in range(int(network[LAYERS])):
+        start += (int(network[SIZES + layer]) + 1) * int(network[SIZES + layer + 1])
+    for layer in range(int(network[LAYERS]) - 1, 0, -1):
+        reads, makes = int(network[SIZES + layer]), int(network[SIZES + layer + 1])
+        start -= (reads + 1) * makes
+        size = reads * STRIP
+        spare[:size] = ZERO
+        combine(parameters, start, 1, reads, deltas[layer + 1], strip * makes * STRIP, makes, spare, 0, reads)
+        multiply(spare[:size], deltas[layer][strip * size:(strip + 1) * size])
+
+
+@summed
+def sum_of(row: np.ndarray) -> Real:
+    total = ZERO
+    for k in range(row.size):
+        total += row[k]
+    return total
+
+
+@compiled
+def add_gradients(network: np.ndarray, layers: np.ndarray, deltas: np.ndarray, strips: int, gradients: np.ndarray,
+                  sums: np.ndarray) -> None:
+    """Add what the strips' points ask of all parameters."""
+    start = 0
+    for layer in range(int(network[LAYERS])):
+        reads, makes = int(network[SIZES + layer]), int(network[SIZES + layer + 1])
+        correlate(deltas[layer + 1], makes, layers[layer], reads, strips, gradients, start, sums)
+        start += reads * makes
+        for strip in range(strips):
+            for j in range(makes):
+                at = (strip * makes + j) * STRIP
+                gradients[start + j] += sum_of(deltas[layer + 1][at:at + STRIP])
+        start += makes
+
+
+@compiled
+def gradient_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray, points: np.ndarray,
+                  targets: np.ndarray, partials: np.ndarray) -> None:
+    total, groups, last = points.shape[0], partials.shape[0], int(network[LAYERS])
+    outputs, wide = targets.shape[1], widest(network) * STRIP
+    share = np.float32(1 / (total * outputs))
+    layers = np.empty((MOST_LAYERS + 1, STRIPS * wide), np.float32)
+    deltas, spare = np.empty_like(layers), np.empty(wide, np.float32)
+    sums = np.empty(LANES, np.float32)
+    for group in range(y0, y1):
+        gradients, error = partials[group], 0.0
+        gradients[:] = ZERO
+        first, end = group * total // groups, (group + 1) * total // groups
+        while first < end:
+            strips = 0
+            while strips < STRIPS and first < end:
+                count, size = min(STRIP, end - first), outputs * STRIP
+                begin = int(network[SIZES]) * STRIP * strips
+                encode(network, points, first, count, layers[0][begin:])
+                run_layers(network, parameters, layers, deltas, strips)
+                here = slice(strips * size, (strips + 1) * size)
+                error += compare(layers[last][here], targets, first, count, share, deltas[last][here])
+                pull_back(network, parameters, deltas, strips, spare)
+                first += count
+                strips += 1
+            add_gradients(network, layers, deltas, strips, gradients, sums)
+        gradients[-1] = np.float32(error / (total * outputs))
+
+
+@compiled
+def adam_rows(y0: int, y1: int, partials: np.ndarray, hyper: np.ndarray, parameters: np.ndarray,
+              moments: np.ndarray) -> None:
+    rate, slow, slower, epsilon = hyper[0], hyper[1], hyper[2], hyper[3]
+    gradients = np.zeros(y1 - y0, np.float32)
+    for group in range(partials.shape[0]):
+        for k in range(gradients.size):
+            gradients[k] += partials[group, y0 + k]
+    step = np.float64(moments[y0, 2]) + 1
+    size = np.float32(rate / (1 - np.float64(slow) ** step))
+    scale = np.float32(1 / np.sqrt(1 - np.float64(slower) ** step))
+    for k in range(gradients.size):
+        gradient, row = gradients[k], moments[y0 + k]
+        row[0] = slow * row[0] + (ONE - slow) * gradient
+        row[1] = slower * row[1] + (ONE - slower) * gradient * gradient
+        row[2] = np.float32(step)
+        parameters[y0 + k] -= size * row[0] / (np.sqrt(row[1]) * scale + epsilon)
+
+
+_SHAPES: dict[str, tuple[int | str, ...]] = {
+    "network": (FACTS,), "parameters": ("count",), "points": ("points", "inputs")}
+FORWARD = Kernel(
+    "neural_forward", ("network", "parameters", "points"), ("values",), forward_rows, ("values", 0),
+    {**_SHAPES, "values": ("points", "outputs")})
+GRADIENTS = Kernel(
+    "neural_gradients", ("network", "parameters", "points", "targets"), ("partials",), gradient_rows, ("partials", 0),
+    {**_SHAPES, "targets": ("points", "outputs"), "partials": ("groups", "sums")})
+ADAM = Kernel(
+    "neural_adam", ("partials", "hyper", "parameters", "moments"), ("parameters", "moments"), adam_rows,
+    ("moments", 0),
+    {"partials": ("groups", "sums"), "hyper": (4,), "parameters": ("count",), "moments": ("count", 3)})

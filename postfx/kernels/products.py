@@ -1,0 +1,180 @@
+"""Products of small matrices in vector instructions, for kernels that Numba compiles.
+
+`combine` and `correlate` keep a block of sums in registers while they read along its factors, which Numba's compiler
+does not do by itself for loops over arrays. Arrays are flat and float32; places and steps count their elements. Sums
+have one fixed order, so equal inputs give equal bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import binding, ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from postfx.kernels.numeric import compiled
+
+LANES = 16 if binding.get_host_cpu_features().get("avx512f") else 8
+"""Numbers of a vector instruction."""
+STRIP = 2 * LANES
+"""Columns of all matrices but the weights: rows of two vectors lie one after the other."""
+ROWS = LANES // 2
+"""Rows of a block of `combine`: with two vectors a row they fill half of the registers."""
+DOWN, ACROSS = 4, LANES // 4
+"""Rows and columns of a block of `correlate`: as many sums as a vector has numbers."""
+VECTOR = ir.VectorType(ir.FloatType(), LANES)
+INDEX = ir.IntType(64)
+INT = types.int64
+
+
+@compiled
+def combine(
+    weights: np.ndarray, first: int, row_step: int, step: int, source: np.ndarray, source_at: int, count: int,
+    target: np.ndarray, target_at: int, rows: int,
+) -> None:
+    """target[j, p] += sum over i < count of weights[first + j row_step + i step] * source[i, p], for all j < rows.
+
+    Args:
+        source, target: rows of `STRIP` numbers from `source_at` and `target_at` on.
+    """
+    j = 0
+    while j + ROWS <= rows:
+        _block(weights, first + j * row_step, row_step, step, source, source_at, count, target,
+               target_at + j * STRIP)
+        j += ROWS
+    while j < rows:
+        _row(weights, first + j * row_step, row_step, step, source, source_at, count, target,
+             target_at + j * STRIP)
+        j += 1
+
+
+@compiled
+def correlate(
+    left: np.ndarray, rows: int, right: np.ndarray, columns: int, strips: int, target: np.ndarray, first: int,
+    sums: np.ndarray,
+) -> None:
+    """target[first + j columns + i] += sum over s and p of left[s, j, p] * right[s, i, p], for j < rows, i < columns.
+
+    Args:
+        left, right: strips one after the other, of `rows` and of `columns` rows of `STRIP` numbers.
+        sums: (LANES,), overwritten.
+    """
+    for j in range(0, rows, DOWN):
+        for i in range(0, columns, ACROSS):
+            _correlate(left, j, rows, right, i, columns, strips, sums)  # type: ignore[call-arg]
+            for v in range(min(DOWN, rows - j)):
+                for u in range(min(ACROSS, columns - i)):
+                    target[first + (j + v) * columns + i + u] += sums[ACROSS * v + u]
+
+
+def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+    return context.make_array(kind)(context, builder, array).data
+
+
+def _load(builder: Any, data: Any, at: Any) -> Any:
+    return builder.load(builder.bitcast(builder.gep(data, [at]), VECTOR.as_pointer()), align=4)
+
+
+def _store(builder: Any, vector: Any, data: Any, at: Any) -> None:
+    builder.store(vector, builder.bitcast(builder.gep(data, [at]), VECTOR.as_pointer()), align=4)
+
+
+def _variable(builder: Any, value: Any) -> Any:
+    """A place of the stack, which becomes a register."""
+    return cgutils.alloca_once_value(builder, value)  # type: ignore[no-untyped-call]
+
+
+def _splat(builder: Any, number: Any) -> Any:
+    undefined = ir.Constant(VECTOR, ir.Undefined)
+    one = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(one, undefined, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
+
+
+def _multiply_add(builder: Any, a: Any, b: Any, c: Any) -> Any:
+    name = f"llvm.fma.v{LANES}f32"
+    function = builder.module.globals.get(name) or ir.Function(
+        builder.module, ir.FunctionType(VECTOR, [VECTOR] * 3), name)
+    return builder.call(function, [a, b, c])
+
+
+def _combining(rows: int) -> Callable[..., Any]:
+    """The product of `rows` rows of weights and two vectors of every source row, added to the target."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        weights, first, row_step, step, source, source_at, count, target, target_at = arguments
+        kinds = signature.args
+        weights, source, target = (_data(context, builder, kinds[k], value)
+                                   for k, value in ((0, weights), (4, source), (7, target)))
+        places = [builder.add(target_at, INDEX(j * STRIP + v)) for j in range(rows) for v in (0, LANES)]
+        totals = [_variable(builder, _load(builder, target, place)) for place in places]
+        with cgutils.for_range(builder, count) as loop:
+            here = builder.add(source_at, builder.mul(loop.index, INDEX(STRIP)))
+            values = [_load(builder, source, builder.add(here, INDEX(v))) for v in (0, LANES)]
+            start = builder.add(first, builder.mul(loop.index, step))
+            for j in range(rows):
+                weight = builder.load(builder.gep(weights, [builder.add(start, builder.mul(INDEX(j), row_step))]))
+                spread = _splat(builder, weight)
+                for v in range(2):
+                    total = totals[2 * j + v]
+                    builder.store(_multiply_add(builder, spread, values[v], builder.load(total)), total)
+        for total, place in zip(totals, places, strict=True):
+            _store(builder, builder.load(total), target, place)
+        return context.get_dummy_value()
+
+    def typed(typingctx: Any, weights: Any, first: Any, row_step: Any, step: Any, source: Any, source_at: Any,
+              count: Any, target: Any, target_at: Any) -> Any:
+        return types.void(weights, INT, INT, INT, source, INT, INT, target, INT), generate
+
+    return typed
+
+
+_block, _row = intrinsic(_combining(ROWS)), intrinsic(_combining(1))
+
+
+@intrinsic
+def _correlate(typingctx: Any, left: Any, row: Any, rows: Any, right: Any, column: Any, columns: Any, strips: Any,
+               sums: Any) -> Any:
+    """Sums of a block, whose rows and columns beyond the last repeat it."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
+        left, right, sums = (_data(context, builder, kinds[k], arguments[k]) for k in (0, 3, 7))
+        row, rows, column, columns, strips = (arguments[k] for k in (1, 2, 4, 5, 6))
+
+        def places(first: Any, size: Any, count: int) -> list[Any]:
+            found = []
+            for k in range(count):
+                at, last = builder.add(first, INDEX(k)), builder.sub(size, INDEX(1))
+                within = builder.select(builder.icmp_signed("<", at, last), at, last)
+                found.append(builder.mul(within, INDEX(STRIP)))
+            return found
+
+        downs, across = places(row, rows, DOWN), places(column, columns, ACROSS)
+        zero = ir.Constant(VECTOR, [0.0] * LANES)
+        totals = [_variable(builder, zero) for _ in range(DOWN * ACROSS)]
+        with cgutils.for_range(builder, strips) as loop:
+            here, there = (builder.mul(loop.index, builder.mul(size, INDEX(STRIP))) for size in (rows, columns))
+            for p in (0, LANES):
+                ones = [_load(builder, left, builder.add(builder.add(place, here), INDEX(p))) for place in downs]
+                others = [_load(builder, right, builder.add(builder.add(place, there), INDEX(p))) for place in across]
+                for v in range(DOWN):
+                    for u in range(ACROSS):
+                        total = totals[ACROSS * v + u]
+                        builder.store(_multiply_add(builder, ones[v], others[u], builder.load(total)), total)
+        vectors = [builder.load(total) for total in totals]
+        while len(vectors) > 1:  # sums of neighbours, of two vectors in one
+            vectors = [_add_neighbours(builder, *vectors[k:k + 2]) for k in range(0, len(vectors), 2)]
+        _store(builder, vectors[0], sums, INDEX(0))
+        return context.get_dummy_value()
+
+    return types.void(left, INT, INT, right, INT, INT, INT, sums), generate
+
+
+def _add_neighbours(builder: Any, a: Any, b: Any) -> Any:
+    mask = ir.VectorType(ir.IntType(32), LANES)
+    even, odd = (builder.shuffle_vector(a, b, ir.Constant(mask, list(range(k, 2 * LANES, 2)))) for k in range(2))
+    return builder.fadd(even, odd)

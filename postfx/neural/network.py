@@ -1,0 +1,157 @@
+"""What a small network is made of: its sizes, its first parameters, and its form as an ONNX model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from postfx.errors import ModelError
+from postfx.kernels.neural import ACTIVATIONS, FACTS, MOST_LAYERS, MOST_WIDTH
+from postfx.version import pip_install
+
+OPSET = 20
+"""The first with GELU."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """A fully connected network of numbers in [-inf, inf], computed in float32.
+
+    Attributes:
+        inputs: numbers of a point.
+        hidden: outputs of every layer but the last, each followed by the activation; up to four.
+        outputs: of the last layer.
+        activation: 'relu', 'gelu' (of the error function) or 'sine' (Sitzmann 2020; its frequency is in the weights).
+        bands: sin(2^k pi x) and cos(2^k pi x) for k < bands follow the inputs (Fourier features, Tancik 2020).
+        encoded: how many inputs, from the first on, have them; default all.
+
+    Raises ModelError if a layer is wider than 128, or there are too many layers.
+    """
+
+    inputs: int
+    hidden: tuple[int, ...]
+    outputs: int
+    activation: str = "relu"
+    bands: int = 0
+    encoded: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.activation not in ACTIVATIONS:
+            raise ModelError(f"no activation '{self.activation}': there are {', '.join(ACTIVATIONS)}")
+        if len(self.hidden) >= MOST_LAYERS:
+            raise ModelError(f"{len(self.hidden)} hidden layers: a small network has at most {MOST_LAYERS - 1}")
+        if not 0 <= self._encoded <= self.inputs or not 0 <= self.bands <= 20:
+            raise ModelError(f"{self.bands} bands of {self._encoded} inputs: there are {self.inputs} inputs, and at "
+                             "most 20 bands")
+        if not all(1 <= size <= MOST_WIDTH for size in (self.inputs, *self.sizes)):
+            raise ModelError(f"layers of {', '.join(map(str, self.sizes))} numbers: each must have 1 to {MOST_WIDTH}")
+
+    @property
+    def _encoded(self) -> int:
+        return self.inputs if self.encoded is None else self.encoded
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers that the first layer reads, then the outputs of every layer."""
+        return (self.inputs + 2 * self.bands * self._encoded, *self.hidden, self.outputs)
+
+    @cached_property
+    def shapes(self) -> tuple[tuple[int, int], ...]:
+        """(outputs, inputs) of every layer."""
+        return tuple(zip(self.sizes[1:], self.sizes[:-1], strict=True))
+
+    @cached_property
+    def count(self) -> int:
+        """How many parameters there are: weights (outputs, inputs) and biases (outputs,), layer by layer."""
+        return sum(makes * (reads + 1) for makes, reads in self.shapes)
+
+    def facts(self) -> np.ndarray:
+        """The argument `network` of the kernels."""
+        facts = np.zeros(FACTS, np.float32)
+        numbers = (len(self.shapes), self.inputs, self._encoded, self.bands, ACTIVATIONS.index(self.activation))
+        facts[:len(numbers) + len(self.sizes)] = (*numbers, *self.sizes)
+        return facts
+
+    def initial(self, seed: int = 0) -> np.ndarray:
+        """Random parameters (count,): normal, of variance 2 / inputs (He 2015); biases are 0."""
+        random, parts = np.random.default_rng(seed), []
+        for makes, reads in self.shapes:
+            parts += [random.normal(0, np.sqrt(2 / reads), makes * reads), np.zeros(makes)]
+        return np.concatenate(parts).astype(np.float32)
+
+    def layers(self, parameters: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Views of the weights (outputs, inputs) and biases (outputs,) of every layer."""
+        found, start = [], 0
+        for makes, reads in self.shapes:
+            middle, end = start + makes * reads, start + makes * (reads + 1)
+            found.append((parameters[start:middle].reshape(makes, reads), parameters[middle:end]))
+            start = end
+        return found
+
+    def onnx(self, parameters: np.ndarray | None = None) -> bytes:
+        """The network as an ONNX model: points (points, inputs) -> values (points, outputs).
+
+        Args:
+            parameters: (count,), which the model then holds. Without them they are a second input, so that the model
+                can read a tensor that a `Learner` writes in the same command buffer.
+
+        Raises ModelError without the package `onnx`.
+        """
+        try:
+            from onnx import TensorProto, helper, numpy_helper
+        except ImportError:
+            raise ModelError(f"ONNX models are made with the package onnx: {pip_install('capture')}") from None
+        nodes: list[Any] = []
+        held: dict[str, np.ndarray] = {}
+
+        def add(kind: str, inputs: list[str], **options: Any) -> str:
+            nodes.append(helper.make_node(kind, inputs, [f"v{len(nodes)}"], **options))
+            return f"v{len(nodes) - 1}"
+
+        def hold(array: Any, kind: Any = np.int64) -> str:
+            held[f"c{len(held)}"] = np.asarray(array, kind)
+            return f"c{len(held) - 1}"
+
+        row, parts = "points", ["points"]
+        if self.bands and self._encoded:
+            seen = add("Slice", ["points", hold([0]), hold([self._encoded]), hold([1])])
+            wide = add("Unsqueeze", [seen, hold([1])])
+            factors = 2.0 ** np.arange(self.bands)[:, None]
+            turns = add("Mul", [wide, hold(factors, np.float32)])
+            whole = add("Floor", [add("Add", [turns, hold(0.5, np.float32)])])
+            angle = add("Mul", [add("Sub", [turns, whole]), hold(np.pi, np.float32)])
+            odd = add("Mod", [whole, hold(2.0, np.float32)], fmod=1)
+            sign = add("Sub", [hold(1.0, np.float32), add("Mul", [hold(2.0, np.float32), add("Abs", [odd])])])
+            waves = [add("Unsqueeze", [add("Mul", [sign, add(kind, [angle])]), hold([3])]) for kind in ("Sin", "Cos")]
+            pairs = add("Concat", waves, axis=3)
+            parts.append(add("Reshape", [pairs, hold([-1, 2 * self.bands * self._encoded])]))
+            row = add("Concat", parts, axis=1)
+        start = 0
+        for index, (makes, reads) in enumerate(self.shapes):
+            middle, end = start + makes * reads, start + makes * (reads + 1)
+            if parameters is None:
+                weights = add("Slice", ["parameters", hold([start]), hold([middle])])
+                weights = add("Reshape", [weights, hold([makes, reads])])
+                biases = add("Slice", ["parameters", hold([middle]), hold([end])])
+            else:
+                weights = hold(parameters[start:middle].reshape(makes, reads), np.float32)
+                biases = hold(parameters[middle:end], np.float32)
+            row, start = add("Gemm", [row, weights, biases], transB=1), end
+            if index < len(self.hidden):
+                row = add({"relu": "Relu", "gelu": "Gelu", "sine": "Sin"}[self.activation], [row])
+        nodes[-1].output[0] = "values"
+        values = [("points", ("points", self.inputs)), ("parameters", (self.count,)),
+                  ("values", ("points", self.outputs))]
+        points, given, made = (helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in values)
+        graph = helper.make_graph(nodes, "network", [points, given][:1 if parameters is not None else 2], [made],
+                                  [numpy_helper.from_array(array, name) for name, array in held.items()])
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=9)
+        return bytes(model.SerializeToString())
+
+    def save_onnx(self, path: str | Path, parameters: np.ndarray | None = None) -> None:
+        """Write the ONNX model to a file, which a `Library` of its folder finds."""
+        Path(path).write_bytes(self.onnx(parameters))

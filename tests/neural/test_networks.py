@@ -1,0 +1,216 @@
+"""Small networks: their results, gradients and steps are those of torch, in every form and on any threads."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from postfx.errors import BindingError, ModelError
+from postfx.kernels.neural import ADAM, FORWARD, GRADIENTS
+from postfx.kernels.products import LANES, STRIP, combine, correlate
+from postfx.neural import Learner, Network
+from postfx.neural.training import DECAYS, EPSILON
+from postfx.runtime import ArgumentTable, Device, Library
+from tests.kernels import host_cuda
+
+NETWORKS = (Network(3, (4, 4), 3), Network(3, (16, 16), 3, "gelu"), Network(9, (64, 64, 64), 3, bands=4, encoded=3),
+            Network(2, (128, 127, 5, 33), 7, "sine", bands=3), Network(5, (), 2))
+IDS = ["-".join(map(str, network.sizes)) for network in NETWORKS]
+every_network = pytest.mark.parametrize("network", NETWORKS, ids=IDS)
+
+
+class Twin:
+    """The network in torch, and its points and targets; no ReLU's argument is so near 0 that rounding decides."""
+
+    def __init__(self, network: Network, count: int = 700) -> None:
+        random = np.random.default_rng(1)
+        parameters = network.initial(2)
+        self.network, self.start = network, parameters + random.normal(0, 0.02, parameters.shape).astype(np.float32)
+        self.layers = []
+        for weights, biases in network.layers(self.start.copy()):
+            layer = torch.nn.Linear(weights.shape[1], weights.shape[0])
+            layer.weight.data, layer.bias.data = torch.from_numpy(weights), torch.from_numpy(biases)
+            self.layers.append(layer)
+        self.points = random.uniform(-1, 1, (count, network.inputs)).astype(np.float32)
+        with torch.no_grad():
+            self.run(torch.from_numpy(self.points))
+        if network.activation == "relu":
+            self.points = self.points[self.nearest.numpy() > 1e-5]
+        assert len(self.points) > 0.9 * count
+        self.targets = random.normal(size=(len(self.points), network.outputs)).astype(np.float32)
+
+    def run(self, points: torch.Tensor) -> torch.Tensor:
+        network, row = self.network, points
+        encoded = network.inputs if network.encoded is None else network.encoded
+        if network.bands:
+            angles = points[:, None, :encoded] * (2.0 ** torch.arange(network.bands) * np.pi)[:, None]
+            waves = torch.stack([angles.sin(), angles.cos()], -1)
+            row = torch.cat([points, waves.reshape(len(points), -1)], 1)
+        activation = {"relu": torch.relu, "gelu": torch.nn.functional.gelu, "sine": torch.sin}[network.activation]
+        self.nearest = torch.full((len(points),), np.inf)
+        for layer in self.layers[:-1]:
+            row = layer(row)
+            self.nearest = torch.minimum(self.nearest, row.abs().amin(1))
+            row = activation(row)
+        return self.layers[-1](row)
+
+    def gradients(self, targets: np.ndarray) -> tuple[np.ndarray, float]:
+        """Of the mean squared error, and that error."""
+        loss = ((self.run(torch.from_numpy(self.points)) - torch.from_numpy(targets)) ** 2).mean()
+        parts = [part for layer in self.layers for part in layer.parameters()]
+        return np.concatenate([g.numpy().ravel() for g in torch.autograd.grad(loss, parts)]), loss.item()
+
+
+def in_frame(device: Device, learner: Learner, points: np.ndarray, targets: np.ndarray, steps: int = 1) -> np.ndarray:
+    """Values after `steps` steps, all in one command buffer."""
+    places, wanted = device.wrap("points", points), device.wrap("targets", targets)
+    values = device.heap.tensor("values", targets.shape)
+    commands = device.command_buffer("frame")
+    with commands.compute_encoder("network") as encoder:
+        for _ in range(steps):
+            learner.learn(encoder, places, wanted)
+        learner.run(encoder, places, values)
+    commands.commit()
+    commands.wait()
+    return values.download()
+
+
+@every_network
+def test_values_and_gradients_are_those_of_torch(network):
+    twin = Twin(network)
+    device = Device("cpu", threads=2)
+    learner = Learner(device, network, 0.0, twin.start)
+    values = in_frame(device, learner, twin.points, twin.targets)
+    wanted, error = twin.gradients(twin.targets)
+    found = learner._last.array[:, :-1].sum(0)
+    np.testing.assert_allclose(values, twin.run(torch.from_numpy(twin.points)).detach(), atol=1e-5, rtol=1e-5)
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
+    assert learner.error() == pytest.approx(error, rel=1e-5) and abs(wanted).max() > 0.01
+
+
+def test_steps_are_those_of_adam_in_torch():
+    """The same gradients to both, as tiny ones decide the sign of a step."""
+    random = np.random.default_rng(0)
+    start, partials = random.normal(size=50).astype(np.float32), random.normal(size=(3, 51)).astype(np.float32)
+    parameters = torch.nn.Parameter(torch.from_numpy(start.copy()))
+    adam = torch.optim.Adam([parameters], 0.01, DECAYS, EPSILON)
+    found, moments = start.copy(), np.zeros((50, 3), np.float32)
+    for step in range(5):
+        scaled = partials * np.float32(1 + step)
+        parameters.grad = torch.from_numpy(scaled[:, :-1].sum(0))
+        adam.step()
+        ADAM.rows(0, 20, scaled, np.float32([0.01, *DECAYS, EPSILON]), found, moments)
+        ADAM.rows(20, 50, scaled, np.float32([0.01, *DECAYS, EPSILON]), found, moments)
+        np.testing.assert_allclose(found, parameters.detach(), atol=1e-6)
+    assert (moments[:, 2] == 5).all()
+
+
+def test_threads_do_not_change_a_bit():
+    network, twin = NETWORKS[2], Twin(NETWORKS[2], 2500)
+    results = []
+    for threads in (1, 2):
+        device = Device("cpu", threads=threads)
+        learner = Learner(device, network, 1e-3, twin.start)
+        results.append((in_frame(device, learner, twin.points, twin.targets, 3), learner.parameters.download()))
+    for one, other in zip(*results, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_points_without_a_target_add_nothing():
+    network, twin = NETWORKS[1], Twin(NETWORKS[1], 300)
+    holes = np.arange(len(twin.points)) % 3 == 0
+    device, targets = Device("cpu", threads=2), twin.targets.copy()
+    targets[holes, 1] = np.nan
+    learner = Learner(device, network, 0.0, twin.start)
+    in_frame(device, learner, twin.points, targets)
+    with torch.no_grad():
+        filled = np.where(holes[:, None], twin.run(torch.from_numpy(twin.points)).numpy(), targets)
+    wanted, error = twin.gradients(filled)
+    np.testing.assert_allclose(learner._last.array[:, :-1].sum(0), wanted, atol=1e-6)
+    assert learner.error() == pytest.approx(error, rel=1e-5)
+
+
+@pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
+@every_network
+def test_cuda_kernels_compute_what_the_compiled_rows_do(network):
+    twin = Twin(network, 150)
+    inputs = {"network": network.facts(), "parameters": twin.start, "points": twin.points, "targets": twin.targets}
+    inputs["targets"][5, 0] = np.inf
+    sizes = {FORWARD: ("values", twin.targets.shape), GRADIENTS: ("partials", (3, network.count + 1))}
+    for kernel, (name, size) in sizes.items():
+        given = {binding: inputs[binding] for binding in kernel.reads}
+        wanted, found = np.full(size, np.nan, np.float32), np.full(size, np.nan, np.float32)
+        kernel.rows(0, size[0], *given.values(), wanted)
+        host_cuda.run(kernel, given | {name: found})
+        np.testing.assert_allclose(found, wanted, atol=1e-5, rtol=1e-5)
+    hyper = np.float32([0.01, *DECAYS, EPSILON])
+    states = [(twin.start.copy(), np.full((network.count, 3), 0.5, np.float32)) for _ in range(2)]
+    ADAM.rows(0, network.count, wanted, hyper, *states[0])
+    host_cuda.run(ADAM, {"partials": wanted, "hyper": hyper, "parameters": states[1][0], "moments": states[1][1]})
+    for one, other in zip(*states, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+@every_network
+def test_the_onnx_form_reads_the_tensor_that_learning_writes(network, tmp_path):
+    """In one command buffer; the form that holds the parameters gives the same."""
+    device, twin = Device("cpu", threads=2), Twin(network, 100)
+    learner = Learner(device, network, 1e-2, twin.start)
+    network.save_onnx(tmp_path / "open.onnx")
+    state = device.pipeline_state(Library(tmp_path), "open", {"points": len(twin.points)})
+    points, targets = device.wrap("points", twin.points), device.wrap("targets", twin.targets)
+    direct, portable = (device.heap.tensor(name, twin.targets.shape) for name in ("direct", "portable"))
+    commands = device.command_buffer("frame")
+    with commands.compute_encoder("learn") as encoder:
+        learner.learn(encoder, points, targets)
+        learner.run(encoder, points, direct)
+    with commands.machine_learning_encoder("portable") as encoder:
+        encoder.barrier(after="compute", before="machine-learning")
+        encoder.dispatch_network(state, ArgumentTable(state, {
+            "points": points, "parameters": learner.parameters, "values": portable}))
+    commands.commit()
+    commands.wait()
+    np.testing.assert_allclose(portable.array, direct.array, atol=1e-5, rtol=1e-5)
+    assert np.abs(direct.array - twin.run(torch.from_numpy(twin.points)).detach().numpy()).max() > 1e-3
+    network.save_onnx(tmp_path / "closed.onnx", learner.parameters.download())
+    closed = device.pipeline_state(Library(tmp_path), "closed", {"points": len(twin.points)})
+    assert [binding.name for binding in closed.bindings] == ["points", "values"]
+
+
+def test_products_of_odd_sizes():
+    random = np.random.default_rng(0)
+    for rows, count in pairwise((1, 3, 4, 8, 17, 33)):
+        weights = random.normal(size=(rows, count)).astype(np.float32)
+        left, right = (random.normal(size=(2, size, STRIP)).astype(np.float32) for size in (rows, count))
+        made = np.zeros((rows, STRIP), np.float32)
+        combine(weights.ravel(), 0, count, 1, right.ravel(), count * STRIP, count, made.ravel(), 0, rows)
+        np.testing.assert_allclose(made, weights @ right[1], atol=1e-5)
+        asked = np.ones((rows, count), np.float32)
+        correlate(left.ravel(), rows, right.ravel(), count, 2, asked.ravel(), 0, np.empty(LANES, np.float32))
+        np.testing.assert_allclose(asked, 1 + np.einsum("sjp,sip->ji", left, right), atol=1e-4)
+
+
+def test_what_does_not_fit_is_told():
+    for wrong, said in (((3, (200,), 3), "1 to 128"), ((3, (4,) * 5, 3), "at most 4"), ((3, (), 3, "tanh"), "'tanh'"),
+                        ((3, (4,), 3, "relu", 2, 4), "there are 3 inputs")):
+        with pytest.raises(ModelError, match=said):
+            Network(*wrong)
+    device = Device("cpu", threads=1)
+    learner = Learner(device, NETWORKS[0])
+    with pytest.raises(BindingError, match="not learned yet"):
+        learner.error()
+    with pytest.raises(BindingError, match=r"\(5, 2\)"):
+        in_frame(device, learner, np.zeros((5, 2), np.float32), np.zeros((5, 3), np.float32))
+    with pytest.raises(BindingError, match="this network has"):
+        learner.restart(np.zeros(3, np.float32))
+
+
+def test_the_example_of_the_document_learns(capsys):
+    text = (Path(__file__).parents[2] / "docs" / "neural.md").read_text(encoding="utf-8")
+    exec(re.search(r"```python\n(.*?)```", text, re.DOTALL)[1], {})
+    assert float(capsys.readouterr().out) < 1e-3
