@@ -21,7 +21,7 @@ import numpy as np
 
 from postfx.kernels.kernel import Kernel
 from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, summed
-from postfx.kernels.products import LANES, STRIP, combine, correlate
+from postfx.kernels.products import LANES, STRIP, combine, correlate, count_blocks, open_blocks
 
 MOST_LAYERS, MOST_WIDTH = 5, 128
 LAYERS, INPUTS, ENCODED, BANDS, ACTIVATION, SIZES = range(6)
@@ -215,19 +215,39 @@ def sum_of(row: np.ndarray) -> Real:
 
 
 @compiled
-def add_gradients(network: np.ndarray, layers: np.ndarray, deltas: np.ndarray, strips: int, gradients: np.ndarray,
-                  sums: np.ndarray) -> None:
-    """Add what the strips' points ask of all parameters."""
-    start = 0
+def add_gradients(network: np.ndarray, layers: np.ndarray, deltas: np.ndarray, strips: int, blocks: np.ndarray,
+                  gradients: np.ndarray) -> None:
+    """Add what the strips' points ask: of weights to the blocks, of biases to the gradients."""
+    start, block = 0, 0
     for layer in range(int(network[LAYERS])):
         reads, makes = int(network[SIZES + layer]), int(network[SIZES + layer + 1])
-        correlate(deltas[layer + 1], makes, layers[layer], reads, strips, gradients, start, sums)
+        correlate(deltas[layer + 1], makes, layers[layer], reads, strips, blocks, block)
+        block += count_blocks(makes, reads)
         start += reads * makes
         for strip in range(strips):
             for j in range(makes):
                 at = (strip * makes + j) * STRIP
                 gradients[start + j] += sum_of(deltas[layer + 1][at:at + STRIP])
         start += makes
+
+
+@compiled
+def put_weights(network: np.ndarray, blocks: np.ndarray, gradients: np.ndarray) -> None:
+    """The gradients of all weights from their blocks."""
+    start, block = 0, 0
+    for layer in range(int(network[LAYERS])):
+        reads, makes = int(network[SIZES + layer]), int(network[SIZES + layer + 1])
+        open_blocks(blocks, block, makes, reads, gradients[start:])
+        block += count_blocks(makes, reads)
+        start += (reads + 1) * makes
+
+
+@compiled
+def blocks_of(network: np.ndarray) -> int:
+    total = 0
+    for layer in range(int(network[LAYERS])):
+        total += count_blocks(int(network[SIZES + layer + 1]), int(network[SIZES + layer]))
+    return total
 
 
 @compiled
@@ -238,10 +258,11 @@ def gradient_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray,
     share = np.float32(1 / (total * outputs))
     layers = np.empty((MOST_LAYERS + 1, STRIPS * wide), np.float32)
     deltas, spare = np.empty_like(layers), np.empty(wide, np.float32)
-    sums = np.empty(LANES, np.float32)
+    blocks = np.empty(blocks_of(network) * LANES, np.float32)
     for group in range(y0, y1):
         gradients, error = partials[group], 0.0
         gradients[:] = ZERO
+        blocks[:] = ZERO
         first, end = group * total // groups, (group + 1) * total // groups
         while first < end:
             strips = 0
@@ -255,7 +276,8 @@ def gradient_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray,
                 pull_back(network, parameters, deltas, strips, spare)
                 first += count
                 strips += 1
-            add_gradients(network, layers, deltas, strips, gradients, sums)
+            add_gradients(network, layers, deltas, strips, blocks, gradients)
+        put_weights(network, blocks, gradients)
         gradients[-1] = np.float32(error / (total * outputs))
 
 

@@ -53,22 +53,38 @@ def combine(
 
 
 @compiled
+def count_blocks(rows: int, columns: int) -> int:
+    """Blocks of `correlate` that cover a matrix."""
+    return -(-rows // DOWN) * -(-columns // ACROSS)
+
+
+@compiled
 def correlate(
-    left: np.ndarray, rows: int, right: np.ndarray, columns: int, strips: int, target: np.ndarray, first: int,
-    sums: np.ndarray,
+    left: np.ndarray, rows: int, right: np.ndarray, columns: int, strips: int, blocks: np.ndarray, first: int,
 ) -> None:
-    """target[first + j columns + i] += sum over s and p of left[s, j, p] * right[s, i, p], for j < rows, i < columns.
+    """Add to blocks of a matrix the sums over s and p of left[s, j, p] * right[s, i, p], for j < rows, i < columns.
 
     Args:
         left, right: strips one after the other, of `rows` and of `columns` rows of `STRIP` numbers.
-        sums: (LANES,), overwritten.
+        blocks: of `LANES` numbers each, from block `first` on; `open_blocks` reads them.
     """
+    at = first * LANES
     for j in range(0, rows, DOWN):
         for i in range(0, columns, ACROSS):
-            _correlate(left, j, rows, right, i, columns, strips, sums)  # type: ignore[call-arg]
+            _correlate(left, j, rows, right, i, columns, strips, blocks, at)  # type: ignore[call-arg]
+            at += LANES
+
+
+@compiled
+def open_blocks(blocks: np.ndarray, first: int, rows: int, columns: int, target: np.ndarray) -> None:
+    """The matrix (rows, columns), flat, whose blocks `correlate` has summed."""
+    at = first * LANES
+    for j in range(0, rows, DOWN):
+        for i in range(0, columns, ACROSS):
             for v in range(min(DOWN, rows - j)):
                 for u in range(min(ACROSS, columns - i)):
-                    target[first + (j + v) * columns + i + u] += sums[ACROSS * v + u]
+                    target[(j + v) * columns + i + u] = blocks[at + ACROSS * v + u]
+            at += LANES
 
 
 def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
@@ -137,19 +153,19 @@ _block, _row = intrinsic(_combining(ROWS)), intrinsic(_combining(1))
 
 @intrinsic
 def _correlate(typingctx: Any, left: Any, row: Any, rows: Any, right: Any, column: Any, columns: Any, strips: Any,
-               sums: Any) -> Any:
-    """Sums of a block, whose rows and columns beyond the last repeat it."""
+               blocks: Any, at: Any) -> Any:
+    """Add to a block, whose rows and columns beyond the last repeat it."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         kinds = signature.args
-        left, right, sums = (_data(context, builder, kinds[k], arguments[k]) for k in (0, 3, 7))
-        row, rows, column, columns, strips = (arguments[k] for k in (1, 2, 4, 5, 6))
+        left, right, blocks = (_data(context, builder, kinds[k], arguments[k]) for k in (0, 3, 7))
+        row, rows, column, columns, strips, at = (arguments[k] for k in (1, 2, 4, 5, 6, 8))
 
         def places(first: Any, size: Any, count: int) -> list[Any]:
             found = []
             for k in range(count):
-                at, last = builder.add(first, INDEX(k)), builder.sub(size, INDEX(1))
-                within = builder.select(builder.icmp_signed("<", at, last), at, last)
+                here, last = builder.add(first, INDEX(k)), builder.sub(size, INDEX(1))
+                within = builder.select(builder.icmp_signed("<", here, last), here, last)
                 found.append(builder.mul(within, INDEX(STRIP)))
             return found
 
@@ -168,10 +184,10 @@ def _correlate(typingctx: Any, left: Any, row: Any, rows: Any, right: Any, colum
         vectors = [builder.load(total) for total in totals]
         while len(vectors) > 1:  # sums of neighbours, of two vectors in one
             vectors = [_add_neighbours(builder, *vectors[k:k + 2]) for k in range(0, len(vectors), 2)]
-        _store(builder, vectors[0], sums, INDEX(0))
+        _store(builder, builder.fadd(vectors[0], _load(builder, blocks, at)), blocks, at)
         return context.get_dummy_value()
 
-    return types.void(left, INT, INT, right, INT, INT, INT, sums), generate
+    return types.void(left, INT, INT, right, INT, INT, INT, blocks, INT), generate
 
 
 def _add_neighbours(builder: Any, a: Any, b: Any) -> Any:

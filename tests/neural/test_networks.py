@@ -12,7 +12,7 @@ import torch
 
 from postfx.errors import BindingError, ModelError
 from postfx.kernels.neural import ADAM, FORWARD, GRADIENTS
-from postfx.kernels.products import LANES, STRIP, combine, correlate
+from postfx.kernels.products import LANES, STRIP, combine, correlate, count_blocks, open_blocks
 from postfx.neural import Learner, Network
 from postfx.neural.training import DECAYS, EPSILON
 from postfx.runtime import ArgumentTable, Device, Library
@@ -190,8 +190,9 @@ def test_products_of_odd_sizes():
         made = np.zeros((rows, STRIP), np.float32)
         combine(weights.ravel(), 0, count, 1, right.ravel(), count * STRIP, count, made.ravel(), 0, rows)
         np.testing.assert_allclose(made, weights @ right[1], atol=1e-5)
-        asked = np.ones((rows, count), np.float32)
-        correlate(left.ravel(), rows, right.ravel(), count, 2, asked.ravel(), 0, np.empty(LANES, np.float32))
+        blocks, asked = np.ones((3 + count_blocks(rows, count)) * LANES, np.float32), np.empty((rows, count), np.float32)
+        correlate(left.ravel(), rows, right.ravel(), count, 2, blocks, 3)
+        open_blocks(blocks, 3, rows, count, asked.ravel())
         np.testing.assert_allclose(asked, 1 + np.einsum("sjp,sip->ji", left, right), atol=1e-4)
 
 
