@@ -125,6 +125,25 @@ def test_small_networks_are_timed_beside_torch() -> None:
     assert len(re.findall(r"(?m)^ +1 +8 (?:run|learn) .* [\d.]+x$", told)) == 2
 
 
+@pytest.mark.skipif(find_spec("matplotlib") is None, reason="postfx-render[bench] is not installed")
+def test_a_sky_is_learnt_while_the_sun_moves(tmp_path) -> None:
+    told = run("sky_probe.py", str(tmp_path / "sky.png"), "--frames", "60", "--width", "96")
+    online, stopped = map(float, re.search(r"frames: (\S+) where it learns on, (\S+) where it", told).groups())
+    assert online < 0.1 and online < stopped / 4
+    assert (tmp_path / "sky.png").stat().st_size > 10000
+
+
+@pytest.mark.skipif(find_spec("matplotlib") is None, reason="postfx-render[bench] is not installed")
+def test_networks_of_irradiance_are_better_than_few_samples(tmp_path) -> None:
+    told = run("irradiance_network.py", str(tmp_path / "a.png"), "--samples", "1", "4", "--frames", "2", "32",
+               "--offline", "200", "--reference", "4096", "--checked", "100", "--width", "96", "--runs", "1")
+    errors = {name: float(error) for name, error in re.findall(r"(?m)^(\w.*?) +[\d.]+ +(\d\S*e[-+]\d+)$", told)}
+    assert errors["online, frame 32"] < errors["online, frame 2"] / 4
+    assert max(errors["online, frame 32"], errors["offline, ONNX"]) < errors["Monte Carlo, 4 samples"]
+    assert 1000 < int(re.search(r"(\d+) of 5184 pixels have", told)[1]) < 4000
+    assert (tmp_path / "a.png").stat().st_size > 10000
+
+
 def test_a_kernel_is_the_same_as_one_source_for_both_processors() -> None:
     told = run("one_source.py", "--width", "40", "--height", "24", "--runs", "1", "--launches", "1", "2")
     assert float(re.search(r"largest difference (\S+)", told)[1]) < 1e-6 and "shipped" in told
