@@ -162,17 +162,17 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     missed = beyond & (motion[..., 0] == 0) & (motion[..., 1] == 0)
     if missed.sum() < max(_DIRECT * beyond.sum(), 1):
         return False
-    now = _centred(rows, columns, height, width)
+    now = centred(rows, columns, height, width)
     near = np.median(depth[rows, columns]) / depth[rows, columns].astype(np.float64)
-    found, covariance, error, share = _fit_camera(now, now[:, :2] + moved / width, near, 1 / width)
+    found, covariance, error, share = fit_camera(now, now[:, :2] + moved / width, near, 1 / width)
     places = np.argwhere(missed[::step, ::step])
-    now = _centred(step * places[:, 0], step * places[:, 1], height, width)
-    across = _equations(now, np.stack(_moved(found, now[:, 0], now[:, 1]), -1), np.zeros(len(now)))
+    now = centred(step * places[:, 0], step * places[:, 1], height, width)
+    across = camera_equations(now, np.stack(_moved(found, now[:, 0], now[:, 1]), -1), np.zeros(len(now)))
     doubt = float(np.sqrt(np.einsum("ij,jk,ik->i", across, covariance, across)).max(initial=0)) * width
     if share < _FITTING or max(error, doubt) > _SURE or _skew(found) > _SKEW:
         return False
-    columns = _centred(np.zeros(width), np.arange(width), height, width)[None, :, 0].astype(np.float32)
-    rows = _centred(np.arange(height), np.zeros(height), height, width)[:, 1, None].astype(np.float32)
+    columns = centred(np.zeros(width), np.arange(width), height, width)[None, :, 0].astype(np.float32)
+    rows = centred(np.arange(height), np.zeros(height), height, width)[:, 1, None].astype(np.float32)
     for first in range(0, height, _ROWS):  # so few rows that they stay in the cache
         some = slice(first, first + _ROWS)
         if missed[some].any():
@@ -195,13 +195,13 @@ def _skew(found: np.ndarray) -> float:
     return float(max(abs(found[0] - found[4]), abs(found[1] + found[3])) - 2 * shift)
 
 
-def _centred(rows: np.ndarray, columns: np.ndarray, height: int, width: int) -> np.ndarray:
+def centred(rows: np.ndarray, columns: np.ndarray, height: float, width: float) -> np.ndarray:
     """Homogeneous positions (count, 3) around the middle of the picture, in widths."""
     x, y = (columns + 0.5 - width / 2) / width, (rows + 0.5 - height / 2) / width
     return np.stack([x, y, np.ones_like(x)], axis=-1)
 
 
-def _equations(now: np.ndarray, before: np.ndarray, near: np.ndarray) -> np.ndarray:
+def camera_equations(now: np.ndarray, before: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Left sides (2 count, 11) for H without its last 1, by rows, and e: first all of x, then all of y."""
     none, zero, near = np.zeros_like(now), np.zeros((len(now), 1)), near[:, None]
     x, y = before[:, :1], before[:, 1:]
@@ -210,11 +210,11 @@ def _equations(now: np.ndarray, before: np.ndarray, near: np.ndarray) -> np.ndar
         np.concatenate([none, now, -y * now[:, :2], zero, near, -y * near], axis=1)])
 
 
-def _fit_camera(now: np.ndarray, before: np.ndarray, near: np.ndarray, pixel: float
+def fit_camera(now: np.ndarray, before: np.ndarray, near: np.ndarray, pixel: float
                 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """H and e (11,), their covariance, the error of points that fit in pixels, and the share of points that do."""
     start = np.append(np.eye(3).reshape(-1)[:8], np.zeros(3))  # a camera at rest, which weak evidence does not change
-    equations = _equations(now, before, near)
+    equations = camera_equations(now, before, near)
     right = before.T.reshape(-1) - equations @ start
     weights = np.ones(len(now))
     for _ in range(_ROUNDS):

@@ -18,6 +18,7 @@ from postfx.frame import OUTPUT_SIZE_ROLES, ROLES, ColourSource, Frame, FrameSpe
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
 from postfx.io.colours import INTEROP, gather_attributes
 from postfx.io.convert import Camera, DepthOption, convert, fill_background_motion, fill_value
+from postfx.io.estimated_motion import SEEN
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Header, Layout, Match, make_layout, take_opaque_colour
 from postfx.io.masks import LeftAlone
@@ -192,9 +193,12 @@ class FrameFiles:
     what the profile says about depth; `leave` and `strict` are for `LeftAlone`, which makes a strength or multiplies
     that of the files; planes of the roles `without` are taken as absent; `area` is that of
     frames before; `layer` and `view` choose among several. Where there is an overlay, the colour is that before
-    transparents, if it is there. Raises ProfileError when near, far or field of view of such a depth is missing,
-    MissingFrameError or ReadError when a file cannot be opened, MissingPlaneError when `guides` hold no guide,
-    and for a layer or view that is not there, StrengthError when what to leave is not there.
+    transparents, if it is there. With `estimates`, a frame without motion vectors, but with planes to estimate
+    them from, is said to have the plane motion, which whoever reads it adds.
+
+    Raises ProfileError when near, far or field of view of such a depth is missing, MissingFrameError or ReadError when
+    a file cannot be opened, MissingPlaneError when `guides` hold no guide, and for a layer or view that is not there,
+    StrengthError when what to leave is not there.
 
     Attributes:
         layout: planes of the frame's size.
@@ -218,8 +222,10 @@ class FrameFiles:
         layer: str | None = None,
         view: str | None = None,
         parts: PartOptions | None = None,
+        estimates: bool = False,
     ) -> None:
         self._stack, self._without = ExitStack(), without
+        self._estimates = estimates
         self._layer, self._view = layer, view
         self.views: tuple[str, ...] = ()
         try:
@@ -282,7 +288,7 @@ class FrameFiles:
         if not wanted:
             raise self.missing(Role.COLOUR)
         alone = self.alone if Role.STRENGTH in wanted else None
-        stored = {*wanted, *alone.reads} - self._made() if alone else wanted
+        stored = {*wanted, *(alone.reads if alone else ())} - self._made()
         matches = {role: self.match(role) for role in Role if role in stored}
         guide_matches = {role: self.guide(role) for role in guiding}
         planes = read_planes(matches, self.layout.camera, scratch)
@@ -348,7 +354,14 @@ class FrameFiles:
 
     def _made(self) -> set[Role]:
         """Planes that are not in the files but are made from them."""
-        return {Role.STRENGTH} - self.layout.planes.keys() if self.alone else set()
+        made = {Role.STRENGTH} if self.alone else set()
+        made |= {Role.MOTION} if self._estimates and {*SEEN} & self.layout.planes.keys() else set()
+        return made - self.layout.planes.keys()
+
+    @property
+    def lacks_motion(self) -> bool:
+        """Whether the plane motion is to be estimated from the others."""
+        return Role.MOTION in self._made()
 
     def _look(self, profile: str | None, depth: DepthOption | None) -> tuple[ChannelIndex, Layout]:
         index = ChannelIndex(self._files, self._view, self._layer or "")

@@ -8,10 +8,11 @@ from itertools import takewhile
 from operator import index
 from pathlib import Path
 
-from postfx.errors import ColourError, MissingFrameError, SequenceError
+from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
 from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import parse_colourspace
 from postfx.io.convert import parse_depth
+from postfx.io.estimated_motion import SEEN, Picture, motion_between, picture_of
 from postfx.io.frame_reader import Area, FrameFiles
 from postfx.io.parts import parse_parts
 from postfx.io.pattern import VIEW, Pattern, Source, format_frames, locate, parse_frames
@@ -19,6 +20,9 @@ from postfx.io.windows import scaled_windows
 from postfx.masks.cryptomatte import Coverage, parse_leave
 from postfx.repair import Fireflies, clamp_fireflies, parse_limit
 from postfx.system import Scratch
+
+MOTIONS = AUTO, FILE, ESTIMATE = "auto", "file", "estimate"
+"""Where motion comes from: estimated where files have none, or only zeros; from files alone; always estimated."""
 
 Frames = dict[int, dict[str, Path]]
 """Frame number -> plane word -> file."""
@@ -39,6 +43,7 @@ class Sequence:
         colours: in which primaries the files hold colours, and whether they are turned to Rec.709; may be replaced.
         warnings: oddities of the files read so far, each once.
         leave: what is left as it is.
+        motion: where motion comes from, see `MOTIONS`.
         left_alone: how much of the frames read so far that is.
         parts: which layers are read as parts of the picture; may be replaced.
         view: of stereo files, the view that frames are of; None for the first, until a frame was opened. Where views
@@ -66,8 +71,13 @@ class Sequence:
         aov: str | None = None,
         aov_denoise: str | None = None,
         clamp_fireflies: float | None = None,
+        motion: str = FILE,
     ) -> None:
         self._scratch = scratch
+        if motion not in MOTIONS:
+            raise SequenceError(f"motion '{motion}': give {', '.join(MOTIONS[:-1])} or {MOTIONS[-1]}")
+        self.motion = motion
+        self._pictures: dict[str | None, tuple[int, Picture | None]] = {}  # of each view's frame that was read last
         self._most, self.fireflies = parse_limit(clamp_fireflies), Fireflies()
         self.parts = parse_parts(aov, aov_denoise)
         self._layer = layer
@@ -87,7 +97,7 @@ class Sequence:
         self._areas: dict[str | None, Area | None] = {}  # of each view's first frame that was opened
         self.coverage = Coverage()
         self.colours = parse_colourspace(colourspace)
-        self.without = frozenset(map(Role, without))
+        self.without = frozenset(map(Role, without)) | ({Role.MOTION} if motion == ESTIMATE else set())
         own = ",".join(filter(None, self._known_views)) if self.pattern.has_views else None
         self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth, view=own)
         self.planes = None if planes is None else tuple(Role(role) for role in planes)
@@ -134,6 +144,7 @@ class Sequence:
         """Take notice of files that were written since the sequence was made; step: from one frame to the next, which
         files that are not there yet do not tell."""
         self._found, self._step = _files_of(self.pattern), step
+        self._pictures.clear()
         if self.guides:
             self.guides.look_again(step)
 
@@ -145,6 +156,13 @@ class Sequence:
         """Up to `count` frames that lead to a frame without a hole between them, on the disk and in order."""
         earlier = [number - self._step * distance for distance in range(count, 0, -1)]
         return list(takewhile(self.holds, reversed(earlier)))[::-1]
+
+    def read_for_motion(self, number: int) -> list[int]:
+        """The frame before one that does not begin a shot, where motion may be estimated from it; empty for none."""
+        if self.motion == FILE:
+            return []
+        before = self.before(number, 1)
+        return [] if before and self.begins_shot(number) else before
 
     def after(self, number: int, count: int) -> list[int]:
         """Up to `count` frames that follow a frame without a hole between them, on the disk and in order."""
@@ -223,7 +241,8 @@ class Sequence:
         """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
         guides, strict = self.guide_files(number), not self._named
         files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self.without,
-                           self._areas.get(self.view), self._layer, None if self._key else self.view, self.parts)
+                           self._areas.get(self.view), self._layer, None if self._key else self.view, self.parts,
+                           self.motion != FILE)
         self._layer = self._layer or files.layout.chosen_layer
         self._named = True  # a thing that was found need not be in every frame
         if self._all_views and files.views:
@@ -283,17 +302,64 @@ class Sequence:
             wanted = self.planes if planes is None else planes
             if is_lenient:
                 wanted, guides = files.held(wanted, guides)
+            wanted, more = self._wanted_for_motion(files, wanted)
             frame = files.read(number, wanted, guides, self._scratch)
+            lacks_motion = files.lacks_motion
             if files.alone:
                 self.coverage.add(files.alone.shares)
             lights = [name for name, found in files.parts.items() if found.part.is_light]
+        begins = frame.reset if self.cuts is None else number in self.cuts
+        self._estimate_motion(frame, begins, lacks_motion and (wanted is None or Role.MOTION in wanted))
+        for role in more:
+            del frame.planes[role]
         self.colours.apply(frame)
         if self._most and Role.COLOUR in frame:
             clamp_fireflies(frame, self._most, self.fireflies, lights)
         self._last = number
         after_gap = self._is_after_gap(number, previous)
-        frame.reset = (frame.reset if self.cuts is None else number in self.cuts) or after_gap
+        frame.reset = begins or after_gap
         return frame
+
+    def _wanted_for_motion(
+        self, files: FrameFiles, wanted: Iterable[Role] | None
+    ) -> tuple[tuple[Role, ...] | None, tuple[Role, ...]]:
+        """What to read so that wanted motion can be estimated, and what of that nobody else wants."""
+        if wanted is None:
+            return None, ()
+        asked = tuple(map(Role, wanted))
+        if not files.lacks_motion or Role.MOTION not in asked:
+            return asked, ()
+        more = tuple(role for role in (*SEEN, Role.DEPTH) if role in files.layout.planes and role not in asked)
+        return asked + more, more
+
+    def _estimate_motion(self, frame: Frame, begins: bool, is_wanted: bool) -> None:
+        """Give a frame motion that is estimated from its planes and those of the frame before it on the disk, where it
+        is wanted, or where the files hold zeros alone and `motion` lets that be looked into."""
+        is_zero = self.motion == AUTO and Role.MOTION in frame and not frame[Role.MOTION].any()
+        if not is_wanted and not (is_zero and any(role in frame for role in SEEN)):
+            return
+        before = None if begins else self._picture_before(frame.number)
+        picture = picture_of(frame)
+        assert picture is not None, "one of SEEN was read"
+        motion = motion_between(before, picture, frame.planes.get(Role.DEPTH))
+        self._pictures[self.view] = frame.number, picture
+        if is_wanted or motion.any():
+            self._warn("motion is estimated from the planes, as the files hold no motion vectors (--motion file: none)")
+            frame.planes[Role.MOTION] = motion
+
+    def _picture_before(self, number: int) -> Picture | None:
+        """Of the frame before on the disk, whatever was read last; None where there is none, or it cannot be read."""
+        for before in self.before(number, 1):
+            kept, picture = self._pictures.get(self.view, (None, None))
+            if kept == before:
+                return picture
+            try:
+                with self.open(before) as files:
+                    held = [role for role in SEEN if role in files.layout.planes]
+                    return picture_of(files.read(before, held, [])) if held else None
+            except PostfxError:
+                return None
+        return None
 
     def _choose_views(self) -> None:
         """Take the views that are asked for, all by default, where they have files of their own."""
@@ -352,6 +418,7 @@ def read_sequence(
     aov: str | None = None,
     aov_denoise: str | None = None,
     clamp_fireflies: float | None = None,
+    motion: str = FILE,
 ) -> Sequence:
     """Frames of a sequence, read one at a time while iterating.
 
@@ -382,6 +449,8 @@ def read_sequence(
             `Frame.parts`. aov_denoise: other layers by their kind, 'normal=N,depth=Z'.
         clamp_fireflies: how many times as bright as the pixels around it a pixel may be; see
             `postfx.repair.clamp_fireflies`.
+        motion: 'file' takes motion from the files alone. 'auto' estimates it from albedo, normal and depth, and those
+            of the frame before, where files have none, or zeros although the planes move; 'estimate' always does.
 
     Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError,
     ReadError or StrengthError.
@@ -389,6 +458,7 @@ def read_sequence(
     return Sequence(
         pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave, colourspace=colourspace,
         without=without, layer=layer, view=view, aov=aov, aov_denoise=aov_denoise, clamp_fireflies=clamp_fireflies,
+        motion=motion,
     )
 
 

@@ -143,16 +143,18 @@ class Chunk:
         frames: numbers of the frames to write.
         preroll: of those that run before, without being written.
         ahead: of those that may be read after the last one, where a shot begins near the end.
+        before: of the one before all of them, where motion is estimated from it.
     """
 
     frames: tuple[int, ...]
     preroll: tuple[int, ...] = ()
     ahead: tuple[int, ...] = ()
+    before: tuple[int, ...] = ()
 
     @property
     def reads(self) -> tuple[int, ...]:
         """Numbers of all frames whose files must be there."""
-        return tuple(dict.fromkeys((*self.preroll, *self.frames, *self.ahead)))
+        return tuple(dict.fromkeys((*self.before, *self.preroll, *self.frames, *self.ahead)))
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
@@ -186,4 +188,6 @@ def make_chunks(sequence: Sequence, size: int, ahead: int = 0) -> Iterator[Chunk
     """
     for first in range(0, len(sequence.numbers), size):
         frames = sequence.numbers[first : first + size]
-        yield Chunk(tuple(frames), tuple(find_preroll(sequence, frames[0])), tuple(sequence.after(frames[-1], ahead)))
+        preroll = find_preroll(sequence, frames[0])
+        before = sequence.read_for_motion((preroll or frames)[0])
+        yield Chunk(tuple(frames), tuple(preroll), tuple(sequence.after(frames[-1], ahead)), tuple(before))

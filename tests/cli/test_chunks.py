@@ -78,6 +78,14 @@ def test_chunks_of_two_shots(six):
     assert list(parts) == [Chunk((1, 2), (), (3,)), Chunk((3, 4), (1, 2), (5,)), Chunk((5, 6))]
 
 
+def test_a_chunk_names_the_frame_that_motion_is_estimated_from(six, monkeypatch):
+    shot = Sequence(str(six / "in/shot.####.exr"), motion="auto")
+    monkeypatch.setattr("postfx.runs.schedule.find_preroll", lambda sequence, number: find_preroll(sequence, number, 1))
+    assert [chunk.reads for chunk in make_chunks(shot, 2)] == [(1, 2), (1, 2, 3, 4), (5, 6)]
+    assert [chunk.reads for chunk in make_chunks(Sequence(str(six / "in/shot.####.exr")), 2)] == [
+        (1, 2), (2, 3, 4), (5, 6)]
+
+
 def test_what_does_not_join_is_said(postfx, noise):
     def notes(*words: str, output: str = "out/") -> str:
         return " ".join(postfx("chunks", "in/", "-o", output, "--json", "--", *words).json["notes"])

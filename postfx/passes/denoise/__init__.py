@@ -129,7 +129,8 @@ class DenoiseUpscale(Pass):
             return ("strength 0: the input is only resampled",)
         seen = {*spec.roles, *spec.guide_roles}
         lost = [str(role) for role in GUIDE_ROLES if role not in seen]
-        found = [] if spec.has(Role.MOTION) else ["no motion plane, so every frame is denoised alone and may flicker"]
+        alone = "no motion plane, so every frame is denoised alone and may flicker: --motion auto estimates it"
+        found = [] if spec.has(Role.MOTION) else [alone]
         found += [f"blurs more without the planes {', '.join(lost)}"] if lost else []
         found += unscaled_remarks(self._tag) if self._is_render_size(spec) else []
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))

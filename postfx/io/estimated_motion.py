@@ -1,0 +1,313 @@
+"""Motion estimated from the planes of two frames, for files without motion vectors.
+
+Albedo and normal do not depend on the light, so they make pictures that optical flow can follow. Where there is depth,
+nearly everything moves as the camera does: a point (x, y, 1) at depth z was at H (x, y, 1) + e / z (Hartley and
+Zisserman, Multiple View Geometry, 2nd edition, 13.4). H and e are fitted to the flow, then to the pictures themselves
+(direct alignment: Baker and Matthews 2004, "Lucas-Kanade 20 Years On"), which is exact to a fraction of a pixel. The
+flow is kept where it explains the pictures clearly better: things that move.
+"""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from postfx.errors import FrameError
+from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, value_at
+from postfx.io.convert import camera_equations, centred, fit_camera
+from postfx.kernels.numeric import Real, compiled
+from postfx.system import usable_cores
+
+SEEN = (Role.DIFFUSE_ALBEDO, Role.NORMAL)
+"""Planes that pictures are made of; one of them is enough."""
+MOST = 640
+"""Pixels of a picture's longer side; larger frames are halved, or taken in thirds, and so on."""
+
+_POINTS, _LEAST_POINTS, _ALIGNED, _ROUNDS = 2000, 64, 4000, 5
+# Least share of points that the fit must explain, and the most of the picture's own contrast that it may leave.
+_FITTING, _RELATED = 0.4, 0.5
+# What a thing that moves must leave of the camera's misfit, and by how much less; pixels over which misfits are taken.
+_BETTER, _LESS, _AROUND = np.float32(0.6), np.float32(0.02), 3
+# A camera is at rest where that leaves at most this share of what its motion leaves; flow alone follows noise, too.
+_AS_WELL = 1.02, 1.25
+
+
+class Picture(NamedTuple):
+    """What motion is estimated from.
+
+    Attributes:
+        values: (h, w) float32 of albedo and normal, smoothed a little.
+        step: pixels of the frame along a side of one of these.
+        size: height and width of the frame.
+        jitter: of the frame, in its pixels.
+    """
+
+    values: np.ndarray
+    step: int
+    size: tuple[int, int]
+    jitter: tuple[float, float]
+
+
+def picture_of(frame: Frame) -> Picture | None:
+    """The picture of a frame that has the plane diffuse_albedo or normal; None without both."""
+    albedo, normal = (frame.planes.get(role) for role in SEEN)
+    held = albedo if albedo is not None else normal
+    if held is None:
+        return None
+    height, width = held.shape[:2]
+    step = math.ceil(max(height, width) / MOST)
+    nothing = np.zeros((1, 1, 3), np.float32)
+    means = np.empty((-(-height // step), -(-width // step)), np.float32)
+    shade(nothing if albedo is None else albedo, nothing if normal is None else normal, step, means)
+    values = np.empty_like(means)
+    smooth(means, values)
+    return Picture(values, step, (height, width), frame.jitter)
+
+
+def motion_of(frame: Frame, before: Frame | None) -> np.ndarray:
+    """Motion (height, width, 2) of a frame after another, by `motion_between`. FrameError without albedo and normal."""
+    picture = picture_of(frame)
+    if picture is None:
+        raise FrameError(f"{frame.source or 'frame'}: motion cannot be estimated without one of the planes "
+                         f"{', '.join(SEEN)}: render them")
+    return motion_between(None if before is None else picture_of(before), picture, frame.planes.get(Role.DEPTH))
+
+
+def motion_between(before: Picture | None, after: Picture, depth: np.ndarray | None) -> np.ndarray:
+    """Motion (height, width, 2) of a frame: previous place minus this one, in pixels; x right, y down, no jitter.
+
+    before: of the frame before it. depth: (height, width, 1) of this one, along the view axis, misses 1e10; without it
+    all motion is the flow. Zero where the camera is at rest, where the frames are of different scenes or sizes, and
+    where there is no frame before.
+    """
+    height, width = after.size
+    still = np.zeros((height, width, 2), np.float32)
+    if before is None or before.size != after.size or min(after.values.shape) < 2:
+        return still
+    one, other, step = after.values, before.values, after.step
+    jitter = np.subtract(after.jitter, before.jitter).astype(np.float32)  # is in the pictures, but not in motion
+    rest = np.broadcast_to(jitter / step, (*one.shape, 2)).astype(np.float32)
+    at_rest = _misfit(one, other, rest)
+    if not at_rest.any():
+        return still
+    with ThreadPoolExecutor(min(2, usable_cores())) as threads:
+        flow, back = threads.map(estimate_motion, (one, other), (other, one))
+    by_flow = _misfit(one, other, flow)
+    found = None if depth is None else _camera(one, other, consistent_motion(flow, back)[0], depth, step)
+    if found is not None:
+        assert depth is not None
+        by_camera, median = np.empty_like(flow), found[1]
+        move(found[0], median, depth, step, np.float32(0), np.float32(0), by_camera)
+        camera_misfit = _misfit(one, other, by_camera)
+        moves = by_flow + _LESS < _BETTER * camera_misfit
+        best_misfit = np.where(moves, by_flow, camera_misfit)
+    else:
+        moves, best_misfit = np.ones(one.shape, bool), by_flow
+    if best_misfit.mean() > _RELATED * np.abs(one - one.mean()).mean():
+        return still
+    if at_rest.mean() <= _AS_WELL[found is None] * best_misfit.mean():
+        return still
+    if found is None:
+        motion = _enlarged(flow, step, height, width)
+        return np.ascontiguousarray(motion - jitter, np.float32)
+    assert depth is not None
+    motion = np.empty((height, width, 2), np.float32)
+    move(found[0], found[1], depth, 1, jitter[0], jitter[1], motion)
+    if moves.any():
+        put(flow, moves, step, jitter[0], jitter[1], motion)
+    return motion
+
+
+def _enlarged(flow: np.ndarray, step: int, height: int, width: int) -> np.ndarray:
+    rows, columns = flow.shape[:2]
+    return enlarge_motion(flow, rows * step, columns * step)[:height, :width]
+
+
+def _camera(one: np.ndarray, other: np.ndarray, flow: np.ndarray, depth: np.ndarray, step: int
+            ) -> tuple[np.ndarray, np.float32] | None:
+    """H and e (11,) of the camera's motion, and the depth that e is in units of; None where nothing fits."""
+    height, width = depth.shape[:2]
+    middles = [np.minimum(np.arange(count) * step + step // 2, side - 1)
+               for count, side in zip(one.shape, (height, width), strict=True)]
+    near_plane = depth[..., 0][np.ix_(*middles)]
+    hit = (near_plane > 0) & (near_plane < DEPTH_MISS)
+    thin = max(1, round(math.sqrt(one.size / _POINTS)))
+    some = np.zeros(one.shape, bool)
+    some[::thin, ::thin] = True
+    rows, columns = np.nonzero(some & hit & np.isfinite(flow[..., 0]))
+    if rows.size < _LEAST_POINTS:
+        return None
+    median = float(np.median(near_plane[rows, columns]))
+    whole = max(width, 1) / step  # width of the frame in pixels of the picture
+    shape = (height / step, whole)
+    now = centred(rows, columns, *shape)
+    near = median / near_plane[rows, columns].astype(np.float64)
+    found, _, _, share = fit_camera(now, now[:, :2] + flow[rows, columns].astype(np.float64) / whole, near, 1 / whole)
+    if share < _FITTING:
+        return None
+    near = np.where(hit, median / np.where(hit, near_plane, 1), 0)
+    return _aligned(one, other, found, near, shape).astype(np.float32), np.float32(median)
+
+
+def _aligned(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarray, shape: tuple[float, float]
+             ) -> np.ndarray:
+    """H and e that make the pictures fit best, from ones that are nearly right: Gauss-Newton steps with little weight
+    for pixels that do not fit."""
+    down, right = np.gradient(one)
+    slope = np.hypot(down, right)
+    slope[:2], slope[-2:], slope[:, :2], slope[:, -2:] = 0, 0, 0, 0
+    slope[near == 0] = 0  # misses may be fog, or glass, whose planes move like something nearer
+    rows, columns = np.nonzero(slope > max(2 * float(np.median(slope)), 0.01))
+    if rows.size < _LEAST_POINTS:
+        return found
+    every = max(1, rows.size // _ALIGNED)
+    rows, columns = rows[::every], columns[::every]
+    now, close = centred(rows, columns, *shape), near[rows, columns].astype(np.float64)
+    value, g_x, g_y = (plane[rows, columns].astype(np.float64) for plane in (one, right, down))
+    there, best, least, scale = np.empty((rows.size, 3), np.float32), found, math.inf, 0.0
+    for _ in range(_ROUNDS + 1):
+        place = np.append(found[:8], 1).reshape(3, 3) @ now.T + found[8:, None] * close
+        before = (place[:2] / place[2]).T
+        sample(other, before[:, 1] * shape[1] + shape[0] / 2 - 0.5, before[:, 0] * shape[1] + shape[1] / 2 - 0.5, there)
+        inside = np.isfinite(there[:, 0])
+        if inside.sum() < _LEAST_POINTS:
+            break
+        # mean slope of both pictures (Malis 2004), which converges faster than one of them alone
+        x, y = (g_x + there[:, 1]) / 2, (g_y + there[:, 2]) / 2
+        errors = np.where(inside, there[:, 0] - value, 0)
+        typical = max(float(np.median(np.abs(errors[inside]))), 1e-4)
+        scale = scale or 3 * typical
+        total = float((1 - 1 / (1 + (errors[inside] / scale) ** 2)).mean())  # of Geman and McClure
+        if total < least:
+            best, least = found, total
+        weights = inside * (1 + (errors / (3 * typical)) ** 2) ** -2
+        sides = camera_equations(now, before, close).reshape(2, -1, 11)
+        across = (x[:, None] * np.where(inside[:, None], sides[0], 0)
+                  + y[:, None] * np.where(inside[:, None], sides[1], 0)) * shape[1]
+        weighted = across * weights[:, None]
+        normal = weighted.T @ across
+        normal += 1e-6 * np.trace(normal) / 11 * np.eye(11)
+        found = found - np.linalg.solve(normal, weighted.T @ errors)
+    return best
+
+
+def _misfit(one: np.ndarray, other: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """(h, w) mean difference of the pictures around each pixel under a motion; points out of the picture count as 0."""
+    apart, around, across = np.empty_like(one), np.empty_like(one), np.empty(one.shape[::-1], np.float32)
+    differ(one, other, motion, apart)
+    average_rows(apart, across)
+    average_rows(across, around)
+    return around
+
+
+@compiled
+def shade(albedo: np.ndarray, normal: np.ndarray, step: int, means: np.ndarray) -> None:
+    """Means of step x step pixels of the root of the albedo and of a turn of the normal; a plane of 1x1 is absent."""
+    h, w = max(albedo.shape[0], normal.shape[0]), max(albedo.shape[1], normal.shape[1])
+    has_albedo, has_normal = albedo.shape[:2] == (h, w), normal.shape[:2] == (h, w)
+    for row in range(means.shape[0]):
+        for column in range(means.shape[1]):
+            total, count = np.float32(0), 0
+            for y in range(row * step, min((row + 1) * step, h)):
+                for x in range(column * step, min((column + 1) * step, w)):
+                    value = np.float32(0)
+                    if has_albedo:
+                        grey = (albedo[y, x, 0] + albedo[y, x, 1] + albedo[y, x, 2]) / np.float32(3)
+                        value += np.sqrt(min(max(grey, np.float32(0)), np.float32(1.5)))
+                    if has_normal:
+                        value += (np.float32(0.2) * normal[y, x, 0] + np.float32(0.28) * normal[y, x, 1]
+                                  + np.float32(0.12) * normal[y, x, 2])
+                    if abs(value) < np.float32(10):  # else it is not finite
+                        total += value
+                    count += 1
+            means[row, column] = total / np.float32(count)
+
+
+@compiled
+def smooth(picture: np.ndarray, smoothed: np.ndarray) -> None:
+    """Means over 3x3 pixels, weighted 1 2 1 each way; edges are repeated."""
+    h, w = picture.shape
+    for y in range(h):
+        up, down = max(y - 1, 0), min(y + 1, h - 1)
+        for x in range(w):
+            left, right = max(x - 1, 0), min(x + 1, w - 1)
+            outer = picture[up, left] + picture[up, right] + picture[down, left] + picture[down, right]
+            inner = picture[up, x] + picture[down, x] + picture[y, left] + picture[y, right]
+            smoothed[y, x] = (outer + 2 * inner + 4 * picture[y, x]) / np.float32(16)
+
+
+@compiled
+def differ(one: np.ndarray, other: np.ndarray, motion: np.ndarray, apart: np.ndarray) -> None:
+    """How far pixels are from where they were; 0 where that is out of the picture."""
+    h, w = one.shape
+    for y in range(h):
+        for x in range(w):
+            u, v = x + motion[y, x, 0], y + motion[y, x, 1]
+            inside = -0.5 < u < w - 0.5 and -0.5 < v < h - 0.5
+            apart[y, x] = abs(value_at(other, v, u) - one[y, x]) if inside else np.float32(0)
+
+
+@compiled
+def average_rows(plane: np.ndarray, turned: np.ndarray) -> None:
+    """Means over 2 x _AROUND + 1 pixels of each row, which becomes a column."""
+    h, w = plane.shape
+    for y in range(h):
+        total, count = np.float32(0), 0
+        for x in range(-_AROUND, w):
+            if x + _AROUND < w:
+                total, count = total + plane[y, x + _AROUND], count + 1
+            if x - _AROUND > 0:
+                total, count = total - plane[y, x - _AROUND - 1], count - 1
+            if x >= 0:
+                turned[x, y] = max(total, np.float32(0)) / np.float32(count)
+
+
+@compiled
+def sample(picture: np.ndarray, rows: np.ndarray, columns: np.ndarray, found: np.ndarray) -> None:
+    """Value and slope to the right and down between pixels; NaN out of the picture."""
+    h, w = picture.shape
+    half = np.float32(0.5)
+    for k in range(rows.size):
+        if not (1 <= rows[k] < h - 2 and 1 <= columns[k] < w - 2):
+            found[k, 0], found[k, 1], found[k, 2] = np.nan, 0, 0
+            continue
+        y, x = np.float32(rows[k]), np.float32(columns[k])
+        found[k, 0] = value_at(picture, y, x)
+        found[k, 1] = value_at(picture, y, x + half) - value_at(picture, y, x - half)
+        found[k, 2] = value_at(picture, y + half, x) - value_at(picture, y - half, x)
+
+
+@compiled
+def move(found: np.ndarray, median: Real, depth: np.ndarray, step: int, jitter_x: Real, jitter_y: Real,
+         motion: np.ndarray) -> None:
+    """The camera's motion in pixels of a picture that has one for `step` x `step` of the depth. found: float32."""
+    height, width = depth.shape[:2]
+    a, b, c, d, e, f, g, h, p, q, r = found
+    one, pixel, scale = np.float32(1), np.float32(step / width), np.float32(width / step)
+    left, top = np.float32((0.5 * step - 0.5 * width) / width), np.float32((0.5 * step - 0.5 * height) / width)
+    miss, none = np.float32(DEPTH_MISS), np.float32(0)
+    for row in range(motion.shape[0]):
+        at_row = min(row * step + step // 2, height - 1)
+        y = np.float32(row) * pixel + top
+        for column in range(motion.shape[1]):
+            z = depth[at_row, min(column * step + step // 2, width - 1), 0]
+            near = median / z if none < z < miss else none
+            x = np.float32(column) * pixel + left
+            over = max(g * x + h * y + one + r * near, np.float32(1e-3))  # a point behind the camera leads far away
+            over = one / over
+            motion[row, column, 0] = ((a * x + b * y + c + p * near) * over - x) * scale - jitter_x
+            motion[row, column, 1] = ((d * x + e * y + f + q * near) * over - y) * scale - jitter_y
+
+
+@compiled
+def put(flow: np.ndarray, moves: np.ndarray, step: int, jitter_x: Real, jitter_y: Real, motion: np.ndarray) -> None:
+    """The flow of things that move by themselves, in pixels of the frame."""
+    for y in range(motion.shape[0]):
+        for x in range(motion.shape[1]):
+            if moves[y // step, x // step]:
+                motion[y, x, 0] = flow[y // step, x // step, 0] * step - jitter_x
+                motion[y, x, 1] = flow[y // step, x // step, 1] * step - jitter_y
