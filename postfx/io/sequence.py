@@ -344,7 +344,7 @@ class Sequence:
         motion = motion_between(before, picture, frame.planes.get(Role.DEPTH))
         self._pictures[self.view] = frame.number, picture
         if is_wanted or motion.any():
-            self._warn("motion is estimated from the planes, as the files hold no motion vectors (--motion file: none)")
+            self._warn("motion is estimated from albedo, normal and depth, not of the files (--motion file)")
             frame.planes[Role.MOTION] = motion
 
     def _picture_before(self, number: int) -> Picture | None:
