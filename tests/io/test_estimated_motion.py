@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.cli.main import main
 from postfx.errors import FrameError, SequenceError
 from postfx.frame import Frame, Role
 from postfx.io.estimated_motion import motion_of
@@ -137,6 +138,12 @@ def test_zeros_in_files_are_replaced_where_the_planes_move(walk: str) -> None:
     expected = Sequence(walk, motion="auto").read(3)[Role.MOTION]
     np.testing.assert_array_equal(Sequence(zero, motion="auto").read(3)[Role.MOTION], expected)
     assert not Sequence(zero).read(3)[Role.MOTION].any()
+
+
+def test_a_run_plans_with_estimated_motion(walk: str, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, lacks in (((), True), (("--motion", "auto"), False), (("--motion", "file"), True)):
+        assert main(["run", walk, "--explain", "--model", "s", *words]) == 0
+        assert ("no motion plane, so every frame is denoised alone" in capsys.readouterr().out) == lacks, words
 
 
 @pytest.mark.parametrize(("name", "most"), [("garage", 0.15), ("doorway", 0.15), ("living_room", 0.3)])
