@@ -189,5 +189,6 @@ def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
-             "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "irradiance_network.py"}
+             "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
+             "irradiance_network.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named
