@@ -12,6 +12,9 @@ from postfx.errors import DepthOptionError, ProfileError
 from postfx.frame import DEPTH_MISS, Role
 from postfx.io.profile import PlaneRule
 
+SEEN = (Role.DIFFUSE_ALBEDO, Role.NORMAL)
+"""Planes that motion is estimated from; one of them is enough."""
+
 
 @dataclass(frozen=True)
 class Camera:

@@ -18,12 +18,10 @@ import numpy as np
 from postfx.errors import FrameError
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, value_at
-from postfx.io.convert import camera_equations, centred, fit_camera
+from postfx.io.convert import SEEN, camera_equations, centred, fit_camera
 from postfx.kernels.numeric import Real, compiled
 from postfx.system import usable_cores
 
-SEEN = (Role.DIFFUSE_ALBEDO, Role.NORMAL)
-"""Planes that pictures are made of; one of them is enough."""
 MOST = 640
 """Pixels of a picture's longer side; larger frames are halved, or taken in thirds, and so on."""
 

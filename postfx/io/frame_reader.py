@@ -17,8 +17,7 @@ from postfx.errors import GuideError, MissingPlaneError, ReadError
 from postfx.frame import OUTPUT_SIZE_ROLES, ROLES, ColourSource, Frame, FrameSpec, GuideSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
 from postfx.io.colours import INTEROP, gather_attributes
-from postfx.io.convert import Camera, DepthOption, convert, fill_background_motion, fill_value
-from postfx.io.estimated_motion import SEEN
+from postfx.io.convert import SEEN, Camera, DepthOption, convert, fill_background_motion, fill_value
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Header, Layout, Match, make_layout, take_opaque_colour
 from postfx.io.masks import LeftAlone

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Iterator
 from itertools import takewhile
 from operator import index
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
 from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import parse_colourspace
-from postfx.io.convert import parse_depth
-from postfx.io.estimated_motion import SEEN, Picture, motion_between, picture_of
+from postfx.io.convert import SEEN, parse_depth
 from postfx.io.frame_reader import Area, FrameFiles
 from postfx.io.parts import parse_parts
 from postfx.io.pattern import VIEW, Pattern, Source, format_frames, locate, parse_frames
@@ -20,6 +20,9 @@ from postfx.io.windows import scaled_windows
 from postfx.masks.cryptomatte import Coverage, parse_leave
 from postfx.repair import Fireflies, clamp_fireflies, parse_limit
 from postfx.system import Scratch
+
+if TYPE_CHECKING:
+    from postfx.io.estimated_motion import Picture
 
 MOTIONS = AUTO, FILE, ESTIMATE = "auto", "file", "estimate"
 """Where motion comes from: estimated where files have none, or only zeros; from files alone; always estimated."""
@@ -338,6 +341,8 @@ class Sequence:
         is_zero = self.motion == AUTO and Role.MOTION in frame and not frame[Role.MOTION].any()
         if not is_wanted and not (is_zero and any(role in frame for role in SEEN)):
             return
+        from postfx.io.estimated_motion import motion_between, picture_of  # few need it, and its kernels take time
+
         before = None if begins else self._picture_before(frame.number)
         picture = picture_of(frame)
         assert picture is not None, "one of SEEN was read"
@@ -349,6 +354,8 @@ class Sequence:
 
     def _picture_before(self, number: int) -> Picture | None:
         """Of the frame before on the disk, whatever was read last; None where there is none, or it cannot be read."""
+        from postfx.io.estimated_motion import picture_of
+
         for before in self.before(number, 1):
             kept, picture = self._pictures.get(self.view, (None, None))
             if kept == before:
