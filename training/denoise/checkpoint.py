@@ -126,12 +126,14 @@ def mix(parts: Sequence[tuple[Path, float]]) -> dict[str, Any]:
     first = read(parts[0][0])
     found = []
     for path, share in parts:
-        weights = load_weights(path, bool(first["config"].get("trust")))
-        config = first["config"] if path.suffix == ".onnx" else read(path)["config"]
-        shapes = [{name: values.shape for name, values in some.items()} for some in (weights, first["weights"])]
-        if config != first["config"] or shapes[0] != shapes[1]:
-            raise ValueError(f"{path}: another layout than {parts[0][0]}: {config}, not {first['config']}")
-        found.append((weights, share))
+        if path.suffix == ".onnx":
+            one = first | {"weights": load_weights(path, bool(first["config"].get("trust")))}
+        else:
+            one = read(path)
+        shapes = [{name: values.shape for name, values in some["weights"].items()} for some in (one, first)]
+        if one["config"] != first["config"] or shapes[0] != shapes[1]:
+            raise ValueError(f"{path}: another layout than {parts[0][0]}: {one['config']}, not {first['config']}")
+        found.append((one["weights"], share))
     weights = {name: sum(share * one[name].float() for one, share in found) for name in first["weights"]}
     told = " + ".join(f"{share:g} {path}" for path, share in parts)
     return {"config": first["config"], "weights": weights, "notes": {**first["notes"], "weights": told}}
