@@ -20,7 +20,7 @@ from postfx.kernels.image import box_means, half_means, moments
 from postfx.sampling import bilinear, is_inside
 
 RELATED = 0.65
-"""Correlation from which two frames are of one shot; docs/integration.md shows it within shots and across cuts."""
+"""Correlation from which two frames are of one shot; see docs/howto/integration.md."""
 
 MOST_CELLS, LEAST_BLOCK = 80, 4
 LEAST_COMPARED = 48  # cells; fewer do not tell one picture from another

@@ -4,7 +4,7 @@ In the `conftest.py` of such a package:
 
     pytest_plugins = ["postfx.testing"]
 
-and in one of its tests, which holds the pass to the whole contract of docs/passes.md:
+and in one of its tests, which holds the pass to the whole contract of docs/howto/passes.md:
 
     from postfx.testing import PassContract
 

@@ -1,4 +1,4 @@
-"""The examples in docs/passes.md, docs/runtime.md, docs/integration.md and docs/masks.md do what their text says."""
+"""Code blocks of the documents do what their text says."""
 
 import importlib
 import json
@@ -28,7 +28,7 @@ def blocks(name: str, language: str) -> list[str]:
 def vignette(tmp_path_factory) -> Path:
     """The example package of passes.md with its files under the names that the document gives them."""
     folder = tmp_path_factory.mktemp("vignette")
-    text = (DOCS / "passes.md").read_text(encoding="utf-8")
+    text = (DOCS / "howto/passes.md").read_text(encoding="utf-8")
     for paragraph, code in re.findall(r"\n\n([^\n].*?)\n\n```\w+\n(.*?)```", text, re.DOTALL):
         names = re.findall(r"`([\w/]+\.(?:py|toml|cu))`", paragraph.rpartition("\n\n")[2])
         if names:
@@ -51,7 +51,7 @@ def test_the_example_package_is_made_installed_and_run_as_written(vignette):
     environment = {**os.environ, "PATH": os.pathsep.join(paths), "PYTHONPATH": str(site), "PIP_TARGET": str(site),
                    "PIP_NO_BUILD_ISOLATION": "0", "PIP_NO_INDEX": "1",
                    "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
-    done = subprocess.run(["sh", "-e"], input="".join(blocks("passes.md", "sh")), env=environment, cwd=vignette,
+    done = subprocess.run(["sh", "-e"], input="".join(blocks("howto/passes.md", "sh")), env=environment, cwd=vignette,
                           capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "vignette  (postfx-vignette 1.0)\n    Darkens the corners of the picture.\n    options: amount=0.3\n" \
@@ -69,7 +69,7 @@ def test_the_example_pass_runs_in_python(vignette, monkeypatch, capsys):
     monkeypatch.syspath_prepend(vignette)
     point = EntryPoint("vignette", "postfx_vignette:Vignette", registry.GROUP)
     monkeypatch.setattr(registry, "_installed", lambda: {"vignette": (point,)})
-    (code,) = (block for block in blocks("passes.md", "python") if "pipeline.explain" in block)
+    (code,) = (block for block in blocks("howto/passes.md", "python") if "pipeline.explain" in block)
     names = {}
     exec(code, names)
     assert names["result"]["colour"][0, 0, 0] < 0.51 and "pass 1  vignette: reads colour" in capsys.readouterr().out
@@ -107,7 +107,7 @@ def test_the_runtime_example_runs(tmp_path, monkeypatch, capsys):
 def test_the_frame_of_the_integration_page_is_written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = {}
-    exec(blocks("integration.md", "python")[0], names)
+    exec(blocks("howto/integration.md", "python")[0], names)
     (frame,) = read_sequence("out/noisy.####.exr")
     focal = names["width"] / 2 / np.tan(np.radians(30))
     moved = np.float32([focal * 0.1 / 5, 0])
@@ -121,7 +121,7 @@ def test_the_masks_of_the_page_are_made(write_exr, tmp_path, monkeypatch):
     planes = {name: np.full((30, 40), 0.5) for name in names} | {"depth.Z": np.full((30, 40), 1e10)}
     write_exr("shot/noisy.0001.exr", planes, **{"cryptomatte/0123456/name": "CryptoObject"})
     names = {}
-    exec(blocks("masks.md", "python")[0], names)
+    exec(blocks("howto/masks.md", "python")[0], names)
     assert names["frame"]["strength"].shape == (30, 40, 1) and not names["frame"]["strength"].any()
 
 
@@ -131,12 +131,12 @@ def test_the_reactive_mask_of_the_page_is_used(write_exr, tmp_path, monkeypatch)
     for number in (1, 2):
         write_exr(f"shot/noisy.{number:04d}.exr", planes)
     names = {}
-    exec(blocks("masks.md", "python")[-1], names)
+    exec(blocks("howto/masks.md", "python")[-1], names)
     assert names["clean"]["colour"].shape == (60, 80, 3)
 
 
 def test_the_integration_page_names_every_helper():
-    page = (DOCS / "integration.md").read_text(encoding="utf-8")
+    page = (DOCS / "howto/integration.md").read_text(encoding="utf-8")
     apart = {"IntegrationError", "frame_header", "halton", "pixel_positions", "positions_from_depth", "project",
              "view_rays", "depth_to_device", "ray_from_depth", "normals_to_camera", "fresnel_dielectric",
              "fresnel_schlick", "roughness_from_exponent", "roughness_from_smoothness"}
@@ -146,6 +146,6 @@ def test_the_integration_page_names_every_helper():
 def test_the_display_example_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "samples").symlink_to(DOCS.parent / "samples")
-    (code,) = blocks("display.md", "python")
+    (code,) = blocks("howto/display.md", "python")
     exec(code, {})
     assert len(list((tmp_path / "out").glob("hdr.*.png"))) == 2

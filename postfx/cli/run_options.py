@@ -141,7 +141,7 @@ def _parse_rerun(text: str) -> str | int:
 
 LOGS = Section("logs and resuming", (
     Option(flag="--log", once=True, metavar="FILE", type=parse_path, sets="run.log", changes="nothing",
-           help="append one JSON object a line for each frame and event (docs/reliability.md)"),
+           help="append one JSON object a line for each frame and event (docs/reference/reliability.md)"),
     Option(flag="--checkpoint", metavar="SECONDS", type=_parse_seconds, default=30.0, sets="run.checkpoint",
            changes="nothing",
            help="save the history of the passes in OUTPUT's folder after so many seconds of work, and when the run is "
@@ -260,7 +260,7 @@ PARTS = Section("masks and parts of the picture", (
            "may follow =, e.g. auto,sky_*,logo=0.5,7-9@id"),
     Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov", excludes=_FOR_DENOISER,
            help="light groups and passes to denoise with the picture, so that they still add up to it: names like "
-           "'key,fill,rim', or auto for those that the profile knows (docs/parts.md)"),
+           "'key,fill,rim', or auto for those that the profile knows (docs/howto/parts.md)"),
     Option(flag="--aov-denoise", metavar="KIND=LAYER,...", sets="sequence.aov_denoise",
            excludes=_FOR_DENOISER,
            help="other layers to denoise by the picture's filters, each with its kind, like 'normal=N,mist=Mist': "
@@ -288,7 +288,7 @@ LOOKS = Section("look", (
            help="of 8 bits: another pattern each frame (default), one, none"),
     Option(flag="--pass", metavar="NAME[,OPTION=VALUE]", repeated=True,
            help="also run a pass, such as one of another package: before the tone mapping, or where before=PASS or "
-           "after=PASS say, e.g. vignette,amount=0.5,after=tonemap; may be repeated (docs/passes.md)"),
+           "after=PASS say, e.g. vignette,amount=0.5,after=tonemap; may be repeated (docs/howto/passes.md)"),
     Option(flag="--passes", changes="nothing", shows=_list_passes,
            help="list all passes that are installed, with their options, then stop"),
 ))
@@ -456,7 +456,7 @@ READING = Section("reading and running", (
            excludes=dict.fromkeys(("--json", "--report", "--capture"), "--ray has other machines run the sequence, in "
                                   "chunks: leave --json, --report and --capture out"),
            help="run on the machines of a Ray cluster (HOST:PORT, ray://HOST:PORT, auto, or local for this machine), "
-           f"in chunks of N frames (default: {CHUNK}) as 'postfx chunks' makes them (docs/farm.md)"),
+           f"in chunks of N frames (default: {CHUNK}) as 'postfx chunks' makes them (docs/howto/farm.md)"),
 ))
 
 

@@ -1,6 +1,6 @@
 """For writers of renderers: every plane that postfx reads, from what a renderer has; NumPy in, NumPy out.
 
-docs/integration.md goes through all of it; samples/ray_caster.py is a renderer that uses it.
+docs/howto/integration.md goes through all of it; samples/ray_caster.py is a renderer that uses it.
 """
 
 from postfx.depth import (

@@ -47,7 +47,7 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
 
     [[part]]                             # layers that add up to the picture, for --aov
     names = ["RGBA_*", "{layer}Emission"]  # * stands for the name of a light group
-    kind = "light"                       # light, diffuse, specular, scatter or emission: see docs/parts.md
+    kind = "light"                       # light, diffuse, specular, scatter or emission: see docs/howto/parts.md
     group = "light groups"               # the layers of one group add up to the picture
     factor = "{layer}Diffuse Color"      # the layer that they are stored divided by
 """

@@ -132,7 +132,7 @@ def _changed(before: Inputs, now: Inputs) -> bool:
 
 PREROLL = 96
 """Most frames that run before a chunk: on five sequences the first and the third frame after a seam were then at 57 dB
-or more against an unbroken run (docs/farm.md)."""
+or more against an unbroken run (docs/howto/farm.md)."""
 
 
 @dataclass(frozen=True)

@@ -291,7 +291,7 @@ class Device:
             return self._kernels.load(kernel.name)
         if not kernel.portable.is_file():
             raise ModelError(f"kernel '{kernel.name}' has no form that runs on {self!r}: there is no "
-                             f"'{kernel.portable}' (docs/passes.md says how to export it)")
+                             f"'{kernel.portable}' (docs/howto/passes.md says how to export it)")
         return Library(kernel.portable.parent).load(kernel.name)
 
 

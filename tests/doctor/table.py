@@ -1,4 +1,4 @@
-"""Writes the table and the picture of docs/doctor.md: every mistake, and the finding and plane that it is named by.
+"""Writes the table and the picture of docs/howto/doctor.md: every mistake, and the finding and plane that name it.
 
 python -m tests.doctor.table
 """
@@ -17,7 +17,7 @@ from postfx.io.sequence import read_sequence
 from tests.doctor.breakages import BREAKAGES
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
-PAGE, PICTURE = REPOSITORY / "docs" / "doctor.md", REPOSITORY / "docs" / "images" / "doctor.jpg"
+PAGE, PICTURE = REPOSITORY / "docs" / "howto" / "doctor.md", REPOSITORY / "docs" / "images" / "doctor.jpg"
 OPEN, CLOSE = "<!-- table -->", "<!-- end -->"
 SHOWN = ("albedo with noise of 0.08", "normals in camera space", "1 / depth, misses 0", "motion y up", "smoothness")
 

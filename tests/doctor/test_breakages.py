@@ -47,5 +47,5 @@ def test_another_renderer_with_every_mistake(shared_frames, diagnose):
 
 
 def test_the_page_shows_every_mistake():
-    page = (Path(__file__).parent.parent.parent / "docs" / "doctor.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parent.parent.parent / "docs" / "howto" / "doctor.md").read_text(encoding="utf-8")
     assert f" {len(VARIANTS)} variants" in page and with_table(page) == page, "run python -m tests.doctor.table"

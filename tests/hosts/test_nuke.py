@@ -1,4 +1,4 @@
-"""The recipe of docs/hosts.md for compositing programs: a file of Nuke's layers through the command line."""
+"""The recipe of docs/howto/hosts.md for compositing programs: a file of Nuke's layers through the command line."""
 
 from pathlib import Path
 

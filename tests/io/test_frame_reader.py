@@ -206,7 +206,7 @@ def test_malformed_profiles_are_explained(tmp_path, text, message):
 
 
 def test_the_documented_profiles_are_valid(tmp_path):
-    page = Path(__file__).resolve().parents[2] / "docs" / "renderers.md"
+    page = Path(__file__).resolve().parents[2] / "docs" / "reference" / "renderers.md"
     profiles = []
     for block in page.read_text("utf-8").split("```toml")[1:]:
         (tmp_path / f"{len(profiles)}.toml").write_text(block.split("```")[0])

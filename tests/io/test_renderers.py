@@ -308,13 +308,13 @@ LAYOUTS = {
         | store("normal", "XYZ", NORMAL) | store("depth", "Z", DEPTH) | store("motion", "XY", MOTION)
         | store("roughness", "Y", ROUGHNESS), ALL_BUT_ROUGHNESS | {Role.ROUGHNESS}),
 }
-"""What a renderer and its settings are called in docs/renderers.md -> its layout."""
+"""What a renderer and its settings are called in docs/reference/renderers.md -> its layout."""
 
 
 @cache
 def documented_layouts() -> dict[str, list[str]]:
-    """Rows of the table in docs/renderers.md by their first cell."""
-    page = (Path(__file__).resolve().parents[2] / "docs" / "renderers.md").read_text("utf-8")
+    """Rows of the table in docs/reference/renderers.md by their first cell."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "renderers.md").read_text("utf-8")
     rows = (line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| "))
     return {cells[0]: cells for cells in rows if len(cells) == 5}
 
@@ -374,7 +374,7 @@ STORED_MOTION = {
     "Redshift, remapped vectors, Max Motion known": ("MotionVectors", "RG", 0.5 + RIGHT / 128, 0.5 + UP / 128),
     "plain names": ("motion", "XY", -RIGHT, UP),
 }
-"""Layout -> layer, letters and values of motion, written out from what docs/renderers.md says and its sources."""
+"""Layout -> layer, letters and values of motion, written out from docs/reference/renderers.md and its sources."""
 
 
 @pytest.mark.parametrize("name", STORED_MOTION)

@@ -19,7 +19,7 @@ from postfx.kernels.numeric import Real, clamp, compiled, inline
 
 FOCAL, FOCAL_THEN, JITTER, TURN, SHIFT, WORLD, CAMERA = 0, 2, 4, 6, 15, 18, 27
 ROUGHEST = np.float32(0.3)
-"""Roughness up to which a surface shows an image that is worth following: docs/denoiser.md."""
+"""Roughness up to which a surface shows an image that is worth following: docs/concepts/denoiser.md."""
 STEP, BEND = np.float32(0.1), np.float32(0.9)
 """Most relative difference in depth of neighbours on one surface, and least cosine between their normals."""
 STILL, PART = np.float32(0.25), np.float32(0.05)
