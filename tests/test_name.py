@@ -80,7 +80,7 @@ def test_this_package_is_not_taken_for_the_other(tmp_path):
     for name in ("postfx_render-0.2.0", "postfx-0.1.0"):
         (tmp_path / f"{name}.dist-info").mkdir()
         (tmp_path / f"{name}.dist-info" / "RECORD").write_text("postfx/__init__.py,,\npostfx/cli/main.py,,\n")
-    assert find_namesake(tmp_path) is None
+    assert find_namesake(str(tmp_path)) is None
 
 
 def test_the_version_is_the_same_everywhere():

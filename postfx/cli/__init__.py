@@ -1,23 +1,25 @@
 """The command line: one file a verb."""
 
+import os  # not pathlib, which would take a tenth of the time of --help
 import sys
-from pathlib import Path
 
 from postfx.version import DISTRIBUTION
 
 
-def find_namesake(site: Path) -> str | None:
+def find_namesake(site: str) -> str | None:
     """The other package 'postfx' of the index, name and version, where a folder of packages holds it: it has the same
     import name and command, and its files and ours replace each other."""
-    for found in site.glob("postfx-*.dist-info"):
-        files = found / "RECORD"
-        if files.is_file() and "\npostfx/imgio.py," in "\n" + files.read_text(encoding="utf-8", errors="replace"):
-            return found.name.removesuffix(".dist-info").replace("-", " ")
+    for name in os.listdir(site):
+        files = os.path.join(site, name, "RECORD")
+        if name.startswith("postfx-") and name.endswith(".dist-info") and os.path.isfile(files):
+            with open(files, encoding="utf-8", errors="replace") as lines:
+                if any(line.startswith("postfx/imgio.py,") for line in lines):
+                    return name.removesuffix(".dist-info").replace("-", " ")
     return None
 
 
-_SITE = Path(__file__).parents[2]
+_SITE = os.path.abspath(os.path.join(__file__, "../../.."))
 if _namesake := find_namesake(_SITE):  # whichever of both came last: what of us is left may still run, but is not whole
-    print(f"error: {_namesake}, another package of that name, shares the folder {_SITE / 'postfx'} with "
+    print(f"error: {_namesake}, another package of that name, shares the folder {os.path.join(_SITE, 'postfx')} with "
           f"{DISTRIBUTION}: pip uninstall postfx {DISTRIBUTION}, then pip install {DISTRIBUTION}", file=sys.stderr)
     sys.exit(2)

@@ -6,11 +6,13 @@ import argparse
 import json
 import os
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from postfx.cli.options import Option, Options
 from postfx.errors import OptionError, suggest
+
+if TYPE_CHECKING:
+    from pathlib import Path  # which --help does without
 
 DESCRIPTION = """\
 Show the defaults of 'postfx run' that files named postfx.toml set, and where each comes from. The nearest such file
@@ -45,6 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Show the defaults; returns the exit code."""
+    from pathlib import Path
+
     from postfx.cli.run_options import PRESETS, RUN
 
     found = read_defaults(RUN)
@@ -109,6 +113,8 @@ def complete(options: Options, presets: Mapping[str, Mapping[str, Any]]) -> Any:
 
 def find_files() -> list[Path]:
     """Files of defaults that are there, the weakest first. OptionError if POSTFX_CONFIG names one that is not."""
+    from pathlib import Path
+
     named = os.environ.get(VARIABLE)
     if named is not None:
         path = Path(named).expanduser()

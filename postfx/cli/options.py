@@ -8,7 +8,6 @@ list.
 from __future__ import annotations
 
 import argparse
-import copy
 import os
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -184,7 +183,7 @@ class Options:
     def fill(self, arguments: argparse.Namespace, given: Collection[str], values: Mapping[str, Any]) -> list[str]:
         """Set options by name, but none that is `given` already, nor one that does not go with those; returns the names
         of those that were set."""
-        trial = copy.copy(arguments)
+        trial = argparse.Namespace(**vars(arguments))
         for option in self:
             if option.name not in given and not option.shows:
                 setattr(trial, option.name, option.resting)

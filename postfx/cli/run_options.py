@@ -12,8 +12,8 @@ change:
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from postfx.cli.options import (
@@ -104,7 +104,7 @@ def explain_kept(
     from postfx.io.writer import is_display_format
     from postfx.plan import Skip
 
-    is_picture = arguments.output and Path(arguments.output).suffix and is_display_format(arguments.output)
+    is_picture = arguments.output and os.path.splitext(arguments.output)[1] and is_display_format(arguments.output)
     if arguments.keep == "none" or is_picture or Role.COLOUR not in files.layout.planes:
         return "", []
     colour = files.match(Role.COLOUR)
