@@ -5,7 +5,7 @@ it is mirrored and darker. Directions are unit vectors (x, y, z) with y up.
 """
 import numpy as np
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.kernels.numeric import exp, kernel_jit
 
 _PEREZ = np.array([  # slope and offset by turbidity of A to E, for Y, x and y

@@ -244,7 +244,7 @@ def test_a_failed_frame_drops_the_history_and_the_next_one_works(device, fault, 
 
 
 def test_a_failed_command_names_the_pass(device):
-    from postfx.kernels.kernel import Kernel
+    from postfx.kernels import Kernel
 
     def fail(y0, y1, a, b, total):
         raise ValueError("cannot add")

@@ -12,7 +12,7 @@ from numba import njit
 from onnx import TensorProto, helper, numpy_helper
 
 from postfx.frame import GUIDE_ROLES, Frame, FrameSpec, Role
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library
 

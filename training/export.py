@@ -18,7 +18,7 @@ import torch
 from torch import nn
 from torch.export import Dim
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.runtime.session import CONSTANTS
 from postfx.runtime.states import parse
 

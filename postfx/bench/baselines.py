@@ -18,8 +18,8 @@ from postfx.bench import require
 from postfx.errors import BenchError
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
+from postfx.kernels import Kernel
 from postfx.kernels.image import RESAMPLE, positions
-from postfx.kernels.kernel import Kernel
 from postfx.kernels.numeric import centre, compiled, inline
 from postfx.runtime import ArgumentTable, Device
 

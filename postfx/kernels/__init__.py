@@ -1,1 +1,87 @@
-"""Small compute kernels: a compiled row function for the CPU and a portable ONNX definition of the same name."""
+"""Small compute kernels: named tensor arguments, a function that computes rows of the output on the CPU, and where the
+other forms are: a portable one in ONNX, and a source for CUDA.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from postfx.system import models_dir
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """One small compute kernel, over float32 tensors unless `types` says otherwise.
+
+    On the CPU `Device.compute_state(kernel)` runs `rows`, split into bands over the device's threads. On a GPU it runs
+    the kernel's CUDA source. Where there is none, it runs the portable definition, an ONNX file whose inputs and
+    outputs carry the names given here.
+
+    The kernels that come with postfx have their portable definitions in `models/kernels`. Those of a plug-in are found
+    in the folder of the module that defines `rows`, or in `folder`: `<name>.onnx`, and CUDA functions of the kernel's
+    name in any file `*.cu`. A kernel of a plug-in never gets a form of ours, whatever its name.
+
+    Attributes:
+        name: the kernel's and its portable file's name, for example 'slice_apply'.
+        reads: names of the arguments that are read, in argument order; scalars are small vectors such as 'params'.
+        writes: names of the arguments that are written, in argument order. One that is also read is changed in place:
+            it is one argument, among those that are read, and one output '<name>_out' of the portable definition.
+        rows: `rows(y0, y1, *reads, *writes)` computes rows y0 to y1 - 1 of every written argument and nothing else.
+            Compile it with `kernel_jit` of `postfx.kernels.numeric`; `fastmath` only where parity with the portable
+            definition holds; no `parallel=True`: the device owns the threads.
+        row_axis: the written binding and its axis that count the rows, for example ('output', 0).
+        shapes: binding name -> dimensions, each a number or a symbol such as 'height'; a symbol has one value
+            within one dispatch, and 'k*symbol' with a whole number k is allowed ('2*height'). Compiled rows do not
+            check bounds, so shapes given here are checked for them; they also let the device compile `rows` before
+            the first frame.
+        types: binding name -> element type, if not float32.
+        folder: where a plug-in keeps the other forms, if not beside the module of `rows`.
+    """
+
+    name: str
+    reads: tuple[str, ...]
+    writes: tuple[str, ...]
+    rows: Callable[..., None]
+    row_axis: tuple[str, int]
+    shapes: Mapping[str, tuple[int | str, ...]] = field(default_factory=dict, hash=False)
+    types: Mapping[str, str] = field(default_factory=dict, hash=False)
+    folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        names = self.reads + self.writes
+        if len(set(self.reads)) + len(set(self.writes)) != len(names):
+            raise ValueError(f"kernel '{self.name}' names a binding twice: {', '.join(names)}")
+        if self.row_axis[0] not in self.writes:
+            raise ValueError(f"kernel '{self.name}' counts rows of '{self.row_axis[0]}', which it does not write")
+        unknown = {*self.shapes, *self.types} - set(names)
+        if unknown:
+            raise ValueError(f"kernel '{self.name}' gives shapes or types of unknown bindings: "
+                             f"{', '.join(sorted(unknown))}")
+
+    @property
+    def in_place(self) -> dict[str, str]:
+        """Arguments that are changed in place, with the name of the portable definition's output."""
+        return {name: f"{name}_out" for name in self.reads if name in self.writes}
+
+    def fixed_shape(self, name: str) -> tuple[int, ...]:
+        """The shape of a binding without symbols; ValueError if it has some."""
+        return tuple(int(size) for size in self.shapes[name])
+
+    @property
+    def home(self) -> Path | None:
+        """Folder of a plug-in's other forms; None for a kernel that comes with postfx."""
+        if self.folder is not None:
+            return self.folder
+        code = getattr(getattr(self.rows, "py_func", self.rows), "__code__", None)  # of Numba's dispatchers, too
+        folder = Path(code.co_filename).resolve().parent if code else Path(os.devnull)
+        return None if folder.is_relative_to(_PACKAGE) else folder
+
+    @property
+    def portable(self) -> Path:
+        """The file of the portable definition, which may not exist."""
+        return (self.home or models_dir() / "kernels") / f"{self.name}.onnx"

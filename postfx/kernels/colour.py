@@ -26,7 +26,7 @@ from __future__ import annotations
 import numpy as np
 
 from postfx.colour.primaries import LUMA_REC2020
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.kernels.numeric import Real, clamp, compiled, fused, inline
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)

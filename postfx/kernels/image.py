@@ -17,7 +17,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.kernels.numeric import Real, add, clamp, compiled, inline, vectorised
 
 ZERO, ONE, INFINITE = np.float32(0), np.float32(1), np.float32(np.inf)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, summed
 from postfx.kernels.products import LANES, STRIP, combine, correlate, count_blocks, open_blocks
 

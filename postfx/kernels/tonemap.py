@@ -37,8 +37,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from postfx.kernels import Kernel
 from postfx.kernels.colour import cube_row, shape_row
-from postfx.kernels.kernel import Kernel
 from postfx.kernels.numeric import Real, compiled, fused, vectorised
 
 SIDE = 256

@@ -10,8 +10,8 @@ import numpy as np
 
 from postfx.errors import PassOptionError
 from postfx.frame import FrameSpec, Role
+from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE
-from postfx.kernels.kernel import Kernel
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.passes.base import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library, ModelError, PipelineState, Tensor

@@ -34,7 +34,7 @@ from postfx.system import Scratch, usable_cores
 from postfx.version import pip_install
 
 if TYPE_CHECKING:
-    from postfx.kernels.kernel import Kernel
+    from postfx.kernels import Kernel
 
 Dims = Mapping[str, int] | Mapping[tuple[str, int], int] | Mapping[str | tuple[str, int], int]
 """Sizes of free dimensions: by name, or by input or output and axis."""

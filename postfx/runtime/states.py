@@ -16,7 +16,7 @@ from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 from postfx.runtime.threads import Band, Helpers
 
 if TYPE_CHECKING:
-    from postfx.kernels.kernel import Kernel
+    from postfx.kernels import Kernel
     from postfx.runtime.cuda import CudaMemory
 
 MINIMUM_ROWS = 4

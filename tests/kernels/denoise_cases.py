@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from postfx.kernels import Kernel
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.guides import GUIDE, TRUST
 from postfx.kernels.denoise.layout import BLEND, FINE, GUIDE_PLANES, MEMORY
@@ -28,7 +29,6 @@ from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
 from postfx.kernels.denoise.reflections import REFLECTIONS
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
-from postfx.kernels.kernel import Kernel
 from postfx.passes.denoise.tiling import Sizes, Window
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.states import parse

@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.runtime.cuda import find_source, read_source
 from postfx.system import private_folder
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from postfx.kernels import Kernel
 from postfx.kernels.denoise.output import DETAIL, JUDGE, TILE
-from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
 from postfx.runtime.cuda import find_source
 from tests.kernels import host_cuda, tonemap_cases

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.runtime import Device
 from tests.kernels.denoise_cases import CASES, KERNELS, arguments, in_frame, run
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postfx.kernels import Kernel
 from postfx.kernels.denoise.network_io import STORE, STORE_RINGED
 from postfx.kernels.image import RESAMPLE, positions
-from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
 from tests.kernels.denoise_cases import KERNELS, ODD, Case, arguments, run, runs_of
 

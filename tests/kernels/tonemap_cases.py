@@ -9,9 +9,9 @@ import numpy as np
 
 from postfx.colour.displays import parse_display
 from postfx.colour.primaries import REC709, REC2020, matrix_between
+from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD, turns
-from postfx.kernels.kernel import Kernel
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, GRID, KNOTS, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.passes.display import decoding, encoding, parameters
 

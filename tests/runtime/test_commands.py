@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.runtime import ArgumentTable, CommandError, EncodingError, HazardError
 
 

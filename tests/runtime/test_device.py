@@ -11,8 +11,8 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from postfx.kernels import Kernel
 from postfx.kernels.image import RESAMPLE
-from postfx.kernels.kernel import Kernel
 from postfx.runtime import (
     ArgumentTable,
     CommandError,

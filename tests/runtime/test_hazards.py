@@ -201,7 +201,7 @@ def test_two_wraps_of_one_array_are_the_same_memory(bench, ones):
 
 
 def test_one_argument_written_twice(bench, device):
-    from postfx.kernels.kernel import Kernel
+    from postfx.kernels import Kernel
 
     state = device.compute_state(Kernel("split", ("a",), ("b", "c"), lambda y0, y1, a, b, c: None, ("b", 0)))
     from postfx.runtime import ArgumentTable

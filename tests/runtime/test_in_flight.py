@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.runtime import ArgumentTable, CommandError, CommandTimeout, HazardError
 
 AFTER_ALL = {"after": ("compute", "machine-learning"), "before": ("compute", "machine-learning")}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.runtime import BindingError, Device, HazardError, Library, ModelError
 from tests import toys
 from tests.runtime.conftest import run_once

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 from postfx.runtime import ArgumentTable, BindingError, Device, EncodingError, HazardError
 from postfx.runtime.states import could_match, solve
 from tests import toys

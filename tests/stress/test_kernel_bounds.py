@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from postfx.frame import Role
+from postfx.kernels import Kernel
 from postfx.kernels.denoise.reflections import REFLECTIONS
-from postfx.kernels.kernel import Kernel
 from postfx.runtime import Device
 from postfx.runtime.cuda import find_source
 from tests.kernels import denoise_cases, host_cuda, tonemap_cases

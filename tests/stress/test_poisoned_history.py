@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from postfx.frame import Frame, Role
+from postfx.kernels import Kernel
 from postfx.kernels.denoise.prepare import ACCUMULATE
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED
-from postfx.kernels.kernel import Kernel
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

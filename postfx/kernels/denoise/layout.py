@@ -28,7 +28,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from postfx.kernels.kernel import Kernel
+from postfx.kernels import Kernel
 
 HIDDEN = 8
 FEATURES = 27 + HIDDEN

@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 
+from postfx.kernels import Kernel
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.guides import GUIDE, TRUST
 from postfx.kernels.denoise.layout import FEATURES, FINE, GUIDES, TRUST_CELL
@@ -27,7 +28,6 @@ from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, m
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.reactive import KEEP
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
-from postfx.kernels.kernel import Kernel
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.tiling import LEVELS, Window
 from postfx.runtime import (

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from postfx.frame import FrameSpec, Role
+from postfx.kernels import Kernel
 from postfx.kernels.denoise.output import DETAIL, JUDGE, RESTORE, STRENGTH, SUMS, TILE
-from postfx.kernels.kernel import Kernel
 from postfx.passes.base import ResidentFrame
 from postfx.passes.denoise.inputs import Resampler
 from postfx.passes.denoise.options import Size
