@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from postfx import Device
-from postfx.kernels.denoise.layout import KERNEL, TINY
+from postfx.kernels.denoise import KERNEL, TINY
 from postfx.kernels.denoise.pyramid import FILTER
 from postfx.runtime import ArgumentTable
 

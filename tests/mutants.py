@@ -84,7 +84,7 @@ ROOMS = (
               also="tests/passes/test_denoise_reflections.py"),
     *_kernels("upsample", 3, "denoise_upsample"),
     _room("kernels/common.cuh", 0, "kernels/test_cuda_kernels.py", "-k 'denoise_history or denoise_upsample_light'"),
-    _room("kernels/denoise/layout.py", 0, *_in("kernels", "denoise_kernels")),
+    _room("kernels/denoise/__init__.py", 0, *_in("kernels", "denoise_kernels")),
     _room("kernels/image.py", 3, "kernels", *_in("passes", "composite_overlay"), "test_sampling.py",
           "-k 'resampl or overlay or checkerboard or sampling or cells'"),
     _room("kernels/tonemap.", 2, *_in("kernels", "tonemap_kernels", "cuda_kernels"), "-k 'not denoise_'"),

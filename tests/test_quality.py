@@ -23,7 +23,7 @@ from postfx.bench.methods import (  # noqa: E402
 )
 from postfx.bench.metrics import Pictures, flicker, flip, grey_exposure, psnr, ssim, to_codes  # noqa: E402
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
-from postfx.kernels.denoise.layout import KERNEL  # noqa: E402
+from postfx.kernels.denoise import KERNEL  # noqa: E402
 from postfx.passes.denoise import models  # noqa: E402
 from postfx.passes.denoise.models import UNSCALED, exact, split_ending  # noqa: E402
 from postfx.runtime import Device, Library  # noqa: E402

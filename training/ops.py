@@ -10,8 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from postfx.kernels.denoise import layout
-from postfx.kernels.denoise.layout import DOUBT, FAINT, MAX_COLOUR, TRUST_CELL
+from postfx.kernels import denoise as layout
+from postfx.kernels.denoise import DOUBT, FAINT, MAX_COLOUR, TRUST_CELL
 
 TAPS = 5
 TINY = float(layout.TINY)

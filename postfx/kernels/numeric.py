@@ -9,7 +9,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 from postfx.kernels.compile_cache import KernelCache
-from postfx.kernels.denoise.layout import MAX_COLOUR
+from postfx.kernels.denoise import MAX_COLOUR
 
 Real: TypeAlias = Any
 """A number or truth value in a kernel: Numba compiles a function for the types that it is called with."""

@@ -23,7 +23,7 @@ import numpy as np
 from postfx.caching import LRUCache
 from postfx.errors import DeviceError, ModelError
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import layout
+from postfx.kernels import denoise as layout
 from postfx.runtime.memory import CUDA, address
 from postfx.version import pip_install
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.kernels import Kernel
+from postfx.kernels.denoise import BLEND, FINE, GUIDE_PLANES, MEMORY
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.guides import GUIDE, TRUST
-from postfx.kernels.denoise.layout import BLEND, FINE, GUIDE_PLANES, MEMORY
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,

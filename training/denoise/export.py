@@ -13,9 +13,9 @@ from typing import Any
 import torch
 from torch import nn
 
+from postfx.kernels.denoise import FINE, GUIDES, HIDDEN, KERNEL, PHASES
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.guides import GUIDE, TRUST
-from postfx.kernels.denoise.layout import FINE, GUIDES, HIDDEN, KERNEL, PHASES
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,

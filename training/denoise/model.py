@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise.layout import (
+from postfx.kernels.denoise import (
     BLEND,
     DISTRUST,
     FEATURES,

@@ -2,7 +2,7 @@
 
 Pictures are (H, W, C) as in ``postfx.kernels``, pyramid levels (C, H, W); ``params`` is (4,): exposure, jitter x,
 jitter y, gain; ``window`` is (8,): the part of the frame to work on; ``keep`` is the share of the history that is used,
-(th, tw, 1) or (1, 1, 1): see ``postfx.kernels.denoise.layout``. All sizes come from bindings: one file serves all
+(th, tw, 1) or (1, 1, 1): see ``postfx.kernels.denoise``. All sizes come from bindings: one file serves all
 sizes.
 """
 
@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise.layout import BORDER_CELLS, MOST_STATE, PLANE_TRUST, TRUST_CELL, UNKNOWN
+from postfx.kernels.denoise import BORDER_CELLS, MOST_STATE, PLANE_TRUST, TRUST_CELL, UNKNOWN
 from postfx.kernels.denoise.output import HELD, OWN
 from training import ops
 from training.denoise import model as network
@@ -32,7 +32,7 @@ from training.denoise.model import (
 )
 
 # The part of a frame ------------------------------------------------------------------------------------------------
-# The part of a frame that the upscaler's kernels work on: see ``postfx.kernels.denoise.layout``.
+# The part of a frame that the upscaler's kernels work on: see ``postfx.kernels.denoise``.
 
 def to_image(picture: Tensor) -> Tensor:
     """(H, W, C) -> (1, C, H, W)."""

@@ -7,7 +7,7 @@ motion 25, inverse scale 26, hidden state 27. The torch definition is ``training
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import (
+from postfx.kernels.denoise import (
     EXPOSURE,
     FEATURES,
     GAIN,

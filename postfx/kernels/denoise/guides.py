@@ -7,7 +7,7 @@ albedo 0, specular albedo 3, normal 6, roughness 9, depth 10. The torch definiti
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import (
+from postfx.kernels.denoise import (
     DOUBT,
     FAINT,
     GUIDE_PLANES,

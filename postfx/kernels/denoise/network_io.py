@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from postfx.kernels import Kernel
-from postfx.kernels.denoise.layout import BLEND, FINE, KERNEL, MEMORY, kernel
+from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, kernel
 from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, vectorised
 
 LANES = 8

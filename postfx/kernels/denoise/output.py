@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import EXPOSURE, MAX_COLOUR, MAX_FLOAT, PLANES, kernel
+from postfx.kernels.denoise import EXPOSURE, MAX_COLOUR, MAX_FLOAT, PLANES, kernel
 from postfx.kernels.numeric import Real, add_product, centre, clamp, compiled, inline, vectorised
 
 # Detail

@@ -10,7 +10,7 @@ for them.
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import (
+from postfx.kernels.denoise import (
     BLEND,
     DISTRUST,
     EXPOSURE,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import (
+from postfx.kernels.denoise import (
     BORDER_CELLS,
     DISTRUST,
     EXPOSURE,

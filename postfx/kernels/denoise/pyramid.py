@@ -9,7 +9,7 @@ all of them. Parts are pooled by the picture's importance.
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import BOTH, KERNEL, MIX, TINY, kernel
+from postfx.kernels.denoise import BOTH, KERNEL, MIX, TINY, kernel
 from postfx.kernels.numeric import add, add_product, compiled, divide, fused, inline, vectorised
 
 ZERO = np.float32(0)

@@ -7,7 +7,7 @@ the last frame's mask, spread by a pixel because the history is interpolated bet
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import MAX_COLOUR, MAX_FLOAT, kernel
+from postfx.kernels.denoise import MAX_COLOUR, MAX_FLOAT, kernel
 from postfx.kernels.numeric import Real, clamp, compiled
 
 ZERO, ONE = np.float32(0), np.float32(1)

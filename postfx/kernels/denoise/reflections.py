@@ -13,7 +13,7 @@ the axes now for normals.
 
 import numpy as np
 
-from postfx.kernels.denoise.layout import kernel
+from postfx.kernels.denoise import kernel
 from postfx.kernels.denoise.prepare import finite
 from postfx.kernels.numeric import Real, clamp, compiled, inline
 

@@ -10,8 +10,7 @@ import math
 
 import numpy as np
 
-from postfx.kernels.denoise.guides import place_of, trust_row
-from postfx.kernels.denoise.layout import (
+from postfx.kernels.denoise import (
     BLEND,
     BOTH,
     EXPOSURE,
@@ -33,6 +32,7 @@ from postfx.kernels.denoise.layout import (
     WIDTH,
     kernel,
 )
+from postfx.kernels.denoise.guides import place_of, trust_row
 from postfx.kernels.denoise.reactive import kept_row
 from postfx.kernels.numeric import (
     Real,

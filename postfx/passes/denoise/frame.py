@@ -11,7 +11,7 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.frame import FrameSpec, Part, Role
-from postfx.kernels.denoise.layout import HIDDEN
+from postfx.kernels.denoise import HIDDEN
 from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.kernels.denoise.prepare import SCALE
 from postfx.kernels.denoise.reactive import SPREAD_MASK

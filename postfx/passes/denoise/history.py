@@ -12,7 +12,7 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.frame import DEPTH_MISS, FrameSpec, Part, Role, pixel_aspect
-from postfx.kernels.denoise.layout import HIDDEN
+from postfx.kernels.denoise import HIDDEN
 from postfx.kernels.denoise.prepare import RESIZE
 from postfx.kernels.denoise.reflections import CAMERA, REFLECTIONS
 from postfx.kernels.image import RESAMPLE, positions

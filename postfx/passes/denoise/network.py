@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 
 from postfx.kernels import Kernel
+from postfx.kernels.denoise import FEATURES, FINE, GUIDES, TRUST_CELL
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.guides import GUIDE, TRUST
-from postfx.kernels.denoise.layout import FEATURES, FINE, GUIDES, TRUST_CELL
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,

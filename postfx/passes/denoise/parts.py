@@ -9,7 +9,7 @@ import numpy as np
 
 from postfx.errors import FrameError
 from postfx.frame import FrameSpec, Part, Role
-from postfx.kernels.denoise.layout import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
+from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.kernels.denoise.output import CORRECT
 from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
 from postfx.passes.base import ResidentFrame
