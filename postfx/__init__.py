@@ -30,11 +30,10 @@ if TYPE_CHECKING:
     from postfx.runtime import Device, Library
     from postfx.stills import denoise
     from postfx.system import models_dir
-    from postfx.temporal.bidirectional import Backwards
-    from postfx.temporal.run_up import RunUp
+    from postfx.temporal.reverse_order import Backwards, RunUp
 
 _HOMES = {
-    "Backwards": "postfx.temporal.bidirectional",
+    "Backwards": "postfx.temporal.reverse_order",
     "Between": "postfx.interpolate",
     "BothWays": "postfx.passes.composite",
     "DenoiseUpscale": "postfx.passes.denoise",
@@ -48,7 +47,7 @@ _HOMES = {
     "PostfxError": "postfx.errors",
     "ROLES": "postfx.frame",
     "Role": "postfx.frame",
-    "RunUp": "postfx.temporal.run_up",
+    "RunUp": "postfx.temporal.reverse_order",
     "Sequence": "postfx.io.sequence",
     "ToneMap": "postfx.passes.tonemap",
     "denoise": "postfx.stills",

@@ -17,8 +17,7 @@ from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.models import PASS, UNSCALED, exact
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
-from postfx.temporal.bidirectional import Backwards
-from postfx.temporal.run_up import RunUp
+from postfx.temporal.reverse_order import Backwards, RunUp
 
 GUIDES = "guides"
 PRECISIONS = {"fp32": ("cpu", "cuda"), "int8": ("cpu",), "fp16": ("cuda",)}

@@ -151,12 +151,12 @@ def _open(given: argparse.Namespace, frames: str | None) -> Sequence:
 def _frames_ahead(given: argparse.Namespace, sequence: Sequence) -> int:
     """Frames after a chunk that it may read."""
     from postfx.cli.run_options import make_run_up
-    from postfx.temporal.run_up import FRAMES
+    from postfx.temporal.reverse_order import RUN_UP
 
     if given.both_ways:
-        return FRAMES
+        return RUN_UP
     run_up = make_run_up(given, sequence, "auto") if not given.no_denoise else None
-    return 0 if run_up is None else FRAMES if given.run_up is None else int(given.run_up)
+    return 0 if run_up is None else RUN_UP if given.run_up is None else int(given.run_up)
 
 
 def _notes(given: argparse.Namespace, output: str) -> list[str]:

@@ -58,7 +58,7 @@ from postfx.plan import Skip, from_files
 from postfx.runs.run import Options, Run, provenance_of
 from postfx.runs.schedule import Work
 from postfx.runtime import Device
-from postfx.temporal.bidirectional import Backwards
+from postfx.temporal.reverse_order import Backwards
 
 if TYPE_CHECKING:
     from postfx.cli.inspection import Inspection

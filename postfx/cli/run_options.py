@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from postfx.io.writer import OutputFiles
     from postfx.passes.base import Pass
     from postfx.plan import Skip
-    from postfx.temporal.run_up import RunUp
+    from postfx.temporal.reverse_order import RunUp
 
 # Modules that load NumPy or the runtime are imported inside functions: --help must not wait for them.
 
@@ -296,11 +296,10 @@ LOOKS = Section("look", (
 
 def make_run_up(arguments: argparse.Namespace, sequence: Sequence, cuts: str) -> RunUp | None:
     """The run-up that --run-up asks for; without that option 8 frames, if no other option rules a run-up out."""
-    from postfx.temporal.run_up import FRAMES as DEFAULT_FRAMES
-    from postfx.temporal.run_up import RunUp
+    from postfx.temporal.reverse_order import RUN_UP, RunUp
 
     option = RUN["--run-up"]
-    frames = DEFAULT_FRAMES if arguments.run_up is None else arguments.run_up
+    frames = RUN_UP if arguments.run_up is None else arguments.run_up
     return RunUp(sequence, frames, cuts) if frames and not RUN.exclusions(option, arguments) else None
 
 

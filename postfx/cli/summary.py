@@ -19,7 +19,7 @@ from postfx.io.sequence import Sequence
 from postfx.masks.cryptomatte import Coverage
 from postfx.plan import Plan, Skip, from_files
 from postfx.repair import Fireflies
-from postfx.temporal.run_up import RunUp
+from postfx.temporal.reverse_order import RunUp
 
 SHOWN_FRAMES = 3
 SHOWN_CUTS = 12

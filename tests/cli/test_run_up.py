@@ -10,7 +10,7 @@ import pytest
 from postfx.cli.job import announce_run_up
 from postfx.errors import Interrupted
 from postfx.io.sequence import Sequence
-from postfx.temporal.run_up import RunUp
+from postfx.temporal.reverse_order import RunUp
 
 RUN = ("run", "in/shot.####.exr", "--model", "s")
 

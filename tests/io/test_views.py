@@ -15,7 +15,7 @@ from postfx.cli.main import main
 from postfx.errors import FrameError, MissingPlaneError, SequenceError, WriteError
 from postfx.frame import Frame, Role
 from postfx.passes.registry import create
-from postfx.temporal.bidirectional import Backwards
+from postfx.temporal.reverse_order import Backwards
 
 WIDTH, HEIGHT = 24, 20
 HALF = np.float32(0.5)

@@ -12,7 +12,7 @@ from postfx.passes.composite import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
-from postfx.temporal.bidirectional import Backwards
+from postfx.temporal.reverse_order import Backwards
 from tests.passes.denoise_frames import flat, noisy
 from tests.stress.scenes import SIZES, on
 

@@ -15,8 +15,8 @@ from postfx.passes.composite import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
-from postfx.temporal import bidirectional
-from postfx.temporal.bidirectional import Backwards
+from postfx.temporal import reverse_order
+from postfx.temporal.reverse_order import Backwards
 
 SIZE = 32, 48
 
@@ -79,8 +79,8 @@ def test_light_after_a_cut_does_not_come_before_it(noisy, device):
 
 
 def test_a_frame_does_not_depend_on_which_are_asked_for(noisy, device, monkeypatch):
-    monkeypatch.setattr(bidirectional, "PART", 3)
-    monkeypatch.setattr(bidirectional, "RUN_UP", 2)
+    monkeypatch.setattr(reverse_order, "PART", 3)
+    monkeypatch.setattr(reverse_order, "RUN_UP", 2)
     sequence = noisy(8)
     backwards = Backwards(sequence, device, 0.0, model="s")
     whole = {frame.number: backwards(frame).guides[Role.LATER] for frame in sequence}
@@ -99,8 +99,8 @@ def test_frames_after_those_that_are_asked_for_count_too(noisy, device):
 
 
 def test_parts_are_run_from_behind_with_a_run_up(noisy, device, monkeypatch):
-    monkeypatch.setattr(bidirectional, "PART", 3)
-    monkeypatch.setattr(bidirectional, "RUN_UP", 2)
+    monkeypatch.setattr(reverse_order, "PART", 3)
+    monkeypatch.setattr(reverse_order, "RUN_UP", 2)
     sequence, order = noisy(7), []
     backwards = Backwards(sequence, device, 0.0, model="s")
     read = Backwards._read

@@ -15,7 +15,7 @@ from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
-from postfx.temporal.run_up import RunUp
+from postfx.temporal.reverse_order import RunUp
 
 SIZE = 32, 48
 
