@@ -18,7 +18,7 @@ from postfx.colour.displays import PQ, PQ_NITS, Display, parse_display
 from postfx.colour.primaries import REC2020, matrix_between
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
-from postfx.passes.base import Pass
+from postfx.passes import Pass
 from postfx.passes.display import View
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

@@ -17,7 +17,7 @@ from postfx.cuts import CutDetector
 from postfx.errors import CutError, ExposureError, FrameError, PassContractError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import GUIDE_ROLES, LOG, Frame, FrameSpec, Role
-from postfx.passes.base import MOST_SIZES, Downloads, Pass, ResidentFrame, share_planes, spec_of
+from postfx.passes import MOST_SIZES, Downloads, Pass, ResidentFrame, share_planes, spec_of
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skip, Step, make_plan
 from postfx.repair import is_unusable, repair_nonfinite

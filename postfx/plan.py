@@ -10,7 +10,7 @@ from typing import Any
 
 from postfx.errors import MissingPlaneError, PassContractError
 from postfx.frame import FrameSpec, Role
-from postfx.passes.base import Pass, Reflection
+from postfx.passes import Pass, Reflection
 
 KEPT = (Role.COLOUR, Role.ALPHA, Role.OVERLAY)
 """Planes that are wanted in the output even when no pass touches them."""

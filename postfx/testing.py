@@ -25,8 +25,7 @@ import pytest
 
 from postfx.errors import FrameError, NotCompiledError, PassOptionError
 from postfx.frame import ENCODINGS, GUIDE_ROLES, ROLES, Frame, FrameSpec, GuideSpec, Role
-from postfx.passes import registry
-from postfx.passes.base import Pass, ResidentFrame
+from postfx.passes import Pass, ResidentFrame, registry
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, PostfxError, Role
-from postfx.passes.base import Downloads
+from postfx.passes import Downloads
 from postfx.runtime import BindingError, HazardError, memory
 from postfx.runtime import device as device_module
 from postfx.runtime.device import ProviderMemory, cuda_fault

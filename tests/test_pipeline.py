@@ -8,7 +8,7 @@ import pytest
 from postfx.errors import FrameError, MissingPlaneError, PassContractError
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, FrameSpec, Role
-from postfx.passes.base import Pass, Reflection
+from postfx.passes import Pass, Reflection
 from postfx.passes.composite import Overlay
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.display import Display

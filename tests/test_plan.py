@@ -6,7 +6,7 @@ import pytest
 
 from postfx.errors import MissingPlaneError, PassContractError
 from postfx.frame import FrameSpec, GuideSpec, Role
-from postfx.passes.base import Pass, Reflection
+from postfx.passes import Pass, Reflection
 from postfx.plan import Skip, make_plan
 from tests import toys
 

@@ -13,8 +13,7 @@ import threading
 import numpy as np
 import pytest
 
-from postfx.errors import FrameError, MissingPlaneError
-from postfx.exposure import ExposureError
+from postfx.errors import ExposureError, FrameError, MissingPlaneError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.tonemap import ToneMap

@@ -13,7 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from postfx.frame import GUIDE_ROLES, Frame, FrameSpec, Role
 from postfx.kernels import Kernel
-from postfx.passes.base import Pass, Reflection, ResidentFrame
+from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library
 
 IMAGE = ("height", "width", "channels")

@@ -17,7 +17,7 @@ from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot, debug, debug
 from postfx.exposure.response import OWN_CURVE, GradedBoards, read_response
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
-from postfx.passes.base import Pass
+from postfx.passes import Pass
 from postfx.passes.registry import create
 from postfx.pipeline import Pipeline
 from postfx.report.charts import add_key, draw_exposure, save_png

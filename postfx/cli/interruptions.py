@@ -22,7 +22,7 @@ from postfx.errors import (
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.sequence import Sequence
-from postfx.passes.base import Pass
+from postfx.passes import Pass
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 

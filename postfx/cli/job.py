@@ -50,7 +50,7 @@ from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.io.writer import Existing, OutputFiles, write_frame
 from postfx.kernels.compile_cache import CompileWatch
-from postfx.passes.base import Pass
+from postfx.passes import Pass
 from postfx.passes.exposure_tool import asked_form
 from postfx.passes.registry import create, insert_passes, parse_pass
 from postfx.pipeline import Pipeline

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from postfx.io.frame_reader import FrameFiles
     from postfx.io.sequence import Sequence
     from postfx.io.writer import OutputFiles
-    from postfx.passes.base import Pass
+    from postfx.passes import Pass
     from postfx.plan import Skip
     from postfx.temporal.reverse_order import RunUp
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.errors import ExposureError
-from postfx.exposure.metering import (
+from postfx.exposure import (
     SECONDS,
     SMOOTH,
     ExposureMeter,
@@ -29,7 +29,7 @@ from postfx.exposure.response import (
     known_curves,
 )
 from postfx.frame import Frame, Role
-from postfx.passes.base import Pass
+from postfx.passes import Pass
 from postfx.runtime import Device
 
 TOLERANCE_EV = 0.2

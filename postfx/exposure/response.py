@@ -17,12 +17,12 @@ import OpenImageIO as oiio
 from postfx.colour.displays import SRGB
 from postfx.colour.views import luma, neutral
 from postfx.errors import ExposureError
-from postfx.exposure.metering import KEY, USED
+from postfx.exposure import KEY, USED
 from postfx.frame import Frame, Role
 from postfx.io.image_file import reason_of
 from postfx.io.pattern import locate
 from postfx.io.writer import write_frame
-from postfx.passes.base import Pass
+from postfx.passes import Pass
 from postfx.passes.display import Display, View
 from postfx.passes.exposure_tool import CELLS, STOPS, ExposureTool, board_area, cells
 from postfx.passes.tonemap import ToneMap

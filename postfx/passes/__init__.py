@@ -1,1 +1,307 @@
-"""The passes: one file each, found through the entry-point group `postfx.passes`."""
+"""The contract of a pass: reflect, compile once a spec, encode every frame. Passes are one file or package each, found
+through the entry-point group `postfx.passes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from dataclasses import dataclass, field
+from inspect import Parameter, signature
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from postfx.errors import FrameError, NotCompiledError, PassOptionError
+from postfx.frame import ROLES, Frame, FrameSpec, GuideSpec, Role
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from postfx.runtime import CommandBuffer, Device, Tensor
+
+
+MOST_SIZES = 4
+"""Most frame sizes for which a pass stays compiled."""
+
+
+@dataclass(frozen=True)
+class Reflection:
+    """What a pass does with a frame of one spec.
+
+    Attributes:
+        reads: planes it cannot do without.
+        may_read: planes it uses if the frame has them.
+        writes: planes it replaces or adds.
+        output: spec of the frame it leaves. Planes that are not in it are dropped, so a pass that changes the size
+            names only the planes that exist at the new size. So are guides.
+        may_read_guides: planes at output size that it uses if the frame has them.
+        parts: names of the parts of the picture that it reads, and leaves at the output's size.
+        notes: what else the user may want to know of its work on such frames, as short clauses.
+    """
+
+    reads: tuple[Role, ...]
+    writes: tuple[Role, ...]
+    output: FrameSpec
+    may_read: tuple[Role, ...] = ()
+    may_read_guides: tuple[Role, ...] = ()
+    notes: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+
+
+@dataclass
+class ResidentFrame:
+    """A frame whose planes are tensors on the device, on its way through the passes.
+
+    Attributes:
+        spec: current size, planes and encoding of the frame.
+        tensors: role -> tensor (height, width, channels) float32, units and directions as in `postfx.frame.ROLES`.
+        number: frame number in its sequence.
+        jitter: sub-pixel sample position minus 0.5, pixels of the rendered frame, x right, y down. A pass whose
+            output is no longer jittered sets it to (0, 0).
+        exposure: multiplier used for this frame, > 0; colour times exposure is what the viewer should see.
+        reset: True when history must be dropped before this frame.
+        unusable: True when most of the colour was not finite and became 0: the next frame should not build on it.
+        samples, world_to_camera, fov_x, metadata, guide_jitter: as in `postfx.frame.Frame`.
+        guides: role -> tensor at output size, like `tensors`; only those that passes read.
+        host_planes: role -> plane on the host, for planes that no pass has replaced: to decide what to record.
+        host_guides: likewise, for guides.
+        parts: name -> tensor of a part that passes read, see `postfx.frame.Frame`.
+        host_parts: likewise, for parts.
+        blank: roles of planes that a pass replaced and that are 0 everywhere.
+        history_only: True when only the history that passes keep of this frame is needed, not its picture.
+        is_away: True when the planes came in the device's memory, so that looking at `host_planes` copies them.
+    """
+
+    spec: FrameSpec
+    tensors: dict[Role, Tensor]
+    number: int = 1
+    jitter: tuple[float, float] = (0.0, 0.0)
+    exposure: float = 1.0
+    reset: bool = False
+    unusable: bool = False
+    samples: int | None = None
+    world_to_camera: np.ndarray | None = None
+    fov_x: float | None = None
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    guides: dict[Role, Tensor] = field(default_factory=dict)
+    guide_jitter: tuple[float, float] = (0.0, 0.0)
+    host_planes: MutableMapping[Role, np.ndarray] = field(default_factory=dict)
+    host_guides: MutableMapping[Role, np.ndarray] = field(default_factory=dict)
+    parts: dict[str, Tensor] = field(default_factory=dict)
+    host_parts: dict[str, np.ndarray] = field(default_factory=dict)
+    blank: set[Role] = field(default_factory=set)
+    history_only: bool = False
+    is_away: bool = False
+
+    @classmethod
+    def of(
+        cls, frame: Frame, spec: FrameSpec, tensors: Mapping[Role, Tensor], guides: Mapping[Role, Tensor],
+        parts: Mapping[str, Tensor], exposure: float, unusable: bool
+    ) -> ResidentFrame:
+        """A frame on the host, of whose planes, guides and parts these lie on the device."""
+        return cls(
+            spec, dict(tensors), frame.number, frame.jitter, exposure, frame.reset, unusable, frame.samples,
+            frame.world_to_camera, frame.fov_x, frame.metadata, dict(guides), frame.guide_jitter,
+            host_planes={role: frame[role] for role in tensors},
+            host_guides={role: frame.guides[role] for role in guides},
+            parts=dict(parts), host_parts={name: frame.parts[name] for name in parts})
+
+    def __getitem__(self, role: Role) -> Tensor:
+        """Tensor of a plane; FrameError when the frame does not hold it."""
+        if role not in self.tensors:
+            raise FrameError(f"frame {self.number} has no plane '{role}': it has {', '.join(self.tensors)}")
+        return self.tensors[role]
+
+    def __contains__(self, role: object) -> bool:
+        return role in self.tensors
+
+    def __iter__(self) -> Iterator[Role]:
+        return iter(self.tensors)
+
+    def get(self, role: Role) -> Tensor | None:
+        """Tensor of a plane, or None when the frame does not hold it."""
+        return self.tensors.get(role)
+
+    def is_blank(self, role: Role) -> bool:
+        """Whether a plane is known to be 0 everywhere, which is not looked for on a GPU."""
+        if self.is_away or role not in self.host_planes:
+            return role in self.blank
+        return not self.host_planes[role].any()
+
+    def set(self, role: Role, tensor: Tensor, blank: bool = False) -> None:
+        """Replace or add a plane: a float32 tensor (height, width, channels) that a recorded command writes, or, if it
+        is `blank`, of zeros."""
+        if tensor.dtype != "float32" or len(tensor.shape) != 3 or tensor.shape[2] != ROLES[role].channels:
+            expected = f"(height, width, {ROLES[role].channels}) float32"
+            raise FrameError(f"tensor '{tensor.name}' is {tensor.shape} {tensor.dtype}: plane '{role}' is {expected}")
+        self.tensors[role] = tensor
+        self.host_planes.pop(role, None)
+        (self.blank.add if blank else self.blank.discard)(role)
+
+
+class Downloads(MutableMapping[Role, "np.ndarray"]):
+    """Planes on the host of a frame that came in the device's memory: copied when something looks at them."""
+
+    def __init__(self, tensors: Mapping[Role, Tensor]) -> None:
+        self._tensors = dict(tensors)
+        self._copies: dict[Role, np.ndarray] = {}
+
+    def __getitem__(self, role: Role) -> np.ndarray:
+        if role not in self._copies:
+            self._copies[role] = self._tensors[role].download()
+        return self._copies[role]
+
+    def __setitem__(self, role: Role, plane: np.ndarray) -> None:
+        self._copies[role] = plane
+
+    def __delitem__(self, role: Role) -> None:
+        del self._tensors[role]
+        self._copies.pop(role, None)
+
+    def __iter__(self) -> Iterator[Role]:
+        return iter(self._tensors)
+
+    def __len__(self) -> int:
+        return len(self._tensors)
+
+    def pop(self, role: Role, default: Any = None) -> Any:
+        """Forget a plane, which was replaced; nothing is copied."""
+        self._tensors.pop(role, None)
+        return self._copies.pop(role, default)
+
+
+def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any]) -> dict[Role, Tensor]:
+    """Arrays of any library as tensors of the device; `kind` is what messages call them.
+
+    Raises FrameError for an unknown role, a wrong shape or type, BindingError for what cannot be read.
+    """
+    found = {}
+    for name, plane in planes.items():
+        try:
+            role = Role(name)
+        except ValueError:
+            raise FrameError(f"{kind} '{name}' has no meaning here: roles are {', '.join(Role)}") from None
+        found[role] = tensor = device.wrap(str(role), plane)
+        if tensor.dtype != "float32" or len(tensor.shape) != 3 or tensor.shape[2] != ROLES[role].channels:
+            raise FrameError(f"{kind} '{role}' is {tensor.shape} {tensor.dtype}: it needs (height, width, "
+                             f"{ROLES[role].channels}) float32")
+    return found
+
+
+def spec_of(planes: Mapping[Role, Tensor], guides: Mapping[Role, Tensor], encoding: str) -> FrameSpec:
+    """Spec of a frame of tensors. FrameError when sizes differ, GuideError for a role that is no guide."""
+    if not planes:
+        raise FrameError("a frame needs at least one plane")
+    for kind, tensors in (("planes", planes), ("guides", guides)):
+        if len({tensor.shape[:2] for tensor in tensors.values()}) > 1:
+            sizes = ", ".join(f"{role} {tensor.shape[1]}x{tensor.shape[0]}" for role, tensor in tensors.items())
+            raise FrameError(f"{kind} differ in size: {sizes}")
+    (height, width, _), sharp = next(iter(planes.values())).shape, next(iter(guides.values()), None)
+    larger = GuideSpec(sharp.shape[1], sharp.shape[0], tuple(guides)) if sharp else None
+    return FrameSpec(width, height, {role: tensor.shape[2] for role, tensor in planes.items()}, encoding, larger)
+
+
+class Pass:
+    """Base of all passes. A pass is compiled once for a spec and then encodes frame after frame.
+
+    Subclasses set `name`, take their options as keywords with defaults, which they hand to `super().__init__`, and
+    implement `reflect`, `compile` and `encode`; `compile` and `encode` call `super()` first. A pass never reaches into
+    another: planes are shared only through the frame.
+    """
+
+    name: ClassVar[str]
+    """The pass's name in the registry, on the command line and in timings."""
+
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    """Every option with its default value; taken from the signature unless a subclass sets them."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "__init__" in cls.__dict__ and "defaults" not in cls.__dict__:
+            options = signature(cls).parameters.values()
+            cls.defaults = MappingProxyType({option.name: option.default for option in options
+                                             if option.kind is Parameter.KEYWORD_ONLY})
+
+    def __init__(self, **options: Any) -> None:
+        unknown = sorted(set(options) - set(self.defaults))
+        if unknown:
+            valid = ", ".join(self.defaults) or "none"
+            raise PassOptionError(f"pass '{self.name}' has no option '{unknown[0]}': its options are {valid}")
+        self.options: Mapping[str, Any] = MappingProxyType({**self.defaults, **options})
+        self._spec: FrameSpec | None = None
+
+    def __reduce__(self) -> tuple[Callable[..., Pass], tuple[type[Pass], dict[str, Any]]]:
+        """Pickled by its options: the copy is not compiled and has no history."""
+        return _make_pass, (type(self), dict(self.options))
+
+    def reflect(self, spec: FrameSpec) -> Reflection:
+        """What the pass reads, may read and writes for frames of `spec`. Pure: depends on options and spec only."""
+        raise NotImplementedError
+
+    def skip(self, spec: FrameSpec) -> str | None:
+        """Why the pass would change nothing for frames of `spec`, as a short clause for the user; else None.
+
+        Asked before `reflect`, so a pass whose optional plane is absent answers here instead of failing.
+        """
+        return None
+
+    def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
+        """What the user should know about the result for frames of `spec`, such as a plane that would improve it."""
+        return ()
+
+    def accumulates(self, spec: FrameSpec) -> bool:
+        """Whether results for frames of `spec` improve with the number of frames of the shot seen before."""
+        return False
+
+    def compile(self, device: Device, spec: FrameSpec) -> None:
+        """Make pipeline states and heap tensors for frames of `spec`, and drop the history. Not called when skipped.
+
+        Tensors that are only used within a frame are made by `device.heap.transient`.
+        """
+        self._spec = spec
+        self.reset()
+
+    def resize(self, spec: FrameSpec) -> bool:
+        """Prepare for frames that differ from earlier ones in size only, and keep the history.
+
+        Returns False without changing anything if that is impossible; `compile` is called then.
+        """
+        return False
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        """Record the work for one frame; touch no pixel. Replaces planes by `frame.set(role, tensor)`.
+
+        Raises NotCompiledError when the pass was not compiled for this frame's spec.
+        """
+        if self._spec != frame.spec:
+            state = "not compiled" if self._spec is None else "compiled for another spec"
+            raise NotCompiledError(f"pass '{self.name}' is {state}: call compile(device, frame.spec) before encode")
+
+    def note_time(self, milliseconds: float) -> None:
+        """Called with the device time of the last frame's commands."""
+
+    def choice(self) -> str | None:
+        """The pass's choice for the last frame, as a word for the user; None if it has no choice."""
+        return None
+
+    def savings(self) -> tuple[tuple[str, str], ...]:
+        """Work that the frames since `compile` did not need, each with the reason and the measured time it saved."""
+        return ()
+
+    def reset(self) -> None:
+        """Drop the history: the next frame is treated as the first. Does nothing in passes without history.
+
+        May be called at any time between frames, also before `compile`.
+        """
+
+    def history(self) -> dict[str, np.ndarray] | None:
+        """Between two frames: what the next result depends on beside its frame, by name; to be looked at before the
+        next frame begins. Empty without a history, None where a pass has one and does not tell it."""
+        return {} if type(self).reset is Pass.reset else None
+
+    def recall(self, history: Mapping[str, np.ndarray]) -> None:
+        """After `compile`: go on as a pass that had this `history`. Raises KeyError or BindingError if it is not one of
+        this pass, compiled for the same spec."""
+
+
+def _make_pass(kind: type[Pass], options: dict[str, Any]) -> Pass:
+    return kind(**options)

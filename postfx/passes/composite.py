@@ -13,7 +13,7 @@ from typing import ClassVar, Never
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise.parts import BALANCE
 from postfx.kernels.image import OVER, OVER_ALPHA
-from postfx.passes.base import Pass, Reflection, ResidentFrame
+from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 
 LATEST = 64

@@ -13,7 +13,7 @@ from postfx.colour.views import SCALE, TOE, bake
 from postfx.errors import PassOptionError
 from postfx.frame import LINEAR, FrameSpec, Role
 from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY, ROOT, STEPS
-from postfx.passes.base import Pass, Reflection, ResidentFrame
+from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 
 

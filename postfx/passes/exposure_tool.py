@@ -13,7 +13,7 @@ from postfx.errors import ExposureError
 from postfx.exposure import KEY
 from postfx.frame import FrameSpec, Role
 from postfx.kernels.image import CHECKERBOARD, OVER, OVER_ALPHA, turns
-from postfx.passes.base import Pass, Reflection, ResidentFrame
+from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 
 VARIABLE = "POSTFX_EXPOSURE_TOOL"

@@ -15,7 +15,7 @@ from inspect import Parameter
 from typing import Any, NamedTuple
 
 from postfx.errors import OptionError, PassOptionError, PostfxError, RegistryError, suggest
-from postfx.passes.base import Pass
+from postfx.passes import Pass
 from postfx.version import __version__
 
 GROUP = "postfx.passes"
@@ -52,7 +52,7 @@ def load(name: str) -> type[Pass]:
     except Exception as error:  # other people's code
         raise RegistryError(f"pass '{name}' cannot be loaded: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Pass)):
-        raise RegistryError(f"pass '{name}' points to {found!r}, which is not a subclass of postfx.passes.base.Pass")
+        raise RegistryError(f"pass '{name}' points to {found!r}, which is not a subclass of postfx.passes.Pass")
     if getattr(found, "name", None) != name:
         raise RegistryError(f"pass '{name}' points to a class whose name is '{getattr(found, 'name', '')}': "
                             f"set name = \"{name}\" in {found.__qualname__}")

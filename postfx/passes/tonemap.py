@@ -13,7 +13,7 @@ from postfx.frame import FrameSpec, Role
 from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
-from postfx.passes.base import Pass, Reflection, ResidentFrame
+from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
 
 _KEEP, _FOLLOW = 0.6, 0.6  # where a look's card says nothing

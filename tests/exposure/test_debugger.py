@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import postfx
-from postfx.exposure import ExposureError, ExposureMeter, colours_of, measure
+from postfx.errors import ExposureError
+from postfx.exposure import ExposureMeter, colours_of, measure
 from postfx.exposure.debugger import Report, debug
 from postfx.exposure.response import Board, Response
 from postfx.passes.display import Display, View

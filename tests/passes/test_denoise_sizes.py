@@ -11,7 +11,7 @@ import pytest
 from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import Frame, Role
 from postfx.integrate import jitter_sequence
-from postfx.passes.base import MOST_SIZES
+from postfx.passes import MOST_SIZES
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.frame import Frames
 from postfx.passes.denoise.history import CHANNELS, Room

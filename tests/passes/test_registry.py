@@ -9,8 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from postfx.errors import OptionError, PassOptionError, PostfxError
-from postfx.passes import registry
-from postfx.passes.base import Pass
+from postfx.passes import Pass, registry
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -70,7 +69,7 @@ def test_a_pass_of_another_package(foreign):
 
 @pytest.mark.parametrize(("target", "message"), [
     ("postfx_nowhere:Pass", "pass 'foreign' cannot be loaded: No module named"),
-    ("postfx.passes.base:Nothing", "pass 'foreign' cannot be loaded: .*Nothing"),
+    ("postfx.passes:Nothing", "pass 'foreign' cannot be loaded: .*Nothing"),
     ("postfx.frame:Frame", "pass 'foreign' points to .*Frame.*, which is not a subclass"),
     ("postfx.passes.tonemap:ToneMap", "pass 'foreign' points to a class whose name is 'tonemap': set name = "),
 ])

@@ -10,7 +10,7 @@ import pytest
 from postfx.bench.stress import BRIGHTEST, HARD, LIGHTS, Outcome, as_dict, as_text, stress, tags
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
-from postfx.passes.base import Pass
+from postfx.passes import Pass
 from postfx.passes.composite import Overlay
 from postfx.passes.display import Display, View
 from postfx.passes.tonemap import ToneMap

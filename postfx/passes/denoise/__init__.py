@@ -16,7 +16,7 @@ from postfx.caching import LRUCache
 from postfx.errors import FrameError, PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.kernels.denoise import GAIN
-from postfx.passes.base import MOST_SIZES, Pass, Reflection, ResidentFrame
+from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
 from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain
 from postfx.passes.denoise.history import Cameras, History, PartHistory, can_follow
 from postfx.passes.denoise.inputs import ABSENT, passthrough_roles

@@ -16,7 +16,7 @@ from postfx.kernels.denoise import HIDDEN
 from postfx.kernels.denoise.prepare import RESIZE
 from postfx.kernels.denoise.reflections import CAMERA, REFLECTIONS
 from postfx.kernels.image import RESAMPLE, positions
-from postfx.passes.base import MOST_SIZES, ResidentFrame
+from postfx.passes import MOST_SIZES, ResidentFrame
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.tiling import Rows, Shape, Sizes
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor

@@ -9,7 +9,7 @@ import numpy as np
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
 from postfx.kernels.denoise.reactive import REACTIVE
 from postfx.kernels.image import ENLARGE, RESAMPLE, positions
-from postfx.passes.base import ResidentFrame
+from postfx.passes import ResidentFrame
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.tiling import Rows, rows_of
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor

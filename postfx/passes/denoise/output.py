@@ -9,7 +9,7 @@ import numpy as np
 from postfx.frame import FrameSpec, Role
 from postfx.kernels import Kernel
 from postfx.kernels.denoise.output import DETAIL, JUDGE, RESTORE, STRENGTH, SUMS, TILE
-from postfx.passes.base import ResidentFrame
+from postfx.passes import ResidentFrame
 from postfx.passes.denoise.inputs import Resampler
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.tiling import Rows, rows_of

@@ -12,7 +12,7 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.kernels.denoise.output import CORRECT
 from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
-from postfx.passes.base import ResidentFrame
+from postfx.passes import ResidentFrame
 from postfx.passes.denoise.history import FACTOR, WHOLE, PartHistory, alone, make_zeros, one_of, places_of, some_of
 from postfx.passes.denoise.inputs import ABSENT, Resampler, absent_plane
 from postfx.passes.denoise.layers import Layer
