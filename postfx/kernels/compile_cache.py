@@ -28,6 +28,7 @@ from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 from numba.core.event import Event, Listener, register, unregister
 from numba.core.extending import _Intrinsic
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from postfx.files import write_atomically
@@ -101,7 +102,7 @@ class KernelCache(_Cache):
 
     def load_overload(self, sig: Any, target_context: Any) -> CompileResult | None:
         """The compiled function for a signature; None if it is not cached."""
-        target_context.refresh()
+        rtsys.initialize(target_context)  # of what Numba makes ready before it compiles, all that loading needs
         path = self._path(sig, target_context.codegen())
         try:
             content = path.read_bytes() if path else None

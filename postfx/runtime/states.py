@@ -218,9 +218,10 @@ def _compile_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
     shapes = [binding.shape for binding in bindings if binding.shape is not None]
     if compile_for is None or len(shapes) < len(bindings):
         return
-    from numba import types
+    from numba import from_dtype, types
 
-    arrays: list[Any] = [types.Array(types.float32, len(shape), "C") for shape in shapes]
+    arrays: list[Any] = [types.Array(from_dtype(np.dtype(binding.dtype)), len(shape), "C")
+                         for binding, shape in zip(bindings, shapes, strict=True)]
     compile_for((types.int64, types.int64, *arrays))
 
 

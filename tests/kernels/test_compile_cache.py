@@ -3,6 +3,7 @@
 import importlib
 import os
 import pkgutil
+import subprocess
 import sys
 import time
 from types import ModuleType
@@ -146,3 +147,14 @@ def test_compiled_functions_are_loaded_by_others_and_go_when_nobody_does(tmp_pat
     assert len(list(folder.iterdir())) == 1 and not unused.exists() and not outdated.exists()
     assert second(3.0) == pytest.approx(expected) and not second.stats.cache_misses
     assert second(np.float32(3)) == pytest.approx(expected) and len(list(folder.iterdir())) == 2
+
+
+def test_what_is_loaded_does_not_wait_for_the_compiler(tmp_path):
+    source = tmp_path / "source.py"
+    source.write_text("import numpy as np\nfrom postfx.kernels.numeric import compiled\n\n@compiled\n"
+                      "def function(n):\n    return np.full(n, 2.0)\n")  # takes memory of Numba's
+    code = "import sys, source; print(source.function(3).sum(), 'numba.np.arraymath' in sys.modules)"
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(tmp_path)}
+    runs = [subprocess.run([sys.executable, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True,
+                           check=True).stdout.split() for _ in range(2)]
+    assert runs == [["6.0", "True"], ["6.0", "False"]]
