@@ -61,8 +61,8 @@ from postfx.runtime import Device
 from postfx.temporal.reverse_order import Backwards
 
 if TYPE_CHECKING:
-    from postfx.cli.inspection import Inspection
     from postfx.cli.report import RunReport
+    from postfx.doctor.inspection import Inspection
     from postfx.report.page import FrameCapture
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
@@ -438,7 +438,7 @@ class Job:
     def _inspect(self, numbers: list[int], view: str | None) -> Inspection:
         """What `postfx inspect` finds in a view of the input; from the first of these frames on that can be read whole,
         if the sequence's own first one cannot."""
-        from postfx.cli.inspection import Inspection
+        from postfx.doctor.inspection import Inspection
 
         given, listed = self._arguments, self.sequence.numbers
         for number in (listed[0], *numbers):

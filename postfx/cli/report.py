@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postfx.cli.inspection import Inspection
 from postfx.cli.summary import FrameResult, Report
 from postfx.colour.displays import srgb_decode
+from postfx.doctor.inspection import Inspection
 from postfx.errors import ReportError
 from postfx.exposure import ExposureMeter, measure
 from postfx.frame import Frame, Role

@@ -1,31 +1,72 @@
-"""The doctor: finds what is wrong with the planes of a sequence, and says why and how to fix it."""
+"""The doctor: finds what is wrong with the planes of a sequence, and says why and how to fix it.
+
+Here: what its checks find, and the exit code that follows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-
-from postfx.doctor.checks import COMPARING_CHECKS, GUIDE_CHECKS, SEQUENCE_CHECKS, VALUE_CHECKS, WHOLE_PLANE_CHECKS
-from postfx.doctor.findings import Finding, Level, most_important_first
-from postfx.doctor.material import Material
-from postfx.frame import Frame
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from enum import StrEnum
 
 
-def examine(material: Material) -> list[Finding]:
-    """Findings of all checks, the most important first; evidence about guides begins with 'guides:'."""
-    found = [finding for check in (*SEQUENCE_CHECKS, *VALUE_CHECKS) for finding in check(material)]
-    whole = [finding for check in WHOLE_PLANE_CHECKS for finding in check(material)]
-    compared = material.without({finding.role for finding in whole})
-    found += whole + [finding for check in COMPARING_CHECKS for finding in check(compared)]
-    return most_important_first([*found, *_findings_of_guides(material.middle)])
+class Level(StrEnum):
+    """How bad a finding is, the worst first."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    INFO = "info"
 
 
-def _findings_of_guides(frame: Frame) -> Iterator[Finding]:
-    if not frame.guides:
-        return
-    guides = Frame(dict(frame.guides), frame.number, frame.guide_jitter, world_to_camera=frame.world_to_camera,
-                   fov_x=frame.fov_x, source=frame.guide_source)
-    for check in GUIDE_CHECKS:
-        for finding in check(Material([guides])):
-            if finding.level is not Level.INFO:
-                yield replace(finding, evidence=f"guides: {finding.evidence}")
+EXIT_CODES = {Level.ERROR: 2, Level.WARNING: 1, Level.INFO: 0}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, or that the doctor could not check.
+
+    Attributes:
+        level: an error spoils the result, a warning costs quality, information is good to know.
+        role: the plane concerned, a `Role`, or 'sequence'.
+        code: stable name of the mistake.
+        evidence: what was measured, with numbers.
+        cause: the most likely mistake.
+        fix: what to do.
+    """
+
+    level: Level
+    role: str
+    code: str
+    evidence: str
+    cause: str
+    fix: str
+
+    def as_dict(self) -> dict[str, str]:
+        """The finding in plain types."""
+        return {key: str(value) for key, value in asdict(self).items()}
+
+
+def error(role: str, code: str, evidence: str, cause: str, fix: str) -> Finding:
+    """A finding that spoils the result."""
+    return Finding(Level.ERROR, str(role), code, evidence, cause, fix)
+
+
+def warning(role: str, code: str, evidence: str, cause: str, fix: str) -> Finding:
+    """A finding that costs quality."""
+    return Finding(Level.WARNING, str(role), code, evidence, cause, fix)
+
+
+def info(role: str, code: str, evidence: str, cause: str, fix: str) -> Finding:
+    """Something good to know."""
+    return Finding(Level.INFO, str(role), code, evidence, cause, fix)
+
+
+def most_important_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Findings sorted by level; findings of one level keep their order."""
+    levels = list(Level)
+    return sorted(findings, key=lambda finding: levels.index(finding.level))
+
+
+def exit_code(findings: Iterable[Finding]) -> int:
+    """0 when there are neither warnings nor errors, 1 for warnings only, 2 with at least one error."""
+    return max((EXIT_CODES[finding.level] for finding in findings), default=0)

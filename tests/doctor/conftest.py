@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.doctor import examine
-from postfx.doctor.findings import Finding
+from postfx.doctor import Finding
+from postfx.doctor.inspection import examine
 from postfx.doctor.material import Material
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from postfx.doctor import material as material_module
+from postfx.doctor import plane_checks as planes
 from postfx.doctor.alignment import compare_edges
-from postfx.doctor.checks import planes
 from postfx.doctor.geometry import are_scaled, are_unit, motion_of_camera, smooth_points
 from postfx.doctor.material import Material, read_material
 from postfx.doctor.pictures import picture

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.cli.inspection import Inspection
-from postfx.doctor.checks.planes import COSTS
 from postfx.doctor.geometry import fit_rotation
+from postfx.doctor.inspection import Inspection
+from postfx.doctor.plane_checks import COSTS
 from postfx.errors import ReadError
 from postfx.frame import DEPTH_MISS, Frame, Role
 from tests.doctor import covers

@@ -1,27 +1,106 @@
-"""The facts and findings of `postfx inspect`, in plain types and as text."""
+"""An inspection of a sequence: the checks that it goes through, and all facts and findings in plain types."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.text import Text
 
-from postfx.doctor import examine
-from postfx.doctor.findings import Finding, exit_code
-from postfx.doctor.material import Reading, explain_roles, read_material
+from postfx.doctor import Finding, Level, exit_code, geometry_checks, most_important_first, motion_checks, plane_checks
+from postfx.doctor.material import Material, Reading, explain_roles, read_material
 from postfx.doctor.pictures import write_pictures
 from postfx.doctor.statistics import Range, Values, count_values, noise_level, range_of
 from postfx.frame import ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match
-from postfx.io.profile import SOURCES
 from postfx.io.sequence import Sequence
 
-STYLES = {"error": "bold red", "warning": "yellow", "info": "cyan"}
-VERDICTS = {0: "nothing wrong was found", 1: "there are warnings", 2: "there are errors"}
-INDENT = " " * 9
+Check = Callable[[Material], Iterator[Finding]]
+
+WHOLE_PLANE_CHECKS: tuple[Check, ...] = (
+    plane_checks.check_uniform_planes,
+    plane_checks.check_misplaced_planes,
+    plane_checks.check_enlarged_planes,
+)
+"""Find planes that are wrong as a whole. `COMPARING_CHECKS` then leave these planes out, as they would only confuse."""
+
+PLANE_CHECKS: tuple[Check, ...] = (
+    geometry_checks.check_depth_misses,
+    geometry_checks.check_depth_kind,
+    geometry_checks.check_normal_encoding,
+    geometry_checks.check_normal_space,
+    geometry_checks.check_normal_mixed,
+    geometry_checks.check_normal_facing,
+    geometry_checks.check_albedo_above_one,
+    geometry_checks.check_albedo_noisy,
+    geometry_checks.check_bright_metal,
+    geometry_checks.check_roughness_range,
+    geometry_checks.check_roughness_kind,
+    plane_checks.check_overlay_alpha,
+    plane_checks.check_overlay_straight,
+    plane_checks.check_alpha_straight,
+)
+"""Compare planes of one frame with each other."""
+
+COMPARING_CHECKS: tuple[Check, ...] = (
+    motion_checks.check_motion_variant,
+    motion_checks.check_motion_zero,
+    *PLANE_CHECKS,
+    geometry_checks.check_albedo_encoded,
+    motion_checks.check_cut_unmarked,
+    motion_checks.check_reset_always,
+    motion_checks.check_jitter_range,
+    motion_checks.check_jitter_missing,
+    motion_checks.check_samples_repeat,
+    plane_checks.check_reactive_everywhere,
+    plane_checks.check_opaque_samples,
+    plane_checks.check_exposure_mismatch,
+    plane_checks.check_overlay_twice,
+)
+"""Compare planes with each other, within a frame and between frames."""
+
+VALUE_CHECKS: tuple[Check, ...] = (
+    plane_checks.check_finite_values,
+    plane_checks.check_negative_values,
+    plane_checks.check_unit_range,
+)
+"""Find values that no plane should hold."""
+
+SEQUENCE_CHECKS: tuple[Check, ...] = (
+    plane_checks.check_readable_frames,
+    plane_checks.check_colour_clipped,
+    motion_checks.check_frame_count,
+    motion_checks.check_frame_sizes,
+    plane_checks.check_hit_distance_unused,
+    plane_checks.check_missing_planes,
+    motion_checks.check_motion_unread,
+    plane_checks.check_overlay_missing,
+)
+"""Find what the sequence lacks, and what stops other checks."""
+
+GUIDE_CHECKS: tuple[Check, ...] = (*VALUE_CHECKS, plane_checks.check_enlarged_planes, *PLANE_CHECKS)
+"""Checks that also make sense for the guides of a single frame."""
+
+
+def examine(material: Material) -> list[Finding]:
+    """Findings of all checks, the most important first; evidence about guides begins with 'guides:'."""
+    found = [finding for check in (*SEQUENCE_CHECKS, *VALUE_CHECKS) for finding in check(material)]
+    whole = [finding for check in WHOLE_PLANE_CHECKS for finding in check(material)]
+    compared = material.without({finding.role for finding in whole})
+    found += whole + [finding for check in COMPARING_CHECKS for finding in check(compared)]
+    return most_important_first([*found, *_findings_of_guides(material.middle)])
+
+
+def _findings_of_guides(frame: Frame) -> Iterator[Finding]:
+    if not frame.guides:
+        return
+    guides = Frame(dict(frame.guides), frame.number, frame.guide_jitter, world_to_camera=frame.world_to_camera,
+                   fov_x=frame.fov_x, source=frame.guide_source)
+    for check in GUIDE_CHECKS:
+        for finding in check(Material([guides])):
+            if finding.level is not Level.INFO:
+                yield replace(finding, evidence=f"guides: {finding.evidence}")
 
 
 class Inspection:
@@ -126,68 +205,3 @@ def _header(frame: Frame) -> dict[str, Any]:
         "world_to_camera": "present" if frame.world_to_camera is not None else None,
     }
     return {name: value for name, value in found.items() if value is not None}
-
-
-def print_text(facts: dict[str, Any], exit_code: int) -> None:
-    """Print facts as lines; findings are coloured on a terminal."""
-    console = Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
-    for line in _lines(facts, exit_code):
-        console.print(line)
-
-
-def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
-    profile, examined = facts["profile"], len(facts["examined"])
-    looked = f", {examined} examined" if facts["frames"]["count"] > 1 else ""
-    looked += f", ranges of {len(facts['measured'])}" if len(facts["measured"]) > examined else ""
-    return [
-        f"{facts['source']}: {_frames_text(facts['frames'])}{looked}: {VERDICTS[exit_code]}",
-        f"profile {profile['name']} ({profile['title'] or 'own'}), {facts['width']}x{facts['height']}",
-        *([f"names are {SOURCES[profile['source']]}"] if profile["source"] else []),
-        "",
-        *(line for finding in facts["findings"] for line in _finding_lines(finding)),
-        *([""] if facts["findings"] else []),
-        *(_plane_line(plane, profile["source"]) for plane in facts["planes"]),
-        "",
-        *_guide_lines(facts["guides"]),
-        *(f"missing  {item['role']}{': ' + item['fix'] if item['fix'] else ''}" for item in facts["missing"]),
-        *(f"header   {name}: {value}" for name, value in facts["header"].items()),
-        *(f"warning  {warning}" for warning in facts["warnings"]),
-        *_absent_lines(facts["absent_frames"]),
-        *([f"wrote    {len(facts['pictures'])} pictures: {facts['pictures'][0]} ..."] if facts["pictures"] else []),
-    ]
-
-
-def _finding_lines(finding: dict[str, str]) -> list[str | Text]:
-    level = finding["level"]
-    head = Text.assemble((f"{level:<9}", STYLES[level]), (finding["code"], "bold"),
-                         f" ({finding['role']}): {finding['evidence']}")
-    fix, *lines = finding["fix"].splitlines()
-    return [head, f"{INDENT}likely: {finding['cause']}", f"{INDENT}fix:    {fix}", *(INDENT + line for line in lines)]
-
-
-def _frames_text(frames: dict[str, int]) -> str:
-    return f"{frames['count']} frames, {frames['first']} to {frames['last']}" if frames["count"] > 1 else "1 frame"
-
-
-def _guide_lines(guides: dict[str, Any] | None) -> list[str]:
-    if guides is None:
-        return []
-    jitter = f", jitter {guides['jitter']}" if guides["jitter"] else ""
-    head = f"guides {guides['width']}x{guides['height']} in {guides['source']}{jitter}"
-    return [head, "", *map(_plane_line, guides["planes"]), ""]
-
-
-def _plane_line(plane: dict[str, Any], source: str = "") -> str:
-    """One line; it says where the plane's names are from if that is neither `source` nor the user's own profile."""
-    values = "no value" if plane["min"] is None else f"{plane['min']:.4g} .. {plane['max']:.4g}"
-    signed = plane["role"] in ("motion", "normal")
-    counts = (("misses", "misses"), ("non_finite", "not finite"), *(() if signed else (("negative", "negative"),)))
-    odd = [f"{plane[key]} {words}" for key, words in counts if plane[key]]
-    odd += [f"noise {plane['noise']:.2g}"] if (plane["noise"] or 0) >= 1e-3 else []
-    odd += [f"name {SOURCES[plane['source']]}"] if plane["source"] not in ("", source) else []
-    text = f"{plane['role']:<22}{plane['channels']:<38}{values}"
-    return f"{text} ({', '.join(odd)})" if odd else text
-
-
-def _absent_lines(numbers: list[int]) -> list[str]:
-    return [f"warning  frames without a file: {', '.join(map(str, numbers[:10]))}"] if numbers else []

@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 
 from postfx.colour.primaries import luminance
+from postfx.doctor import Finding, error, info, warning
 from postfx.doctor.alignment import find_movers
-from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.geometry import DepthScale, fit_depth_scale, motion_of_camera
 from postfx.doctor.material import Material
 from postfx.doctor.motion_convention import measure_convention

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.colour.primaries import luminance
+from postfx.doctor import Finding, error, info, warning
 from postfx.doctor.alignment import PLANES, compare_edges
-from postfx.doctor.findings import Finding, error, info, warning
 from postfx.doctor.geometry import is_hit
 from postfx.doctor.material import Material
 from postfx.doctor.statistics import correlation, finite, largest, percent

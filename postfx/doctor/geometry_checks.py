@@ -10,7 +10,7 @@ import numpy as np
 
 from postfx.colour.displays import srgb_decode
 from postfx.colour.primaries import luminance
-from postfx.doctor.findings import Finding, error, info, warning
+from postfx.doctor import Finding, error, info, warning
 from postfx.doctor.geometry import (
     CAMERA_AXES,
     DEPTH_KINDS,
