@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.colour import ocio
+from postfx.colour import REC2020, matrix_between, ocio
 from postfx.colour.displays import PQ, PQ_NITS, Display, parse_display
-from postfx.colour.primaries import REC2020, matrix_between
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
 from postfx.passes import Pass

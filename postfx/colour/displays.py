@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.colour.primaries import LUMA_REC2020, P3_D65, REC709, REC2020, Chromaticities
+from postfx.colour import LUMA_REC2020, P3_D65, REC709, REC2020, Chromaticities
 from postfx.errors import ColourError
 
 PQ_NITS = 10000.0

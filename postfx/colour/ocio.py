@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import OpenImageIO as oiio
 
+from postfx.colour import ACES2065_1, ACESCG, matrix_between
 from postfx.colour.displays import Display, parse_display
-from postfx.colour.primaries import ACES2065_1, ACESCG, matrix_between
 from postfx.errors import ColourError
 
 PREFIX = "ocio:"

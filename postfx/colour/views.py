@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.colour import ocio
+from postfx.colour import ACESCG, REC709, Chromaticities, ocio, to_xyz
 from postfx.colour.displays import Display, parse_display, srgb_encode
-from postfx.colour.primaries import ACESCG, REC709, Chromaticities, to_xyz
 
 SIZE = 65
 TOE, WHITEST = 2.0**-10, 2.0**8

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from postfx.colour import luminance
 from postfx.colour.displays import srgb_decode
-from postfx.colour.primaries import luminance
 from postfx.doctor import Finding, error, info, warning
 from postfx.doctor.geometry import (
     CAMERA_AXES,

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from postfx.colour.primaries import luminance
+from postfx.colour import luminance
 from postfx.doctor import Finding, error, info, warning
 from postfx.doctor.alignment import find_movers
 from postfx.doctor.geometry import DepthScale, fit_depth_scale, motion_of_camera

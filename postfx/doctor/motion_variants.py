@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.colour.primaries import luminance
+from postfx.colour import luminance
 from postfx.doctor.statistics import finite, largest
 from postfx.frame import Frame, Role
 from postfx.kernels.image import compare_places

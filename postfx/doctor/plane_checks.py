@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.colour.primaries import luminance
+from postfx.colour import luminance
 from postfx.doctor import Finding, error, info, warning
 from postfx.doctor.alignment import PLANES, compare_edges
 from postfx.doctor.geometry import is_hit

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.colour.primaries import (
+from postfx.colour import (
     ACES2065_1,
     ACESCG,
     ADOBE_RGB,

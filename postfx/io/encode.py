@@ -21,13 +21,13 @@ import numpy as np
 import OpenImageIO as oiio
 from isal import isal_zlib
 
+from postfx.colour import D50_XYZ, Chromaticities, adapt, to_xyz
 from postfx.colour.displays import KINDS, SRGB, Display
-from postfx.colour.primaries import D50_XYZ, Chromaticities, adapt, to_xyz
 from postfx.errors import ReadError
 from postfx.files import memory_file
 from postfx.frame import Frame
+from postfx.io.exr import Header, read_headers
 from postfx.io.exr.container import ExrContainer, Rows, picture_part, write_container
-from postfx.io.exr.header import Header, read_headers
 from postfx.io.exr.passthrough import merge_source
 from postfx.io.exr.views import View, merge_views
 from postfx.io.windows import Pixels

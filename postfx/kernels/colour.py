@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.colour.primaries import LUMA_REC2020
+from postfx.colour import LUMA_REC2020
 from postfx.kernels import Kernel
 from postfx.kernels.numeric import Real, clamp, compiled, fused, inline
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postfx.colour.primaries import luminance
+from postfx.colour import luminance
 from postfx.errors import StrengthError
 from postfx.frame import ERROR_ROLES, VARIANCES, Role
 from postfx.masks.cryptomatte import Entry, snap

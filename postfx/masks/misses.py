@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from postfx.colour.primaries import luminance
+from postfx.colour import luminance
 from postfx.frame import DEPTH_MISS, Role
 from postfx.masks.cryptomatte import snap
 from postfx.sampling import BAND, bands, local_maximum, local_mean

@@ -6,9 +6,9 @@ from typing import ClassVar, Never
 
 import numpy as np
 
+from postfx.colour import REC709, matrix_between
 from postfx.colour.displays import Display as Target
 from postfx.colour.displays import parse_display
-from postfx.colour.primaries import REC709, matrix_between
 from postfx.colour.views import SCALE, TOE, bake
 from postfx.errors import PassOptionError
 from postfx.frame import LINEAR, FrameSpec, Role

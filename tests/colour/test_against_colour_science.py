@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.colour import displays, primaries
+from postfx import colour as primaries
+from postfx.colour import displays
 from postfx.colour.displays import parse_display
 from postfx.colour.views import neutral, reinhard
 from postfx.errors import ColourError

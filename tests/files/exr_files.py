@@ -10,8 +10,8 @@ import numpy as np
 import OpenEXR
 import OpenImageIO as oiio
 
+from postfx.io.exr import Header
 from postfx.io.exr.container import ExrContainer, NewPart, write_container
-from postfx.io.exr.header import Header
 
 WIDTH, HEIGHT = 37, 41
 COMPRESSIONS = {name: getattr(OpenEXR, f"{name}_COMPRESSION") for name in

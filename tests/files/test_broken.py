@@ -14,6 +14,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MissingFrameError, ReadError, SequenceError
+from postfx.io.exr import PIXEL_BYTES, Header
 from postfx.io.exr.container import (
     LINES,
     MAX_SIDE,
@@ -23,7 +24,6 @@ from postfx.io.exr.container import (
     count_chunks,
     write_container,
 )
-from postfx.io.exr.header import PIXEL_BYTES, Header
 from postfx.io.sequence import read_sequence
 from tests.files.exr_files import write_deep, write_mixed, write_studio
 

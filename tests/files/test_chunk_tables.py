@@ -10,8 +10,8 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.frame import Role
+from postfx.io.exr import MAGIC, TILES
 from postfx.io.exr.container import ExrContainer
-from postfx.io.exr.header import MAGIC, TILES
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import is_complete, write_frame
 from tests.files.exr_files import HEIGHT, WIDTH, write_deep, write_mipmapped, write_mixed, write_studio

@@ -8,7 +8,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from postfx.colour.primaries import ACES2065_1, ACESCG, REC709
+from postfx.colour import ACES2065_1, ACESCG, REC709
 from postfx.errors import ColourError
 from postfx.frame import Frame, Role
 from postfx.io.colours import InputColours

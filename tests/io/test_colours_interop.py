@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.colour.primaries import LINEAR_SPACES, REC709, is_degenerate, round_to_known
+from postfx.colour import LINEAR_SPACES, REC709, is_degenerate, round_to_known
 from postfx.errors import ColourError
 from postfx.io.colours import InputColours, space_by_id, space_by_primaries
 

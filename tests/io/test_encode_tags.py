@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.colour import REC2020
 from postfx.colour.displays import KINDS, parse_display
-from postfx.colour.primaries import REC2020
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
 from postfx.io.encode import make_profile

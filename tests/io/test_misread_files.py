@@ -9,7 +9,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.cli.main import main
-from postfx.colour.primaries import REC709
+from postfx.colour import REC709
 from postfx.errors import ColourError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence

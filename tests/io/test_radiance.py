@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.colour.primaries import P3_D65
+from postfx.colour import P3_D65
 from postfx.errors import ReadError
 from postfx.frame import Role
 from postfx.io.sequence import read_sequence

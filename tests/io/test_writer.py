@@ -7,8 +7,8 @@ import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
+from postfx.colour import REC709
 from postfx.colour.displays import parse_display, srgb_decode, srgb_encode
-from postfx.colour.primaries import REC709
 from postfx.errors import OutputExistsError, WriteError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from postfx.colour import REC709, REC2020, matrix_between
 from postfx.colour.displays import parse_display
-from postfx.colour.primaries import REC709, REC2020, matrix_between
 from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD, turns

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.colour import REC709, matrix_between
 from postfx.colour.displays import parse_display
-from postfx.colour.primaries import REC709, matrix_between
 from postfx.colour.views import bake, find_view, is_view
 from postfx.errors import ColourError
 from postfx.frame import Frame, Role

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import nn
 
-from postfx.colour.primaries import LUMA_REC2020
+from postfx.colour import LUMA_REC2020
 from postfx.kernels.colour import DARK, MOST_LIGHT, STEPS
 from training.tonemap import model as network
 from training.tonemap.model import Shaper, look_up, shape

@@ -18,7 +18,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from postfx.colour.primaries import LUMA_REC2020, REC709, REC2020, matrix_between
+from postfx.colour import LUMA_REC2020, REC709, REC2020, matrix_between
 from postfx.kernels.tonemap import BROKEN, JUMP, LAG, MOST, MOST_STOPS, RELEASE
 from postfx.system import models_dir
 

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from postfx.colour.primaries import LINEAR_SPACES, REC709, matrix_between
+from postfx.colour import LINEAR_SPACES, REC709, matrix_between
 from postfx.io.colours import InputColours
 from training.tonemap.looks import Look, describe, exact_target, find_look, look_from
 from training.tonemap.model import MID_GREY
@@ -99,7 +99,7 @@ class Lesson:
 def read(path: str, space: str | None = None) -> np.ndarray:
     """First three channels of an HDR picture as linear Rec.709, float32; non-finite values and negative light are 0.
 
-    `space` is the file's space, a name in `postfx.colour.primaries.LINEAR_SPACES`; None reads it from the header, like
+    `space` is the file's space, a name in `postfx.colour.LINEAR_SPACES`; None reads it from the header, like
     a run. Colours of formats with straight alpha are not multiplied by it.
     """
     import OpenImageIO as oiio

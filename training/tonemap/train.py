@@ -32,7 +32,7 @@ import torch
 import torch.nn.functional as F
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from postfx.colour.primaries import LINEAR_SPACES
+from postfx.colour import LINEAR_SPACES
 from training.denoise.loss import psnr
 from training.tonemap.examples import SHIFT, Source, Views
 from training.tonemap.looks import Look, describe, find_look, key_stops

@@ -11,9 +11,9 @@ from functools import cache
 
 import numpy as np
 
+from postfx.colour import ACESCG, REC709, matrix_between
 from postfx.colour.displays import KINDS
 from postfx.colour.ocio import DISPLAYS, Transform, file_transform
-from postfx.colour.primaries import ACESCG, REC709, matrix_between
 from postfx.errors import ColourError
 from training.tonemap.model import CUBE, lattice
 

@@ -1,1 +1,233 @@
-"""The OpenEXR format: containers, ZIP compression, and the passthrough of what a render holds beside the picture."""
+"""The OpenEXR format. Here: headers, read and written attribute by attribute.
+
+Layout of the file: https://openexr.com/en/latest/OpenEXRFileLayout.html
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from typing import BinaryIO, NamedTuple
+
+from postfx.errors import ReadError
+from postfx.io.windows import Window
+
+MAGIC = 20000630
+VERSION = 2
+TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000
+SHORT_NAME = 31
+MAX_NAME = 255
+_BLOCK = 1 << 13
+MAX_HEADERS = 64 << 20
+"""Bytes that all headers of a file may have together."""
+MAX_PARTS = 4096
+SCANLINES, TILES, DEEP_SCANLINES, DEEP_TILES = "scanlineimage", "tiledimage", "deepscanline", "deeptile"
+PART_TYPES = (SCANLINES, TILES, DEEP_SCANLINES, DEEP_TILES)
+PIXEL_BYTES = (4, 2, 4)
+"""Bytes of a sample by the pixel type of its channel: uint, half, float."""
+
+
+class Attribute(NamedTuple):
+    """Type and stored bytes of one header attribute."""
+
+    kind: str
+    value: bytes
+
+
+class ChannelInfo(NamedTuple):
+    """One channel of a part, as the header lists it; `kind` 0 is uint, 1 half, 2 float."""
+
+    name: str
+    kind: int
+    linear: int
+    x_sampling: int
+    y_sampling: int
+
+
+@dataclass
+class Header:
+    """Attributes of one part by name, in the order of the file. Reading one that is not there raises ReadError."""
+
+    attributes: dict[str, Attribute] = field(default_factory=dict)
+
+    @property
+    def part_type(self) -> str:
+        """One of `PART_TYPES`, as the attribute `type` says; tiles tell it in old files."""
+        if "type" in self.attributes:
+            return text(self.attributes["type"].value)
+        return TILES if "tiles" in self.attributes else SCANLINES
+
+    @property
+    def name(self) -> str:
+        """Name of the part, '' without one."""
+        return text(self.attributes["name"].value) if "name" in self.attributes else ""
+
+    @property
+    def compression(self) -> int:
+        """OpenEXR's number of the compression."""
+        return self._unpacked("compression", "<B")[0]
+
+    @property
+    def dwa_level(self) -> float | None:
+        """How much DWA compression loses, where the header says so."""
+        value = self.attributes.get("dwaCompressionLevel")
+        return float(struct.unpack("<f", value.value)[0]) if value and len(value.value) == 4 else None
+
+    @property
+    def data(self) -> Window:
+        """Data window."""
+        return Window(*self._unpacked("dataWindow", "<4i"))
+
+    @property
+    def display(self) -> Window:
+        """Display window."""
+        return Window(*self._unpacked("displayWindow", "<4i"))
+
+    @property
+    def tiles(self) -> tuple[int, int, int]:
+        """Width and height of tiles, and the mode: levels in the low four bits, rounding in the high ones."""
+        width, height, mode = self._unpacked("tiles", "<IIB")
+        return width, height, mode
+
+    @property
+    def channels(self) -> list[ChannelInfo]:
+        """Channels in the order of the file, which is that of their names."""
+        stored, found, at = self._value("channels"), [], 0
+        while stored[at : at + 1] not in (b"\0", b""):
+            end = stored.index(b"\0", at) if b"\0" in stored[at:] else len(stored)
+            if end + 17 > len(stored):
+                raise ReadError("its list of channels ends early")
+            kind, linear, x, y = struct.unpack_from("<iB3x2i", stored, end + 1)
+            if kind not in (0, 1, 2) or x < 1 or y < 1:
+                raise ReadError("a channel of it has an unknown type")
+            found.append(ChannelInfo(text(stored[at:end]), kind, linear, x, y))
+            at = end + 17
+        return found
+
+    def set(self, name: str, kind: str, value: bytes) -> None:
+        """Replace or add an attribute."""
+        self.attributes[name] = Attribute(kind, value)
+
+    def set_text(self, name: str, value: str) -> None:
+        """Replace or add an attribute of type string."""
+        self.set(name, "string", raw(value))
+
+    def pack(self) -> bytes:
+        """The header as a file holds it."""
+        entries = [raw(name) + b"\0" + raw(kind) + b"\0" + struct.pack("<i", len(value)) + value
+                   for name, (kind, value) in self.attributes.items()]
+        return b"".join(entries) + b"\0"
+
+    def has_long_names(self) -> bool:
+        """Whether a name in it needs the flag for names of more than 31 bytes."""
+        names = [raw(name) for name in (*self.attributes, *(kind for kind, _ in self.attributes.values()))]
+        return any(len(name) > SHORT_NAME for name in names + [raw(channel.name) for channel in self.channels])
+
+    def _value(self, name: str) -> bytes:
+        if name not in self.attributes:
+            raise ReadError(f"its header has no {name}")
+        return self.attributes[name].value
+
+    def _unpacked(self, name: str, layout: str) -> tuple[int, ...]:
+        value = self._value(name)
+        if len(value) != struct.calcsize(layout):
+            raise ReadError(f"its header has a broken {name}")
+        return struct.unpack(layout, value)
+
+
+def text(stored: bytes) -> str:
+    """Stored bytes as text from which `raw` makes the same bytes."""
+    return stored.decode("utf-8", "surrogateescape")
+
+
+def raw(name: str) -> bytes:
+    """Inverse of `text`."""
+    return name.encode("utf-8", "surrogateescape")
+
+
+def pack_channels(channels: list[ChannelInfo]) -> bytes:
+    """The attribute `channels` (type chlist) of channels in any order."""
+    entries = [raw(name) + b"\0" + struct.pack("<iB3x2i", kind, linear, x, y)
+               for name, kind, linear, x, y in sorted(channels, key=lambda channel: raw(channel.name))]
+    return b"".join(entries) + b"\0"
+
+
+def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
+    """Version flags and the headers of all parts; the file is left where the chunks' table begins.
+
+    ReadError, whose message names no file, for a file that is not OpenEXR, and for headers that end early or are larger
+    than `MAX_HEADERS`.
+    """
+    start = _Start(file)
+    magic, version = start.unpack("<iI")
+    if magic != MAGIC or version & 0xFF != VERSION:
+        raise ReadError("it is not an OpenEXR file")
+    headers, several = [], bool(version & MULTI_PART)
+    while header := _header(start, several):
+        headers.append(header)
+        if not several:
+            break
+        if len(headers) > MAX_PARTS:
+            raise ReadError(f"it has more than {MAX_PARTS} parts")
+    if not headers:
+        raise ReadError("it holds no image")
+    if not several:
+        _correct_type(headers[0], version)
+    file.seek(start.at)
+    return version, headers
+
+
+def _correct_type(header: Header, version: int) -> None:
+    """Correct the type of a lone part by the file's flags, which tell how it is stored."""
+    wrong = TILES if not version & TILED else SCANLINES
+    if not version & DEEP and header.part_type == wrong:
+        header.set_text("type", SCANLINES if wrong == TILES else TILES)
+
+
+def _header(start: _Start, may_end: bool) -> Header | None:
+    """The next header; None for the empty one that ends the headers of a multi-part file."""
+    attributes: dict[str, Attribute] = {}
+    while name := start.name():
+        kind = start.name()
+        (size,) = start.unpack("<i")
+        if size < 0 or start.at + size > MAX_HEADERS:
+            raise ReadError(f"its header claims {size} bytes for {ascii(text(name))}")
+        attributes[text(name)] = Attribute(text(kind), start.take(size))
+    if not attributes and may_end:
+        return None
+    return Header(attributes)
+
+
+class _Start:
+    """The start of a file, read in blocks: `at` counts the bytes taken. Raises ReadError where the file ends."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.at = 0
+        self._file, self._held = file, b""
+
+    def take(self, count: int) -> bytes:
+        """The next bytes."""
+        begin, self.at = self.at, self.at + count
+        if self.at > len(self._held):
+            self._hold(self.at)
+            if self.at > len(self._held):
+                raise ReadError("its header ends early")
+        return self._held[begin : self.at]
+
+    def unpack(self, layout: str) -> tuple[int, ...]:
+        """The next numbers."""
+        return struct.unpack(layout, self.take(struct.calcsize(layout)))
+
+    def name(self) -> bytes:
+        """The bytes before the next zero, which is taken too."""
+        most = self.at + MAX_NAME + 1
+        if len(self._held) < most:
+            self._hold(most)
+        end = self._held.find(b"\0", self.at, most)
+        if end < 0:
+            raise ReadError("its header ends early" if len(self._held) < most else "a name in its header is too long")
+        begin, self.at = self.at, end + 1
+        return self._held[begin:end]
+
+    def _hold(self, end: int) -> None:
+        self._held += self._file.read(max(end - len(self._held), len(self._held), _BLOCK))  # twice as much each time

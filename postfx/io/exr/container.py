@@ -21,7 +21,7 @@ from isal import isal_zlib
 
 from postfx.errors import ReadError
 from postfx.files import memory_file
-from postfx.io.exr.header import (
+from postfx.io.exr import (
     DEEP,
     DEEP_SCANLINES,
     DEEP_TILES,

@@ -28,8 +28,8 @@ import OpenImageIO as oiio
 
 from postfx.errors import WriteError
 from postfx.frame import ColourSource, Frame
+from postfx.io.exr import SCANLINES, TILES, ChannelInfo, Header, pack_channels, raw
 from postfx.io.exr.container import COMPRESSIONS, ZIP, ExrContainer, NewPart, Rows, picture_part
-from postfx.io.exr.header import SCANLINES, TILES, ChannelInfo, Header, pack_channels, raw
 from postfx.io.image_file import ImageFile
 from postfx.io.windows import AREA, EXR_NAMES, PICTURE, Part, Window, cover, output_windows
 

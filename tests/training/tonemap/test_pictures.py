@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("PyOpenColorIO")
 
-from postfx.colour.primaries import ACESCG, REC709, matrix_between  # noqa: E402
+from postfx.colour import ACESCG, REC709, matrix_between  # noqa: E402
 from training.tonemap.pictures import collect, expose, find_pictures, read  # noqa: E402
 from training.tonemap.views import ACES_CONFIG, Lut, Ocio, exact_view  # noqa: E402
 
