@@ -160,8 +160,9 @@ def _frames_ahead(given: argparse.Namespace, sequence: Sequence) -> int:
 
 
 def _notes(given: argparse.Namespace, output: str) -> list[str]:
-    from postfx.cli.run_options import RUN, is_shown
+    from postfx.cli.run_options import RUN
     from postfx.io.writer import is_display_format
+    from postfx.passes.display import is_shown
 
     is_picture = bool(Path(output).suffix) and is_display_format(output)
     shown = is_shown(is_picture, **RUN.values_for("look", given))

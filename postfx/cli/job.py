@@ -19,10 +19,8 @@ import numpy as np
 from postfx.cli.interruptions import Faults, OnError, Standin, Stop, check_sizes, first_readable
 from postfx.cli.run_options import (
     RUN,
-    display_passes,
     explain_kept,
     explain_overlay,
-    is_shown,
     make_run_up,
     refuse_layer,
     refuse_views,
@@ -51,6 +49,7 @@ from postfx.io.sequence import Sequence
 from postfx.io.writer import Existing, OutputFiles, write_frame
 from postfx.kernels.compile_cache import CompileWatch
 from postfx.passes import Pass
+from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
 from postfx.passes.registry import create, insert_passes, parse_pass
 from postfx.pipeline import Pipeline
@@ -410,7 +409,8 @@ class Job:
             passes.append(create("denoise_upscale", **denoising, **parts))
         passes += [create("both_ways", **parts)] if both_ways else []
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
-        shown, not_shown = display_passes(self.outputs is not None and self.outputs.display, **self._values("look"))
+        is_picture = self.outputs is not None and self.outputs.display
+        shown, not_shown = make_display_passes(is_picture, **self._values("look"))
         asked = map(parse_pass, getattr(self._arguments, "pass") or ())
         chain = insert_passes([*passes, *shown], tuple(asked), len(passes))
         if both_ways and chain[0].name != "denoise_upscale":

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from postfx.cli.options import Options, Section
-from postfx.cli.run_options import FILES, LOOK, display_passes
+from postfx.cli.run_options import FILES, LOOK
 
 DESCRIPTION = """\
 Write the global part of a look as a 3-D look-up table (.cube) that OpenColorIO, DaVinci Resolve, Nuke and others read.
@@ -51,12 +51,13 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.frame import Role
     from postfx.io.sequence import Sequence
     from postfx.look_table import LookTable, expose_colour
+    from postfx.passes.display import make_display_passes
     from postfx.runtime import Device
 
     path = Path(arguments.output)
     if path.suffix.lower() != ".cube":
         raise WriteError(f"{path}: is not a .cube file: name it {path.with_suffix('.cube')}")
-    passes, _ = display_passes(True, **_LOOK.values_for("look", arguments))
+    passes, _ = make_display_passes(True, **_LOOK.values_for("look", arguments))
     sequence = Sequence(arguments.input, arguments.frames, arguments.profile, [Role.COLOUR],
                         **FILES.values_for("sequence", arguments)).first_view()
     numbers = sequence.numbers if arguments.frames else sequence.numbers[:: -(-len(sequence) // _MOST_FRAMES)]

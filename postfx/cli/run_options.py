@@ -4,7 +4,7 @@ A new option is one more `Option` in a section. If `sets` names a parameter of a
 change:
 
     device    postfx.runtime.Device            sequence  postfx.io.sequence.Sequence
-    denoiser  postfx.DenoiseUpscale            look      display_passes, below
+    denoiser  postfx.DenoiseUpscale            look      postfx.passes.display.make_display_passes
     writer    postfx.io.writer.write_frame     run       postfx.runs.run.Options
     page      postfx.cli.report.RunReport      capture   postfx.report.page.FrameCapture
 """
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from postfx.io.frame_reader import FrameFiles
     from postfx.io.sequence import Sequence
     from postfx.io.writer import OutputFiles
-    from postfx.passes import Pass
     from postfx.plan import Skip
     from postfx.temporal.reverse_order import RunUp
 
@@ -301,54 +300,6 @@ def make_run_up(arguments: argparse.Namespace, sequence: Sequence, cuts: str) ->
     option = RUN["--run-up"]
     frames = RUN_UP if arguments.run_up is None else arguments.run_up
     return RunUp(sequence, frames, cuts) if frames and not RUN.exclusions(option, arguments) else None
-
-
-def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None = None, **_: object) -> bool:
-    """Whether the options of a look, and files that hold pictures, ask for colours of a display."""
-    return is_picture or display is not None or tonemap is not None
-
-
-def display_passes(
-    is_picture: bool, tonemap: str | None = None, no_tonemap: bool = False, display: str | None = None
-) -> tuple[list[Pass], list[Skip]]:
-    """Passes that make pictures for a display, and what is left out. is_picture: the files hold such pictures.
-
-    Raises ColourError for an unknown display or view.
-    """
-    from postfx.colour.displays import parse_display
-    from postfx.colour.views import is_view
-    from postfx.passes.display import View
-    from postfx.passes.registry import create
-    from postfx.plan import Skip
-
-    if not is_shown(is_picture, tonemap, display):
-        why = "--no-tonemap" if no_tonemap else "EXR output stays scene-linear; --tonemap changes that"
-        return [], [Skip("tonemap", why)]
-    shown_on = str(parse_display(display or "srgb"))
-    if no_tonemap:
-        return [create("display", display=shown_on)], [Skip("tonemap", "--no-tonemap")]
-    if tonemap and is_view(tonemap):
-        view = View(view=tonemap, display=shown_on)
-        mapper: Pass = view
-        made_for = view.output
-    else:
-        mapper = create("tonemap", **({"tag": _network_look(tonemap)} if tonemap else {}))
-        made_for = "srgb"
-    return [mapper] + ([create("display", display=shown_on)] if made_for != shown_on else []), []
-
-
-def _network_look(tag: str) -> str:
-    """The tag or file of a network; ColourError that lists all looks for any other word."""
-    from postfx.colour.views import VIEWS
-    from postfx.errors import ColourError, suggest
-    from postfx.runtime import Library
-
-    tags = [name.removeprefix("tonemap.") for name in Library().names() if name.startswith("tonemap.")]
-    if tag not in tags and not tag.endswith(".onnx"):
-        looks = [*tags, *VIEWS]
-        raise ColourError(f"no look '{tag}'{suggest(tag, looks) or ':'} there are {', '.join(looks)}, ocio:VIEW, "
-                          "FILE.cube,input=SPACE and FILE.onnx")
-    return tag
 
 
 def refuse_views(sequence: Sequence, outputs: OutputFiles | None) -> None:

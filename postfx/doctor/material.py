@@ -18,8 +18,8 @@ from postfx.doctor.statistics import Range, Values, count_values, join_ranges, r
 from postfx.errors import PostfxError
 from postfx.frame import Frame, Role
 from postfx.io.channels import Channel, read_channels
-from postfx.io.frame_reader import FrameFiles, GuideLayout
-from postfx.io.layout import Layout, Match
+from postfx.io.frame_reader import FrameFiles
+from postfx.io.layout import GuideLayout, Layout, Match
 from postfx.io.profile import PlaneRule
 from postfx.io.sequence import Sequence
 

@@ -9,12 +9,14 @@ import numpy as np
 from postfx.colour import REC709, matrix_between
 from postfx.colour.displays import Display as Target
 from postfx.colour.displays import parse_display
-from postfx.colour.views import SCALE, TOE, bake
-from postfx.errors import PassOptionError
+from postfx.colour.views import SCALE, TOE, VIEWS, bake, is_view
+from postfx.errors import ColourError, PassOptionError, suggest
 from postfx.frame import LINEAR, FrameSpec, Role
 from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY, ROOT, STEPS
 from postfx.passes import Pass, Reflection, ResidentFrame
-from postfx.runtime import ArgumentTable, CommandBuffer, Device
+from postfx.passes.registry import create
+from postfx.plan import Skip
+from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library
 
 
 class Display(Pass):
@@ -154,3 +156,41 @@ class View(Pass):
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
         frame.set(Role.COLOUR, self._output)
+
+
+def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None = None, **_: object) -> bool:
+    """Whether the options of a look, and files that hold pictures, ask for colours of a display."""
+    return is_picture or display is not None or tonemap is not None
+
+
+def make_display_passes(
+    is_picture: bool, tonemap: str | None = None, no_tonemap: bool = False, display: str | None = None
+) -> tuple[list[Pass], list[Skip]]:
+    """Passes that make pictures for a display, and what is left out. is_picture: the files hold such pictures.
+
+    Raises ColourError for an unknown display or view.
+    """
+    if not is_shown(is_picture, tonemap, display):
+        why = "--no-tonemap" if no_tonemap else "EXR output stays scene-linear; --tonemap changes that"
+        return [], [Skip("tonemap", why)]
+    shown_on = str(parse_display(display or "srgb"))
+    if no_tonemap:
+        return [create("display", display=shown_on)], [Skip("tonemap", "--no-tonemap")]
+    if tonemap and is_view(tonemap):
+        view = View(view=tonemap, display=shown_on)
+        mapper: Pass = view
+        made_for = view.output
+    else:
+        mapper = create("tonemap", **({"tag": _find_look(tonemap)} if tonemap else {}))
+        made_for = "srgb"
+    return [mapper] + ([create("display", display=shown_on)] if made_for != shown_on else []), []
+
+
+def _find_look(tag: str) -> str:
+    """The tag or file of a network; ColourError that lists all looks for any other word."""
+    tags = [name.removeprefix("tonemap.") for name in Library().names() if name.startswith("tonemap.")]
+    if tag not in tags and not tag.endswith(".onnx"):
+        looks = [*tags, *VIEWS]
+        raise ColourError(f"no look '{tag}'{suggest(tag, looks) or ':'} there are {', '.join(looks)}, ocio:VIEW, "
+                          "FILE.cube,input=SPACE and FILE.onnx")
+    return tag

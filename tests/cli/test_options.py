@@ -12,18 +12,19 @@ import pytest
 from postfx.cli.main import main, make_parser
 from postfx.cli.options import Option, Section
 from postfx.cli.report import RunReport
-from postfx.cli.run_options import RUN, display_passes
+from postfx.cli.run_options import RUN
 from postfx.cli.summary import missed_budget
 from postfx.errors import ModelError
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
 from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.display import make_display_passes
 from postfx.report.page import FrameCapture
 from postfx.runs.run import Options
 from postfx.runtime import Device, Library
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
-PARTS = {"device": Device, "sequence": Sequence, "look": display_passes, "writer": write_frame, "run": Options,
+PARTS = {"device": Device, "sequence": Sequence, "look": make_display_passes, "writer": write_frame, "run": Options,
          "page": RunReport, "capture": FrameCapture}
 
 
