@@ -100,15 +100,15 @@ class Pipeline:
         """
         try:
             # planes may have been put into it since it was made
-            return self._processed(dataclasses.replace(frame, metadata=dict(frame.metadata)))
+            return self._process(dataclasses.replace(frame, metadata=dict(frame.metadata)))
         except BaseException:
             self._reset_passes()
             for own in self._views.values():
                 own._reset_passes()
             raise
 
-    def _processed(self, frame: Frame) -> Frame:
-        plan, self.ahead = self._planned(frame.spec), ()
+    def _process(self, frame: Frame) -> Frame:
+        plan, self.ahead = self._make_plan(frame.spec), ()
         if not plan.steps:
             self.timings, self.exposure, self.cut, self.bad_pixels = {}, None, False, {}
             return frame
@@ -187,7 +187,7 @@ class Pipeline:
             tensors = share_planes(self.device, "plane", planes)
             sharp = share_planes(self.device, "guide", guides or {})
             spec = spec_of(tensors, sharp, encoding)
-            plan, self.ahead, self.cut, self.bad_pixels = self._planned(spec), (), reset, {}
+            plan, self.ahead, self.cut, self.bad_pixels = self._make_plan(spec), (), reset, {}
             if reset:
                 self._reset_passes()
             self.exposure = self._exposure_of(exposure, tensors, number, reset)
@@ -221,7 +221,7 @@ class Pipeline:
         """
         for name in views:
             self._of_view(name).compile(spec)
-        return self._planned(spec)
+        return self._make_plan(spec)
 
     def explain(self, spec: FrameSpec | None = None) -> Plan:
         """The plan for a spec, by default the last frame's, with what frames were spared so far. `print` it, or take
@@ -269,7 +269,7 @@ class Pipeline:
         Raises FrameError when it is the history of other passes or of frames of another size.
         """
         self.reset()
-        self._planned(frame.spec)
+        self._make_plan(frame.spec)
         try:
             for key in history:
                 if not key.startswith(_VIEW):
@@ -291,7 +291,7 @@ class Pipeline:
     def _is_cut(self, frame: Frame) -> bool:
         return self._detector is not None and frame.encoding == "scene-linear" and self._detector(frame)
 
-    def _planned(self, spec: FrameSpec) -> Plan:
+    def _make_plan(self, spec: FrameSpec) -> Plan:
         if self.plan is None or self.plan.available != spec:
             plan, last = make_plan(self.passes, spec), self.plan
             self.plan = None
@@ -379,13 +379,13 @@ class Flow:
 
     def run(self, frame: Frame, plan: Plan, exposure: float, unusable: bool, given: Frame) -> Frame:
         """The frame that comes out. Planes that no pass touches, and all that is not a plane, come from `given`."""
-        with self._uploaded(frame, plan, exposure, unusable) as resident:
+        with self._upload(frame, plan, exposure, unusable) as resident:
             inputs = dict(resident.tensors)
             with self._device.results_lock:  # the next commit may take the memory of the results
                 self._run(plan.steps, resident)
                 for step in plan.steps:
                     step.instance.note_time(self.timings[step.name])
-                return _finished(given, plan, resident, inputs)
+                return _finish(given, plan, resident, inputs)
 
     def run_away(self, resident: ResidentFrame, plan: Plan) -> dict[Role, Tensor]:
         """The planes that come out of a frame in the device's memory, each on memory of its own."""
@@ -405,13 +405,13 @@ class Flow:
 
     def run_ahead(self, frame: Frame, plan: Plan, steps: Sequence[Step], exposure: float, unusable: bool) -> None:
         """Take a frame through the first steps of a plan, for nothing but their history."""
-        with self._uploaded(frame, plan, exposure, unusable) as resident:
+        with self._upload(frame, plan, exposure, unusable) as resident:
             resident.history_only = True
             with self._device.results_lock:
                 self._run(steps, resident)
 
     @contextmanager
-    def _uploaded(self, frame: Frame, plan: Plan, exposure: float, unusable: bool) -> Iterator[ResidentFrame]:
+    def _upload(self, frame: Frame, plan: Plan, exposure: float, unusable: bool) -> Iterator[ResidentFrame]:
         inputs = {role: self._input(role, frame[role]) for role in plan.planes}
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
         parts = {name: self._input(f"part {name}", frame.parts[name]) for name in plan.parts}
@@ -470,7 +470,7 @@ def _fits(tensor: Tensor, role: Role, spec: FrameSpec) -> bool:
     return tensor.shape == (spec.height, spec.width, spec.channels(role))
 
 
-def _finished(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor]) -> Frame:
+def _finish(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor]) -> Frame:
     """The frame that comes out: new planes copied from the device, the others as they came in."""
     same_size = (plan.output.width, plan.output.height) == (plan.available.width, plan.available.height)
     unread = [role for role in plan.available.roles if role not in plan.planes and same_size]

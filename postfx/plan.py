@@ -72,7 +72,7 @@ class Plan:
     @cached_property
     def input(self) -> FrameSpec:
         """Spec of the frame once only the planes and guides that are needed were read."""
-        return _restricted(self.available, self.planes, self.guides, self.parts)
+        return _restrict(self.available, self.planes, self.guides, self.parts)
 
     def accumulating_steps(self) -> tuple[Step, ...]:
         """The steps up to the last one whose results improve with the frames before; empty if there is none."""
@@ -134,16 +134,16 @@ def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
         _check(step, spec)
         steps.append(step)
         current = step.reflection.output
-    planes, guides = _needed(spec, steps), _needed_guides(spec, steps)
+    planes, guides = _find_needed(spec, steps), _needed_guides(spec, steps)
     skipped += [Skip(f"plane '{role}'", "no pass reads it") for role in spec.roles if role not in planes]
     skipped += _unread_guides(spec, guides)
     read = {name for step in steps for name in step.reflection.parts}
     parts = tuple(name for name in spec.part_names if name in read)
     skipped += [Skip(f"part '{name}'", "no pass reads it") for name in spec.part_names if name not in parts]
-    return _narrowed(Plan(spec, planes, tuple(steps), tuple(skipped), current, guides=guides, parts=parts))
+    return _narrow(Plan(spec, planes, tuple(steps), tuple(skipped), current, guides=guides, parts=parts))
 
 
-def _narrowed(plan: Plan) -> Plan:
+def _narrow(plan: Plan) -> Plan:
     """The same plan with specs that hold only the planes that are read, as the passes will see them."""
     current = plan.input
     steps = []
@@ -156,7 +156,7 @@ def _narrowed(plan: Plan) -> Plan:
     return replace(plan, steps=tuple(steps), output=current, remarks=tuple(remarks))
 
 
-def _needed(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
+def _find_needed(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
     needed: set[Role] = set()
     provided: set[Role] = set()
     for step in steps:
@@ -200,7 +200,7 @@ def _step_names(passes: Sequence[Pass]) -> list[str]:
     return [name if count == 1 else f"{name} {count}" for name, count in zip(plain, counts, strict=True)]
 
 
-def _restricted(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role], parts: Sequence[str]) -> FrameSpec:
+def _restrict(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role], parts: Sequence[str]) -> FrameSpec:
     """The spec with these planes and guides only; guides keep their size even if none is read, for the output's
     size."""
     kept = replace(spec.guides, roles=tuple(guides)) if spec.guides else None

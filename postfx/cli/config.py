@@ -163,12 +163,12 @@ def _default(path: Path, options: Options, key: str, value: Any) -> Default:
         why = "belongs on the command line" if key in {each.flag.lstrip("-") for each in options} else "is no option"
         raise OptionError(f"{path}: {key} {why}{suggest(key, known) if why == 'is no option' else ''}")
     try:
-        return Default(option, _parsed(option, value), value, path)
+        return Default(option, _parse(option, value), value, path)
     except ValueError as error:
         raise OptionError(f"{path}: {key}: {error}") from None
 
 
-def _parsed(option: Option, value: Any) -> Any:
+def _parse(option: Option, value: Any) -> Any:
     """As arguments hold a value of a file; ValueError if the option has no such value."""
     if option.is_switch or (value is True and option.bare is not None):
         if not isinstance(value, bool):

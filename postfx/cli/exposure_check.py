@@ -62,8 +62,8 @@ class ExposureCheck:
             "verdict": report.verdict,
             "level_right": round(report.grey, 5),
             "measurable_ev": report.limits_ev,
-            "shots": [_rounded(dataclasses.asdict(shot)) for shot in report.shots],
-            "frames": [_rounded(reading._asdict()) for reading in report.readings],
+            "shots": [_round(dataclasses.asdict(shot)) for shot in report.shots],
+            "frames": [_round(reading._asdict()) for reading in report.readings],
         }
 
     def text(self) -> str:
@@ -143,5 +143,5 @@ def _row(shot: Shot, report: Report) -> str:
     return row + (f" by {shot.drift_ev:.2f} EV" if shot.verdict == DRIFTING else "")
 
 
-def _rounded(values: dict[str, Any]) -> dict[str, Any]:
+def _round(values: dict[str, Any]) -> dict[str, Any]:
     return {name: round(value, 5) if isinstance(value, float) else value for name, value in values.items()}

@@ -95,7 +95,7 @@ class Faults:
                 self._note(Fault(number, str(error)))
             return None
 
-    def instead(self, number: int) -> FrameResult | None:
+    def substitute(self, number: int) -> FrameResult | None:
         """What to write for a frame that failed; None for nothing."""
         if self._standin is None:
             return None
@@ -173,14 +173,14 @@ class Stop:
 
     def __enter__(self) -> Stop:
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._signalled) for number in SIGNALS}
+            self._before = {number: signal.signal(number, self._request_stop) for number in SIGNALS}
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def _signalled(self, number: int, _: FrameType | None) -> None:
+    def _request_stop(self, number: int, _: FrameType | None) -> None:
         if self.is_requested:
             raise Interrupted(number)
         self._asked = number

@@ -37,7 +37,7 @@ from postfx.cli.summary import (
     describe_sizes,
     describe_views,
     guides_in,
-    missed_budget,
+    warn_of_budget,
 )
 from postfx.cuts import CutDetector
 from postfx.errors import OptionError, PostfxError, WriteError
@@ -104,7 +104,7 @@ class Job:
         native = not is_shown(is_picture, **self._values("look"))  # before any file is opened, which tells of it
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
-        self._parts = self._found_parts()
+        self._parts = self._find_parts()
         passes, skips = self._passes(denoising, self._backwards is not None)
         self.skips += skips
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up)
@@ -123,7 +123,7 @@ class Job:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits, arguments.compression)
         standin = None
         if policy is OnError.COPY:
-            plain, _ = self._passes(None if denoising is None else self._resampling())
+            plain, _ = self._passes(None if denoising is None else self._resample_options())
             standin = Standin(self.sequence, plain, device, exposure)
         self._faults = Faults(policy, standin)
         self._warnings: list[str] = []
@@ -229,7 +229,7 @@ class Job:
             warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings,
                       *(self._capture.warnings if self._capture else ()),
                       *self._exposure.warnings(),
-                      *missed_budget(self._arguments.budget, self._pass_ms, self._choices)],
+                      *warn_of_budget(self._arguments.budget, self._pass_ms, self._choices)],
             choices={name: dict(counts) for name, counts in self._choices.items()},
             outputs=self._written,
             guides=guides_in(self.plan, {"scale", "size"} & {*self._values("denoiser")} != set()),
@@ -323,7 +323,7 @@ class Job:
                 with capturing(work.number):
                     done = None if frame is None else self._process(work, frame)
                 if done is None and work.write:
-                    done = self._faults.instead(work.number)
+                    done = self._faults.substitute(work.number)
                 if work.write and done:
                     if self._page:
                         self._page.add(done)
@@ -341,9 +341,9 @@ class Job:
         return self._backwards(frame, write, stop.check)
 
     def _read(self, run: Run, work: Work) -> Frame | None:
-        return self._faults.read(work.number, work.write, partial(self._checked, run, work.number))
+        return self._faults.read(work.number, work.write, partial(self._read_checked, run, work.number))
 
-    def _checked(self, run: Run, number: int) -> Frame:
+    def _read_checked(self, run: Run, number: int) -> Frame:
         read = partial(self.sequence.read, number, self.plan.planes, self._guides)
         frame = read_patiently(read, partial(run.note_retry, number))
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
@@ -418,7 +418,7 @@ class Job:
                               "let the pass run after=denoise_upscale, or leave --both-ways out")
         return chain, skips + not_shown
 
-    def _found_parts(self) -> tuple[Part, ...]:
+    def _find_parts(self) -> tuple[Part, ...]:
         """Parts of the picture that --aov and --aov-denoise ask for; none where the output cannot hold them."""
         if self.sequence.parts is None:
             return ()
@@ -429,7 +429,7 @@ class Job:
         with self.sequence.open(self.first) as files:
             return tuple(found.part for found in files.parts.values())
 
-    def _resampling(self) -> dict[str, Any]:
+    def _resample_options(self) -> dict[str, Any]:
         """Options of a denoiser that only resamples, to the plan's size."""
         size = self._arguments.size
         return {"strength": 0.0,

@@ -87,7 +87,7 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
         return self.metavar is None and not self.choices
 
     @property
-    def resting(self) -> Any:
+    def default_value(self) -> Any:
         """Its value where nobody says anything."""
         return False if self.is_switch else self.default
 
@@ -186,37 +186,37 @@ class Options:
         trial = argparse.Namespace(**vars(arguments))
         for option in self:
             if option.name not in given and not option.shows:
-                setattr(trial, option.name, option.resting)
+                setattr(trial, option.name, option.default_value)
         found = []
         for option in self:
             if option.name not in values or option.name in given:
                 continue
             setattr(trial, option.name, values[option.name])
-            if self._goes(option, trial):
+            if self._fits(option, trial):
                 setattr(arguments, option.name, values[option.name])
                 found.append(option.name)
-            setattr(trial, option.name, option.resting)
+            setattr(trial, option.name, option.default_value)
         return found
 
-    def _goes(self, option: Option, arguments: argparse.Namespace) -> bool:
+    def _fits(self, option: Option, arguments: argparse.Namespace) -> bool:
         """Whether an option goes with the others that are given."""
         rivals = [other for section in self.sections if option in section.options for other in section.options
                   if option.either and other.either == option.either and other is not option]
         others = [other for other in self if other.is_given(arguments) and
-                  any(self._asks(key, arguments) for key in other.excludes if key.partition("=")[0] == option.flag)]
+                  any(self._is_asked(key, arguments) for key in other.excludes if key.partition("=")[0] == option.flag)]
         return not (any(rival.is_given(arguments) for rival in rivals) or others or self.exclusions(option, arguments))
 
     def exclusions(self, option: Option, arguments: argparse.Namespace) -> list[str]:
         """Messages of the given options that this one does not go with."""
         return [message.replace("{flag}", option.flag) for other, message in option.excludes.items()
-                if self._asks(other, arguments)]
+                if self._is_asked(other, arguments)]
 
     def refuse_conflicts(self, arguments: argparse.Namespace) -> None:
         """OptionError for options that do not go together, or lack one that they need."""
         for option in self:
             if not option.is_given(arguments):
                 continue
-            missing = [message for other, message in option.needs.items() if not self._asks(other, arguments)]
+            missing = [message for other, message in option.needs.items() if not self._is_asked(other, arguments)]
             for message in self.exclusions(option, arguments) + missing:
                 raise OptionError(message)
 
@@ -224,7 +224,7 @@ class Options:
         """Name -> value of the options that change this."""
         return {option.name: option.value(arguments) for option in self if option.changes == changes}
 
-    def _asks(self, key: str, arguments: argparse.Namespace) -> bool:
+    def _is_asked(self, key: str, arguments: argparse.Namespace) -> bool:
         flag, _, value = key.partition("=")
         option = self[flag]
         return option.value(arguments) == value if value else option.is_given(arguments)
@@ -263,7 +263,7 @@ class Parser(argparse.ArgumentParser):
         given = {name for name, blank in blanks.items() if getattr(found, name) is not blank}
         for option in options:
             if option.name not in given:
-                setattr(found, option.name, option.resting)
+                setattr(found, option.name, option.default_value)
         self.complete(found, given)
         return found, rest
 

@@ -72,7 +72,7 @@ class RunReport:
         sources, results = (frame, *frame.views.values()), (done.result, *done.result.views.values())
         for view, source, result in zip(self._views or (None,), sources, results, strict=True):
             own = self._pictures(view, source, result, exposure, cut)
-            found = self._compared(own, exposure)
+            found = self._compare(own, exposure)
             pictures |= {_label(name, view): light for name, light in own.items()}
             motions |= {_label(name, view): source.planes.get(Role.MOTION) for name in own}
             if found:
@@ -107,11 +107,11 @@ class RunReport:
         scene = {"before": before}
         reference = self._references.colour(frame.number, view) if self._references else None
         scene |= {"reference": reference} if reference is not None and reference.shape == after.shape else {}
-        shown = {name: self._displayed(_label(name, view), light, frame, exposure, cut)
+        shown = {name: self._display(_label(name, view), light, frame, exposure, cut)
                  for name, light in scene.items()}
         return {"before": shown.pop("before"), "after": _light_of(result), **shown}
 
-    def _displayed(self, name: str, light: np.ndarray, frame: Frame, exposure: float, cut: bool) -> np.ndarray:
+    def _display(self, name: str, light: np.ndarray, frame: Frame, exposure: float, cut: bool) -> np.ndarray:
         """Scene-linear light through the passes that made the output a display's, each picture with its own history."""
         if not self._look.display:
             return light
@@ -122,7 +122,7 @@ class RunReport:
         one = Frame({Role.COLOUR: light}, frame.number, exposure=exposure, reset=cut, metadata=frame.metadata)
         return _light_of(self._displays[name](one))
 
-    def _compared(self, pictures: dict[str, np.ndarray], exposure: float) -> Comparison | None:
+    def _compare(self, pictures: dict[str, np.ndarray], exposure: float) -> Comparison | None:
         if "reference" not in pictures:
             return None
         return measure_errors({name: self._look.codes(light, exposure) for name, light in pictures.items()})

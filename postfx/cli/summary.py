@@ -49,9 +49,9 @@ class Explanation:
         """In plain types."""
         plan, missing = self.plan.as_dict(), self.sequence.missing()
         plan["skipped"] += [asdict(item) for item in self.skips]
-        if alone := self._alone():
+        if alone := self._find_left_alone():
             plan["left_alone"] = alone.as_dict()
-        return {**plan, "ahead": self._ahead(), "frames": len(self.sequence), "missing": missing,
+        return {**plan, "ahead": self._list_ahead(), "frames": len(self.sequence), "missing": missing,
                 "exposure": self.exposure.as_dict(),
                 "warnings": self.sequence.warnings}
 
@@ -59,23 +59,23 @@ class Explanation:
         first, frames = self.first, describe_frames(self.sequence)
         lines = [f"input   {self.sequence.pattern}: {frames}{describe_views(self.sequence)}", str(self.plan)]
         lines += [f"skips   {item.what}: {item.why}" for item in self.skips]
-        if alone := self._alone():
+        if alone := self._find_left_alone():
             lines.append(f"leaves  of frame {first}: {alone}")
         if self.exposure.is_applied:
             one = f"frame {first} by " if len(self.exposure.multipliers) == 1 else ""
             known = self.exposure.multipliers
             lines.append(f"exposes {one}{self.exposure}" if known else "exposes all frames by what metering them gives")
-        if ahead := self._ahead():
+        if ahead := self._list_ahead():
             listed = f"frame{'s' * (len(ahead) > 1)} {', '.join(map(str, ahead))}"
             lines.append(f"run-up  of each shot: {listed} before frame {first} (--run-up 0 for none)")
         return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
 
-    def _alone(self) -> Coverage | None:
+    def _find_left_alone(self) -> Coverage | None:
         """What the first frame leaves as it is, where that is asked for."""
         asked = self.sequence.leave and Role.STRENGTH in self.plan.planes
         return self.sequence.coverage_of(self.first) if asked else None
 
-    def _ahead(self) -> list[int]:
+    def _list_ahead(self) -> list[int]:
         """Frames that are run before the first one, in the order in which they are."""
         return self.run_up.after(self.first)[::-1] if self.run_up and self.plan.accumulating_steps() else []
 
@@ -373,11 +373,11 @@ class Report:
         if self.ahead_ms:
             lines.append(f"ran      {_frames(len(self.ahead_ms))} in reverse order, for a history of the first ones: "
                          f"{median(self.ahead_ms):.1f} ms a frame")
-        lines += [f"chose    {name}: {_counted(counts)}" for name, counts in self.choices.items()]
+        lines += [f"chose    {name}: {_count_choices(counts)}" for name, counts in self.choices.items()]
         if self.exposure.is_applied and self.exposure.multipliers:
             lines.append(f"exposure {self.exposure}")
         lines += [f"guides   {_guides_text(self.guides)}"] if self.guides else []
-        lines += [f"cuts     found at {_listed(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
+        lines += [f"cuts     found at {_list_numbers(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
         if self.coverage.frames:
             lines.append(f"left     {self.coverage}")
         if self.fireflies.light:
@@ -425,7 +425,7 @@ class Report:
         return f", {self.frames / self.seconds:.2f} frames/s, {median(self.frame_ms):.0f} ms a frame in the passes"
 
 
-def missed_budget(
+def warn_of_budget(
     budget: float | None, pass_ms: Mapping[str, list[float]], chosen: Mapping[str, Mapping[str, int]]
 ) -> list[str]:
     """A warning where most frames took longer than --budget, in milliseconds."""
@@ -475,10 +475,10 @@ def _broken_text(role: str, found: dict[str, int]) -> str:
     return f"{found['pixels']} pixel{'s' * (found['pixels'] > 1)} not finite in {_frames(found['frames'])}{repaired}"
 
 
-def _listed(numbers: list[int]) -> str:
+def _list_numbers(numbers: list[int]) -> str:
     more = f" and {len(numbers) - SHOWN_CUTS} more" if len(numbers) > SHOWN_CUTS else ""
     return ", ".join(map(str, numbers[:SHOWN_CUTS])) + more
 
 
-def _counted(counts: dict[str, int]) -> str:
+def _count_choices(counts: dict[str, int]) -> str:
     return ", ".join(f"{choice} for {count} frame{'s' * (count > 1)}" for choice, count in counts.items())

@@ -154,7 +154,7 @@ class Arrivals:
             return None  # an empty folder, or none yet
         if self.pattern.has_views:
             raise SequenceError(f"{self.pattern}: 'postfx watch' watches one view: put its name for {VIEW}")
-        found = self.pattern.found()
+        found = self.pattern.find_frames()
         numbers = [number for number in found if self._last is None or number > self._last]
         if not numbers:
             return None

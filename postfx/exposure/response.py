@@ -239,7 +239,7 @@ class GradedBoards:
 
     def __init__(self, source: str) -> None:
         self.pattern, _ = locate(source)
-        self._files = {number: next(iter(files.values())) for number, files in self.pattern.found().items()}
+        self._files = {number: next(iter(files.values())) for number, files in self.pattern.find_frames().items()}
         if not self._files:
             raise ExposureError(f"{source}: no such file: check the folder and the frame pattern")
 

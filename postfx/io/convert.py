@@ -165,27 +165,28 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     missed = beyond & (motion[..., 0] == 0) & (motion[..., 1] == 0)
     if missed.sum() < max(_DIRECT * beyond.sum(), 1):
         return False
-    now = centred(rows, columns, height, width)
+    now = centre_positions(rows, columns, height, width)
     near = np.median(depth[rows, columns]) / depth[rows, columns].astype(np.float64)
     found, covariance, error, share = fit_camera(now, now[:, :2] + moved / width, near, 1 / width)
     places = np.argwhere(missed[::step, ::step])
-    now = centred(step * places[:, 0], step * places[:, 1], height, width)
-    across = camera_equations(now, np.stack(_moved(found, now[:, 0], now[:, 1]), -1), np.zeros(len(now)))
+    now = centre_positions(step * places[:, 0], step * places[:, 1], height, width)
+    across = camera_equations(now, np.stack(_apply_homography(found, now[:, 0], now[:, 1]), -1), np.zeros(len(now)))
     doubt = float(np.sqrt(np.einsum("ij,jk,ik->i", across, covariance, across)).max(initial=0)) * width
     if share < _FITTING or max(error, doubt) > _SURE or _skew(found) > _SKEW:
         return False
-    columns = centred(np.zeros(width), np.arange(width), height, width)[None, :, 0].astype(np.float32)
-    rows = centred(np.arange(height), np.zeros(height), height, width)[:, 1, None].astype(np.float32)
+    columns = centre_positions(np.zeros(width), np.arange(width), height, width)[None, :, 0].astype(np.float32)
+    rows = centre_positions(np.arange(height), np.zeros(height), height, width)[:, 1, None].astype(np.float32)
     for first in range(0, height, _ROWS):  # so few rows that they stay in the cache
         some = slice(first, first + _ROWS)
         if missed[some].any():
             x, y = np.broadcast_arrays(columns, rows[some])
-            for axis, (before, here) in enumerate(zip(_moved(found.astype(np.float32), x, y), (x, y), strict=True)):
+            earlier = _apply_homography(found.astype(np.float32), x, y)
+            for axis, (before, here) in enumerate(zip(earlier, (x, y), strict=True)):
                 np.copyto(motion[some, :, axis], (before - here) * width, where=missed[some], casting="same_kind")
     return True
 
 
-def _moved(found: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _apply_homography(found: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where infinitely far points were before."""
     a, b, c, d, e, f, g, h = found[:8]
     over = 1 / (g * x + h * y + 1)
@@ -198,7 +199,7 @@ def _skew(found: np.ndarray) -> float:
     return float(max(abs(found[0] - found[4]), abs(found[1] + found[3])) - 2 * shift)
 
 
-def centred(rows: np.ndarray, columns: np.ndarray, height: float, width: float) -> np.ndarray:
+def centre_positions(rows: np.ndarray, columns: np.ndarray, height: float, width: float) -> np.ndarray:
     """Homogeneous positions (count, 3) around the middle of the picture, in widths."""
     x, y = (columns + 0.5 - width / 2) / width, (rows + 0.5 - height / 2) / width
     return np.stack([x, y, np.ones_like(x)], axis=-1)

@@ -36,7 +36,7 @@ from postfx.kernels.pixel_formats import dither_rows, halve, look_up, paeth
 _STEPS = 1 << 16
 
 
-def halves(light: np.ndarray) -> np.ndarray:
+def to_halves(light: np.ndarray) -> np.ndarray:
     """float16 nearest to light of any shape, cut to +-65504; NaN stays."""
     values = np.ascontiguousarray(light, np.float32).reshape(-1)
     found = np.empty(values.shape, np.uint16)
@@ -106,7 +106,7 @@ def write_png(path: Path, like: bytes, size: tuple[int, int], pieces: Iterable[n
             elif kind != b"IDAT":
                 _write(file, kind, content)
             else:
-                for compressed in filter(None, _compressed(pieces)):
+                for compressed in filter(None, _compress(pieces)):
                     _write(file, kind, compressed)
 
 
@@ -125,7 +125,7 @@ def _write(file: BinaryIO, kind: bytes, content: bytes) -> None:
     file.write(struct.pack(">I", isal_zlib.crc32(content, isal_zlib.crc32(kind))))
 
 
-def _compressed(pieces: Iterable[np.ndarray]) -> Iterator[bytes]:
+def _compress(pieces: Iterable[np.ndarray]) -> Iterator[bytes]:
     """One stream of zlib's format, in parts."""
     stream, above = isal_zlib.compressobj(_LEVEL), None
     for pixels in pieces:
@@ -174,9 +174,9 @@ def _last_byte(file: BinaryIO, layout: tuple[str, str, str]) -> int:
     order, kind, offset = layout
     wide = struct.calcsize(order + offset)
     file.seek(wide)  # behind the first four bytes, or eight
-    file.seek(*_unpacked(file, order + offset))
-    (count,) = _unpacked(file, order + kind)
-    entries = [_unpacked(file, f"{order}HH{offset}{wide}s") for _ in range(min(count, 4096))]
+    file.seek(*_unpack(file, order + offset))
+    (count,) = _unpack(file, order + kind)
+    entries = [_unpack(file, f"{order}HH{offset}{wide}s") for _ in range(min(count, 4096))]
     found = {tag: _numbers(file, order, wide, *rest) for tag, *rest in entries if tag in _WHERE + _HOW_MANY}
     starts, counts = ([found[tag] for tag in tags if tag in found] for tags in (_WHERE, _HOW_MANY))
     if not starts or not counts or not all(starts[0]):
@@ -190,10 +190,10 @@ def _numbers(file: BinaryIO, order: str, wide: int, kind: int, count: int, value
     if struct.calcsize(form) <= wide:
         return struct.unpack_from(form, value)
     file.seek(*struct.unpack(order + ("I" if wide == 4 else "Q"), value))
-    return _unpacked(file, form)
+    return _unpack(file, form)
 
 
-def _unpacked(file: BinaryIO, form: str) -> tuple[Any, ...]:
+def _unpack(file: BinaryIO, form: str) -> tuple[Any, ...]:
     return struct.unpack(form, file.read(struct.calcsize(form)))
 
 
@@ -382,16 +382,16 @@ def _assemble(tags: dict[bytes, bytes]) -> bytes:
 
 def _header(size: int) -> bytes:
     kinds = struct.pack(">4s4s4s6H4s", b"mntr", b"RGB ", b"XYZ ", *_MADE, b"acsp")
-    white = b"".join(map(_fixed, D50_XYZ))
+    white = b"".join(map(_encode_fixed, D50_XYZ))
     return (struct.pack(">I4sI", size, b"", _VERSION) + kinds + bytes(28) + white).ljust(_HEADER, b"\0")
 
 
 def _curve(display: Display) -> bytes:
     if display.kind.curve is SRGB:
-        return b"para" + struct.pack(">IHH", 0, 3, 0) + b"".join(map(_fixed, (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92,
-                                                                           0.04045)))
+        numbers = 2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045
+        return b"para" + struct.pack(">IHH", 0, 3, 0) + b"".join(map(_encode_fixed, numbers))
     if not display.hdr:
-        return b"para" + struct.pack(">IHH", 0, 0, 0) + _fixed(2.4)
+        return b"para" + struct.pack(">IHH", 0, 0, 0) + _encode_fixed(2.4)
     codes = np.linspace(0, 1, _SAMPLES)
     light = np.minimum(display.decode(np.repeat(codes[:, None], 3, 1))[:, 0], 1)
     samples: bytes = np.rint(light * 65535).astype(">u2").tobytes()
@@ -405,10 +405,10 @@ def _text(text: str) -> bytes:
 
 
 def _icc_numbers(kind: bytes, values: np.ndarray | tuple[float, ...]) -> bytes:
-    return kind + bytes(4) + b"".join(map(_fixed, values))
+    return kind + bytes(4) + b"".join(map(_encode_fixed, values))
 
 
-def _fixed(value: float) -> bytes:
+def _encode_fixed(value: float) -> bytes:
     """s15Fixed16Number."""
     return struct.pack(">i", round(float(value) * 65536))
 
@@ -462,7 +462,7 @@ def blue_noise(side: int = SIDE) -> np.ndarray:
     """
     weight, taken = _neighbourhood(side), np.zeros((side, side), bool)
     energy = np.random.default_rng(0).uniform(0, 1e-6, (side, side))  # breaks ties
-    first = _scattered(taken, energy, weight)
+    first = _scatter(taken, energy, weight)
     ranks = np.empty((side, side))
     started = taken.copy(), energy.copy()
     for rank in reversed(range(first)):
@@ -473,7 +473,7 @@ def blue_noise(side: int = SIDE) -> np.ndarray:
     return ((ranks + 0.5) / side**2).astype(np.float32)
 
 
-def _scattered(taken: np.ndarray, energy: np.ndarray, weight: np.ndarray) -> int:
+def _scatter(taken: np.ndarray, energy: np.ndarray, weight: np.ndarray) -> int:
     """Take a tenth of the places, as far from each other as they go; returns how many."""
     count = taken.size // 10
     for _ in range(count):

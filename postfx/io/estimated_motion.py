@@ -18,7 +18,7 @@ import numpy as np
 from postfx.errors import FrameError
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, value_at
-from postfx.io.convert import SEEN, camera_equations, centred, fit_camera
+from postfx.io.convert import SEEN, camera_equations, centre_positions, fit_camera
 from postfx.kernels.numeric import Real, compiled
 from postfx.system import usable_cores
 
@@ -110,7 +110,7 @@ def motion_between(before: Picture | None, after: Picture, depth: np.ndarray | N
     if at_rest.mean() <= _AS_WELL[found is None] * best_misfit.mean():
         return still
     if found is None:
-        motion = _enlarged(flow, step, height, width)
+        motion = _enlarge(flow, step, height, width)
         return np.ascontiguousarray(motion - jitter, np.float32)
     assert depth is not None
     motion = np.empty((height, width, 2), np.float32)
@@ -120,7 +120,7 @@ def motion_between(before: Picture | None, after: Picture, depth: np.ndarray | N
     return motion
 
 
-def _enlarged(flow: np.ndarray, step: int, height: int, width: int) -> np.ndarray:
+def _enlarge(flow: np.ndarray, step: int, height: int, width: int) -> np.ndarray:
     rows, columns = flow.shape[:2]
     return enlarge_motion(flow, rows * step, columns * step)[:height, :width]
 
@@ -142,16 +142,16 @@ def _camera(one: np.ndarray, other: np.ndarray, flow: np.ndarray, depth: np.ndar
     median = float(np.median(near_plane[rows, columns]))
     whole = max(width, 1) / step  # width of the frame in pixels of the picture
     shape = (height / step, whole)
-    now = centred(rows, columns, *shape)
+    now = centre_positions(rows, columns, *shape)
     near = median / near_plane[rows, columns].astype(np.float64)
     found, _, _, share = fit_camera(now, now[:, :2] + flow[rows, columns].astype(np.float64) / whole, near, 1 / whole)
     if share < _FITTING:
         return None
     near = np.where(hit, median / np.where(hit, near_plane, 1), 0)
-    return _aligned(one, other, found, near, shape).astype(np.float32), np.float32(median)
+    return _align(one, other, found, near, shape).astype(np.float32), np.float32(median)
 
 
-def _aligned(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarray, shape: tuple[float, float]
+def _align(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarray, shape: tuple[float, float]
              ) -> np.ndarray:
     """H and e that make the pictures fit best, from ones that are nearly right: Gauss-Newton steps with little weight
     for pixels that do not fit."""
@@ -164,7 +164,7 @@ def _aligned(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.nda
         return found
     every = max(1, rows.size // _ALIGNED)
     rows, columns = rows[::every], columns[::every]
-    now, close = centred(rows, columns, *shape), near[rows, columns].astype(np.float64)
+    now, close = centre_positions(rows, columns, *shape), near[rows, columns].astype(np.float64)
     value, g_x, g_y = (plane[rows, columns].astype(np.float64) for plane in (one, right, down))
     there, best, least, scale = np.empty((rows.size, 3), np.float32), found, math.inf, 0.0
     for _ in range(_ROUNDS + 1):

@@ -179,7 +179,7 @@ class FrameFiles:
             drop_smaller_planes(self.layout)
             self.guides = larger_planes(self.layout)
             if guides:
-                self.guides = self._own_guides(guides, profile, depth)
+                self.guides = self._open_guides(guides, profile, depth)
             if Role.OVERLAY in self.layout.planes or (self.guides and Role.OVERLAY in self.guides.planes):
                 take_opaque_colour(self.layout, self._index)
             self.parts = find_parts(parts, self._index, self.layout, str(self.path), self.match(Role.COLOUR).size) \
@@ -208,7 +208,7 @@ class FrameFiles:
         """Size, planes and guides of the frame; MissingPlaneError when there is no colour."""
         width, height = self.match(Role.COLOUR).size
         guides = self.guides.spec() if self.guides else None
-        planes = (*self.layout.planes, *self._made())
+        planes = (*self.layout.planes, *self._derived())
         parts = {name: len(part.channels) for name, part in self.parts.items()}
         return FrameSpec(width, height, planes, guides=guides, source=str(self.path), parts=parts)
 
@@ -224,11 +224,11 @@ class FrameFiles:
         Without `guides`, `roles` tells what to read at whatever size it is there. Raises MissingPlaneError when one
         of them is not there, ReadError when pixels cannot be decoded.
         """
-        wanted, guiding = self._wanted(roles, guides)
+        wanted, guiding = self._split_roles(roles, guides)
         if not wanted:
-            raise self.missing(Role.COLOUR)
+            raise self.missing_error(Role.COLOUR)
         alone = self.alone if Role.STRENGTH in wanted else None
-        stored = {*wanted, *(alone.reads if alone else ())} - self._made()
+        stored = {*wanted, *(alone.reads if alone else ())} - self._derived()
         matches = {role: self.match(role) for role in Role if role in stored}
         guide_matches = {role: self.guide(role) for role in guiding}
         planes = read_planes(matches, self.layout.camera, scratch)
@@ -245,12 +245,12 @@ class FrameFiles:
             frame.part_sources = {name: part.source for name, part in self.parts.items()}
         return frame
 
-    def held(
+    def select_present(
         self, roles: Iterable[Role] | None, guides: Iterable[Role] | None
     ) -> tuple[list[Role] | None, list[Role] | None]:
         """Those of these roles and guides that are there, and the colour whether it is or not."""
         offered = self.guides.planes if self.guides else {}
-        there = {*self.layout.planes, *self._made(), Role.COLOUR, *(offered if guides is None else ())}
+        there = {*self.layout.planes, *self._derived(), Role.COLOUR, *(offered if guides is None else ())}
         return (None if roles is None else [Role(role) for role in roles if role in there],
                 None if guides is None else [Role(role) for role in guides if role in offered])
 
@@ -264,10 +264,10 @@ class FrameFiles:
     def match(self, role: Role) -> Match:
         """Where a plane is; MissingPlaneError when the profile finds none."""
         if role not in self.layout.planes:
-            raise self.missing(role)
+            raise self.missing_error(role)
         return self.layout.planes[role]
 
-    def missing(self, role: Role) -> MissingPlaneError:
+    def missing_error(self, role: Role) -> MissingPlaneError:
         """The error for a plane that is not there: what was looked for, and the fix."""
         profile, rules = self.layout.profile, self.layout.profile.rules(role)
         looked = [names for rule in rules for names in rule.candidates(self.layout.layer)][:2]
@@ -292,7 +292,7 @@ class FrameFiles:
         return {layer: channels for layer, channels in self._index.pairs_like(_MOTION) if channels[0] not in used
                 and (channels[0].part.area.width, channels[0].part.area.height) == size}
 
-    def _made(self) -> set[Role]:
+    def _derived(self) -> set[Role]:
         """Planes that are not in the files but are made from them."""
         made = {Role.STRENGTH} if self.alone else set()
         made |= {Role.MOTION} if self._estimates and {*SEEN} & self.layout.planes.keys() else set()
@@ -301,7 +301,7 @@ class FrameFiles:
     @property
     def lacks_motion(self) -> bool:
         """Whether the plane motion is to be estimated from the others."""
-        return Role.MOTION in self._made()
+        return Role.MOTION in self._derived()
 
     def _look(self, profile: str | None, depth: DepthOption | None) -> tuple[ChannelIndex, Layout]:
         index = ChannelIndex(self._files, self._view, self._layer or "")
@@ -353,7 +353,7 @@ class FrameFiles:
         found = gather_attributes(channel.part.attributes, others)
         return {name: value for name, value in self.layout.attributes.items() if name != INTEROP} | found
 
-    def _own_guides(
+    def _open_guides(
         self, paths: Mapping[str, Path], profile: str | None, depth: DepthOption | None
     ) -> GuideLayout:
         view = self._guides_view(paths)
@@ -371,12 +371,12 @@ class FrameFiles:
         with ImageFile(next(iter(paths.values()))) as file:
             return next((view for view in ChannelIndex({"": file}).views if view == self._index.views[0]), None)
 
-    def _wanted(
+    def _split_roles(
         self, roles: Iterable[Role] | None, guides: Iterable[Role] | None
     ) -> tuple[list[Role], list[Role]]:
         """Roles to read as planes and as guides."""
         held, offered = self.layout.planes, self.guides.planes if self.guides else {}
-        planes = [*held, *self._made()] if roles is None else [Role(role) for role in roles]
+        planes = [*held, *self._derived()] if roles is None else [Role(role) for role in roles]
         if guides is not None:
             return planes, [Role(role) for role in guides]
         if roles is None:
@@ -414,16 +414,16 @@ class FrameFiles:
         if not are_together(channels):
             return None
         names = tuple(channel.name for channel in channels)
-        return ColourSource(channels[0].part.index, names, self.layout.attributes, self._renders() | self._own_parts(),
-                            self._in_pixels())
+        replaced = self._find_colour() | self._find_parts()
+        return ColourSource(channels[0].part.index, names, self.layout.attributes, replaced, self._find_pixel_motion())
 
-    def _own_parts(self) -> frozenset[tuple[int, str]]:
+    def _find_parts(self) -> frozenset[tuple[int, str]]:
         """Part and name of the channels in the colour's file that are parts of the picture, which replaces them."""
         file = self.layout.planes[Role.COLOUR].channels[0].file
         channels = (channel for found in self.parts.values() for channel in found.channels)
         return frozenset((channel.part.index, channel.name) for channel in channels if channel.file is file)
 
-    def _renders(self) -> frozenset[tuple[int, str]]:
+    def _find_colour(self) -> frozenset[tuple[int, str]]:
         """Part and name of all channels in the colour's file that a profile takes for the colour, with their alpha."""
         file = self.layout.planes[Role.COLOUR].channels[0].file
         names = (names for rule in self.layout.profile.rules(Role.COLOUR)
@@ -436,7 +436,7 @@ class FrameFiles:
                   if alpha in channels[0].part.channels]
         return frozenset((one.part.index, one.name) for channels in found for one in channels if one.file is file)
 
-    def _in_pixels(self) -> dict[tuple[int, str], int]:
+    def _find_pixel_motion(self) -> dict[tuple[int, str], int]:
         """Part and name of the colour's file's channels that hold motion in pixels, and their axis; what lies beside
         them in their layer, such as Blender's motion to the next frame, included."""
         match = self.layout.planes.get(Role.MOTION)

@@ -20,7 +20,7 @@ import OpenImageIO as oiio
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
 from postfx.io.exr.container import MAX_SIDE, ExrContainer
-from postfx.io.windows import Part, Window, own_windows, part_of, some_rows, to_area
+from postfx.io.windows import Part, Window, assign_windows, part_of, some_rows, to_area
 
 READABLE = (".exr", ".hdr")
 _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
@@ -104,7 +104,7 @@ class ImageFile:
         else:
             part = part if rows is None else some_rows(part, *rows)
             pixels = self._read_rows(part, first, last + 1)
-        pixels = self._decoded(pixels).reshape(part.data.height, part.data.width, last + 1 - first)
+        pixels = self._require_pixels(pixels).reshape(part.data.height, part.data.width, last + 1 - first)
         fills = channels.values()
         return {
             name: to_area(pixels[:, :, index - first], part, fill)
@@ -119,7 +119,7 @@ class ImageFile:
             return self.read(part, {name: 0.0}, rows)[name]
         part = part if rows is None else some_rows(part, *rows)
         pixels = self._read_rows(part, index, index + 1, oiio.UINT)
-        return to_area(self._decoded(pixels)[:, :, 0], part, 0)
+        return to_area(self._require_pixels(pixels)[:, :, 0], part, 0)
 
     def widen(self, display: Window, area: Window) -> None:
         """Read the parts with this display window in a larger area from now on."""
@@ -131,11 +131,11 @@ class ImageFile:
         rows = replace(part, data=part.data._replace(y0=part.data.y0 + first, y1=part.data.y0 + last - 1))
         found: dict[str, np.ndarray] = {}
         for begin, end in _runs(part, names):
-            pixels = self._decoded(self._read_rows(rows, begin, end, _STORED[part.formats[begin]]))
+            pixels = self._require_pixels(self._read_rows(rows, begin, end, _STORED[part.formats[begin]]))
             found |= {part.channels[begin + column]: pixels[:, :, column] for column in range(end - begin)}
         return [found[name] for name in names]
 
-    def _decoded(self, pixels: np.ndarray | None) -> np.ndarray:
+    def _require_pixels(self, pixels: np.ndarray | None) -> np.ndarray:
         if pixels is None:
             reason = reason_of(self._input.geterror)
             raise ReadError(f"{self.path}: broken file: {reason}; render or copy this frame again")
@@ -169,7 +169,7 @@ class ImageFile:
     def _turn_upright(self, header: RadianceHeader) -> np.ndarray:
         """The whole picture, (height, width, 3), which is read once."""
         if self._upright is None:
-            stored = self._decoded(self._input.read_image(0, 0, 0, 3, oiio.FLOAT))
+            stored = self._require_pixels(self._input.read_image(0, 0, 0, 3, oiio.FLOAT))
             self._upright = header.upright(stored.reshape(header.rows, header.columns, 3))
         return self._upright
 
@@ -182,7 +182,7 @@ class ImageFile:
         if not parts:
             reason = "deep data is not supported: flatten it first, e.g. with oiiotool --flatten"
             raise ReadError(f"{self.path}: {reason if deep else 'holds no image'}")
-        return own_windows(parts)
+        return assign_windows(parts)
 
 
 def _radiance_part(part: Part, header: RadianceHeader) -> Part:

@@ -193,7 +193,7 @@ class LeftAlone:
             self._check_size(layer.name, layer.channels[0])
             self._named.setdefault(layer, {})[key] = entry
         if layers and not found and strict:
-            raise self._unknown(entry, layers)
+            raise self._unknown_error(entry, layers)
 
     def _plane_of(self, entry: Entry, plane: str) -> Channel:
         found = self._index.matching(plane)
@@ -206,7 +206,7 @@ class LeftAlone:
         self._check_size(found[0].name, found[0])
         return found[0]
 
-    def _unknown(self, entry: Entry, layers: list[CryptomattePlanes]) -> StrengthError:
+    def _unknown_error(self, entry: Entry, layers: list[CryptomattePlanes]) -> StrengthError:
         near = [name for layer in layers for name in layer.about.nearest(entry)]
         names = near or [name for layer in layers for name in layer.about.manifest or ()]
         kind = "nearest" if near else "some of its names"
@@ -228,7 +228,7 @@ class LeftAlone:
     def _of_ids(self, rows: tuple[int, int]) -> np.ndarray:
         """Strength of some rows by ids alone; what it covers is counted."""
         strength = np.ones((rows[1] - rows[0], self._known_size()[0]), np.float32)
-        owned = [self._owned(layer, rows) for layer in self._named]
+        owned = [self._share_out(layer, rows) for layer in self._named]
         found = [entry for entry in dict.fromkeys(reversed(self._entries)) if any(entry in shares for shares in owned)]
         for entry, share in split_shares(owned, found[::-1]):
             strength -= (1 - entry.strength) * share
@@ -243,7 +243,7 @@ class LeftAlone:
             strength *= own
         return strength[:, :, None]
 
-    def _owned(self, layer: CryptomattePlanes, rows: tuple[int, int]) -> dict[Entry, np.ndarray]:
+    def _share_out(self, layer: CryptomattePlanes, rows: tuple[int, int]) -> dict[Entry, np.ndarray]:
         """Shares of some rows, by the entry that counts for an id: the last one."""
         pixels, ids = read_channels(dict.fromkeys(layer.channels, 0.0), rows), self._named[layer]
         ranks = [pixels[channel] for channel in layer.channels]

@@ -98,14 +98,14 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
             if channels := _channels(index, layer, COLOURS):
                 matches[layer] = FoundPart(Part(layer, "light", "named"), channels)
         if not matches:
-            raise _missing(name, index, layout, path)
+            raise _missing_error(name, index, layout, path)
         found |= {layer: part for layer, part in matches.items() if layer not in found}
     for name, kind in options.planes:
         for layer in index.layers_like(name)[:1] or [name]:
             refuse_ids(layer, f"--aov-denoise {kind}={name}")
             channels = _channels(index, layer, LETTERS.get(kind, (*COLOURS, *NUMBERS)))
             if not channels:
-                raise _missing(name, index, layout, path, f"--aov-denoise {kind}={name}")
+                raise _missing_error(name, index, layout, path, f"--aov-denoise {kind}={name}")
             found[layer] = FoundPart(Part(layer, kind), channels)
     return {name: part for name, part in found.items() if _size(part.channels) == size}
 
@@ -148,7 +148,9 @@ def _size(channels: tuple[Channel, ...]) -> tuple[int, int]:
     return area.width, area.height
 
 
-def _missing(name: str, index: ChannelIndex, layout: Layout, path: str, option: str = "--aov") -> MissingPlaneError:
+def _missing_error(
+    name: str, index: ChannelIndex, layout: Layout, path: str, option: str = "--aov"
+) -> MissingPlaneError:
     held = "; ".join(index.contents()[:16]) or "nothing"
     if name == AUTO:
         return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of its layers as parts "

@@ -45,7 +45,7 @@ class Pattern:
     digits: int | None = None
 
     @property
-    def numbered(self) -> bool:
+    def is_numbered(self) -> bool:
         return self.digits is not None
 
 
@@ -63,7 +63,7 @@ class Pattern:
         if not self.has_views:
             return {"": self}
         regex = self._regex()
-        found = {match["view"] for name in _glob(self._wild()) if (match := regex.fullmatch(name))}
+        found = {match["view"] for name in _glob(self._make_wildcards()) if (match := regex.fullmatch(name))}
         return {view: self.of_view(view) for view in sorted(found)}
 
     def path(self, number: int, plane: str = "") -> Path:
@@ -78,14 +78,14 @@ class Pattern:
         """Word that stands in another pattern where this one has {plane}; None when they differ elsewhere."""
         regex = re.escape(self.prefix).replace(re.escape(PLANE), r"(?P<plane>[^./]+)", 1)
         match = re.fullmatch(regex, other.prefix)
-        same = self.suffix == other.suffix and self.numbered == other.numbered
+        same = self.suffix == other.suffix and self.is_numbered == other.is_numbered
         return match["plane"] if match and same else None
 
-    def found(self) -> dict[int, dict[str, Path]]:
+    def find_frames(self) -> dict[int, dict[str, Path]]:
         """Frames of one view on the disk: number -> plane word ('' where one file holds all planes) -> file."""
         frames: dict[int, dict[str, Path]] = {}
         regex = self._regex()
-        for name in sorted(_glob(self._wild())):
+        for name in sorted(_glob(self._make_wildcards())):
             match = regex.fullmatch(name)
             if match:
                 words = match.groupdict()
@@ -96,15 +96,15 @@ class Pattern:
                 planes[word] = Path(name)
         return dict(sorted(frames.items()))
 
-    def takes(self, path: Path) -> bool:
+    def includes(self, path: Path) -> bool:
         """Whether a file, there or not, would be found as a frame."""
         folder, name = os.path.split(self.prefix)
-        resolved = Pattern(_joined(os.path.realpath(folder), name), self.suffix, self.digits)
-        return resolved._regex().fullmatch(_joined(os.path.realpath(path.parent), path.name)) is not None
+        resolved = Pattern(_join(os.path.realpath(folder), name), self.suffix, self.digits)
+        return resolved._regex().fullmatch(_join(os.path.realpath(path.parent), path.name)) is not None
 
-    def _wild(self) -> str:
+    def _make_wildcards(self) -> str:
         """Wildcards that fit its files, and others."""
-        number = "*" if self.numbered else ""
+        number = "*" if self.is_numbered else ""
         name = glob.escape(self.prefix) + number + glob.escape(self.suffix)
         return name.replace(PLANE, "*").replace(VIEW, "*")
 
@@ -123,7 +123,7 @@ class Pattern:
         return self.prefix + ("" if self.digits is None else "#" * max(self.digits, 1)) + self.suffix
 
 
-def _joined(folder: str, name: str) -> str:
+def _join(folder: str, name: str) -> str:
     return with_slashes(os.path.join(folder, name))
 
 
@@ -209,7 +209,7 @@ def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
 
     SequenceError when the folder cannot be read.
     """
-    return _group(path for path in _listed(folder) if path.suffix.lower() in suffixes and path.name[0] != "."
+    return _group(path for path in _list_folder(folder) if path.suffix.lower() in suffixes and path.name[0] != "."
                   and os.path.isfile(path))
 
 
@@ -225,7 +225,7 @@ def _group(paths: Iterable[Path]) -> list[Pattern]:
     return list(found.values())
 
 
-def _listed(folder: Path) -> list[Path]:
+def _list_folder(folder: Path) -> list[Path]:
     try:
         return sorted(folder.iterdir())
     except OSError as error:
@@ -251,9 +251,9 @@ def locate(source: Source) -> tuple[Pattern, list[int] | None]:
     if os.path.isdir(name):
         return _folder_pattern(Path(name)), None
     pattern = parse_pattern(name)
-    if _WILD.search(name) and not any(own.found() for own in pattern.by_view().values()):
+    if _WILD.search(name) and not any(own.find_frames() for own in pattern.by_view().values()):
         return _matches(pattern, str(source))
-    if pattern.numbered:
+    if pattern.is_numbered:
         return pattern, None
     path = Path(str(pattern))
     number = number_in_name(path)
@@ -269,12 +269,12 @@ def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[in
     if absent or not paths:
         raise SequenceError(f"{absent[0] if absent else 'INPUT'}: no such file: check the folder, or put a pattern "
                             "like 'shot.####.exr' in quotes")
-    return _together(paths, f"{len(paths)} files")
+    return _gather_files(paths, f"{len(paths)} files")
 
 
 def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
     """Pattern of the files, or of the one folder, that wildcards fit."""
-    wild = pattern.prefix + ("*" if pattern.numbered else "") + pattern.suffix
+    wild = pattern.prefix + ("*" if pattern.is_numbered else "") + pattern.suffix
     wild = wild.replace(PLANE, "*").replace(VIEW, "*")
     found = sorted(map(Path, _glob(wild)))
     folders = [path for path in found if path.is_dir()]
@@ -283,14 +283,14 @@ def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
         return _folder_pattern(folders[0]), None
     if not paths:
         raise SequenceError(f"{source}: no such file: check the folder and the wildcards")
-    return _together(paths, source)
+    return _gather_files(paths, source)
 
 
-def _together(paths: list[Path], source: str) -> tuple[Pattern, list[int] | None]:
+def _gather_files(paths: list[Path], source: str) -> tuple[Pattern, list[int] | None]:
     """The one sequence that files belong to, and their numbers unless these are all that is on the disk."""
     pattern = _one_sequence(_group(paths), source)
     numbers = sorted({number for path in paths if (number := number_in_name(path)) is not None})
-    return pattern, None if not pattern.numbered or numbers == list(pattern.found()) else numbers
+    return pattern, None if not pattern.is_numbered or numbers == list(pattern.find_frames()) else numbers
 
 
 def _folder_pattern(folder: Path) -> Pattern:

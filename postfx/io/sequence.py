@@ -16,7 +16,7 @@ from postfx.io.convert import SEEN, parse_depth
 from postfx.io.frame_reader import Area, FrameFiles
 from postfx.io.parts import parse_parts
 from postfx.io.pattern import VIEW, Pattern, Source, format_frames, locate, parse_frames
-from postfx.io.windows import scaled_windows
+from postfx.io.windows import scale_windows
 from postfx.masks.cryptomatte import Coverage, parse_leave
 from postfx.repair import Fireflies, clamp_fireflies, parse_limit
 from postfx.system import Scratch
@@ -109,7 +109,7 @@ class Sequence:
         self._last: int | None = None
         wanted = frames if frames is not None else named or self._on_disk()
         self.numbers = tuple(parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted))
-        if self.guides and not self.guides.pattern.numbered and len(self.numbers) > 1:
+        if self.guides and not self.guides.pattern.is_numbered and len(self.numbers) > 1:
             raise SequenceError(f"{guides}: one file of guides for {len(self)} frames: name them like guides.####.exr")
         if self.guides and self.guides.pattern.has_views != self.pattern.has_views:
             raise SequenceError(f"{guides}: guides have files for each view where frames do: put {VIEW} into both")
@@ -174,7 +174,7 @@ class Sequence:
     def holds(self, number: int) -> bool:
         """Whether a frame, wanted or not, is on the disk, and its guides are."""
         return all(number in frames for frames in self._read_files()) and \
-            (self.guides is None or not self.guides.pattern.numbered or self.guides.holds(number))
+            (self.guides is None or not self.guides.pattern.is_numbered or self.guides.holds(number))
 
     def present(self) -> list[int]:
         """Numbers of the frames on the disk, wanted or not, also of those that not all views have."""
@@ -222,7 +222,7 @@ class Sequence:
         if self.guides is None:
             return None
         frames = self.guides._found[self._key]
-        if not self.guides.pattern.numbered:
+        if not self.guides.pattern.is_numbered:
             return next(iter(frames.values()))
         if number not in frames:
             path = self.guides.pattern.of_view(self._key).path(number)
@@ -237,7 +237,7 @@ class Sequence:
         if found is None:
             return width, height
         display, area = found
-        shown = scaled_windows(area, display, display, width, height).display
+        shown = scale_windows(area, display, display, width, height).display
         return shown.width, shown.height
 
     def open(self, number: int) -> FrameFiles:
@@ -304,8 +304,8 @@ class Sequence:
         with self.open(number) as files:
             wanted = self.planes if planes is None else planes
             if is_lenient:
-                wanted, guides = files.held(wanted, guides)
-            wanted, more = self._wanted_for_motion(files, wanted)
+                wanted, guides = files.select_present(wanted, guides)
+            wanted, more = self._add_for_motion(files, wanted)
             frame = files.read(number, wanted, guides, self._scratch)
             lacks_motion = files.lacks_motion
             if files.alone:
@@ -323,7 +323,7 @@ class Sequence:
         frame.reset = begins or after_gap
         return frame
 
-    def _wanted_for_motion(
+    def _add_for_motion(
         self, files: FrameFiles, wanted: Iterable[Role] | None
     ) -> tuple[tuple[Role, ...] | None, tuple[Role, ...]]:
         """What to read so that wanted motion can be estimated, and what of that nobody else wants."""
@@ -487,7 +487,7 @@ ALL_VIEWS = "all"
 
 def _files_of(pattern: Pattern) -> dict[str, Frames]:
     """Files on the disk, by view; '' -> all where views share their files."""
-    found = {view: own.found() for view, own in pattern.by_view().items()}
+    found = {view: own.find_frames() for view, own in pattern.by_view().items()}
     return {view: frames for view, frames in found.items() if frames}
 
 

@@ -111,7 +111,7 @@ def some_rows(part: Part, first: int, last: int) -> Part:
     return replace(part, area=area, data=data._replace(y0=top, y1=max(bottom, top - 1)))
 
 
-def own_windows(parts: list[Part]) -> tuple[Part, ...]:
+def assign_windows(parts: list[Part]) -> tuple[Part, ...]:
     """The parts, each with a display window and area of its own where they hold the picture at two sizes.
 
     OpenEXR wants one display window in all parts of a file: either the smaller picture's or the larger one's.
@@ -187,19 +187,19 @@ def output_windows(frame: Frame) -> OutputWindows:
     width, height = frame.spec.width, frame.spec.height
     display = Window(*frame.metadata.get("displayWindow", (0, 0, width - 1, height - 1)))
     covered = Window(*frame.metadata.get(AREA, display))
-    return scaled_windows(covered, display, Window(*frame.metadata.get("dataWindow", covered)), width, height)
+    return scale_windows(covered, display, Window(*frame.metadata.get("dataWindow", covered)), width, height)
 
 
-def scaled_windows(covered: Window, display: Window, data: Window, width: int, height: int) -> OutputWindows:
+def scale_windows(covered: Window, display: Window, data: Window, width: int, height: int) -> OutputWindows:
     """Windows of an output of this size, from the input's windows."""
     scale = (width / covered.width, height / covered.height)
-    corner = _scaled(covered, scale)
+    corner = _scale(covered, scale)
     area = Window(corner.x0, corner.y0, corner.x0 + width - 1, corner.y0 + height - 1)
-    shown = area if display == covered else _scaled(display, scale).common(area) or area
+    shown = area if display == covered else _scale(display, scale).common(area) or area
     return OutputWindows(area, shown, cover(data, scale).common(area) or area)
 
 
-def cut(pixels: Pixels, area: Window, window: Window) -> Pixels:
+def crop(pixels: Pixels, area: Window, window: Window) -> Pixels:
     """Pixels of a rectangle within the area that they cover."""
     if window == area:
         return pixels
@@ -207,7 +207,7 @@ def cut(pixels: Pixels, area: Window, window: Window) -> Pixels:
     return lambda rows: pixels(slice(rows.start + y, rows.stop + y))[:, x : x + window.width]
 
 
-def _scaled(window: Window, scale: tuple[float, float]) -> Window:
+def _scale(window: Window, scale: tuple[float, float]) -> Window:
     x0, y0 = round(window.x0 * scale[0]), round(window.y0 * scale[1])
     return Window(x0, y0, round((window.x1 + 1) * scale[0]) - 1, round((window.y1 + 1) * scale[1]) - 1)
 

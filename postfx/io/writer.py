@@ -17,13 +17,13 @@ from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file, with_slashes
 from postfx.frame import LINEAR, Frame, Role
-from postfx.io.encode import JPEG, Dither, Picture, encode, halves, has_end, light_of, quantise, tag_codes, tag_light
+from postfx.io.encode import JPEG, Dither, Picture, encode, has_end, light_of, quantise, tag_codes, tag_light, to_halves
 from postfx.io.exr.container import COMPRESSIONS
-from postfx.io.exr.passthrough import enlargement_of, kept_attributes, set_attributes
+from postfx.io.exr.passthrough import enlargement_of, select_attributes, set_attributes
 from postfx.io.image_file import reason_of
 from postfx.io.pattern import PLANE, VIEW, Pattern, parse_pattern
 from postfx.io.sequence import Sequence
-from postfx.io.windows import OutputWindows, Pixels, cut, output_windows
+from postfx.io.windows import OutputWindows, Pixels, crop, output_windows
 from postfx.version import __version__
 
 LINEAR_FORMATS = (".exr",)
@@ -121,7 +121,7 @@ def write_frame(
     for view in (frame, *frame.views.values()):
         convert = _code_pixels(view, path, Dither(dither), bits) if shown else _linear_pixels(view, half)
         windows = output_windows(view)
-        convert = cut(convert, windows.area, windows.display if shown else windows.data)
+        convert = crop(convert, windows.area, windows.display if shown else windows.data)
         spec = _spec(view, windows, convert(slice(0, 1)), path)
         if not shown:
             spec.attribute("compression", compression)
@@ -162,7 +162,7 @@ def _linear_pixels(frame: Frame, half: bool) -> Pixels:
         colour = frame[Role.COLOUR][rows]
         colour = light_of(colour, display) if display else colour
         pixels = _with_parts(_with_layer(_with_alpha(colour, frame, rows), frame, rows), frame, rows)
-        return halves(pixels) if half else pixels
+        return to_halves(pixels) if half else pixels
 
     return convert
 
@@ -176,14 +176,14 @@ def _code_pixels(frame: Frame, path: Path, dither: Dither, bits: int | None) -> 
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
         codes = colour if display else SRGB.encode(colour)
-        codes = _straight(codes, frame[Role.ALPHA][rows], display or SRGB_DISPLAY) if straight else codes
+        codes = _divide_by_alpha(codes, frame[Role.ALPHA][rows], display or SRGB_DISPLAY) if straight else codes
         pixels = codes if opaque else _with_alpha(codes, frame, rows)
         return quantise(pixels, depth, dither, frame.number, rows.start)
 
     return convert
 
 
-def _straight(codes: np.ndarray, alpha: np.ndarray, display: Display) -> np.ndarray:
+def _divide_by_alpha(codes: np.ndarray, alpha: np.ndarray, display: Display) -> np.ndarray:
     """Codes (h, w, 3) of light without alpha (h, w, 1) in it, as PNG wants them (PNG specification, 6.2)."""
     partly = (alpha[..., 0] > 0) & (alpha[..., 0] < 1)
     found = np.array(codes)
@@ -200,11 +200,11 @@ def _with_layer(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
 
 
 def _with_parts(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
-    found = [_stored_part(frame, name, rows) for name in _written_parts(frame)]
+    found = [_divide_part(frame, name, rows) for name in _list_parts(frame)]
     return np.concatenate([pixels, *found], axis=2) if found else pixels
 
 
-def _stored_part(frame: Frame, name: str, rows: slice) -> np.ndarray:
+def _divide_part(frame: Frame, name: str, rows: slice) -> np.ndarray:
     """A part as its file stores it: divided by its factor, 0 where that is 0; a factor is at least LEAST_FACTOR where
     there is light, which would be lost."""
     divided = [other for other, source in frame.part_sources.items() if source.factor == name and other in frame.parts]
@@ -214,19 +214,19 @@ def _stored_part(frame: Frame, name: str, rows: slice) -> np.ndarray:
     part, source = frame.parts[name][rows], frame.part_sources.get(name)
     if source is None or source.factor is None or source.factor not in frame.parts:
         return part
-    stored, factor = np.zeros_like(part), _stored_part(frame, source.factor, rows)
+    stored, factor = np.zeros_like(part), _divide_part(frame, source.factor, rows)
     np.divide(part, factor, out=stored, where=factor > 0)
     return stored
 
 
-def _written_parts(frame: Frame) -> tuple[str, ...]:
+def _list_parts(frame: Frame) -> tuple[str, ...]:
     """Parts that are written: beside light of the scene, which they add up to."""
     return tuple(sorted(frame.parts)) if frame.encoding == "scene-linear" else ()
 
 
 def _part_channels(frame: Frame) -> tuple[str, ...]:
     names: list[str] = []
-    for name in _written_parts(frame):
+    for name in _list_parts(frame):
         source, count = frame.part_sources.get(name), frame.parts[name].shape[2]
         letters = ("V",) if count == 1 else ("R", "G", "B")
         names += source.channels if source else tuple(f"{name}.{letter}" for letter in letters)
@@ -256,7 +256,7 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) 
         return spec
     spec.x, spec.y, full = window.x0, window.y0, windows.display
     spec.full_x, spec.full_y, spec.full_width, spec.full_height = full.x0, full.y0, full.width, full.height
-    set_attributes(spec, kept_attributes(frame))
+    set_attributes(spec, select_attributes(frame))
     if display:
         tag_light(spec, display.kind.primaries, display.white)
     return spec
@@ -284,7 +284,7 @@ class OutputFiles:
         target = with_slashes(os.path.expanduser(target))
         self._pattern = _output_pattern(target, sequence.pattern)
         self.display = is_display_format(str(self._pattern))
-        if len(sequence) > 1 and not self._pattern.numbered:
+        if len(sequence) > 1 and not self._pattern.is_numbered:
             stem, suffix = Path(target).stem, Path(target).suffix
             raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like {stem}.####{suffix}")
         if VIEW in os.path.dirname(str(self._pattern)):
@@ -322,7 +322,7 @@ class OutputFiles:
     def check(self, numbers: tuple[int, ...]) -> None:
         """OutputExistsError when a file is already there and is to be neither overwritten nor skipped."""
         if self.existing is Existing.REFUSE:
-            for path in self._likely(numbers):
+            for path in self._guess_paths(numbers):
                 if os.path.lexists(path):
                     raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")
 
@@ -334,20 +334,20 @@ class OutputFiles:
         """No input may be replaced, whatever links, `..` or letter case lead there, and no output may become a frame of
         the input: the next run would read it."""
         inputs = {_place(path) for path in sequence.all_files()}
-        outputs = self._likely(sequence.numbers)
+        outputs = self._guess_paths(sequence.numbers)
         there = any(map(os.path.lexists, outputs))
         linked = {_identity(path) for path in sequence.all_files()} - {None} if there else set()
         for path in outputs:
             if _place(path) in inputs or _identity(path) in linked:
                 raise WriteError(f"{path}: is an input: write to another folder or name")
-            if sequence.pattern.takes(path):
+            if sequence.pattern.includes(path):
                 raise WriteError(f"{path}: would be a frame of the input: write to another folder or name")
 
     def _views(self) -> list[str]:
         """Views that have files of their own; '' where all share one."""
         return [view or "" for view in (self._sequence.view, *self._sequence.views)] if self.has_views else [""]
 
-    def _likely(self, numbers: Iterable[int]) -> list[Path]:
+    def _guess_paths(self, numbers: Iterable[int]) -> list[Path]:
         """Files of frames, of whatever views are on the disk where no frame was opened yet that tells them."""
         views = [view for view in self._views() if view or not self.has_views] or ["view", *self._pattern.by_view()]
         return [self._pattern.of_view(view).path(number) for number in numbers for view in views]

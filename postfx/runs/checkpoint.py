@@ -71,7 +71,7 @@ def save_checkpoint(
 
 def read_about(path: Path) -> About:
     """Description of a checkpoint, without reading its arrays; CheckpointError if it cannot be read."""
-    with _opened(path) as file:
+    with _open(path) as file:
         header = _header(path, file)
     try:
         return About(str(header.get("run")), str(header.get("pattern")), int(header.get("frame", 0)),
@@ -84,7 +84,7 @@ def load_checkpoint(path: Path) -> dict[str, np.ndarray]:
     """The history that a checkpoint holds, as read-only arrays; CheckpointError if it is damaged."""
     if _is_altered(path):
         raise CheckpointError(f"{path}: is damaged")
-    with _opened(path) as file:
+    with _open(path) as file:
         shapes = _header(path, file).get("arrays", [])
         at = file.tell()
     arrays: dict[str, np.ndarray] = {}
@@ -109,7 +109,7 @@ def _array(path: Path, kind: str, at: int, shape: tuple[int, ...]) -> np.ndarray
     return found
 
 
-def _opened(path: Path) -> BinaryIO:
+def _open(path: Path) -> BinaryIO:
     try:
         return path.open("rb")
     except OSError as error:
@@ -127,7 +127,7 @@ def _header(path: Path, file: BinaryIO) -> dict[str, Any]:
 
 def _is_altered(path: Path) -> bool:
     digest, left = hashlib.sha256(), path.stat().st_size - _DIGEST
-    with _opened(path) as file:
+    with _open(path) as file:
         while left > 0:
             piece = file.read(min(left, PIECE))
             if not piece:

@@ -211,5 +211,5 @@ def _unknown(folder: Path, manifest: Manifest) -> list[str]:
     names = set()
     for pattern in filter(is_plain_name, patterns):
         for own in parse_pattern(str(folder / pattern)).by_view().values():
-            names |= {path.name for words in own.found().values() for path in words.values()}
+            names |= {path.name for words in own.find_frames().values() for path in words.values()}
     return sorted(names - set(manifest.outputs))

@@ -142,13 +142,13 @@ def _hashes_of(option: Any) -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """Versions of postfx and of the libraries that affect its pixels."""
-    runtimes = {name: _installed(name) for name in ("onnxruntime", "onnxruntime-gpu")}
+    runtimes = {name: _find_version(name) for name in ("onnxruntime", "onnxruntime-gpu")}
     return {"postfx": __version__, "python": platform.python_version(), "numpy": numpy.__version__,
             "numba": numba.__version__, "OpenImageIO": OpenImageIO.VERSION_STRING,
             **{name: version for name, version in runtimes.items() if version}}
 
 
-def _installed(name: str) -> str | None:
+def _find_version(name: str) -> str | None:
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -285,19 +285,19 @@ class Run:
 
     def _begin(self, names: dict[str, int]) -> None:
         self.warnings = self._folder.warnings
-        wanted = self._chosen(names)
+        wanted = self._choose(names)
         pending = {name: Output(self._id, number) for name, number in names.items() if number in wanted}
         facts = {**self._provenance.as_dict(), "command": sys.argv, "process": Process.me().as_dict(),
                  "input": str(self._sequence.pattern), "output": self._pattern, "began": now()}
         self._folder.note({**facts, "status": "running"}, pending)
-        self.works = self._scheduled(wanted)
+        self.works = self._schedule(wanted)
         self._log("begin", **facts, frames=len(names), wanted=len(wanted))
         for item in self.skips:
             self._log("skip", what=item.what, why=item.why)
         for text in self.warnings:
             self._log("warning", text=text)
 
-    def _chosen(self, names: dict[str, int]) -> set[int]:
+    def _choose(self, names: dict[str, int]) -> set[int]:
         """Frames to write: all, or those whose file is missing or not as it should be."""
         if self._outputs.existing is not Existing.SKIP:
             return set(names.values())
@@ -320,7 +320,7 @@ class Run:
                                  "models or versions: --overwrite makes them again")
         return wanted
 
-    def _scheduled(self, wanted: set[int]) -> list[Work]:
+    def _schedule(self, wanted: set[int]) -> list[Work]:
         numbers, options = self._sequence.numbers, self._options
         if not self._pipeline.remembers(self._plan):
             return [Work(number, True) for number in numbers if number in wanted]

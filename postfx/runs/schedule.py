@@ -114,7 +114,7 @@ def judge(path: Path, known: Output | None, size: tuple[int, int], inputs: Input
         return Judgement(False, "is older than the run that should have written it")
     if (known.width, known.height) != size:
         return Judgement(False, f"is {known.width}x{known.height}, not {size[0]}x{size[1]}")
-    if _changed(known.inputs, inputs):
+    if _has_changed(known.inputs, inputs):
         return Judgement(False, "was made of an input that has changed since")
     if path.stat().st_size == known.bytes and hash_file(path) == known.sha256:
         return Judgement(True)
@@ -123,7 +123,7 @@ def judge(path: Path, known: Output | None, size: tuple[int, int], inputs: Input
     return Judgement(False, "is damaged")
 
 
-def _changed(before: Inputs, now: Inputs) -> bool:
+def _has_changed(before: Inputs, now: Inputs) -> bool:
     """Whether an input was replaced by a file of the same name; missing inputs do not count."""
     return any(path in before and before[path] != facts for path, facts in now.items())
 

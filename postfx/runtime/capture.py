@@ -90,7 +90,7 @@ class Recorder:
         """Note a dispatch that has run, before the next one begins."""
         captured = self._of[dispatch]
         captured.milliseconds = milliseconds
-        with self._guarded():
+        with self._guard():
             self._look_at(dispatch, captured)
             self._look_inside(dispatch, captured)
 
@@ -98,7 +98,7 @@ class Recorder:
         """Note a dispatch that failed, or did not run because its input was lost."""
         self._of[dispatch].error = str(error)
         if ran:
-            with self._guarded():
+            with self._guard():
                 self._look_inside(dispatch, self._of[dispatch])
 
     def finish(self) -> None:
@@ -109,7 +109,7 @@ class Recorder:
         self.done.set()
 
     @contextmanager
-    def _guarded(self) -> Iterator[None]:
+    def _guard(self) -> Iterator[None]:
         try:
             yield
         except Exception as error:  # keep the queue's thread alive: `Capture.__exit__` raises it
@@ -188,9 +188,9 @@ class Capture:
         records, of = [], {}
         for record in commands.records:
             if isinstance(record, Dispatch):
-                of[record] = _captured_dispatch(self._count, record)
+                of[record] = _capture_dispatch(self._count, record)
                 self._count += 1
-            records.append(of[record] if isinstance(record, Dispatch) else _captured_barrier(record))
+            records.append(of[record] if isinstance(record, Dispatch) else _capture_barrier(record))
         self.buffers.append(CapturedBuffer(commands.label, records))
         self._recorders.append(Recorder(self, self.buffers[-1], commands, of))
         return self._recorders[-1]
@@ -214,17 +214,18 @@ def _file(number: str, name: str) -> str:
     return f"tensors/{number}.{name}.npy"
 
 
-def _captured_dispatch(index: int, dispatch: Dispatch) -> CapturedDispatch:
+def _capture_dispatch(index: int, dispatch: Dispatch) -> CapturedDispatch:
     names = (dispatch.label, dispatch.command, dispatch.stage, dispatch.encoder, dispatch.model)
     dims: dict[str, int] = dict(dispatch.state.dims) if isinstance(dispatch.state, PipelineState) else {}
-    return CapturedDispatch(index, *names, _captured(dispatch.reads), _captured(dispatch.writes), dims=dims)
+    reads, writes = _capture_tensors(dispatch.reads), _capture_tensors(dispatch.writes)
+    return CapturedDispatch(index, *names, reads, writes, dims=dims)
 
 
-def _captured(tensors: Iterable[Tensor]) -> list[CapturedTensor]:
+def _capture_tensors(tensors: Iterable[Tensor]) -> list[CapturedTensor]:
     return [CapturedTensor(str(t.name), t.shape, t.dtype, t.nbytes, t.start, t.end) for t in tensors]
 
 
-def _captured_barrier(record: Barrier) -> CapturedBarrier:
+def _capture_barrier(record: Barrier) -> CapturedBarrier:
     if isinstance(record, EncoderBarrier):
         return CapturedBarrier("encoder", record.encoder)
     form = "consumer" if isinstance(record, ConsumerBarrier) else "producer"
@@ -245,18 +246,18 @@ def look_inside(dispatch: Dispatch, placement: Placement, keep: Keep, ran: bool)
     if any(binding.access == "read-write" for binding in bindings):
         raise CaptureError(f"{dispatch} changes what it reads in place, so its nodes cannot be run again: capture "
                            "without network=True")
-    inputs = _named(bindings, "read", dispatch.reads)
-    written = _named(bindings, "write", dispatch.writes) if ran else {}
+    inputs = _name_content(bindings, "read", dispatch.reads)
+    written = _name_content(bindings, "write", dispatch.writes) if ran else {}
     found, errors = CapturedNetwork(), []
     for node in run_nodes(dispatch.model, placement, inputs):
-        found.nodes.append(_captured_node(node, keep))
+        found.nodes.append(_capture_node(node, keep))
         errors += [largest_error(written[n], array)[0] for n, array in node.outputs.items() if n in written]
     if errors and not any(node.error for node in found.nodes):
         found.difference = max(errors)
     return found
 
 
-def _captured_node(node: NodeRun, keep: Keep) -> CapturedNode:
+def _capture_node(node: NodeRun, keep: Keep) -> CapturedNode:
     values = [
         CapturedValue(name, array.shape, array.dtype.name, array.nbytes,
                       snapshot=keep(array, f"n{node.index:04d}.{name}", node.constant))
@@ -265,7 +266,7 @@ def _captured_node(node: NodeRun, keep: Keep) -> CapturedNode:
     return CapturedNode(node.index, node.op, node.name, node.constant, node.milliseconds, node.error, values)
 
 
-def _named(bindings: Sequence[Binding], access: str, tensors: Sequence[Tensor]) -> dict[str, np.ndarray]:
+def _name_content(bindings: Sequence[Binding], access: str, tensors: Sequence[Tensor]) -> dict[str, np.ndarray]:
     names = [binding.name for binding in bindings if binding.access == access]
     return {name: content(tensor) for name, tensor in zip(names, tensors, strict=True) if tensor.nbytes}
 
@@ -310,7 +311,7 @@ def run_nodes(path: Path, placement: Placement, inputs: Mapping[str, np.ndarray]
         what = index, node.op_type, node.name, index in constant
         given = {name: values[name] for name in names_read(node) if name in values}
         try:
-            outputs, milliseconds = run_profiled(_alone(model, node, weights, given), placement, given)
+            outputs, milliseconds = run_profiled(_extract_node(model, node, weights, given), placement, given)
         except Exception as error:  # ONNX Runtime's errors have no common base
             yield NodeRun(*what, error=first_line(error))
             return
@@ -322,7 +323,7 @@ def run_nodes(path: Path, placement: Placement, inputs: Mapping[str, np.ndarray]
         values = {name: array for name, array in values.items() if last.get(name, -1) > index}
 
 
-def _alone(
+def _extract_node(
     model: ModelProto, node: NodeProto, weights: Mapping[str, TensorProto], given: Mapping[str, np.ndarray]
 ) -> bytes:
     """A model of one node, with the weights that it reads."""

@@ -321,7 +321,7 @@ class Execution:
                 spans = memory.replay(footprint.signature(), states, self._enqueue_all)
             return self._enqueue_all() if spans is None and forks else spans
         except BaseException as error:
-            self._failed(dispatches, CommandError(f"'{self._label}' failed: {first_line(error)}", self._label), error)
+            self._fail(dispatches, CommandError(f"'{self._label}' failed: {first_line(error)}", self._label), error)
             return []
 
     def _enqueue_all(self) -> list[Span]:
@@ -355,7 +355,7 @@ class Execution:
             try:
                 spans += self._execute(dispatch)
             except BaseException as error:  # of any kind: the host that waits must see it
-                self._failed(self._dispatches[index:], self._failure(dispatch, error), error)
+                self._fail(self._dispatches[index:], self._failure(dispatch, error), error)
                 break
         return spans
 
@@ -381,7 +381,7 @@ class Execution:
                 try:
                     spans += future.result()
                 except BaseException as error:  # what runs beside it goes on to its end
-                    self._failed([dispatch, *waiting.values()], self._failure(dispatch, error), error)
+                    self._fail([dispatch, *waiting.values()], self._failure(dispatch, error), error)
                     waiting = {}
         return spans
 
@@ -390,7 +390,7 @@ class Execution:
         lost = self._lost_input(dispatch)
         if lost is not None:
             what = f"{dispatch} of '{self._label}' did not run: it reads {lost[0]}, but {lost[1]}"
-            self._failed(left, CommandError(what, dispatch.label), lost[1], lost[1])
+            self._fail(left, CommandError(what, dispatch.label), lost[1], lost[1])
         return lost is not None
 
     def _failure(self, dispatch: Dispatch, error: BaseException) -> CommandError:
@@ -416,7 +416,7 @@ class Execution:
                 return f"'{tensor.name}'", first
         return None
 
-    def _failed(self, dispatches: Sequence[Dispatch], error: CommandError, cause: BaseException,
+    def _fail(self, dispatches: Sequence[Dispatch], error: CommandError, cause: BaseException,
                 first: CommandError | None = None) -> None:
         """Note the error. The outputs of the dispatches are lost, because of it or of the `first` error."""
         self.error = error
@@ -489,10 +489,10 @@ def timeout_error(what: str, flying: Sequence[RecordedCommands]) -> CommandTimeo
         return CommandTimeout(f"{what}, but it is done now", None, ())
     dispatch, labels = buffers[0].running, tuple(commands.label for commands in buffers[1:])
     running = f"{dispatch} of '{buffers[0].label}' is running" if dispatch else f"'{buffers[0].label}' is about to run"
-    return CommandTimeout(f"{what}: {running}{_behind(labels)}", dispatch.label if dispatch else None, labels)
+    return CommandTimeout(f"{what}: {running}{_text_behind(labels)}", dispatch.label if dispatch else None, labels)
 
 
-def _behind(labels: tuple[str, ...]) -> str:
+def _text_behind(labels: tuple[str, ...]) -> str:
     if not labels:
         return ""
     named = ", ".join(f"'{label}'" for label in labels[:NAMED])

@@ -78,7 +78,7 @@ class CudaMemory:
 
     def stream_beside(self) -> int:
         """A stream for commands that run beside others; a few are used in turn."""
-        with self._entered():
+        with self._hold():
             place = next(self._next) % MOST_BESIDE
             if place == len(self._beside):
                 self._beside.append(self._device.create_stream())
@@ -91,18 +91,18 @@ class CudaMemory:
 
     def allocate(self, nbytes: int) -> CudaChunk:
         """A new chunk."""
-        with self._entered():
+        with self._hold():
             return CudaChunk(self._device.allocate(nbytes, stream=self._stream), nbytes)
 
     def write(self, pointer: int, array: np.ndarray) -> None:
         """Copy a C-contiguous host array to `pointer` once the stream's earlier work is done."""
-        with self._entered():
+        with self._hold():
             check_result(driver().cuMemcpyHtoDAsync(pointer, address(array), array.nbytes, self.stream))
             self._stream.sync()
 
     def read(self, pointer: int, array: np.ndarray) -> None:
         """Copy from `pointer` into a C-contiguous host array once the stream's earlier work is done."""
-        with self._entered():
+        with self._hold():
             check_result(driver().cuMemcpyDtoHAsync(address(array), pointer, array.nbytes, self.stream))
             self._stream.sync()
 
@@ -114,7 +114,7 @@ class CudaMemory:
     def follow(self, stream: int | None) -> int:
         """Let what comes on the stream wait for the work that a producer's stream has now; the number of ours."""
         if stream is not None and stream != self.stream:
-            with self._entered():
+            with self._hold():
                 _let_wait(self.stream, Event(stream, False))
         return self.stream
 
@@ -132,7 +132,7 @@ class CudaMemory:
 
     def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
         """Launch commands as one CUDA graph, see `CudaGraphs.replay`."""
-        with self._entered():
+        with self._hold():
             result: T | None = self._graphs.replay(key, kept, enqueue)
             return result
 
@@ -150,7 +150,7 @@ class CudaMemory:
         Raises ModelError when it cannot be compiled.
         """
         self._enter()
-        kernel = _compiled(name, source, self._device.arch)
+        kernel = _compile(name, source, self._device.arch)
         block = PIXELS if columns else ONE_BLOCK
         grid = (-(-columns // block[0]), -(-rows // block[1])) if columns else (1, 1)
         views = [View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4])) for tensor in tensors]
@@ -164,7 +164,7 @@ class CudaMemory:
         return run
 
     @contextmanager
-    def _entered(self) -> Iterator[None]:
+    def _hold(self) -> Iterator[None]:
         """Hold the stream alone: work that other threads add during a capture would become part of the graph."""
         with self._lock:
             self._enter()
@@ -178,15 +178,15 @@ class CudaMemory:
 
 
 @cache
-def _compiled(name: str, source: Path, arch: str) -> Any:
+def _compile(name: str, source: Path, arch: str) -> Any:
     try:
-        return _compiled_family(source, arch).get_kernel(name)
+        return _compile_family(source, arch).get_kernel(name)
     except Exception as error:
         raise ModelError(f"kernel '{name}' of {source} cannot be compiled for sm_{arch}: {error}") from error
 
 
 @cache
-def _compiled_family(path: Path, arch: str) -> Any:
+def _compile_family(path: Path, arch: str) -> Any:
     """All kernels of a file, compiled together to save time."""
     from cuda.core import Program, ProgramOptions
 

@@ -395,15 +395,15 @@ class ProviderMemory(Immediate):
 
     def write(self, pointer: int, array: np.ndarray) -> None:
         """Copy a C-contiguous host array to the device."""
-        self._copy.copy_bytes(("cpu", 0, address(array)), self._here(pointer), array.nbytes)
+        self._copy.copy_bytes(("cpu", 0, address(array)), self._locate(pointer), array.nbytes)
 
     def read(self, pointer: int, array: np.ndarray) -> None:
         """Copy from the device into a C-contiguous host array."""
-        self._copy.copy_bytes(self._here(pointer), ("cpu", 0, address(array)), array.nbytes)
+        self._copy.copy_bytes(self._locate(pointer), ("cpu", 0, address(array)), array.nbytes)
 
     def copy(self, target: int, source: int, nbytes: int) -> None:
         """Copy within the device's memory."""
-        self._copy.copy_bytes(self._here(source), self._here(target), nbytes)
+        self._copy.copy_bytes(self._locate(source), self._locate(target), nbytes)
 
     def check(self) -> None:
         """Copy a few bytes to the device and back; DeviceError when they come back changed."""
@@ -414,7 +414,7 @@ class ProviderMemory(Immediate):
         if not np.array_equal(sent, received):
             raise DeviceError(f"a copy to {self._placement.memory} came back changed")
 
-    def _here(self, pointer: int) -> tuple[str, int, int]:
+    def _locate(self, pointer: int) -> tuple[str, int, int]:
         return self._placement.memory, self._placement.index, pointer
 
 

@@ -362,23 +362,23 @@ def _near(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> dict[
     spans: list[tuple[Span, bool]] = []
     shift = 0
     for part in earlier:
-        spans += [(_shifted(span, shift), False) for span in part.spans]
+        spans += [(_shift(span, shift), False) for span in part.spans]
         shift += len(part.dispatches)
     for span in new.spans:
-        spans.append((Span(span.start, span.end, 0, 0) if new.ordered else _shifted(span, first_new), True))
+        spans.append((Span(span.start, span.end, 0, 0) if new.ordered else _shift(span, first_new), True))
     result = {}
-    for group in _overlapping(spans):
+    for group in _group_overlapping(spans):
         for target, is_new in group:
             if is_new:
                 result[target[:2]] = _union([s for s, _ in group if s.start < target.end and target.start < s.end])
     return result
 
 
-def _shifted(span: Span, count: int) -> Span:
+def _shift(span: Span, count: int) -> Span:
     return Span(span.start, span.end, span.writers << count, span.users << count)
 
 
-def _overlapping(spans: list[tuple[Span, bool]]) -> Iterator[list[tuple[Span, bool]]]:
+def _group_overlapping(spans: list[tuple[Span, bool]]) -> Iterator[list[tuple[Span, bool]]]:
     """Byte ranges in groups that share no byte with each other; most groups are one tensor's."""
     group: list[tuple[Span, bool]] = []
     end = 0

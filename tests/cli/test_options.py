@@ -13,7 +13,7 @@ from postfx.cli.main import main, make_parser
 from postfx.cli.options import Option, Section
 from postfx.cli.report import RunReport
 from postfx.cli.run_options import RUN
-from postfx.cli.summary import missed_budget
+from postfx.cli.summary import warn_of_budget
 from postfx.errors import ModelError
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
@@ -138,7 +138,7 @@ def test_denoising_only_is_one_flag():
 
 def test_a_budget_that_is_missed_is_told():
     times = {"denoise_upscale": [120.0, 80.0, 131.0]}
-    (told,) = missed_budget(90, times, {"denoise_upscale": {"s": 3}})
+    (told,) = warn_of_budget(90, times, {"denoise_upscale": {"s": 3}})
     assert told == ("--budget 90 was missed by 2 of 3 frames: denoising took 120 ms a frame with s: take a smaller "
                     "--model or output, or allow 140")
-    assert missed_budget(125, times, {}) == missed_budget(None, times, {}) == missed_budget(1, {}, {}) == []
+    assert warn_of_budget(125, times, {}) == warn_of_budget(None, times, {}) == warn_of_budget(1, {}, {}) == []

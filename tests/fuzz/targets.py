@@ -92,8 +92,8 @@ def patterns(content: bytes) -> None:
     except SequenceError:
         return
     path = pattern.path(7)
-    if pattern.numbered and "{plane}" not in text and path.name and ".." not in path.parts:
-        assert pattern.takes(path), (str(pattern), path)
+    if pattern.is_numbered and "{plane}" not in text and path.name and ".." not in path.parts:
+        assert pattern.includes(path), (str(pattern), path)
 
 
 def model(content: bytes) -> None:

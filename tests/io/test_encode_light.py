@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.colour.displays import KINDS, parse_display
-from postfx.io.encode import halves, light_of
+from postfx.io.encode import light_of, to_halves
 
 LEAST_NORMAL = 2.0**-14
 
@@ -23,18 +23,18 @@ def test_every_half_float_is_kept_and_so_is_what_lies_beside_it() -> None:
     between = (numbers[:-1] + numbers[1:]) / 2  # ties, which go to the even one
     beside = [np.nextafter(between, np.float32(side)) for side in (-np.inf, np.inf)]
     for values in (half, between, *beside):
-        np.testing.assert_array_equal(bits_of(halves(values)), bits_of(by_numpy(values)))
+        np.testing.assert_array_equal(bits_of(to_halves(values)), bits_of(by_numpy(values)))
 
 
 def test_any_float_becomes_what_numpy_makes_of_it() -> None:
     random = np.random.default_rng(0)
     values = random.integers(0, 1 << 32, 1 << 20, np.uint32).view(np.float32)
-    np.testing.assert_array_equal(bits_of(halves(values)), bits_of(by_numpy(values)))
+    np.testing.assert_array_equal(bits_of(to_halves(values)), bits_of(by_numpy(values)))
     shape = (7, 5, 4)
     strided = random.normal(size=(14, 5, 4)).astype(np.float32)[::2]
-    assert halves(strided).shape == shape and halves(strided).dtype == np.float16
-    np.testing.assert_array_equal(halves(strided), by_numpy(strided))
-    assert halves(np.zeros((0, 3))).shape == (0, 3)
+    assert to_halves(strided).shape == shape and to_halves(strided).dtype == np.float16
+    np.testing.assert_array_equal(to_halves(strided), by_numpy(strided))
+    assert to_halves(np.zeros((0, 3))).shape == (0, 3)
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -65,7 +65,7 @@ class Header:
     @property
     def compression(self) -> int:
         """OpenEXR's number of the compression."""
-        return self._unpacked("compression", "<B")[0]
+        return self._unpack("compression", "<B")[0]
 
     @property
     def dwa_level(self) -> float | None:
@@ -76,17 +76,17 @@ class Header:
     @property
     def data(self) -> Window:
         """Data window."""
-        return Window(*self._unpacked("dataWindow", "<4i"))
+        return Window(*self._unpack("dataWindow", "<4i"))
 
     @property
     def display(self) -> Window:
         """Display window."""
-        return Window(*self._unpacked("displayWindow", "<4i"))
+        return Window(*self._unpack("displayWindow", "<4i"))
 
     @property
     def tiles(self) -> tuple[int, int, int]:
         """Width and height of tiles, and the mode: levels in the low four bits, rounding in the high ones."""
-        width, height, mode = self._unpacked("tiles", "<IIB")
+        width, height, mode = self._unpack("tiles", "<IIB")
         return width, height, mode
 
     @property
@@ -128,7 +128,7 @@ class Header:
             raise ReadError(f"its header has no {name}")
         return self.attributes[name].value
 
-    def _unpacked(self, name: str, layout: str) -> tuple[int, ...]:
+    def _unpack(self, name: str, layout: str) -> tuple[int, ...]:
         value = self._value(name)
         if len(value) != struct.calcsize(layout):
             raise ReadError(f"its header has a broken {name}")

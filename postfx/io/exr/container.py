@@ -199,7 +199,7 @@ class ExrContainer:
         self._file.seek(chunk.at)
         stored = self._file.read(chunk.head + chunk.size)
         if len(stored) < chunk.head + chunk.size:
-            raise self._broken("it ends early")
+            raise self._broken_error("it ends early")
         return stored
 
     def copy_chunks(self, part: int) -> Iterator[tuple[int, bytes]]:
@@ -218,12 +218,12 @@ class ExrContainer:
         coordinates, sizes = head_layout(self.headers[part].part_type)
         head = coordinates + struct.calcsize(sizes)
         if at + head > self.size:
-            raise self._broken("it ends early")
+            raise self._broken_error("it ends early")
         self._file.seek(at + coordinates)
         found = struct.unpack(sizes, self._file.read(head - coordinates))
         size = sum(found[:2])  # the third is the size of unpacked samples
         if min(found) < 0 or at + head + size > self.size:
-            raise self._broken("it ends early")
+            raise self._broken_error("it ends early")
         return Chunk(at, head, size)
 
     def _check_sizes(self) -> None:
@@ -250,7 +250,7 @@ class ExrContainer:
             raise ReadError("it ends early")
         self._offsets = np.split(offsets, np.cumsum(self.counts)[:-1])
 
-    def _broken(self, reason: str) -> ReadError:
+    def _broken_error(self, reason: str) -> ReadError:
         return ReadError(f"{self.path}: broken file: {reason}; render or copy this frame again")
 
 

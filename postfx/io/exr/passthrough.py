@@ -69,7 +69,7 @@ def enlargement_of(frame: Frame) -> Enlargement | None:
     return None if (source.width, source.height) == size else Enlargement(source, output_windows(frame).area)
 
 
-def enlarged_rows(
+def enlarge_rows(
     file: ImageFile, part: Part, names: list[str], enlargement: Enlargement, pixels: Mapping[str, int]
 ) -> Rows:
     """Reads channels of a part at the picture's size, in the order of `names`.
@@ -118,7 +118,7 @@ _TUPLE_TYPES = {(float, 9): "matrix33", (float, 16): "matrix", (float, 3): "vect
 _WORDS = {float: "float", int: "int", str: "string"}
 
 
-def kept_attributes(frame: Frame) -> dict[str, Any]:
+def select_attributes(frame: Frame) -> dict[str, Any]:
     """Header attributes to write with a frame: time code, camera, credits and the like.
 
     Left out: what describes the input's storage, its jitter and sample count, and for a picture made for a display
@@ -193,11 +193,11 @@ class Merge:
         """All parts of the output."""
         index, headers = self._stored.part, self._source.headers
         if self._enlargement:
-            return _with_names(self._enlarged(self._enlargement))
+            return _with_names(self._enlarge_parts(self._enlargement))
         in_place = self._is_in_place()
         header = self.header(headers[index], in_place)
         if in_place:
-            parts = [self._together(part, header) if part == index else self.as_stored(part, header)
+            parts = [self._merge_part(part, header) if part == index else self.as_stored(part, header)
                      for part in range(len(headers))]
         else:
             parts = [picture_part(header, self._rows), *(self.as_stored(part, header) for part in range(len(headers)))]
@@ -213,10 +213,10 @@ class Merge:
 
     def as_stored(self, part: int, picture: Header) -> NewPart:
         """A part of the source with its pixels as they are."""
-        header = self.beside(part, picture)
+        header = self.header_of(part, picture)
         return NewPart(header, self._source.counts[part], self._source.copy_chunks(part))
 
-    def beside(self, part: int, picture: Header) -> Header:
+    def header_of(self, part: int, picture: Header) -> Header:
         """Header of a part of the source; attributes that the whole file shares are the picture's."""
         header = Header(dict(self._source.headers[part].attributes))
         for name in _SHARED:
@@ -228,7 +228,7 @@ class Merge:
             header.attributes[RENDER + PICTURE] = header.attributes.pop(PICTURE)
         return header
 
-    def _enlarged(self, enlargement: Enlargement) -> list[NewPart]:
+    def _enlarge_parts(self, enlargement: Enlargement) -> list[NewPart]:
         """The picture, and the source's flat parts at its size, without the render's colour."""
         file = self._stack.enter_context(ImageFile(self._source.path, checked=True))
         index, fresh = self._stored.part, {channel.name for channel in self._own.channels}
@@ -246,17 +246,17 @@ class Merge:
                 parts += [self.as_stored(part.index, picture)] if part.data == self._own.data else []
             if not kept or part.display != display:
                 continue
-            rows = enlarged_rows(file, part, names, enlargement, pixels)
+            rows = enlarge_rows(file, part, names, enlargement, pixels)
             if part.index == index and larger == self._own.data and self._stored.channels == ("R", "G", "B"):
                 picture = self.header(self._source.headers[index], in_place=True)
                 self.check_zip(picture)
                 picture.set("channels", "chlist", pack_channels(self._own.channels + kept))
                 joined = picture_part(picture, _join(picture, self._own, self._rows, names, rows))
             else:
-                parts.append(picture_part(resize_header(self.beside(part.index, picture), larger, kept), rows))
+                parts.append(picture_part(resize_header(self.header_of(part.index, picture), larger, kept), rows))
         return [joined if joined.count else picture_part(picture, self._rows), *parts]
 
-    def _together(self, part: int, header: Header) -> NewPart:
+    def _merge_part(self, part: int, header: Header) -> NewPart:
         """The part that held the render's colour, with the picture in its place."""
         fresh = [channel.name for channel in self._own.channels]
         rest = [channel for channel in self._source.headers[part].channels if channel.name not in fresh]

@@ -17,7 +17,7 @@ from postfx.errors import WriteError
 from postfx.frame import ColourSource, Frame
 from postfx.io.exr import ChannelInfo, Header, pack_channels
 from postfx.io.exr.container import ExrContainer, NewPart, Rows, picture_part
-from postfx.io.exr.passthrough import Enlargement, Merge, enlarged_rows, enlargement_of, resize_header
+from postfx.io.exr.passthrough import Enlargement, Merge, enlarge_rows, enlargement_of, resize_header
 from postfx.io.image_file import ImageFile
 from postfx.io.windows import PICTURE, Part, Window
 
@@ -68,7 +68,7 @@ class _ViewMerge:
             if held:
                 found += self._pictures(index, held)
             elif self._keep:
-                found += self._beside(index)
+                found += self._copy_part(index)
         if len(found) == 1:
             return found
         for number, part in enumerate(found):  # files of several parts need names
@@ -85,16 +85,16 @@ class _ViewMerge:
                     for channel in self._views[number].own.channels]
         readers = [self._views[number].rows for number in held]
         order = [channel.name for channel in channels]
-        kept, rest = self._kept(index, set(order)), []
+        kept, rest = self._kept_channels(index, set(order)), []
         if kept and self._window(index) == header.data:
             self._merges[first].check_zip(header)
             channels = channels + kept
-            readers.append(self._kept_rows(index, kept))
+            readers.append(self._read_kept(index, kept))
             order += [channel.name for channel in kept]
         elif kept:
-            beside = resize_header(self._merges[first].beside(index, header), self._window(index), kept)
+            beside = resize_header(self._merges[first].header_of(index, header), self._window(index), kept)
             beside.set_text("name", f"{self._headers[index].name or 'render'}.other")
-            rest = [picture_part(beside, self._kept_rows(index, kept))]
+            rest = [picture_part(beside, self._read_kept(index, kept))]
         header.set("channels", "chlist", pack_channels(channels))
         header.set_text(PICTURE, ",".join(name for own in names for name in own.values()))
         return [picture_part(header, _join(header, order, readers)), *rest]
@@ -110,7 +110,7 @@ class _ViewMerge:
             found |= {name: f"overlay.{view}.{name[-1]}" for name in own if name.startswith("overlay.")}
         return found | dict(zip(_LETTERS, colour.channels, strict=True)) | ({"A": alpha} if "A" in own else {})
 
-    def _kept(self, index: int, written: set[str]) -> list[ChannelInfo]:
+    def _kept_channels(self, index: int, written: set[str]) -> list[ChannelInfo]:
         """Channels of the source's part that are no picture's and stay."""
         part = self._flat.get(index)
         if part is None or not self._keep:
@@ -119,18 +119,18 @@ class _ViewMerge:
             if self._enlargement else set()
         return [channel for channel in self._headers[index].channels if channel.name not in written | replaced]
 
-    def _beside(self, index: int) -> list[NewPart]:
+    def _copy_part(self, index: int) -> list[NewPart]:
         """A part without a picture: as it is stored, or enlarged; deep ones are left out there."""
         picture = self._merges[0].header(self._headers[self._colours[0].part], in_place=True)
         part, colour = self._flat.get(index), self._flat[self._colours[0].part]
         has_own_size = part is not None and part.display != colour.display  # guides have the output's
         if not self._enlargement or (has_own_size and part and part.data == picture.data):
             return [self._merges[0].as_stored(index, picture)]
-        kept = self._kept(index, set())
+        kept = self._kept_channels(index, set())
         if not kept or has_own_size:
             return []
-        header = resize_header(self._merges[0].beside(index, picture), self._window(index), kept)
-        return [picture_part(header, self._kept_rows(index, kept))]
+        header = resize_header(self._merges[0].header_of(index, picture), self._window(index), kept)
+        return [picture_part(header, self._read_kept(index, kept))]
 
     def _window(self, index: int) -> Window:
         """Data window of what is kept of a part."""
@@ -140,10 +140,10 @@ class _ViewMerge:
         area = self._views[0].own.display
         return self._enlargement or Enlargement(area, area)
 
-    def _kept_rows(self, index: int, kept: list[ChannelInfo]) -> Rows:
+    def _read_kept(self, index: int, kept: list[ChannelInfo]) -> Rows:
         part: Part = self._flat[index]
         pixels = {name: axis for (own, name), axis in self._in_pixels.items() if own == index}
-        return enlarged_rows(self._file, part, [channel.name for channel in kept], self._change(), pixels)
+        return enlarge_rows(self._file, part, [channel.name for channel in kept], self._change(), pixels)
 
 
 def _join(header: Header, names: list[str], readers: list[Rows]) -> Rows:
