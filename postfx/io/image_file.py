@@ -19,7 +19,7 @@ import OpenImageIO as oiio
 
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
-from postfx.io.exr.container import MAX_SIDE, ExrContainer
+from postfx.io.exr.container import MAX_SIDE, ExrContainer, ZipReader
 from postfx.io.windows import Part, Window, assign_windows, part_of, some_rows, to_area
 
 READABLE = (".exr", ".hdr")
@@ -29,8 +29,8 @@ _STORAGE = ("Orientation", "hdr:exposure", "oiio:Gamma")
 _HDR_GROWS = 64  # runs of 127 bytes lie in 2
 
 
-def check_claims(path: Path) -> RadianceHeader | None:
-    """Header of a Radiance HDR file, None of an OpenEXR file, by its first bytes, whatever its name.
+def check_claims(path: Path) -> RadianceHeader | ExrContainer:
+    """Header of a Radiance HDR file, or an OpenEXR file, by its first bytes, whatever its name.
 
     ReadError for a file that cannot be read, is neither, or claims more pixels than its bytes can hold.
     """
@@ -42,8 +42,7 @@ def check_claims(path: Path) -> RadianceHeader | None:
             raise ReadError(f"{path}: is empty: render or copy this frame again")
         if start.startswith(STARTS):
             return _check_hdr(path, start, size)
-        with ExrContainer(path):
-            return None
+        return ExrContainer(path)
     except OSError as error:
         raise ReadError(f"{path}: cannot be read: {error.strerror or error}; check the file's rights") from error
 
@@ -72,7 +71,10 @@ class ImageFile:
             raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with --frames")
         if not is_utf8(str(path)):
             raise ReadError(f"{make_printable(str(path))}: its name is not UTF-8: rename it")
-        self._radiance = None if checked else check_claims(self.path)
+        claims = None if checked else check_claims(self.path)
+        self._container = claims if isinstance(claims, ExrContainer) else None
+        self._radiance = claims if isinstance(claims, RadianceHeader) else None
+        self._zipped: dict[int, ZipReader] = {}
         self._upright: np.ndarray | None = None  # pixels of a Radiance file that does not store them as they are
         opened = oiio.ImageInput.open(str(self.path))
         if opened is None:
@@ -87,6 +89,8 @@ class ImageFile:
 
     def __exit__(self, *_: object) -> None:
         self._input.close()
+        if self._container:
+            self._container.close()
 
     def read(
         self, part: Part, channels: Mapping[str, float], rows: tuple[int, int] | None = None
@@ -97,19 +101,18 @@ class ImageFile:
         `channels` maps each wanted name to the value for pixels outside the data window. ReadError when the file ends
         early or its pixels cannot be decoded.
         """
-        indices = [part.channels.index(name) for name in channels]
-        first, last = min(indices), max(indices)
-        if rows is None and self._is_as_stored():
-            pixels = self._input.read_image(part.index, 0, first, last + 1, oiio.FLOAT)
-        else:
-            part = part if rows is None else some_rows(part, *rows)
-            pixels = self._read_rows(part, first, last + 1)
-        pixels = self._require_pixels(pixels).reshape(part.data.height, part.data.width, last + 1 - first)
-        fills = channels.values()
-        return {
-            name: to_area(pixels[:, :, index - first], part, fill)
-            for name, index, fill in zip(channels, indices, fills, strict=True)
-        }
+        part = part if rows is None else some_rows(part, *rows)
+        planes = self._read_zip(part, [*channels])
+        if planes is None:
+            indices = [part.channels.index(name) for name in channels]
+            first, last = min(indices), max(indices)
+            if rows is None and self._is_as_stored():
+                pixels = self._input.read_image(part.index, 0, first, last + 1, oiio.FLOAT)
+            else:
+                pixels = self._read_rows(part, first, last + 1)
+            pixels = self._require_pixels(pixels).reshape(part.data.height, part.data.width, last + 1 - first)
+            planes = {name: pixels[:, :, index - first] for name, index in zip(channels, indices, strict=True)}
+        return {name: to_area(planes[name], part, fill) for name, fill in channels.items()}
 
     def read_ids(self, part: Part, name: str, rows: tuple[int, int] | None = None) -> np.ndarray:
         """One channel, likewise, with every bit of it: uint32 where it is stored so, else float32; 0 where there is no
@@ -134,6 +137,17 @@ class ImageFile:
             pixels = self._require_pixels(self._read_rows(rows, begin, end, _STORED[part.formats[begin]]))
             found |= {part.channels[begin + column]: pixels[:, :, column] for column in range(end - begin)}
         return [found[name] for name in names]
+
+    def _read_zip(self, part: Part, names: Sequence[str]) -> dict[str, np.ndarray] | None:
+        """Channels of a part, (data height, data width) each, where they are stored as ZIP; else None, and so for a
+        broken file, about which OpenImageIO says more."""
+        if self._container is None or part.data.height <= 0:
+            return None
+        if part.index not in self._zipped:
+            self._zipped[part.index] = ZipReader(self._container, part.index)
+        reader, top = self._zipped[part.index], self._container.headers[part.index].data.y0
+        known = all(name in reader.channels for name in names)
+        return reader.read(names, part.data.y0 - top, part.data.y1 + 1 - top) if known else None
 
     def _require_pixels(self, pixels: np.ndarray | None) -> np.ndarray:
         if pixels is None:

@@ -18,6 +18,8 @@ INFINITY, LEAST_NORMAL = np.int32(0x7F800000), np.int32(0x38800000)
 REBIAS, ROUND = np.int32(0x38000000), np.int32(0xFFF)
 SUBNORMALS = np.float32(2**24)
 """Half floats below the least normal one are whole numbers over this."""
+BYTE = np.uint32(128)
+"""What is added to differences of bytes."""
 
 
 @compiled
@@ -65,6 +67,36 @@ def predict_bytes(plain: np.ndarray, differences: np.ndarray) -> None:
     differences[half] = plain[1] - plain[2 * half - 2] + 128
     for i in range(1, half):
         differences[half + i] = plain[2 * i + 1] - plain[2 * i - 1] + 128
+
+
+@compiled
+def unpredict_bytes(differences: np.ndarray, words: np.ndarray) -> None:
+    """words (n,) uint16 = those whose bytes, the lower ones first, `predict_bytes` made into differences (2 n,)."""
+    half = words.size
+    low, high = np.uint32(0), np.uint32(0)
+    for i in range(half):
+        high += np.uint32(differences[i]) - BYTE
+    low, high = BYTE, high + BYTE
+    for i in range(half):
+        low += np.uint32(differences[i]) - BYTE
+        high += np.uint32(differences[half + i]) - BYTE
+        words[i] = np.uint16(low & np.uint32(0xFF) | (high & np.uint32(0xFF)) << np.uint32(8))
+
+
+@compiled
+def widen_rows(words: np.ndarray, start: int, bits: np.ndarray) -> None:
+    """bits (rows, n) uint32 = those of the float32 that equal the half floats in rows of `words` (rows, m) uint16, from
+    column `start` on."""
+    for y in range(bits.shape[0]):
+        halves, row = words[y, start : start + bits.shape[1]], bits[y]
+        for i in range(row.size):
+            half = np.uint32(halves[i])
+            size = half & np.uint32(0x7FFF)
+            normal = (size << np.uint32(13)) + np.uint32(REBIAS)
+            small = np.float32(np.float32(np.int32(size)) / SUBNORMALS).view(np.uint32)
+            found = normal if size >= np.uint32(0x400) else small
+            found = found if size < np.uint32(0x7C00) else (size << np.uint32(13)) | np.uint32(INFINITY)
+            row[i] = found | (half & np.uint32(0x8000)) << np.uint32(16)
 
 
 @compiled

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
@@ -59,6 +60,44 @@ def test_shortened_file_is_named(write_exr, ramp):
     path = write_exr("short.exr", ramp("R", "G", "B", height=64, width=64))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(ReadError, match=r"short\.exr: "), ImageFile(path) as file:
+        file.read(file.parts[0], {"R": 0.0})
+
+
+@pytest.mark.parametrize("compression", ["zip", "zips"])
+def test_zip_is_read_without_openimageio_and_the_same(tmp_path: Path, monkeypatch, compression):
+    halves = np.arange(1 << 16, dtype=np.uint16)  # all: subnormal numbers, infinities, NaN
+    noise = np.random.default_rng(0).integers(0, 1 << 16, (70, 1031)).astype(np.uint16)  # does not shrink
+    pixels = {"B": np.resize(halves, noise.shape).view(np.float16), "G": noise.view(np.float16),
+              "Z": noise.astype(np.float32) / 3, "id": noise.astype(np.uint32)}
+    header = {"compression": {"zip": OpenEXR.ZIP_COMPRESSION, "zips": OpenEXR.ZIPS_COMPRESSION}[compression],
+              "type": OpenEXR.scanlineimage, "dataWindow": ((5, -3), (1035, 66)), "displayWindow": ((0, 0), (1023, 63))}
+    path = tmp_path / "a.exr"
+    OpenEXR.File(header, pixels).write(str(path))
+    wanted = {"Z": 0.0, "B": 0.0, "G": 0.0}
+
+    def found() -> list[np.ndarray]:
+        with ImageFile(path) as file:
+            whole, some = (file.read(file.parts[0], wanted, rows) for rows in (None, (21, 39)))
+            return [*whole.values(), *some.values(), *file.read(file.parts[0], {"id": 0.0}).values()]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ImageFile, "_read_rows", None)
+        with ImageFile(path) as file:
+            assert file.read(file.parts[0], wanted, (21, 39))["Z"].shape == (18, 1024)
+    own = found()
+    monkeypatch.setattr(ImageFile, "_read_zip", lambda *_: None)
+    for one, other in zip(own, found(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_zip_that_is_broken_is_named(tmp_path: Path):
+    path = tmp_path / "a.exr"
+    ramp = np.arange(64 * 64, dtype=np.float32).reshape(64, 64)
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, {"R": ramp}).write(str(path))
+    with path.open("r+b") as file:
+        file.seek(-3, 2)  # within the checksum of the last chunk
+        file.write(b"\0\0\0")
+    with ImageFile(path) as file, pytest.raises(ReadError, match=r"a\.exr: broken file: .*; render or copy"):
         file.read(file.parts[0], {"R": 0.0})
 
 

@@ -1,7 +1,7 @@
-"""OpenEXR files as containers: chunks copied without decoding them.
+"""OpenEXR files as containers: chunks copied without decoding them, and pixels in and out of ZIP.
 
-Own pixels become ZIP-compressed scanlines, as OpenEXR's ImfZip.cpp defines them: bytes in even places before those in
-odd ones, then differences of neighbours, then DEFLATE (ISA-L's); a chunk that does not shrink is stored as it is.
+ZIP-compressed scanlines are as OpenEXR's ImfZip.cpp defines them: bytes in even places before those in odd ones, then
+differences of neighbours, then DEFLATE (ISA-L's); a chunk that does not shrink is stored as it is.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -192,7 +193,7 @@ class ExrContainer:
 
     def chunks(self, part: int) -> list[Chunk]:
         """Chunks of a part in the order of its table. ReadError when one is missing or beyond the end of the file."""
-        return [self._chunk(part, int(offset)) for offset in self._offsets[part]]
+        return [self.chunk(part, place) for place in range(self.counts[part])]
 
     def read(self, chunk: Chunk) -> bytes:
         """A chunk as it is stored, without the number of its part."""
@@ -213,8 +214,9 @@ class ExrContainer:
         for part in range(len(self.headers)):
             self.chunks(part)
 
-    def _chunk(self, part: int, offset: int) -> Chunk:
-        at = offset + 4 * self.several
+    def chunk(self, part: int, place: int) -> Chunk:
+        """The chunk at a place of a part's table, likewise."""
+        at = int(self._offsets[part][place]) + 4 * self.several
         coordinates, sizes = head_layout(self.headers[part].part_type)
         head = coordinates + struct.calcsize(sizes)
         if at + head > self.size:
@@ -319,10 +321,76 @@ def _flags(headers: list[Header]) -> int:
     return flags | LONG_NAMES * any(header.has_long_names() for header in headers)
 
 
+class ZipReader:
+    """Reads pixels of a part whose scanlines are compressed by ZIP, in a half of OpenImageIO's time.
+
+    `channels` are those that it reads: of half floats and floats; none where the part is stored in another way.
+    """
+
+    def __init__(self, file: ExrContainer, part: int) -> None:
+        self._file, self._part, header = file, part, file.headers[part]
+        self._data, self._lines, self._words = header.data, LINES.get(header.compression, 1), 0
+        self.channels: dict[str, tuple[int, int]] = {}  # kind, and place of the first word of two bytes in a line
+        is_zip = header.part_type == SCANLINES and header.compression in (ZIPS, ZIP)
+        channels = header.channels if is_zip else []
+        if all((channel.x_sampling, channel.y_sampling) == (1, 1) for channel in channels):
+            for channel in channels:
+                self.channels |= {channel.name: (channel.kind, self._words)} if channel.kind in (HALF, FLOAT) else {}
+                self._words += self._data.width * PIXEL_BYTES[channel.kind] // 2
+
+    def read(self, names: Sequence[str], first: int, last: int) -> dict[str, np.ndarray] | None:
+        """Channels as float32 (rows, width), of the data window's rows from `first` to `last`, not included, both
+        counted from its top. None where the file is broken."""
+        found = {name: np.empty((last - first, self._data.width), np.float32) for name in names}
+        places = range(first // self._lines, -(-last // self._lines))
+        stored = [self._file.read(self._file.chunk(self._part, place)) for place in places]
+        with ThreadPoolExecutor(oiio.get_int_attribute("threads"), "postfx zip") as pool:
+            return found if all(pool.map(partial(self._unpack, found, first), places, stored)) else None
+
+    def _unpack(self, found: dict[str, np.ndarray], first: int, place: int, stored: bytes) -> bool:
+        """Put a chunk's rows into arrays whose rows begin with `first`; False where the chunk is broken."""
+        from postfx.kernels.pixel_formats import widen_rows  # loads Numba, which headers must not wait for
+
+        top = place * self._lines
+        rows = min(self._lines, self._data.height - top)
+        words = _decompress(stored[8:], rows * self._words)
+        if words is None or struct.unpack_from("<i", stored)[0] != self._data.y0 + top:
+            return False
+        wanted = words.reshape(rows, self._words)[max(first - top, 0):]
+        for name, rows_of_all in found.items():
+            (kind, start), target = self.channels[name], rows_of_all[max(top - first, 0):][:len(wanted)]
+            if kind == HALF:
+                widen_rows(wanted[:len(target)], start, target.view(np.uint32))
+            else:
+                end = start + 2 * target.shape[1]
+                target.view(np.uint16)[:] = wanted[:len(target), start:end]
+        return True
+
+
+def _decompress(stored: bytes, count: int) -> np.ndarray | None:
+    """A chunk's words, uint16 (count,); None if it is broken."""
+    from postfx.kernels.pixel_formats import unpredict_bytes  # likewise
+
+    if len(stored) == 2 * count:
+        return np.frombuffer(stored, np.uint16).copy()  # Numba compiles once more for what cannot be written
+    inflating = isal_zlib.decompressobj()
+    try:
+        differences = inflating.decompress(stored, 2 * count + 1)
+    except isal_zlib.error:  # type: ignore[misc]  # the stub names no class
+        return None
+    if not inflating.eof or len(differences) != 2 * count:
+        return None
+    words = np.empty(count, np.uint16)
+    unpredict_bytes(np.frombuffer(differences, np.uint8), words)
+    return words
+
+
 COMPRESSIONS = {0: "none", 1: "rle", 2: "zips", 3: "zip", 4: "piz", 5: "pxr24", 6: "b44", 7: "b44a", 8: "dwaa",
                 9: "dwab"}
 """OpenEXR's numbers of compressions."""
-ZIP = 3
+ZIPS, ZIP = 2, 3
+HALF, FLOAT = 1, 2
+"""Kinds of channels."""
 _KINDS = (oiio.UINT, oiio.HALF, oiio.FLOAT)
 ZIP_LINES = 16
 """Rows of a chunk."""
