@@ -72,8 +72,8 @@ EXPOSURE = Options(Section("", (
     Option(flag="--tonemap", metavar="TAG", either="look", help="look of the tone mapper (default: as 'postfx run')"),
     Option(flag="--no-tonemap", either="look", help="only expose, clip and encode"),
     Option(flag="--graded", metavar="FRAMES",
-           help="the boards of 'POSTFX_EXPOSURE_TOOL=1 postfx run' of INPUT, with the same --exposure, after your grade: "
-           "PNG, TIFF, JPEG or EXR, numbered alike"),
+           help="the boards of 'POSTFX_EXPOSURE_TOOL=1 postfx run' of INPUT, with the same --exposure, after your "
+           "grade: PNG, TIFF, JPEG or EXR, numbered alike"),
     Option(flag="--response", metavar="FILE", help="what your tone mapper made of the chart: with --graded",
            needs={"--graded": "--response says how --graded frames are read: give both"}),
     Option(flag="--chart", metavar="EXR",
