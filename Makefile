@@ -3,8 +3,10 @@ VENV ?= .venv
 OUT ?= out/demo
 BIN := $(VENV)/bin
 PYTHONS ?= $(PYTHON)
+ORT := build/npm/node_modules/onnxruntime-web/dist
+THREE := build/npm/node_modules/three
 
-.PHONY: demo test windows release lint blender clean
+.PHONY: demo test windows docs page release lint blender clean
 
 # Denoise, upscale and tone-map the sample sequence. Installs postfx without torch.
 demo: $(VENV)/installed
@@ -18,6 +20,28 @@ test: export PYTHONDONTWRITEBYTECODE =
 test: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
+
+# The documentation site, in build/site: from docs/, the code and, if npm is there, the page in the browser.
+docs: $(VENV)/installed-docs
+	$(BIN)/python -m pytest -q tests/test_words.py tests/test_site.py
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@if command -v npm >/dev/null; then $(MAKE) --no-print-directory page && cp -r build/page build/site/try; fi
+	@echo "build/site/index.html"
+
+# The page in the browser, in build/page: static files only. ONNX Runtime Web and three.js come from the npm registry.
+page: $(VENV)/installed-dev
+	rm -rf build/page
+	mkdir -p build/npm build/page/ort build/page/three/loaders build/page/three/libs
+	cp web/package.json build/npm && cd build/npm && npm install --silent --no-audit --no-fund --ignore-scripts
+	$(BIN)/python web/export.py build/page/models
+	cp web/*.html web/*.css web/*.js build/page
+	cp samples/room/noisy.0006.exr build/page/sample.exr
+	cp $(ORT)/ort.wasm.min.mjs $(ORT)/ort.webgpu.min.mjs $(ORT)/ort-wasm-simd-threaded.mjs \
+	    $(ORT)/ort-wasm-simd-threaded.wasm $(ORT)/ort-wasm-simd-threaded.asyncify.* build/page/ort
+	cp $(THREE)/build/three.core.js $(THREE)/LICENSE build/page/three
+	cp $(THREE)/examples/jsm/loaders/EXRLoader.js build/page/three/loaders
+	cp $(THREE)/examples/jsm/libs/fflate.module.js build/page/three/libs
+	@echo "build/page: serve it with 'python3 -m http.server -d build/page'"
 
 # The extension for Blender 4.2 and later, to install by Preferences > Get Extensions > Install from Disk.
 blender:
@@ -35,6 +59,10 @@ release: $(VENV)/installed-dev
 	rm -rf dist
 	$(BIN)/python -m hatchling build -d dist
 	for python in $(PYTHONS); do .ci/check_release $$python || exit 1; done
+
+$(VENV)/installed-docs: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,docs]'
+	@touch $@
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

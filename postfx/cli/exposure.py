@@ -1,4 +1,4 @@
-"""`postfx exposure`: is the exposure of a sequence right, steady, and applied as given?"""
+"""`postfx exposure`: is the exposure of a sequence right, steady, and applied as told?"""
 
 from __future__ import annotations
 
@@ -72,10 +72,10 @@ EXPOSURE = Options(Section("", (
     Option(flag="--tonemap", metavar="TAG", either="look", help="look of the tone mapper (default: as 'postfx run')"),
     Option(flag="--no-tonemap", either="look", help="only expose, clip and encode"),
     Option(flag="--graded", metavar="FRAMES",
-           help="the boards of 'POSTFX_EXPOSURE_TOOL=1 postfx run' of INPUT, with the same --exposure, after your "
-           "grade: PNG, TIFF, JPEG or EXR, numbered alike"),
+           help="what became of the boards of 'POSTFX_EXPOSURE_TOOL=1 postfx run' of INPUT with the same --exposure, "
+           "numbered alike: PNG, TIFF, JPEG or EXR"),
     Option(flag="--response", metavar="FILE", help="what your tone mapper made of the chart: with --graded",
-           needs={"--graded": "--response says how --graded frames are read: give both"}),
+           needs={"--graded": "--response tells how --graded frames are read: give both"}),
     Option(flag="--chart", metavar="EXR",
            help="write a chart of greys, from 8 stops below mid grey to 8 above, for your tone mapper at 0 EV, and "
            "stop"),

@@ -1,4 +1,4 @@
-"""What `postfx exposure` does: measure, report, and write pictures."""
+"""What `postfx exposure` does: measure, tell, and write pictures."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ scene-linear: interpolate renders or denoised frames, before tone mapping.
 
 The new sequence is numbered on from the first frame's number. Frame rate and time code in the headers follow. Across a
 cut, and where nothing changes, the nearer frame is repeated; where a frame is missing, there are no new ones beside it.
-Both are reported, with the reason.
+Both are told, with the reason.
 """
 EXAMPLES = """\
 examples:
@@ -74,7 +74,7 @@ INTERPOLATE = Options(Section("", (
     Option(flag="--times", metavar="N|T,...",
            help="how many times as many frames, or times between two frames, e.g. 0.25,0.5 (default: 2)"),
     Option(flag="--fps", metavar="OLD[:NEW]",
-           help="frame rates, e.g. 24:60; the old one alone where headers do not give it"),
+           help="frame rates, e.g. 24:60; the old one alone for headers that do not tell it"),
     Option(flag="--frames", metavar="RANGE", help="frames to use, e.g. 1-100"),
     Option(flag="--shutter", metavar="DEGREES", type=_parse_shutter, default=0.0,
            help="blur what moves as a shutter that is open for so much of 360 degrees of a new frame, for renders "
@@ -93,7 +93,7 @@ INTERPOLATE = Options(Section("", (
            excludes={"--composited": "--overlays are put over pictures that have none yet: leave --composited out"},
            help="overlays of all frames of OUTPUT, numbered like it: they are put over the pictures"),
     Option(flag="--reference", metavar="FRAMES", is_file=True,
-           help="rendered frames, numbered like OUTPUT: report the PSNR of each new frame that is among them"),
+           help="rendered frames, numbered like OUTPUT: tell the PSNR of each new frame that is among them"),
     Option(flag="--overwrite", help="replace output files that are there"),
     RUN["--bits"],
     RUN["--compression"],
@@ -112,7 +112,7 @@ CRYPTOMATTE = "cryptomatte/"
 
 @dataclass
 class Summary:
-    """What was made of a sequence: reasons by the numbers of new frames, and PSNR in dB by number."""
+    """What became of a sequence: reasons by the numbers of new frames, and PSNR in dB by number."""
 
     kept: int = 0
     made: int = 0

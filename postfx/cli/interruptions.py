@@ -63,7 +63,7 @@ class Faults:
 
     With SKIP such a frame has no output. With COPY a stand-in makes it; where the picture itself cannot be read, there
     is none either. The frame after it begins without a history, as its motion leads to one that the passes have not
-    seen. An output that cannot be written stops the run under any policy: the next ones would fail as well.
+    seen. An output that cannot be written stops the run whatever the policy: the next ones would fail as well.
 
     Attributes:
         found: what failed so far.
@@ -83,7 +83,7 @@ class Faults:
         return frame
 
     def attempt(self, number: int, wanted: bool, work: Callable[[], Result]) -> Result | None:
-        """What `work` makes of a frame; None when it fails and the run goes on."""
+        """What `work` makes of a frame, likewise."""
         try:
             return work()
         except WriteError:
@@ -153,7 +153,7 @@ class Stop:
     """Turns SIGINT (Ctrl-C) and SIGTERM into a request to stop. Use as a context manager in the main thread; in another
     thread it changes nothing.
 
-    The first signal calls `tell` with a line for the user; a second one raises Interrupted at once.
+    The first signal calls `tell` with a line for the user; a second one raises Interrupted at once, wherever that is.
     """
 
     def __init__(self, tell: Callable[[str], None]) -> None:
@@ -163,11 +163,11 @@ class Stop:
 
     @property
     def is_requested(self) -> bool:
-        """Whether the run should end after this frame."""
+        """Whether the run shall end after this frame."""
         return self._asked is not None
 
     def check(self) -> None:
-        """Between two frames: raises Interrupted when the run should end."""
+        """Between two frames: raises Interrupted when the run shall end."""
         if self._asked is not None:
             raise Interrupted(self._asked)
 

@@ -101,7 +101,7 @@ class Job:
                                     **self._values("denoiser")) if both_ways else None
         self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         is_picture = self.outputs is not None and self.outputs.display
-        native = not is_shown(is_picture, **self._values("look"))  # before any file is opened, which warns of it
+        native = not is_shown(is_picture, **self._values("look"))  # before any file is opened, which tells of it
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
         self._parts = self._find_parts()
@@ -389,7 +389,7 @@ class Job:
             if self._faults.attempt(number, True, write) is None:
                 return
             run.note_output(number, path, picture, **facts)
-            facts = {}  # those of a frame are recorded once
+            facts = {}  # those of a frame are told once
             paths.append(str(path))
         if used is not None:
             self._exposure.multipliers[number], self._exposure.lit[number] = used, done.lit

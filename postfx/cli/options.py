@@ -88,7 +88,7 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
 
     @property
     def default_value(self) -> Any:
-        """Its value where it is not given."""
+        """Its value where nobody says anything."""
         return False if self.is_switch else self.default
 
     def parse(self, text: str) -> Any:

@@ -117,7 +117,7 @@ def execute(arguments: argparse.Namespace) -> int:
     report = job.report(failure)
     try:
         report = job.write_page(report)
-    except PostfxError as error:  # the frames are written all the same, and the summary lists them
+    except PostfxError as error:  # the frames are written all the same, and the summary tells of them
         failure = failure or error
         report = job.report(failure)
     if told := report.problems() if arguments.quiet else report.summary():

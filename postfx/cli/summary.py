@@ -1,4 +1,4 @@
-"""What `postfx run` prints: the plan (--explain), progress while it runs, and the report at the end."""
+"""What `postfx run` tells: the plan (--explain), progress while it runs, and the report at the end."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ NIGHT_EV = 3.0
 
 @dataclass(frozen=True)
 class ExposureUsed:
-    """By how much frames were exposed, and who decided that.
+    """By how much frames were exposed, and by whose word.
 
     Attributes:
         mode: as --exposure says it.
@@ -193,7 +193,7 @@ class ExposureUsed:
 
     @property
     def is_metered(self) -> bool:
-        """Whether it was measured on the pictures, not given by their author."""
+        """Whether the pictures told it, and not their author."""
         return self.mode in ("auto", "smooth")
 
     def as_dict(self) -> dict[str, Any]:
@@ -210,7 +210,7 @@ class ExposureUsed:
         return f"{_stops(self.multipliers)}, {how} (as it was lit: {_stops(self.lit)}{known}, with --exposure lit)"
 
     def warnings(self) -> list[str]:
-        """A warning where a dark scene comes out bright, which may not be wanted."""
+        """That a dark scene comes out bright, which nobody may have wanted."""
         more = [log2(value / self.lit.get(number, 1.0)) for number, value in self.multipliers.items()]
         if not (self.is_applied and self.is_metered and more and median(more) >= NIGHT_EV):
             return []
@@ -275,7 +275,7 @@ LEFT_OUT, RESAMPLED = "left out", "resampled"
 
 @dataclass
 class Fault:
-    """A frame that could not be processed, why, and what its output is instead: LEFT_OUT or RESAMPLED."""
+    """A frame that could not be processed, why, and what became of its output: LEFT_OUT or RESAMPLED."""
 
     frame: int
     why: str
@@ -394,7 +394,7 @@ class Report:
         return "\n".join(lines)
 
     def problems(self) -> str:
-        """The lines of the summary that must be seen: frames that failed, and warnings."""
+        """Those lines of the summary that nobody must miss: frames that failed, and warnings."""
         return "\n".join([*self._fault_lines(), *(f"warning  {warning}" for warning in self.warnings)])
 
     def _fault_lines(self) -> list[str]:
@@ -417,7 +417,7 @@ class Report:
         rows = [(item.what, item.why) for item in passes + frames[:SHOWN_FRAMES]]
         rows += [("planes " + ", ".join(planes), "no pass reads them")] if planes else []
         more = len(frames) - SHOWN_FRAMES
-        return rows + ([(f"{more} more frames", "for the same reason")] if more > 0 else [])
+        return rows + ([(f"{more} more frames", "likewise")] if more > 0 else [])
 
     def _speed(self) -> str:
         if not self.frame_ms:

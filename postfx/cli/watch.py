@@ -34,7 +34,7 @@ exit codes: 0 the last frame of --until is done, or no frame came for --idle sec
 to fix it; 130 ended by Ctrl-C
 """
 POLL = 0.2
-"""Seconds between two looks at the folder: network folders send no notice of new files."""
+"""Seconds between two looks at the folder: network folders tell nobody of new files."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

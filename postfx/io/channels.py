@@ -2,7 +2,7 @@
 
 A channel goes by its own name ('albedo.R'), by its part's name before it ('albedo' and 'R'), and by its file's name
 where every plane has one. Nuke's and Clarisse's red, green, blue and alpha count as R, G, B and A, and letter case does
-not count. Of stereo files one view is read. Views are named by an attribute of parts, by their names ('rgba.left',
+not count. Of stereo files one view is read. Views are told by an attribute of parts, by their names ('rgba.left',
 'rgba_left') or by the last but one word of a channel's name ('left.R', 'forward.left.u').
 """
 
@@ -27,7 +27,7 @@ COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image",
 """Words that stand for the colour plane where every plane has its own file."""
 _LETTERS = {"red": "r", "green": "g", "blue": "b", "alpha": "a"}
 _VIEW_WORDS = ("main", "left", "right")
-"""Views that parts are named after where no attribute names views."""
+"""Views that parts are named after where no attribute tells views."""
 _DATA = re.compile(
     r"crypto|matte|mask|normal|depth|position|point|motion|vector|velocity|albedo|roughness|variance"
     r"|(^|[._ ])(n|ng|ns|nn|p|pref|pworld|z|ids?|uv|st)([._ ]|$)|(?-i:[a-z]ID$)",
@@ -67,7 +67,7 @@ class Channel(NamedTuple):
 class _Source:
     """One part of a file, seen from one view: full name in lower case -> the name as it is written, and the channel.
 
-    `rank` says how likely its R, G and B are the frame's colour, the lowest first; parts of rank `_NAMED` are found by
+    `rank` tells how likely its R, G and B are the frame's colour, the lowest first; parts of rank `_NAMED` are found by
     the name of the part only.
     """
 
@@ -278,19 +278,19 @@ def _with_letter(name: str) -> str:
 
 
 def _views(parts: tuple[Part, ...]) -> tuple[str, ...]:
-    """Views that a file's parts name, the first one first; of one view or none where it is not of several."""
+    """Views that a file's parts tell, the first one first; of one view or none where it is not of several."""
     listed = parts[0].attributes.get("multiView")
     if isinstance(listed, tuple):
         return tuple(map(str, listed))
-    stated = [part.view for part in parts if part.view]
-    endings = [re.split(r"[._]", part.name)[-1] for part in parts]
-    shared = len(parts) > 1 and len(set(endings)) == 1 and all("." in part.name for part in parts)
-    named = [ending for ending in endings if ending.lower() in _VIEW_WORDS or shared]
-    return tuple(dict.fromkeys(stated or named))
+    told = [part.view for part in parts if part.view]
+    ends = [re.split(r"[._]", part.name)[-1] for part in parts]
+    shared = len(parts) > 1 and len(set(ends)) == 1 and all("." in part.name for part in parts)
+    named = [end for end in ends if end.lower() in _VIEW_WORDS or shared]
+    return tuple(dict.fromkeys(told or named))
 
 
 def _name_and_view(part: Part, views: tuple[str, ...]) -> tuple[str, str]:
-    """A part's name without its view, and the view, '' where it names none."""
+    """A part's name without its view, and the view, '' where it tells none."""
     found = re.fullmatch(r"(?:(.+)[._])?([^._]+)", part.name)
     if found and found[2] in ((part.view,) if part.view else views):
         return found[1] or "", found[2]
@@ -300,7 +300,7 @@ def _name_and_view(part: Part, views: tuple[str, ...]) -> tuple[str, str]:
 def _without_view(channel: str, views: tuple[str, ...], view: str, is_by_name: bool) -> tuple[str, str]:
     """A channel's name without its view, and the view: the part's, else that in its name; '' where it is of all.
 
-    Channels without a layer are of the first view where names include views.
+    Channels without a layer are of the first view where names tell views.
     """
     *layers, letter = channel.split(".")
     if layers and layers[-1] in views and view in ("", layers[-1]):

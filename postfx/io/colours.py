@@ -184,7 +184,7 @@ class InputColours:
         if space.is_rec709 and not space.decode:
             return []
         kept = "made linear" if space.decode else "kept as they are"
-        return [f"colours are {space.title}: {kept if self.native else 'converted to linear Rec.709'}"]
+        return [f"colours are {space.title}: {kept if self.native else 'turned to linear Rec.709'}"]
 
     def apply(self, frame: Frame) -> None:
         """Turn a frame's colours and reflectances, guides included, in place; its header says what they are then.
@@ -235,7 +235,7 @@ def _label(metadata: dict[str, Any], space: ColourSpace) -> None:
 def _turn(plane: np.ndarray, space: ColourSpace, matrix: np.ndarray | None, positive: bool) -> None:
     for first in range(0, len(plane), _PIECE):
         colour = plane[first:first + _PIECE, :, :3]
-        converted = colour if space.decode is None else space.decode(colour)
+        turned = colour if space.decode is None else space.decode(colour)
         if matrix is not None:
-            converted = np.clip(converted, -_LARGEST, _LARGEST) @ matrix.T  # infinity minus infinity would be NaN
-        colour[:] = np.maximum(converted, 0) if positive else converted
+            turned = np.clip(turned, -_LARGEST, _LARGEST) @ matrix.T  # infinity minus infinity would be NaN
+        colour[:] = np.maximum(turned, 0) if positive else turned

@@ -287,7 +287,7 @@ class DepthOption:
 
 
 def parse_depth(text: str) -> DepthOption:
-    """Option of a text: one of `KINDS`, then near=, far=, fov= (degrees), miss= or scale=, separated by commas.
+    """Option of a text: one of `KINDS`, then near=, far=, fov= (degrees), miss= or scale=, parted by commas.
 
     'reversed,near=0.1' is a reversed depth buffer with an infinite far plane, 'device,near=0.1,far=100' a usual one,
     'ray,fov=54.4,miss=0' the distance from the eye. Raises DepthOptionError for anything else.

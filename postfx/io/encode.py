@@ -216,7 +216,7 @@ def encode(
 ) -> None:
     """Encode a file; an EXR with everything else that the source of `keep` holds, or of several views.
 
-    Raises OSError unless all bytes are in the file, which the encoders of JPEG, PNG and TIFF do not report; ReadError
+    Raises OSError unless all bytes are in the file, which the encoders of JPEG, PNG and TIFF do not tell; ReadError
     when what is kept cannot be read.
     """
     if suffix == ".exr":
@@ -347,7 +347,7 @@ def make_profile(display: Display) -> bytes:
     """Profile of a display's code values.
 
     A curve cannot describe PQ and HLG up to their peak. It ends at diffuse white, so software without HDR clips
-    brighter lights there; the tag `cicp` gives other software the true encoding.
+    brighter lights there; the tag `cicp` tells other software the true encoding.
     """
     primaries = display.kind.primaries
     colorants = adapt(primaries, D50_XYZ)

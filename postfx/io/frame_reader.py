@@ -221,7 +221,7 @@ class FrameFiles:
     ) -> Frame:
         """Frame with the planes of `roles` (None: all that are there) and these guides, in arrays of `scratch`.
 
-        Without `guides`, `roles` says what to read, at the size that it has. Raises MissingPlaneError when one
+        Without `guides`, `roles` tells what to read at whatever size it is there. Raises MissingPlaneError when one
         of them is not there, ReadError when pixels cannot be decoded.
         """
         wanted, guiding = self._split_roles(roles, guides)

@@ -30,7 +30,7 @@ _HDR_GROWS = 64  # runs of 127 bytes lie in 2
 
 
 def check_claims(path: Path) -> RadianceHeader | ExrContainer:
-    """Header of a Radiance HDR file, or an OpenEXR file, by its first bytes, not its name.
+    """Header of a Radiance HDR file, or an OpenEXR file, by its first bytes, whatever its name.
 
     ReadError for a file that cannot be read, is neither, or claims more pixels than its bytes can hold.
     """
@@ -115,8 +115,8 @@ class ImageFile:
         return {name: to_area(planes[name], part, fill) for name, fill in channels.items()}
 
     def read_ids(self, part: Part, name: str, rows: tuple[int, int] | None = None) -> np.ndarray:
-        """One channel with every bit of it: uint32 where it is stored so, else float32; 0 where there is no data. As
-        floats whole numbers would be scaled to 0..1."""
+        """One channel, likewise, with every bit of it: uint32 where it is stored so, else float32; 0 where there is no
+        data. As floats whole numbers would be scaled to 0..1."""
         index = part.channels.index(name)
         if part.formats[index] != "uint":
             return self.read(part, {name: 0.0}, rows)[name]

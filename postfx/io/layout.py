@@ -266,7 +266,7 @@ def _detect(index: ChannelIndex, attributes: Mapping[str, Any]) -> Profile:
 
 @cache
 def _telling_facts() -> tuple[str, ...]:
-    """Header attributes that distinguish profiles."""
+    """Header attributes by which profiles are told apart."""
     rules = (rule for name in profile_names() for rule in load_profile(name).detect)
     return tuple({name: None for rule in rules for name, _ in rule.header})
 
@@ -274,8 +274,8 @@ def _telling_facts() -> tuple[str, ...]:
 @lru_cache(64)
 def _first_that_fits(names: Names, facts: tuple[tuple[str, str], ...]) -> Profile:
     """Looked up once for all frames of a sequence."""
-    profiles, header = [load_profile(name) for name in profile_names()], dict(facts)
-    return next((profile for profile in profiles if _fits(names, profile, header)), profiles[-1])
+    profiles, told = [load_profile(name) for name in profile_names()], dict(facts)
+    return next((profile for profile in profiles if _fits(names, profile, told)), profiles[-1])
 
 
 def _fits(names: Names, profile: Profile, facts: Mapping[str, str]) -> bool:

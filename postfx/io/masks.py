@@ -115,8 +115,8 @@ class LeftAlone:
     """Entries of `postfx.masks.parse_leave`, found in a frame's files.
 
     Raises StrengthError when the files hold no Cryptomatte or plane for one, when that has another size than the
-    colour, when nothing shows which pixels are misses or have converged, and, if `strict`, when no name fits; else the
-    thing is only not in this frame.
+    colour, when nothing tells misses or what has converged, and, if `strict`, when no name fits; else the thing is only
+    not in this frame.
 
     Attributes:
         reads: planes that are looked at, of those that the frame has: colour and its own strength at least.

@@ -43,8 +43,8 @@ class Sequence:
         guides: sequence of the files of the planes at output size, None where they are in the same files or absent.
         numbers: frame numbers, in order of processing. Holes in what is on the disk are kept as numbers: reading such
             a frame raises MissingFrameError.
-        colours: in which primaries the files hold colours, and whether they are converted to Rec.709; may be replaced.
-        warnings: what is unusual about the files read so far, each once.
+        colours: in which primaries the files hold colours, and whether they are turned to Rec.709; may be replaced.
+        warnings: oddities of the files read so far, each once.
         leave: what is left as it is.
         motion: where motion comes from, see `MOTIONS`.
         left_alone: how much of the frames read so far that is.
@@ -145,14 +145,14 @@ class Sequence:
 
     def look_again(self, step: int) -> None:
         """Take notice of files that were written since the sequence was made; step: from one frame to the next, which
-        files that are not there yet do not show it."""
+        files that are not there yet do not tell."""
         self._found, self._step = _files_of(self.pattern), step
         self._pictures.clear()
         if self.guides:
             self.guides.look_again(step)
 
     def rewind(self) -> None:
-        """The next frame that is read does not count as a cut, no matter what was read before."""
+        """The next frame that is read does not count as a cut, whatever was read before."""
         self._last = None
 
     def before(self, number: int, count: int) -> list[int]:
@@ -326,7 +326,7 @@ class Sequence:
     def _add_for_motion(
         self, files: FrameFiles, wanted: Iterable[Role] | None
     ) -> tuple[tuple[Role, ...] | None, tuple[Role, ...]]:
-        """Roles to read so that motion can be estimated where it is wanted, and those of them that serve only that."""
+        """What to read so that wanted motion can be estimated, and what of that nobody else wants."""
         if wanted is None:
             return None, ()
         asked = tuple(map(Role, wanted))
@@ -353,7 +353,7 @@ class Sequence:
             frame.planes[Role.MOTION] = motion
 
     def _picture_before(self, number: int) -> Picture | None:
-        """Of the frame before on the disk, not of the one read last; None where there is none, or it cannot be read."""
+        """Of the frame before on the disk, whatever was read last; None where there is none, or it cannot be read."""
         from postfx.io.estimated_motion import picture_of
 
         for before in self.before(number, 1):
@@ -397,7 +397,7 @@ class Sequence:
         return True
 
     def _warn(self, warning: str) -> None:
-        """Keep a warning and log it, once."""
+        """Keep a warning and tell the log of it, once."""
         if warning not in self.warnings:
             self.warnings.append(warning)
             LOG.warning("%s: %s", self.pattern, warning)
@@ -446,7 +446,7 @@ def read_sequence(
             misses, such as 'auto,logo,glass_*=0.5,7-9@id', see `postfx.masks.parse_leave`.
         colourspace: linear primaries of colours and reflectances, guides included: rec709, p3, rec2020, acescg or
             aces2065-1, in place of what headers say (chromaticities, colorInteropID; Rec.709 without any). They are
-            converted to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.
+            turned to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.
         without: roles of planes to take as absent, such as `Role.OVERLAY`.
         layer: view layer or other layer whose channels are read; None for that with the most planes.
         view: of stereo files, such as 'left'; None for the first, or for all where {view} in `pattern` says that each

@@ -29,7 +29,7 @@ from postfx.version import __version__
 LINEAR_FORMATS = (".exr",)
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG)
 WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
-_DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays unless `bits` says otherwise
+_DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays if not told otherwise
 _LEVELLED = ("dwaa", "dwab")
 _PNG_LEVEL, _PNG_PAETH = 3, 128  # with alpha: half the time of level 6 and a filter chosen for each row, for 4 % more
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
@@ -96,10 +96,10 @@ def write_frame(
     The file appears under its name only when it is complete; folders are made.
 
     Args:
-        half: of EXR, whether its channels are half floats; the same as `bits`, which is for all formats.
+        half: of EXR, whether its channels are half floats; the same as `bits`, which tells it for all formats.
         relax: is called again and again meanwhile.
         dither: moving, static or none.
-        provenance: attributes for an EXR header that say how the frame was made.
+        provenance: attributes for an EXR header that tell how the frame came about.
         keep: write everything else that the frame's source holds into an EXR, see `postfx.io.exr.passthrough`; None:
             only beside a picture that has the source's size.
         bits: EXR 16 (half floats, default) or 32 (floats, default beside parts that are distances or places); PNG and
@@ -331,8 +331,8 @@ class OutputFiles:
         check_storage(Path(str(self._pattern)), bits, compression, encoding)
 
     def _refuse_inputs(self, sequence: Sequence) -> None:
-        """No input may be replaced, even through links, `..` or another letter case, and no output may become a frame
-        of the input: the next run would read it."""
+        """No input may be replaced, whatever links, `..` or letter case lead there, and no output may become a frame of
+        the input: the next run would read it."""
         inputs = {_place(path) for path in sequence.all_files()}
         outputs = self._guess_paths(sequence.numbers)
         there = any(map(os.path.lexists, outputs))
@@ -348,7 +348,7 @@ class OutputFiles:
         return [view or "" for view in (self._sequence.view, *self._sequence.views)] if self.has_views else [""]
 
     def _guess_paths(self, numbers: Iterable[int]) -> list[Path]:
-        """Files of frames; of the views that are on the disk, where no frame was opened yet that names them."""
+        """Files of frames, of whatever views are on the disk where no frame was opened yet that tells them."""
         views = [view for view in self._views() if view or not self.has_views] or ["view", *self._pattern.by_view()]
         return [self._pattern.of_view(view).path(number) for number in numbers for view in views]
 

@@ -237,7 +237,7 @@ Keep = Callable[[np.ndarray, str, bool], Snapshot | None]
 
 
 def look_inside(dispatch: Dispatch, placement: Placement, keep: Keep, ran: bool) -> CapturedNetwork:
-    """Run the nodes of a dispatch's network; `ran` says whether the network itself has written its outputs.
+    """Run the nodes of a dispatch's network; `ran` tells whether the network itself has written its outputs.
 
     Checks no hazards: the caller stands between two commands of the queue.
     """

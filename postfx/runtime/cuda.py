@@ -201,7 +201,7 @@ class Fork:
     """Commands on several streams: each waits for those that barriers put before it, and no others.
 
     The streams begin after what the device's stream holds now. At the end of a `with` block that one waits for all of
-    them, so later work does not have to know of them. It may become part of a graph that is being captured.
+    them, so whatever comes later does not have to know of them. It may become part of a graph that is being captured.
 
     Args:
         own: the device's stream.

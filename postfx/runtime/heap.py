@@ -1,6 +1,6 @@
 """The heap: memory that all named tensors of a device share, and the arena in it for transient tensors.
 
-A transient tensor has no memory while commands are recorded. At commit the buffer's records show when each one is used,
+A transient tensor has no memory while commands are recorded. At commit the buffer's records tell when each one is used,
 and a plan gives each an offset in the arena. Two tensors may share bytes when all uses of one come before all uses of
 the other.
 """

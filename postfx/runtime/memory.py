@@ -207,7 +207,7 @@ def address(array: np.ndarray) -> int:
 
 
 def byte_span(array: np.ndarray) -> tuple[int, int]:
-    """Addresses of an array's first byte and of the one after its last, with any strides."""
+    """Addresses of an array's first byte and of the one after its last, whatever its strides."""
     reach = [(size - 1) * stride for size, stride in zip(array.shape, array.strides, strict=True) if array.size]
     first, last = (address(array) + sum(pick(0, step) for step in reach) for pick in (min, max))
     return first, last + array.itemsize * bool(array.size)

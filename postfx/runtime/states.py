@@ -432,7 +432,7 @@ def parse(dimension: int | str) -> Dimension:
 
 
 def could_match(shape: tuple[int, ...], declared: tuple[int | str, ...]) -> bool:
-    """Whether a shape has the declared rank and fixed sizes, with any values of the symbols."""
+    """Whether a shape has the declared rank and fixed sizes, whatever the symbols' values are elsewhere."""
     if len(shape) != len(declared):
         return False
     dimensions = [parse(item) for item in declared]

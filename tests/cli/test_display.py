@@ -55,7 +55,7 @@ def test_dither(postfx, write_exr, tmp_path):
 def test_colour_spaces(postfx, write_exr, tmp_path):
     write_exr("in/shot.0001.exr", {name: np.full((8, 8), value) for name, value in zip("RGB", (1, 0, 0), strict=True)})
     done = postfx(*RUN, "-o", "out/a.####.png", "--no-tonemap", "--display", "p3", "--colourspace", "p3", "--json")
-    assert done.json["warnings"] == ["colours are p3: converted to linear Rec.709"]
+    assert done.json["warnings"] == ["colours are p3: turned to linear Rec.709"]
     np.testing.assert_allclose(codes_of(tmp_path / "out/a.0001.png")[0, 0], [1, 0, 0], atol=0.005)
     done = postfx(*RUN, "-o", "out/a.####.exr", "--colourspace", "acescg", "--json")
     assert done.json["warnings"] == ["colours are acescg: kept as they are"]

@@ -61,7 +61,7 @@ def test_chromaticities_say_it(write, stored) -> None:
     sequence = read_sequence(write(chromaticities=ACESCG))
     frame = next(iter(sequence))
     assert_turned(frame, stored)
-    assert sequence.warnings == ["colours are acescg: converted to linear Rec.709"]
+    assert sequence.warnings == ["colours are acescg: turned to linear Rec.709"]
     assert frame[Role.COLOUR][0, 0, 1] < -0.1  # red of AP1 is outside Rec.709
     assert (frame[Role.COLOUR][0, 1] > 1e29).all()
 
@@ -78,7 +78,7 @@ def test_encoded_colours_are_made_linear(write, stored, tmp_path) -> None:
     for identifier, own in (("srgb_rec709_scene", light), ("srgb_ap1_scene", in_rec709(light))):
         sequence = read_sequence(write(colorInteropID=identifier))
         np.testing.assert_allclose(next(iter(sequence))[Role.COLOUR][1:], own, rtol=2e-3, atol=3e-2)
-        assert sequence.warnings == [f"colours are {identifier}: converted to linear Rec.709"]
+        assert sequence.warnings == [f"colours are {identifier}: turned to linear Rec.709"]
     sequence = read_sequence(write(colorInteropID="srgb_ap1_scene"), colourspace="native")
     (frame,) = sequence
     np.testing.assert_allclose(frame[Role.COLOUR][1:], light, rtol=1e-4)
@@ -121,7 +121,7 @@ def test_the_colours_part_says_it(write_parts, ramp) -> None:
     path = write_parts("b.exr", dict(reversed(channels.items())), colorInteropID="lin_ap1_scene")
     sequence = read_sequence(path)
     next(iter(sequence))
-    assert sequence.warnings == ["colours are acescg: converted to linear Rec.709"]
+    assert sequence.warnings == ["colours are acescg: turned to linear Rec.709"]
 
 
 @pytest.mark.parametrize("header", [
@@ -145,7 +145,7 @@ def test_other_primaries_without_a_name(write) -> None:
     odd = (0.66, 0.32, 0.28, 0.65, 0.15, 0.05, 0.3127, 0.329)
     sequence = read_sequence(write(chromaticities=odd))
     frame = next(iter(sequence))
-    assert sequence.warnings == ["colours are of primaries without a name: converted to linear Rec.709"]
+    assert sequence.warnings == ["colours are of primaries without a name: turned to linear Rec.709"]
     own = colour.RGB_Colourspace("odd", np.reshape(odd[:6], (3, 2)), odd[6:])
     wanted = colour.matrix_RGB_to_RGB(own, colour.RGB_COLOURSPACES["sRGB"], "Bradford")[:, 0]
     np.testing.assert_allclose(frame[Role.COLOUR][0, 0], wanted, atol=1e-3)

@@ -52,7 +52,7 @@ class Header:
 
     @property
     def part_type(self) -> str:
-        """One of `PART_TYPES`, from the attribute `type`, or in old files from the presence of tiles."""
+        """One of `PART_TYPES`, as the attribute `type` says; tiles tell it in old files."""
         if "type" in self.attributes:
             return text(self.attributes["type"].value)
         return TILES if "tiles" in self.attributes else SCANLINES
@@ -178,7 +178,7 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
 
 
 def _correct_type(header: Header, version: int) -> None:
-    """Correct the type of a lone part by the file's flags, which say how it is stored."""
+    """Correct the type of a lone part by the file's flags, which tell how it is stored."""
     wrong = TILES if not version & TILED else SCANLINES
     if not version & DEEP and header.part_type == wrong:
         header.set_text("type", SCANLINES if wrong == TILES else TILES)

@@ -188,7 +188,7 @@ class ExrContainer:
 
     @property
     def several(self) -> bool:
-        """Whether the file is of several parts by its version, so that each chunk names its part."""
+        """Whether the file is of several parts by its version, so that chunks tell theirs."""
         return bool(self.version & MULTI_PART)
 
     def chunks(self, part: int) -> list[Chunk]:
@@ -282,7 +282,7 @@ class NewPart:
 def write_container(path: Path, parts: list[NewPart]) -> int:
     """Write a file of these parts, each of which needs a name when there are several; returns the file's bytes.
 
-    Raises OSError when that fails, and what the parts raise while they make their chunks.
+    Raises OSError when that fails, and whatever the parts raise while they make their chunks.
     """
     several = len(parts) > 1
     for part in parts:

@@ -129,7 +129,7 @@ def select_attributes(frame: Frame) -> dict[str, Any]:
 
 
 def is_outdated(name: str, frame: Frame) -> bool:
-    """Whether an attribute of the input is no longer true of the picture, no matter what else is written with it."""
+    """Whether an attribute of the input is not true of the picture any more, whatever else is written with it."""
     outdated = _OUTDATED if frame.encoding == "scene-linear" else _OUTDATED + _SCENE_REFERRED
     return name.lower().startswith(outdated)
 

@@ -1,6 +1,6 @@
 """The pictures of several views in one file, each where its render was: in its own part, or as a layer of one part.
 
-All names are those of the source: parts keep theirs and the attributes that name views, layers theirs ('right.R').
+All names are those of the source: parts keep theirs and the attributes that tell views, layers theirs ('right.R').
 What else the source holds is kept as beside a single picture, see `postfx.io.exr.passthrough`.
 """
 

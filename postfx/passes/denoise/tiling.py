@@ -157,7 +157,7 @@ def _mirrored(count: int, held: int) -> np.ndarray:
 
 HALOS, GUIDED_HALO = {"s": 72, "m": 44, "l": 48}, 104
 """Render pixels that a network must see around active ones so that the result differs by less than 1e-3 from that of
-the whole frame: by model size, the largest for other models, and for models that read guides. docs/concepts/denoiser.md
+the whole frame: by model size, the largest for other models, and for models that read guides. docs/lab/denoiser.md
 lists the differences."""
 
 REACH = 2
