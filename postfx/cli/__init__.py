@@ -19,7 +19,7 @@ def find_namesake(site: str) -> str | None:
 
 
 _SITE = os.path.abspath(os.path.join(__file__, "../../.."))
-if _namesake := find_namesake(_SITE):  # whichever of both came last: what of us is left may still run, but is not whole
+if _namesake := find_namesake(_SITE):  # whichever was installed last: ours is not whole any more
     print(f"error: {_namesake}, another package of that name, shares the folder {os.path.join(_SITE, 'postfx')} with "
           f"{DISTRIBUTION}: pip uninstall postfx {DISTRIBUTION}, then pip install {DISTRIBUTION}", file=sys.stderr)
     sys.exit(2)

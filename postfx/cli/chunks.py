@@ -333,7 +333,7 @@ def _share_of_machine(ray: Any, address: str, given: argparse.Namespace) -> dict
 
 
 def _hand_out(ray: Any, cut: Cut, share: dict[str, int]) -> bool:
-    """Have all chunks run; whether frames failed and were let pass. FarmError at the end if a chunk failed."""
+    """Have all chunks run; whether frames failed and were skipped. FarmError at the end if a chunk failed."""
     from postfx.errors import FarmError, Interrupted
     from postfx.version import __version__
 

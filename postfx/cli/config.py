@@ -97,7 +97,7 @@ class Default(NamedTuple):
 
 def complete(options: Options, presets: Mapping[str, Mapping[str, Any]]) -> Any:
     """What fills in arguments that are not given, for `Parser.complete`. The arguments then have `filled`, the names of
-    those that files set, and `defaults`, the words that say the same."""
+    those that files set, and `defaults`, the same as words of a command line."""
 
     def fill_in(arguments: argparse.Namespace, given: set[str]) -> None:
         found = read_defaults(options)
@@ -112,7 +112,7 @@ def complete(options: Options, presets: Mapping[str, Mapping[str, Any]]) -> Any:
 
 
 def find_files() -> list[Path]:
-    """Files of defaults that are there, the weakest first. OptionError if POSTFX_CONFIG names one that is not."""
+    """Files of defaults that exist, the weakest first. OptionError if POSTFX_CONFIG names one that is not."""
     from pathlib import Path
 
     named = os.environ.get(VARIABLE)

@@ -82,7 +82,7 @@ class ExposureCheck:
         return "\n".join(lines)
 
     def _read_by(self) -> list[str]:
-        """By which curve levels of graded frames were read, and what that leaves open."""
+        """By which curve levels of graded frames were read, and what remains uncertain."""
         given, curve = self._arguments, self._report.curve
         if not given.graded:
             return []
@@ -135,7 +135,7 @@ def _views(clean: Frame, display: np.ndarray, exposure: float) -> Iterator[tuple
 
 def _row(shot: Shot, report: Report) -> str:
     frames = str(shot.first) if shot.first == shot.last else f"{shot.first}-{shot.last}"
-    low, high = report.limits_ev  # black and white: no more can be said there
+    low, high = report.limits_ev  # black and white: beyond them nothing can be measured
     bound = "over " if shot.mismatch_ev <= low else "under " if shot.mismatch_ev >= high else ""
     mismatch = f"{'beyond ' * bool(bound)}{shot.mismatch_ev:+.2f} EV"
     right = f"{bound}{shot.right_ev:+.2f} EV (x {2**shot.right_ev:.3g})"

@@ -40,7 +40,7 @@ class OnError(StrEnum):
 
 
 class Standin:
-    """Makes the output of a frame out of nothing but its picture: enlarged, not denoised, and shown like all others."""
+    """Makes the output of a frame from its picture alone: enlarged, not denoised, and shown like all others."""
 
     def __init__(
         self, sequence: Sequence, passes: list[Pass], device: Device, exposure: ExposureMeter | SmoothExposure
@@ -112,7 +112,7 @@ class Faults:
 
 
 def first_readable(sequence: Sequence, policy: OnError) -> int:
-    """Number of the first frame, or of the first one that can be read where those that cannot are let pass.
+    """Number of the first frame, or of the first one that can be read, where the policy allows to skip others.
 
     Where none can be, raises the error of the last one that is there.
     """

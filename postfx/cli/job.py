@@ -180,7 +180,7 @@ class Job:
         return paths, describe_outputs(paths, self._arguments.overwrite)
 
     def headline(self) -> str:
-        """What comes of what, in a line."""
+        """Input, output and sizes, in a line."""
         to = f" to {self.outputs.path(self.first).with_name(self.outputs.pattern)}" if self.outputs else ""
         sizes, views = describe_sizes(self.plan, self.sequence), describe_views(self.sequence)
         return f"{self.sequence.pattern}{to}: {describe_frames(self.sequence)}, {sizes}{views}"
@@ -263,7 +263,7 @@ class Job:
         return self.outputs
 
     def _announce(self, run: Run, progress: FrameProgress) -> None:
-        """Say what will be made, which frames are missing, and what takes its time before the first frame.
+        """Print what will be made, which frames are missing, and what delays the first frame.
 
         MissingFrameError where missing frames stop the run: before the first one, not hours later.
         """
@@ -281,8 +281,8 @@ class Job:
             progress.note("metering all frames first, for --exposure smooth")
 
     def _prepare(self) -> None:
-        """Load networks and compile kernels before the clock starts. It stands still for those few that only a frame
-        can tell of."""
+        """Load networks and compile kernels before the clock starts. It pauses for the few that are known only once a
+        frame runs."""
         begin = time.perf_counter()
         if self.plan.steps:
             self.pipeline.compile(self.plan.input, self.sequence.views)

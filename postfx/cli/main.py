@@ -36,9 +36,9 @@ EXIT_PIPE = 141
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command line; returns the exit code: 0 done, 1 what was checked is not well, 2 something the user can fix,
+    """Run a command line; returns the exit code: 0 done, 1 a check found something wrong, 2 something the user can fix,
     130 interrupted by Ctrl-C, 143 ended by SIGTERM."""
-    if "_ARGCOMPLETE" in os.environ:  # a shell asks how a line may go on
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
         import argcomplete
 
         argcomplete.autocomplete(make_parser())
@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except PostfxError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_ERROR
-    except BrokenPipeError:  # whoever reads has enough
+    except BrokenPipeError:  # the reader of our output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_PIPE
     except OSError as error:
@@ -81,7 +81,7 @@ class _Completion(argparse.Action):
 
 
 def read_and_write_by(threads: int | None) -> None:
-    """Have files read and written by so many threads; None: by all that this process may use."""
+    """Set the number of threads that read and write files; None: all that this process may use."""
     import OpenImageIO as oiio  # here, as --help does without
 
     from postfx.system import usable_cores

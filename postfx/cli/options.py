@@ -171,7 +171,7 @@ class Options:
                 option.add_to(rivals.get(option.either, group))
 
     def values_for(self, part: str, arguments: argparse.Namespace) -> dict[str, Any]:
-        """Parameters of a part of the run, from the options that set one; without those that say nothing."""
+        """Parameters of a part of the run, from the options that set one and are given."""
         found = {}
         for option in self:
             owner, _, parameter = option.sets.partition(".")
@@ -253,7 +253,7 @@ class Parser(argparse.ArgumentParser):
     complete: Callable[[argparse.Namespace, set[str]], None] | None = None
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As its base class does; notes which options are given."""
+        """As in the base class; also records which options are given."""
         if self.declared is None or self.complete is None:
             return super().parse_known_args(args, namespace)
         options = [option for option in self.declared if not option.shows]

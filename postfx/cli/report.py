@@ -59,7 +59,7 @@ class RunReport:
         self._log = FrameLog(numbers, self._look, f"after {self._views[0]}" if self._views else "after")
 
     def add(self, done: FrameResult) -> None:
-        """Look at a frame that just came out."""
+        """Add a frame that was just processed."""
         frame = done.source
         cut = done.cut or frame.reset or not self._follows(frame.number)
         metered = measure(frame[Role.COLOUR])
@@ -100,7 +100,7 @@ class RunReport:
     def _pictures(
         self, view: str | None, frame: Frame, result: Frame, exposure: float, cut: bool
     ) -> dict[str, np.ndarray]:
-        """Light of one size that is shown alike: a view before, after and, if there is one, its reference."""
+        """Pictures of one size, shown in the same way: a view before, after and, if there is one, its reference."""
         after = result[Role.COLOUR]
         height, width = after.shape[:2]
         before = resample(frame[Role.COLOUR], height, width, frame.jitter)
@@ -144,7 +144,7 @@ def write_inspection(inspection: Inspection, path: str) -> None:
 
 
 def _label(name: str, view: str | None) -> str:
-    """What a picture or a figure is called, of one of several views."""
+    """The name of a picture or a figure, with its view where there are several."""
     return f"{name} {view}" if view else name
 
 

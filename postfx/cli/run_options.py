@@ -97,8 +97,8 @@ FILES_WRITTEN = Section("files that are written", (
 def explain_kept(
     arguments: argparse.Namespace, files: FrameFiles, size: tuple[int, int], views: Iterable[FrameFiles] = ()
 ) -> tuple[str, list[Skip]]:
-    """A line on the channels that a frame's file holds beside the picture and an output of a size keeps, '' for none;
-    and those that it does not. views: of the other views that are written."""
+    """A line on the channels beside the picture that an output of a size keeps, '' for none; and those that it does
+    not. views: of the other views that are written."""
     from postfx.frame import Role
     from postfx.io.writer import is_display_format
     from postfx.plan import Skip

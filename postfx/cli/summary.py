@@ -101,7 +101,7 @@ def describe_views(sequence: Sequence) -> str:
 
 
 def describe_outputs(paths: list[Path], is_overwritten: bool) -> str:
-    """Files that a run would write, and what becomes of those that are there."""
+    """Files that a run would write, and what happens to those that exist."""
     there = sum(path.exists() for path in paths)
     more = f" ... {paths[-1]}" if len(paths) > 1 else ""
     fate = "replaced" if is_overwritten else "kept if they are whole"
@@ -146,7 +146,7 @@ class FrameProgress:
         self._console.print(text, highlight=False, soft_wrap=True)
 
     def note_compilation(self, count: int) -> None:
-        """Tell that kernels are compiled, so many so far."""
+        """Say that kernels are compiled, and how many so far."""
         text, now = "compiling kernels for this processor, on the first run only", time.perf_counter()
         self._bar.update(self._task, description=f"compiling kernels, {count} done")
         if self._told is None or (now - self._told > LOG_SECONDS and not self._console.is_terminal):
@@ -181,7 +181,7 @@ class ExposureUsed:
 
     Attributes:
         mode: as --exposure says it.
-        is_applied: whether it is in the pixels, as in pictures; else it was a hint to the denoiser alone.
+        is_applied: whether it is in the pixels, as in pictures; else it was only a hint to the denoiser.
         multipliers: frame number -> multiplier.
         lit: multipliers of the same frames that their headers ask for, 1 where they ask for nothing.
     """
@@ -227,8 +227,8 @@ def _stops(multipliers: Mapping[int, float]) -> str:
 
 @dataclass(frozen=True)
 class Preparation:
-    """What the frames did not take: seconds until the first one, those of them in which kernels were compiled, and how
-    many kernels, because no earlier run kept them."""
+    """Time before the first frame: all seconds, those in which kernels were compiled, and how many kernels, because no
+    earlier run had kept them."""
 
     seconds: float = 0.0
     compile_seconds: float = 0.0
@@ -237,7 +237,7 @@ class Preparation:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """A frame that came out of a run, and how.
+    """A processed frame, and how it was made.
 
     Attributes:
         source: as it was read.
@@ -360,8 +360,8 @@ class Report:
             result["fireflies"] = self.fireflies.as_dict()
         if self.faults:
             result["faults"] = [asdict(fault) for fault in self.faults]
-        ends = {"capture": self.capture, "report": self.page, "error": self.error}
-        return {**result, **{name: text for name, text in ends.items() if text}}
+        optional = {"capture": self.capture, "report": self.page, "error": self.error}
+        return {**result, **{name: text for name, text in optional.items() if text}}
 
     def summary(self) -> str:
         """The report in a few lines."""

@@ -91,7 +91,7 @@ def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Jo
 
     words = [str(pattern), "-o", arguments.output, "--overwrite", f"--frames={first}", *arguments.forwarded]
     given = make_parser(["run"]).parse_args(["run", *words])
-    given.both_ways = given.both_ways and "both_ways" not in given.filled  # defaults of a studio give way
+    given.both_ways = given.both_ways and "both_ways" not in given.filled  # defaults of a studio yield
     if given.exposure == "smooth" and "exposure" in given.filled:
         given.exposure = RUN["--exposure"].default
     for flag, is_given in (("--both-ways", given.both_ways), ("--exposure smooth", given.exposure == "smooth"),
@@ -166,7 +166,7 @@ class Arrivals:
             self._tell(f"frame {late} did not come within {self._arguments.patience:g} s: going on with {first}")
         if not all([self._has_settled(path) for path in found[first].values()]):
             return None
-        if self._unreadable and self._unreadable[0] == first:  # again only if changed, or at the end of patience
+        if self._unreadable and self._unreadable[0] == first:  # again only if changed, or when patience runs out
             changed = any(self._seen[path][1] > self._unreadable[1] for path in found[first].values())
             tired = time.monotonic() - self._unreadable[1] >= self._arguments.patience
             return first if changed or tired else None

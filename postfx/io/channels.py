@@ -1,4 +1,4 @@
-"""Every channel of a frame's files under all its names, part by part, so that what belongs together stays together.
+"""Every channel of a frame's files under all its names, part by part, so that those of one part stay together.
 
 A channel goes by its own name ('albedo.R'), by its part's name before it ('albedo' and 'R'), and by its file's name
 where every plane has one. Nuke's and Clarisse's red, green, blue and alpha count as R, G, B and A, and letter case does

@@ -66,7 +66,7 @@ def _decode_srgb(codes: np.ndarray) -> np.ndarray:
 
 
 def _decode_power(codes: np.ndarray, exponent: float) -> np.ndarray:
-    """Codes to a power; negative ones stay as they are, as the forum has it."""
+    """Codes to a power; negative ones stay as they are, as the forum recommends."""
     return np.where(codes > 0, np.maximum(codes, 0) ** exponent, codes)
 
 
@@ -153,7 +153,7 @@ class InputColours:
     """What is known about the colours of files, and what they become.
 
     Attributes:
-        declared: the user's word, which counts more than headers; None: headers say it, and without any it is Rec.709,
+        declared: by the user, which overrides headers; None: headers decide, and without any it is Rec.709,
             as OpenEXR has it.
         native: leave them in the primaries that they have. Encoded colours are made linear all the same.
     """
@@ -187,7 +187,7 @@ class InputColours:
         return [f"colours are {space.title}: {kept if self.native else 'turned to linear Rec.709'}"]
 
     def apply(self, frame: Frame) -> None:
-        """Turn a frame's colours and reflectances, guides included, in place; its header says what they are then.
+        """Convert a frame's colours and reflectances, guides included, in place; its header says what they are then.
 
         Light outside the gamut of Rec.709 becomes negative there and is kept; reflectances are cut at 0.
         """

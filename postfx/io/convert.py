@@ -187,7 +187,7 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
 
 
 def _apply_homography(found: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where infinitely far points were before."""
+    """Where infinitely far points were in the frame before."""
     a, b, c, d, e, f, g, h = found[:8]
     over = 1 / (g * x + h * y + 1)
     return (a * x + b * y + c) * over, (d * x + e * y + f) * over

@@ -196,7 +196,7 @@ class FrameFiles:
         self.close()
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         self._stack.close()
 
     @property
@@ -284,7 +284,7 @@ class FrameFiles:
         )
 
     def unread_motion(self) -> dict[str, tuple[Channel, ...]]:
-        """Layers of the colour's size that are called like motion, and their channels; none where motion is read."""
+        """Layers of the colour's size whose names suggest motion, and their channels; none where motion is read."""
         if Role.MOTION in self.layout.planes or Role.COLOUR not in self.layout.planes:
             return {}
         used = {match.channels[0] for match in self.layout.planes.values()}
@@ -324,7 +324,7 @@ class FrameFiles:
     def _look_wider(
         self, profile: str | None, depth: DepthOption | None, area: Area
     ) -> tuple[ChannelIndex, Layout]:
-        """Likewise, with planes that cover overscan."""
+        """Index and layout of planes that cover overscan."""
         for file in self._files.values():
             file.widen(*area)
         index, layout = self._look(profile, depth)

@@ -168,7 +168,7 @@ _DEFAULT_LAYERS = ("viewlayer.", "view layer.", "renderlayer.")
 
 
 def _preference(layout: Layout) -> tuple[bool, int, bool]:
-    """The larger, the more likely a view layer is the one that is meant."""
+    """How likely a view layer is the one that is meant."""
     name = layout.layer.lower()
     return Role.COLOUR in layout.planes and name != "overlay.", len(layout.planes), name in _DEFAULT_LAYERS
 

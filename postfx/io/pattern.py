@@ -1,4 +1,4 @@
-"""Names of frame files: patterns with a frame number, what is on the disk for them, and what a user's words mean."""
+"""Names of frame files: patterns with a frame number, the files that match them, and the sources that users name."""
 
 from __future__ import annotations
 
@@ -241,7 +241,7 @@ def _digits(match: re.Match[str]) -> int:
 def locate(source: Source) -> tuple[Pattern, list[int] | None]:
     """Pattern of a source, and the frame numbers where the source names some of its files.
 
-    A leading ~ is the home folder. Wildcards (* ? [..]) count where no file has that very name.
+    A leading ~ is the home folder. Wildcards (* ? [..]) count where no file has exactly that name.
 
     Raises SequenceError for a folder without OpenEXR files, and where files belong to several sequences.
     """

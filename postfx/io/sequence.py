@@ -124,14 +124,14 @@ class Sequence:
             previous = number
 
     def reader(self, view: str | None = None) -> Sequence:
-        """The same frames, of one view alone, for whoever reads them beside: `coverage` is its own."""
+        """The same frames, of one view alone, to be read independently: `coverage` is its own."""
         found = copy.copy(self)
         found.coverage, found.fireflies = Coverage(), Fireflies()
         found.view, found.views, found._all_views = view or self.view, (), False
         return found
 
     def first_view(self) -> Sequence:
-        """The same frames of the first view alone, for whoever looks at one; a warning names the others."""
+        """The same frames of the first view alone; a warning names the others."""
         if not self.views:
             return self
         self._warn(f"view {self.view} is looked at, not {', '.join(self.views)}: --view chooses one")
@@ -218,7 +218,7 @@ class Sequence:
         return frames[number]
 
     def guide_files(self, number: int) -> dict[str, Path] | None:
-        """Likewise, files of a frame's guides; None where they have no files of their own."""
+        """Files of a frame's guides, by plane word; None where they have no files of their own."""
         if self.guides is None:
             return None
         frames = self.guides._found[self._key]
@@ -300,7 +300,7 @@ class Sequence:
         self, number: int, previous: int | None, planes: Iterable[Role] | None = None,
         guides: Iterable[Role] | None = None, is_lenient: bool = False
     ) -> Frame:
-        """Likewise, one view; if `is_lenient`, without the planes that it does not have, unless it is the colour."""
+        """One view of such a frame; if `is_lenient`, without planes that it lacks, except the colour."""
         with self.open(number) as files:
             wanted = self.planes if planes is None else planes
             if is_lenient:
@@ -337,7 +337,7 @@ class Sequence:
 
     def _estimate_motion(self, frame: Frame, begins: bool, is_wanted: bool) -> None:
         """Give a frame motion that is estimated from its planes and those of the frame before it on the disk, where it
-        is wanted, or where the files hold zeros alone and `motion` lets that be looked into."""
+        is wanted, or where the files hold only zeros and `motion` is 'auto'."""
         is_zero = self.motion == AUTO and Role.MOTION in frame and not frame[Role.MOTION].any()
         if not is_wanted and not (is_zero and any(role in frame for role in SEEN)):
             return

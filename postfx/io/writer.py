@@ -368,7 +368,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 def check_folder(folder: Path, option: str) -> None:
-    """Make a folder and raise WriteError where it cannot be written: that must not be found out at the end of a run."""
+    """Make a folder and raise WriteError where it cannot be written, so that a run fails before its first frame."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

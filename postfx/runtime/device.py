@@ -419,7 +419,7 @@ class ProviderMemory(Immediate):
 
 
 def default_device() -> Device:
-    """The device of whoever is given none: one for the process."""
+    """The device that is used where none is given: one for the process."""
     with _ONE_AT_A_TIME:
         return _device_of(os.getpid())
 

@@ -183,7 +183,7 @@ class ExrContainer:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
     @property
@@ -215,7 +215,7 @@ class ExrContainer:
             self.chunks(part)
 
     def chunk(self, part: int, place: int) -> Chunk:
-        """The chunk at a place of a part's table, likewise."""
+        """The chunk at a place of a part's table; ReadError as for `chunks`."""
         at = int(self._offsets[part][place]) + 4 * self.several
         coordinates, sizes = head_layout(self.headers[part].part_type)
         head = coordinates + struct.calcsize(sizes)
@@ -237,7 +237,7 @@ class ExrContainer:
     def _check_table(self) -> None:
         """Read the chunks' offsets. If the table was never written, walk the chunks to find them.
 
-        ReadError where a chunk is missing, as in the file of a render that was ended, or beyond the end.
+        ReadError where a chunk is missing, as in the file of a render that was killed, or beyond the end.
         """
         offsets = np.frombuffer(self._file.read(8 * sum(self.counts)), "<u8").astype(np.int64)
         if offsets.min() < self._table:
@@ -322,7 +322,7 @@ def _flags(headers: list[Header]) -> int:
 
 
 class ZipReader:
-    """Reads pixels of a part whose scanlines are compressed by ZIP, in a half of OpenImageIO's time.
+    """Reads pixels of a part whose scanlines are compressed by ZIP, in half of OpenImageIO's time.
 
     `channels` are those that it reads: of half floats and floats; none where the part is stored in another way.
     """

@@ -173,7 +173,7 @@ def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> lis
         frame: of the picture. A source that is not an OpenEXR file has nothing to keep.
         stack: closes the source's files, from which the parts read while they are written.
 
-    Raises ReadError when the source is broken, OSError when it is gone.
+    Raises ReadError when the source is broken, OSError when it was removed.
     """
     if frame.source is None or Path(frame.source).suffix.lower() != ".exr":
         return [picture_part(own, rows)]
