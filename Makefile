@@ -29,7 +29,7 @@ docs: $(VENV)/installed-docs
 	@echo "build/site/index.html"
 
 # The page in the browser, in build/page: static files only. ONNX Runtime Web and three.js come from the npm registry.
-page: $(VENV)/installed-dev
+page: $(VENV)/installed-docs
 	rm -rf build/page
 	mkdir -p build/npm build/page/ort build/page/three/loaders build/page/three/libs
 	cp web/package.json build/npm && cd build/npm && npm install --silent --no-audit --no-fund --ignore-scripts
@@ -61,7 +61,7 @@ release: $(VENV)/installed-dev
 	for python in $(PYTHONS); do .ci/check_release $$python || exit 1; done
 
 $(VENV)/installed-docs: pyproject.toml constraints.txt | $(BIN)/python
-	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,docs]'
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[docs]'
 	@touch $@
 
 lint: $(VENV)/installed-dev
