@@ -79,26 +79,10 @@ extern "C" __global__ void denoise_filter(View mixed, View heads, View area, Vie
     }
 }
 
-// Filtered colour times reflectance, a border of repeated pixels around it: filtered (3, hp, wp), factor (th, tw, 3),
-// part_rows (th,), part_columns (tw,) -> radiance (3, th + 2, tw + 2), exposed linear.
-extern "C" __global__ void denoise_remodulate(View filtered, View factor, View part_rows, View part_columns,
-                                              View radiance) {
-    const int height = radiance.size[1], width = radiance.size[2];
-    PIXEL(width, height);
-    const int v = int(part_rows.at[within(y - 1, height - 2)]) - int(part_rows.at[0]);
-    const int u = int(part_columns.at[within(x - 1, width - 2)]) - int(part_columns.at[0]);
-    const size_t from = size_t(filtered.size[1]) * filtered.size[2], there = size_t(v) * filtered.size[2] + u;
-    const float* const by = factor.at + 3 * (size_t(v) * factor.size[1] + u);
-    const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
-    radiance.at[here] = filtered.at[there] * by[0];
-    radiance.at[plane + here] = filtered.at[from + there] * by[1];
-    radiance.at[2 * plane + here] = filtered.at[2 * from + there] * by[2];
-}
-
-// Filtered colour, then the same times reflectance, a border of repeated pixels around both: filtered (3, hp, wp),
-// factor (th, tw, 3), part_rows (th,), part_columns (tw,) -> radiance (6, th + 2, tw + 2), exposed linear.
-extern "C" __global__ void denoise_remodulate_both(View filtered, View factor, View part_rows, View part_columns,
-                                                   View radiance) {
+// Filtered colour times reflectance, a border of repeated pixels around it; before that, in `BOTH`, the colour itself.
+template <bool BOTH>
+__device__ inline void remodulate(const View& filtered, const View& factor, const View& part_rows,
+                                  const View& part_columns, const View& radiance) {
     const int height = radiance.size[1], width = radiance.size[2];
     PIXEL(width, height);
     const int v = int(part_rows.at[within(y - 1, height - 2)]) - int(part_rows.at[0]);
@@ -109,7 +93,20 @@ extern "C" __global__ void denoise_remodulate_both(View filtered, View factor, V
 #pragma unroll
     for (int c = 0; c < 3; c++) {
         const float light = filtered.at[c * from + there];
-        radiance.at[c * plane + here] = light;
-        radiance.at[(3 + c) * plane + here] = light * by[c];
+        if (BOTH) radiance.at[c * plane + here] = light;
+        radiance.at[((BOTH ? 3 : 0) + c) * plane + here] = light * by[c];
     }
+}
+
+// filtered (3, hp, wp), factor (th, tw, 3), part_rows (th,), part_columns (tw,) -> radiance (3, th + 2, tw + 2),
+// exposed linear.
+extern "C" __global__ void denoise_remodulate(View filtered, View factor, View part_rows, View part_columns,
+                                              View radiance) {
+    remodulate<false>(filtered, factor, part_rows, part_columns, radiance);
+}
+
+// The same -> radiance (6, th + 2, tw + 2).
+extern "C" __global__ void denoise_remodulate_both(View filtered, View factor, View part_rows, View part_columns,
+                                                   View radiance) {
+    remodulate<true>(filtered, factor, part_rows, part_columns, radiance);
 }
