@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from postfx import files, system
-from postfx.runs.checkpoint import About, load_checkpoint, save_checkpoint
+from postfx.runs.folder import About, load_checkpoint, save_checkpoint
 
 ROOT = Path(__file__).resolve().parent.parent
 AGAIN = ("tests/files/test_paths.py", "tests/io/test_sequence.py", "tests/io/test_writer.py", "tests/test_files.py",
@@ -80,7 +80,7 @@ def test_a_checkpoint_is_read_where_a_mapped_file_cannot_be_replaced(tmp_path, m
     history = {"mean": np.arange(12, dtype=np.float32).reshape(3, 4), "count": np.float64(3).reshape(())}
     save_checkpoint(path, About("run", "pattern", 4, "print"), history, lambda: None)
     mapped = load_checkpoint(path)
-    monkeypatch.setattr("postfx.runs.checkpoint.os", SimpleNamespace(name="nt"))
+    monkeypatch.setattr("postfx.runs.folder.os", SimpleNamespace(name="nt"))
     found = load_checkpoint(path)
     assert isinstance(mapped["mean"], np.memmap) and not any(isinstance(one, np.memmap) for one in found.values())
     for name, array in history.items():

@@ -27,8 +27,7 @@ from postfx.io.writer import Existing, OutputFiles
 from postfx.passes.registry import BUILT_IN, plug_ins
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan, Skip
-from postfx.runs.checkpoint import load_checkpoint
-from postfx.runs.folder import RunFolder
+from postfx.runs.folder import RunFolder, load_checkpoint
 from postfx.runs.locks import Process
 from postfx.runs.manifest import Output
 from postfx.runs.schedule import EarlierRuns, Work, find_preroll, judge, schedule

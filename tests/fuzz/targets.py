@@ -22,7 +22,7 @@ from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
 from postfx.masks import parse_leave
 from postfx.passes.tonemap import check_constants, find_model, shaper
-from postfx.runs.checkpoint import About, load_checkpoint, read_about, save_checkpoint
+from postfx.runs.folder import About, load_checkpoint, read_about, save_checkpoint
 from postfx.runs.locks import Process, is_alive
 from postfx.runs.manifest import NAME, Manifest, Output, verify
 from postfx.runtime import Device, Library

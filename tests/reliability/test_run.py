@@ -199,7 +199,7 @@ def test_full_disk_while_the_manifest_is_written(runs, unbroken):
 
 
 def test_full_disk_while_a_checkpoint_is_written(runs, unbroken):
-    code, said = runs.fail({"at": "postfx.runs.checkpoint.write_atomically", "do": "full"}, more=("--checkpoint", "0"))
+    code, said = runs.fail({"at": "postfx.runs.folder.write_atomically", "do": "full"}, more=("--checkpoint", "0"))
     assert code == 0 and "no checkpoint could be written: No space left on device" in said
     assert runs.files() == unbroken
 
