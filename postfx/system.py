@@ -20,7 +20,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-import platformdirs
 
 from postfx.errors import MemoryBudgetError
 
@@ -45,7 +44,9 @@ def private_folder(name: str) -> Path | None:
     """A folder that nobody else may write to, since what lies there is run: in the user's cache, else with the
     temporary files; None where neither can be had."""
     owner = getattr(os, "getuid", getpass.getuser)()
-    cache = platformdirs.user_cache_path("postfx", appauthor=False)
+    from platformdirs import user_cache_path  # machines that only train do without
+
+    cache = user_cache_path("postfx", appauthor=False)
     for base in (cache, Path(tempfile.gettempdir()) / f"postfx-{owner}"):
         folder = base / name
         try:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import random
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -95,20 +94,6 @@ def git_commit() -> str:
         return done.stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-
-
-def random_state(device: torch.device) -> dict[str, Any]:
-    """States of all generators that training draws from."""
-    cuda = torch.cuda.get_rng_state(device) if device.type == "cuda" else None
-    return {"python": random.getstate(), "torch": torch.get_rng_state(), "cuda": cuda}
-
-
-def set_random_state(state: dict[str, Any], device: torch.device) -> None:
-    """Set them to what ``random_state`` returned."""
-    random.setstate(state["python"])
-    torch.set_rng_state(state["torch"])
-    if state["cuda"] is not None and device.type == "cuda":
-        torch.cuda.set_rng_state(state["cuda"], device)
 
 
 # Mixtures -----------------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from training import ops
-from training.denoise.model import Guides, Inputs
+from training.denoise.model import Guides, Inputs, State
 
 # Clips and batches --------------------------------------------------------------------------------------------------
 
@@ -65,7 +65,7 @@ class Batch:
     ``keep`` (T, N, 1, 1, 1) is 0 where the history ends. Lists of T motions (N, 2, h, w): ``inverse`` leads to the next
     frame, for clips that also run backwards; ``static`` is the motion if only the camera moved; ``true_motion`` is set
     if the motion of the frames may be false. ``reflectance`` (T, N, 3, h, w) is the true one, NaN in entries where it
-    is unknown.
+    is unknown. ``state`` is the history that the first frame continues; None: there is none.
     """
 
     frames: list[Inputs]
@@ -75,6 +75,7 @@ class Batch:
     static: list[Tensor] | None = None
     true_motion: list[Tensor] | None = None
     reflectance: Tensor | None = None
+    state: State | None = None
 
 
 @dataclass
@@ -207,25 +208,46 @@ class ClipPool:
     def __len__(self) -> int:
         return sum(map(len, self.training.values()))
 
-    def draw(self, size: int, crop: int, seed: int, sparse: float = 0.0) -> Stack:
+    def draw(self, size: int, crop: int, seed: int, sparse: float = 0.0, turn: int = 0) -> Stack:
         """Windows of clips of one output size; ``seed`` picks the size, so that all GPUs work on the same one.
 
-        ``sparse`` is the share of clips whose albedo, normal and roughness come from a render with fewer samples.
+        ``sparse`` is the share of clips whose albedo, normal and roughness come from a render with fewer samples. Turn
+        0 plays the clips forwards; each later ``turn``, drawn with the same random state, plays the same windows of
+        other renders the other way than the turn before, and continues its history.
         """
         shapes = sorted(self.training)
         weights = [[clip.weight for clip in self.training[shape]] for shape in shapes]
         drawn = random.Random(seed).choices(range(len(shapes)), [sum(w) for w in weights])[0]
         clips = random.choices(self.training[shapes[drawn]], weights[drawn], k=size)
-        variants = [random.randrange(len(c.planes)) for c in clips]
-        surfaces = [sparser(c, v) if sparse and random.random() < sparse else v
-                    for c, v in zip(clips, variants, strict=True)]
-        return collate(clips, variants, crop, surfaces)
+        order = [random.sample(range(len(c.planes)), len(c.planes)) for c in clips]
+        variants = [renders[turn % len(renders)] for renders in order]
+        thinned = [random.random() < sparse for _ in clips]
+        surfaces = [sparser(c, v, turn) if thin else v for c, v, thin in zip(clips, variants, thinned, strict=True)]
+        stack = collate(clips, variants, crop, surfaces)
+        return stack if turn == 0 else played_on(stack, backwards=turn % 2 == 1)
 
 
-def sparser(clip: Clip, variant: int) -> int:
-    """Another render of the same frames with fewer samples, spread over the pixel; else the render itself."""
+def played_on(stack: Stack, backwards: bool) -> Stack:
+    """Windows that continue after the same windows were played the other way: the frame at the turn comes twice, and
+    nothing moves between the two."""
+    kept, planes = stack.keep.clone(), stack.planes.clone()
+    if backwards:
+        inverse = MOTION + 2 * (1 + stack.pairs.index("inverse"))
+        for first in range(MOTION, planes.shape[2], 2):
+            planes[:, :, first:first + 2] = stack.planes[:, :, inverse:inverse + 2]  # 0 in the last frame
+        kept = torch.cat((torch.ones_like(kept[:, :1]), kept[:, 1:].flip(1)), 1)
+        return replace(stack, planes=planes.flip(1), keep=kept, jitter=stack.jitter.flip(1),
+                       reference=stack.reference.flip(1), albedos=stack.albedos.flip(1),
+                       guides=None if stack.guides is None else stack.guides.flip(1))
+    kept[:, 0], planes[:, 0, MOTION:] = 1, 0
+    return replace(stack, planes=planes, keep=kept)
+
+
+def sparser(clip: Clip, variant: int, turn: int = 0) -> int:
+    """Another render of the same frames with fewer samples, spread over the pixel, a next one each turn; else the
+    render itself."""
     fewer = [v for v in range(len(clip.planes)) if clip.samples[v] < clip.samples[variant] and clip.spread[v]]
-    return random.choice(fewer) if fewer and clip.spread[variant] else variant
+    return fewer[turn % len(fewer)] if fewer and clip.spread[variant] else variant
 
 
 def collate(clips: list[Clip], variants: list[int], crop: int | None = None,

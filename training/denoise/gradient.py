@@ -16,6 +16,7 @@ from training import ops
 from training.denoise import loss as losses
 from training.denoise import model as network
 from training.denoise.dataset import Batch
+from training.denoise.loss import Results
 
 # Small operations in which a step spends its time. Each is bound by memory as written; compiled by itself it becomes
 # one or two GPU kernels forward and as many backward. Compiling the whole step would take minutes for every shape.
@@ -65,12 +66,12 @@ class GradientStep:
     lives in the optimiser, outside the graph, so it may change every step.
     """
 
-    def __init__(self, loss: Callable[[Batch], tuple[Tensor, ...]], flat: FlatGradient):
+    def __init__(self, loss: Callable[[Batch], Results], flat: FlatGradient):
         self.loss, self.flat = loss, flat
-        self.captured: dict[tuple[torch.Size, bool], tuple[torch.cuda.CUDAGraph, Batch, list[Tensor]]] = {}
+        self.captured: dict[tuple[torch.Size, bool], tuple[torch.cuda.CUDAGraph, Batch, list[Any]]] = {}
         self.pool = None
 
-    def __call__(self, batch: Batch) -> list[Tensor]:
+    def __call__(self, batch: Batch) -> list[Any]:
         if not batch.references.is_cuda:
             return self._run(batch)
         shape = batch.references.shape, batch.inverse is not None
@@ -79,15 +80,15 @@ class GradientStep:
         graph, held, results = self.captured[shape]
         copy_batch(batch, held)
         graph.replay()
-        return [r.clone() for r in results]
+        return map_tensors(results, torch.clone)
 
-    def _run(self, batch: Batch) -> list[Tensor]:
+    def _run(self, batch: Batch) -> list[Any]:
         self.flat.buffer.zero_()
-        results = self.loss(batch)
+        results = list(self.loss(batch))
         results[0].backward()
-        return [r.detach() for r in results]
+        return map_tensors(results, torch.detach)
 
-    def _capture(self, batch: Batch) -> tuple[torch.cuda.CUDAGraph, Batch, list[Tensor]]:
+    def _capture(self, batch: Batch) -> tuple[torch.cuda.CUDAGraph, Batch, list[Any]]:
         held = map_tensors(batch, lambda x: x.clone(memory_format=torch.contiguous_format))
         aside = torch.cuda.Stream()
         aside.wait_stream(torch.cuda.current_stream())

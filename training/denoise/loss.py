@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from training import ops
 from training.denoise.dataset import Batch
-from training.denoise.model import DenoiseUpscale, Inputs, empty_state, trust_reflectance
+from training.denoise.model import DenoiseUpscale, Inputs, State, empty_state, trust_reflectance
 
 # Perceived difference -----------------------------------------------------------------------------------------------
 # Differentiable perceived difference: the colour part of FLIP (Andersson et al. 2020).
@@ -165,6 +165,7 @@ def psnr(output: Tensor, reference: Tensor) -> Tensor:
 OWN = 0.5  # share of the two directions' own losses for clips run both ways; the rest is the blend's
 
 Scores = tuple[Tensor, Tensor, Tensor]  # loss, and without gradient PSNR and flicker
+Results = tuple[Tensor, Tensor, Tensor, State]  # and the history after the last frame
 
 
 class Truth:
@@ -208,7 +209,8 @@ class ClipLoss(nn.Module):
     ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history; ``even``
     is the largest factor that gives clips of little noise more weight (0: all have the same); ``light`` are weight and
     knee of the error of light, ``reflectance`` is the weight of the error of the trusted reflectance. A batch with
-    inverse motion also runs backwards: each direction has a loss, and so has their blend.
+    inverse motion also runs backwards: each direction has a loss, and so has their blend. A batch with a state
+    continues its history.
     """
 
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
@@ -217,22 +219,23 @@ class ClipLoss(nn.Module):
         self.model, self.flicker, self.reset, self.even, self.light = model, flicker, reset, even, light
         self.reflectance = reflectance
 
-    def forward(self, batch: Batch) -> Scores:
+    def forward(self, batch: Batch) -> Results:
         # One context for the whole clip, so that weights are cast once and not once a frame.
         with torch.autocast(batch.references.device.type, torch.bfloat16):
             return self._clip(batch)
 
-    def _clip(self, batch: Batch) -> Scores:
-        truth, size = Truth(batch, self.even, self.light), batch.references.shape[-2:]
-        ahead, counts, trust = self._run(batch.frames, list(batch.keep), size)
+    def _clip(self, batch: Batch) -> Results:
+        truth = Truth(batch, self.even, self.light)
+        begin = batch.state or empty_state(batch.frames[0], *batch.references.shape[-2:])
+        ahead, counts, trust, end = self._run(batch.frames, list(batch.keep), begin)
         if batch.inverse is None:
             loss, *rest = truth.scores(ahead, self.flicker)
-            return loss + self._doubt(batch, trust), *rest
-        back, back_counts = (x[::-1] for x in self._run(*backwards(batch), size)[:2])
+            return loss + self._doubt(batch, trust), *rest, end
+        back, back_counts = (x[::-1] for x in self._run(*backwards(batch), begin)[:2])
         both = [torch.lerp(b, a, n / (n + m)) for a, b, n, m in zip(ahead, back, counts, back_counts, strict=True)]
         own = [truth.scores(outputs, self.flicker)[0] for outputs in (ahead, back)]
         loss, quality, flicker = truth.scores(both, self.flicker)
-        return OWN * (own[0] + own[1]) / 2 + (1 - OWN) * loss + self._doubt(batch, trust), quality, flicker
+        return OWN * (own[0] + own[1]) / 2 + (1 - OWN) * loss + self._doubt(batch, trust), quality, flicker, end
 
     def _doubt(self, batch: Batch, trust: list[Tensor]) -> Tensor | float:
         """Loss of the trust in each frame's planes."""
@@ -242,18 +245,17 @@ class ClipLoss(nn.Module):
         return self.reflectance * sum(errors) / len(trust)
 
     def _run(self, frames: list[Inputs], keep: list[Tensor],
-             size: tuple[int, int]) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
-        """Exposed linear outputs, how many frames each has seen, itself included, (N, 1, 1, 1), and the trust in its
-        planes (N, 1, h, w), the last hidden channel."""
-        state, outputs, counts = empty_state(frames[0], *size), [], [torch.zeros_like(keep[0])]
-        trust = []
+             state: State) -> tuple[list[Tensor], list[Tensor], list[Tensor], State]:
+        """Exposed linear outputs, how many frames each has seen, itself included, (N, 1, 1, 1), the trust in its planes
+        (N, 1, h, w), the last hidden channel, and the last state."""
+        outputs, counts, trust = [], [torch.zeros_like(keep[0])], []
         for inputs, kept in zip(frames, keep, strict=True):
             kept = (torch.rand_like(kept) >= self.reset) * kept
             output, state, _ = self.model(inputs, state.drop(kept))
             outputs.append(output)
             counts.append(1 + kept * counts[-1])
             trust.append(state.hidden[:, -1:])
-        return outputs, counts[1:], trust
+        return outputs, counts[1:], trust, state
 
 
 def backwards(batch: Batch) -> tuple[list[Inputs], list[Tensor]]:

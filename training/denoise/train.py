@@ -7,9 +7,10 @@ To try it:    python -m training.denoise.train --clips CLIPS --out RUN --steps 2
 
 The learning rate rises over 500 steps and then follows the clock: a cosine down to zero at the end of --minutes. The
 folders of clips may still be growing. RUN/log.csv and validation.csv hold the curves (`training.measure.runs curves`
-draws them). RUN/checkpoint.pt holds the weights, their average, the optimiser, step, time, random states, arguments and
-the git commit; --resume continues with all of it, --start begins a new run from weights alone. --log FILE adds the run
-to a table of runs (`training.measure.runs`). The defaults are those of the last training of m.
+draws them). RUN/checkpoint.pt holds the weights, their average, the optimiser, step, time, arguments and the commit.
+--resume continues with all of it, except for the histories of --carry; --start begins a new run from weights alone.
+Each step seeds its random numbers by --seed and its own number, so that a resumed run draws the same. --log FILE adds
+the run to a table of runs (`training.measure.runs`). The defaults are those of the last training of m.
 
 This file reads from top to bottom: settings, the few functions that a step needs, then `train`, one plain loop. The
 network is in model.py, the loss in loss.py, clips and their augmentation in dataset.py, CUDA graphs and gradients in
@@ -25,7 +26,7 @@ import os
 import random
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -34,11 +35,11 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from training.denoise.checkpoint import git_commit, load_weights, random_state, read, save, set_random_state
+from training.denoise.checkpoint import git_commit, load_weights, read, save
 from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to_batch
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
 from training.denoise.loss import LIGHT, ClipLoss
-from training.denoise.model import DenoiseUpscale, TrunkConfig
+from training.denoise.model import DenoiseUpscale, State, TrunkConfig, empty_state
 from training.measure.runs import append_run
 
 # Settings -----------------------------------------------------------------------------------------------------------
@@ -47,6 +48,7 @@ KEEP_MINUTES = 2.0  # between two checkpoints
 WARM_STEPS = 500  # over which the learning rate rises: where it rises faster, units die for good
 DECAY = 0.9995  # of the average of the weights
 LARGEST_NORM = 1.0  # of a gradient
+PLAYING = 8  # playbacks between which --carry draws
 PLACES = ("clips", "out", "start", "resume", "log")  # arguments that name files; a checkpoint does not keep them
 
 
@@ -84,6 +86,9 @@ def options() -> argparse.ArgumentParser:
                         help="share of the clips with albedo, normal and roughness of a render with fewer samples")
     parser.add_argument("--both-ways", type=float, default=0.0, metavar="SHARE",
                         help="share of the steps that also run clips backwards and score the blend of both directions")
+    parser.add_argument("--carry", type=float, default=0.0, metavar="SHARE",
+                        help="share of the steps that continue the history of an earlier one: the same windows, with "
+                             "other noise, played the other way (default: %(default)s)")
     begin = parser.add_mutually_exclusive_group()
     begin.add_argument("--start", type=Path, help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx")
     begin.add_argument("--resume", type=Path, help="checkpoint.pt of a run to continue, with its arguments")
@@ -103,6 +108,8 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
     """The arguments; a resumed run's arguments replace the defaults."""
     parser = options()
     args = parser.parse_args(words)
+    if args.carry and args.both_ways:
+        parser.error("--carry and --both-ways exclude each other")
     if args.resume:
         saved = read(args.resume)
         if "optimiser" not in saved:
@@ -122,6 +129,32 @@ def rate_at(progress: float, step: int, peak: float) -> float:
 def runs_both_ways(step: int, share: float) -> bool:
     """Whether a step is one of the ``share`` that runs both ways: evenly spread, the same on every GPU."""
     return math.floor((step + 1) * share) > math.floor(step * share)
+
+
+@dataclass
+class Playback:
+    """Windows that are played forwards and backwards by turns, one turn a step, so that history grows longer than a
+    clip. ``state`` is the history after the turns so far, ``begun`` the step of the first."""
+
+    begun: int
+    turn: int = 0
+    state: State | None = None
+
+
+def pick(playing: list[Playback], step: int, args: argparse.Namespace) -> Playback:
+    """One of the playbacks, the same on all GPUs: with the chance ``args.carry`` it goes on, else a new one begins."""
+    drawn = random.Random(f"{args.seed} {step}")
+    place = drawn.randrange(len(playing))
+    if not playing[place].turn or drawn.random() >= args.carry:
+        playing[place] = Playback(step)
+    return playing[place]
+
+
+def seed_all(*parts: int | str) -> None:
+    """Seed Python's and torch's random numbers from these parts."""
+    drawn = random.Random(" ".join(map(str, parts)))
+    random.seed(drawn.random())
+    torch.manual_seed(drawn.getrandbits(48))
 
 
 def set_direction(batch: Batch, both: bool) -> Batch:
@@ -158,7 +191,7 @@ def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, both: b
     results = []
     for clips in by_size(pool.validation, 8):
         batch = set_direction(to_batch(collate(clips, [0] * len(clips))), both)
-        results.append(torch.stack(loss(batch)[1:]) * len(clips))
+        results.append(torch.stack(loss(batch)[1:3]) * len(clips))
     loss.reset, loss.even = reset, even
     loss.model.load_state_dict(mine)
     quality, flicker = (sum(results) / len(pool.validation)).tolist() if results else (math.nan, math.nan)
@@ -188,7 +221,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
     ``model`` stands in for the network of the arguments. ``pause``: stop at this step, with a checkpoint to resume.
     """
     # Clips: each process trains on a share of the folder, and one clip in twenty is held out.
-    kinds = (("inverse",) if args.both_ways else ()) + (("static",) if args.false_motion else ())
+    kinds = (("inverse",) if args.both_ways or args.carry else ()) + (("static",) if args.false_motion else ())
     pool = ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=kinds)
     if pool.refresh() < args.wait:
         print(f"waiting for {args.wait} clips to train on (--wait): {folder_names(args)} has {len(pool)}", flush=True)
@@ -219,9 +252,6 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
         optimiser.load_state_dict(saved["optimiser"])
         flat.nonfinite.fill_(saved["nonfinite"])
         step, start = saved["step"], time.monotonic() - saved["seconds"]
-        set_random_state(saved["random"], device)
-        if rank:  # only one process's states are saved
-            random.seed(f"{args.seed} {rank} {step}")
 
     def progress() -> float:
         """Share of the training that is done, by steps or by the clock, the same on every GPU."""
@@ -236,33 +266,38 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
 
     def keep() -> dict[str, Any]:
         """Validate the averaged weights and write the checkpoint; returns the notes on the run so far."""
-        seconds, state = time.monotonic() - start, random_state(device)  # validation draws, too
+        seconds = time.monotonic() - start
         quality, flicker = validate(loss, average.weights, pool)
         notes = {"steps": step, "minutes": round(seconds / 60, 2), "gpus": world, "batch": args.batch * world,
                  "clips": len(pool) * world, "validation_psnr": quality, "validation_flicker": flicker}
         if args.both_ways:
             both = validate(loss, average.weights, pool, both=True)
             notes |= {"both_ways": args.both_ways, "both_psnr": both[0], "both_flicker": both[1]}
-        set_random_state(state, device)
         weights = {k: v.cpu().contiguous() for k, v in average.weights.items()}
         save({"config": model.config.as_dict(), "weights": weights, "notes": notes, "live": model.state_dict(),
               "optimiser": optimiser.state_dict(), "step": step, "seconds": time.monotonic() - start,
               "rate": optimiser.param_groups[0]["lr"], "seed": args.seed,
               "arguments": {k: v for k, v in vars(args).items() if k not in PLACES},
-              "commit": git_commit(), "random": state, "nonfinite": int(flat.nonfinite)}, args.out / "checkpoint.pt")
+              "commit": git_commit(), "nonfinite": int(flat.nonfinite)}, args.out / "checkpoint.pt")
         add_row(args.out / "validation.csv", step, round(time.monotonic() - start, 1), quality, flicker)
         print("validation", json.dumps(notes), flush=True)
         return notes
 
     # The loop.
     kept, recent = time.monotonic(), []
+    playing = [Playback(step) for _ in range(PLAYING)]
     while (done := progress()) < 1 and step != pause:
         rate = rate_at(done, step, args.rate)
         for group in optimiser.param_groups:
             group["lr"] = rate
-        stack = pool.draw(args.batch, args.crop, args.seed + step, args.sparse_planes)
-        batch = set_direction(augment(stack), runs_both_ways(step, args.both_ways))
-        results = gradient(batch)  # loss, PSNR, flicker
+        play = pick(playing, step, args)
+        seed_all(args.seed, rank, play.begun)  # the same windows and augmentation for all turns
+        batch = augment(pool.draw(args.batch, args.crop, args.seed + play.begun, args.sparse_planes, play.turn))
+        seed_all(args.seed, rank, step, "resets")
+        if args.carry:
+            batch = replace(batch, state=play.state or empty_state(batch.frames[0], *batch.references.shape[-2:]))
+        *results, play.state = gradient(set_direction(batch, runs_both_ways(step, args.both_ways)))
+        play.turn += 1
         norm = flat.finish(LARGEST_NORM, world > 1)
         optimiser.step()
         average.update(step)
@@ -278,6 +313,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
                 add_row(args.out / "log.csv", step, round(seconds, 1), rate, *values)
         if time.monotonic() - kept > 60 * KEEP_MINUTES:
             pool.refresh()
+            playing = [Playback(step) for _ in range(PLAYING)]  # windows are drawn from other clips now
             if rank == 0:
                 keep()
             kept = time.monotonic()

@@ -96,7 +96,7 @@ def test_a_frame_is_blended_by_what_each_direction_has_seen_of_it(monkeypatch: p
     rated = []
     scores = losses.Truth.scores
     monkeypatch.setattr(losses.Truth, "scores", lambda *args: rated.append(args[1]) or scores(*args))
-    loss, _, _ = ClipLoss(Told(), flicker=1.0, reset=0.0)(told_clip([1, 0, 0, 1, 0]))
+    loss, *_ = ClipLoss(Told(), flicker=1.0, reset=0.0)(told_clip([1, 0, 0, 1, 0]))
     ahead, back, both = ([float(picture.mean()) for picture in outputs] for outputs in rated)
     assert ahead == [1.0] * 5 and back == [2.0] * 5
     assert both == pytest.approx([2 - k / 4 for k in (1, 2, 3)] + [2 - k / 3 for k in (1, 2)])

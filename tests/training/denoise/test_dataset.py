@@ -17,6 +17,7 @@ from training import ops  # noqa: E402
 from training.datagen.scenes.motion import Camera, look_at  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise.dataset import (  # noqa: E402
+    MOTION,
     SURFACE,
     Augment,
     Batch,
@@ -25,7 +26,9 @@ from training.denoise.dataset import (  # noqa: E402
     collate,
     ellipse,
     falsify_motion,
+    inverse_motion,
     load,
+    played_on,
     sparser,
     static_motion,
     to_batch,
@@ -155,6 +158,34 @@ def test_clips_of_a_folder_are_drawn_as_often_as_its_weight_says(tmp_path: Path)
     random.seed(1)
     drawn = pool.draw(4000, 16, 0).reference[:, 0, 0, 0, 0]
     assert float((drawn == 0.25).float().mean()) == pytest.approx(0.75, abs=0.03)
+
+
+def test_later_turns_play_the_same_windows_the_other_way(tmp_path: Path) -> None:
+    write_clips(tmp_path, 2)
+    path = tmp_path / "clip0000.npz"
+    pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"), held_out=10**6, pairs=("inverse", "static"))
+    pool.refresh()
+    turns = []
+    for turn in range(3):
+        random.seed(5)
+        turns.append(pool.draw(2, 16, 0, turn=turn))
+    first, back, again = turns
+    assert torch.equal(back.reference, first.reference.flip(1)) and torch.equal(again.reference, first.reference)
+    assert torch.equal(back.jitter, first.jitter.flip(1)) and torch.equal(back.albedos, first.albedos.flip(1))
+    assert torch.equal(back.planes[:, :, :MOTION], first.planes[:, :, :MOTION].flip(1))
+    inverse = torch.from_numpy(inverse_motion(np.load(path), "v0")).abs()
+    assert float(back.planes[:, 1, MOTION].abs().amax()) <= float(inverse.amax()) + 1e-3
+    assert torch.equal(back.planes[:, :, MOTION:MOTION + 2], first.planes[:, :, MOTION + 2:MOTION + 4].flip(1))
+    assert not back.planes[:, 0, MOTION:].any() and back.planes[:, 1, MOTION].any()  # it rests at the turn
+    assert not again.planes[:, 0, MOTION:].any() and torch.equal(again.planes[:, 1], first.planes[:, 1])
+    assert back.keep.all() and again.keep.all()
+
+
+def test_a_cut_is_kept_when_played_backwards() -> None:
+    clip = entries(1)
+    cut = replace(clip, planes=clip.planes[:, [0, 1, 1]], keep=torch.tensor([[0.0, 0.0, 1.0]]), pairs=("inverse",))
+    assert played_on(cut, backwards=True).keep.tolist() == [[1.0, 1.0, 0.0]]
+    assert played_on(cut, backwards=False).keep.tolist() == [[1.0, 0.0, 1.0]]
 
 
 def test_true_albedos_are_those_of_an_exact_render_or_of_many_samples(tmp_path: Path) -> None:

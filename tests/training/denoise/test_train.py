@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import random
+import re
 import subprocess
 import sys
+import tomllib
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -277,9 +279,43 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
                for a, b in zip(state.values(), other["optimiser"]["state"][index].values(), strict=True))
 
 
+def test_a_batch_with_a_state_continues_its_history() -> None:
+    """Two halves of a clip, the second with the state after the first, give what the whole clip gives."""
+    torch.manual_seed(0)
+    model = small_model()
+    half = replace(to_batch(moving_clip(2)), keep=torch.ones(2, 1, 1, 1, 1), reflectance=None)
+    whole = replace(half, frames=half.frames * 2, references=half.references.repeat(2, 1, 1, 1, 1),
+                    keep=half.keep.repeat(2, 1, 1, 1, 1))
+    loss = train.ClipLoss(model, flicker=0.0, reset=0.0)
+    end, alone = loss(whole)[3], loss(half)[3]
+    continued = loss(replace(half, state=alone))[3]
+    assert torch.equal(continued.output, end.output) and torch.equal(continued.count, end.count)
+    assert not torch.equal(alone.output, end.output)
+
+
+def test_carried_histories_grow_longer_than_a_clip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_clips(tmp_path, 3)
+    begun, run = [], train.GradientStep.__call__
+
+    def watched(step: GradientStep, batch: Batch) -> list:
+        begun.append(float(batch.state.fresh.mean()))
+        return run(step, batch)
+
+    monkeypatch.setattr(train.GradientStep, "__call__", watched)
+    monkeypatch.setattr(train, "PLAYING", 1)
+    words = ("--steps", 4, "--carry", 1)
+    train.train(settings(tmp_path, tmp_path / "run", *words))
+    assert begun == [0, 1, 1, 1]
+    with pytest.raises(SystemExit):
+        settings(tmp_path, tmp_path / "run", *words, "--both-ways", 0.5)
+
+
 def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
-    """Such machines have PyTorch, NumPy, Numba and ONNX, but not what reads pictures and runs networks."""
-    absent = ("OpenImageIO", "onnxruntime", "fileseq", "colour", "mitsuba")
+    """Such machines have PyTorch, kornia, NumPy, Numba and ONNX, but nothing else that postfx itself needs."""
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+    needed = {re.match("[A-Za-z0-9_-]+", word)[0] for word in project["dependencies"]} - {"numpy", "numba"}
+    absent = (*sorted(needed), "colour", "mitsuba")
+    assert {"platformdirs", "OpenImageIO", "onnxruntime"} <= set(absent)
     program = f"import sys; sys.modules.update(dict.fromkeys({absent})); import training.denoise.train"
     program += "; import postfx.temporal.reverse_motion"  # which --both-ways imports when it makes a batch
     subprocess.run([sys.executable, "-c", program], check=True)
